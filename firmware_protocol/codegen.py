@@ -1,0 +1,180 @@
+"""Print the tables of PROTOCOL.md from the tables that run.
+
+``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md; with ``--check`` it
+changes nothing and ends with 1 when the file is stale. The prose around the markers is written by hand.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import REPLIES, TRANSITIONS, UNASKED, State
+from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, LimitFlag, Status
+from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES
+from firmware_protocol.packing import FAULT_ENTRY_BYTES, LAYOUTS, Header
+from firmware_protocol.parameters import PARAMETERS
+from firmware_protocol.wire import FORMATS, Wire, record_struct, wire_fields
+
+PROTOCOL = Path(__file__).with_name("PROTOCOL.md")
+_SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+def title(cls: type) -> str:
+    """Name of a message as the protocol writes it: SetBegin → SET_BEGIN."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).upper()
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Markdown table."""
+    lines = [
+        "| " + " | ".join(str(cell) for cell in row) + " |" for row in (head, ["---"] * len(head), *rows)
+    ]
+    return "\n".join(lines)
+
+
+def _summary(thing: object) -> str:
+    return (thing.__doc__ or "").strip().splitlines()[0]
+
+
+def _bytes_of(wires: dict[str, Wire], start: int = 0) -> str:
+    rows, at = [], start
+    for name, wire in wires.items():
+        rows.append((at, wire.ctype, f"`{name}`", wire.unit, wire.meaning))
+        if wire.ctype in FORMATS:
+            at += 2 ** ("8", "16", "32", "64").index(wire.ctype[1:])
+    return table(("offset", "type", "field", "unit", "meaning"), rows)
+
+
+def overview() -> str:
+    """Type ids, senders, classes, sizes."""
+    rows = []
+    for type_id, cls in m.MESSAGES.items():
+        layout = LAYOUTS[type_id]
+        size = HEADER_BYTES + layout.size + CRC_BYTES
+        length = f"{size} … {size + layout.data_limit}" if layout.tail else f"{size}"
+        rows.append(
+            (f"0x{type_id:02X}", f"`{title(cls)}`", layout.sender.name.lower(), layout.delivery.name, length)
+        )
+    return table(("type", "message", "sent by", "class", "bytes of the raw frame"), rows)
+
+
+def messages() -> str:
+    """Every payload, byte by byte."""
+    parts = []
+    for type_id, cls in m.MESSAGES.items():
+        reply = REPLIES.get(cls)
+        answer = f" Answered by `{title(reply)}`." if reply else ""
+        heading = f"### 0x{type_id:02X} {title(cls)}"
+        parts.append(f"{heading}\n\n{_summary(cls)}{answer}\n\n{_bytes_of(wire_fields(cls), HEADER_BYTES)}")
+    return "\n\n".join(parts)
+
+
+def batch_layouts() -> str:
+    """What a BATCH holds."""
+    columns = ("count difference", "commanded current", "measured current")
+    rows = []
+    for key, ctypes in m.BATCH_LAYOUTS.items():
+        cells = [ctypes[i] if i < len(ctypes) else "–" for i in range(len(columns))]
+        rows.append((key, *cells, sum(int(ctype[1:]) // 8 for ctype in ctypes)))
+    return table(("layout", *columns, "bytes a sample"), rows)
+
+
+def fault_entry() -> str:
+    """One entry of the fault ring."""
+    return f"{_bytes_of(wire_fields(m.FaultEntry))}\n\n{FAULT_ENTRY_BYTES} bytes an entry."
+
+
+def parameters() -> str:
+    """THE table of parameters."""
+    rows = [
+        (p.id, f"`{p.name}`", p.ctype, p.unit, p.minimum, p.maximum, p.default, p.meaning) for p in PARAMETERS
+    ]
+    return table(("id", "name", "type", "unit", "minimum", "maximum", "default", "meaning"), rows)
+
+
+def _codes(codes: Iterable[Described | DescribedFlag]) -> str:
+    return table(
+        ("code", "name", "says", "remedy"), [(int(c), f"`{c.name}`", c.text, c.remedy) for c in codes]
+    )
+
+
+def picture() -> str:
+    """State diagram: every transition that changes the state."""
+    lines = ["```mermaid", "stateDiagram-v2", "    [*] --> BOOT: reset"]
+    for state, row in TRANSITIONS.items():
+        for cls, after in row.items():
+            if after is not state:
+                flag = " with CLEAR_FAULT" if state is State.FAULT else ""
+                lines.append(f"    {state.name} --> {after.name}: {title(cls)}{flag}")
+        if state is not State.FAULT:
+            lines.append(f"    {state.name} --> FAULT: fault of the device")
+    return "\n".join([*lines, "```"])
+
+
+def states() -> str:
+    """State × message of the host → state; and what the device sends unasked."""
+    requests = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
+    rows: list[Sequence[object]] = [
+        (f"`{title(cls)}`", *(row[cls].name if cls in row else "–" for row in TRANSITIONS.values()))
+        for cls in requests
+    ]
+    sent = [", ".join(sorted(f"`{title(cls)}`" for cls in UNASKED[state])) or "–" for state in State]
+    rows.append(("device sends unasked", *sent))
+    return table(("message of the host", *(f"in {state.name}" for state in State)), rows)
+
+
+def header() -> str:
+    """Header of every frame."""
+    return _bytes_of(wire_fields(Header))
+
+
+def version() -> str:
+    """Version of this description."""
+    command, state = (HEADER_BYTES + record_struct(cls).size + CRC_BYTES + 2 for cls in (m.Command, m.State))
+    sizes = f"a `COMMAND` takes {command} bytes and a `STATE` {state}"
+    return f"Version {m.MAJOR}.{m.MINOR}. On the wire, stuffing and delimiter included, {sizes}."
+
+
+SECTIONS: dict[str, Callable[[], str]] = {
+    "version": version,
+    "header": header,
+    "overview": overview,
+    "messages": messages,
+    "batch_layouts": batch_layouts,
+    "fault_entry": fault_entry,
+    "parameters": parameters,
+    "faults": lambda: _codes(Fault),
+    "limits": lambda: _codes(LimitFlag),
+    "statuses": lambda: _codes(Status),
+    "inputs": lambda: _codes(Input),
+    "picture": picture,
+    "states": states,
+}
+
+
+def render(text: str) -> str:
+    """Return the text with every section between markers made anew; raises KeyError for an unknown section."""
+    return _SECTION.sub(
+        lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Rewrite PROTOCOL.md, or with ``--check`` say whether it is fresh."""
+    check = "--check" in (sys.argv[1:] if arguments is None else arguments)
+    old = PROTOCOL.read_text(encoding="utf-8")
+    new = render(old)
+    if check:
+        if new != old:
+            print("PROTOCOL.md is stale: run python -m firmware_protocol.codegen", file=sys.stderr)
+        return int(new != old)
+    PROTOCOL.write_text(new, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

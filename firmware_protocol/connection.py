@@ -1,0 +1,479 @@
+"""The conversation: bytes in, events out, and the states of the device that both ends agree on.
+
+No port, no clock, no thread here. Whoever owns the link hands bytes to `receive_data`, takes events
+until `next_event` returns None, and writes what `send` returns. One class serves both roles: a host
+built on it and a device built on it can be joined back to back in a test.
+
+How the state moves. The device owns the state; `TRANSITIONS` says which of the host's messages it takes
+in which state and where each leads. A transaction takes effect with its answer: the device moves when it
+sends the reply (for an ACK: with status OK), the host when it receives it, both by the same lines. A
+COMMAND has no answer and takes effect when it is received. Besides, the host believes what the device
+says of its state in STATE, IDENTITY and ACK(BAD_STATE), so that a host that was restarted, or missed a
+fault, finds its way back.
+
+Rules that no table of states can hold stand beside it:
+
+* FAULT is entered by the device alone (`fault`), from every state, and left only by DISARM with CLEAR_FAULT.
+* Session 0 means "not armed". ARM carries the new session in its header; 0 and the number used last are
+  refused, so that frames of a process that died cannot belong to the next run. STREAM and BATCH frames
+  of another session are counted and dropped, on both sides. Transactions are taken from any session: a
+  new host must be able to disarm.
+* STREAM frames are counted by their sequence; one that came twice or is older than one already delivered
+  is dropped. BATCH frames are dropped only when they come twice in a row: an older one fills a gap.
+* IDENTIFY is answered whatever its major version says. For every other frame the device counts and drops
+  a foreign major; the host raises `IncompatibleMajorError`.
+* The sequences of a stream begin at 0 with each session.
+
+Whatever bytes come, `next_event` gives events or raises `RemoteProtocolError`, nothing else, and memory
+stays bounded.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import dataclass
+from enum import IntEnum
+
+from firmware_protocol import messages as m
+from firmware_protocol.counters import LinkStatistics
+from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
+from firmware_protocol.faults import Status
+from firmware_protocol.framing import HEADER_BYTES, FrameSplitter, encode_frame
+from firmware_protocol.messages import MAJOR, Delivery, Message, Role
+from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, Layout, type_id_of
+
+
+class State(IntEnum):
+    """State of the device."""
+
+    BOOT = 0  # started; nobody has asked who it is
+    IDENTIFIED = 1  # known, with the parameters it started with
+    CONFIGURED = 2  # a parameter block is in force
+    ARMED = 3  # a session is open, the amplifier enabled, no COMMAND yet, zero effort
+    RUNNING = 4  # COMMANDs come within their lifetimes
+    FAULT = 5  # latched: zero effort, amplifier off
+
+
+_QUESTIONS: tuple[type[Message], ...] = (
+    m.Identify,
+    m.GetParameters,
+    m.GetTime,
+    m.GetFaultLog,
+    m.GetStatistics,
+)
+_SETTING: tuple[type[Message], ...] = (m.SetBegin, m.SetChunk)
+
+# State → message of the host → state after it. What is not here is refused.
+TRANSITIONS: dict[State, dict[type[Message], State]] = {
+    State.BOOT: {m.Identify: State.IDENTIFIED},
+    State.IDENTIFIED: {
+        **dict.fromkeys(_QUESTIONS + _SETTING, State.IDENTIFIED),
+        m.SetCommit: State.CONFIGURED,
+    },
+    State.CONFIGURED: {
+        **dict.fromkeys(_QUESTIONS + _SETTING, State.CONFIGURED),
+        m.SetCommit: State.CONFIGURED,
+        m.Arm: State.ARMED,
+    },
+    State.ARMED: {
+        **dict.fromkeys(_QUESTIONS, State.ARMED),
+        m.Command: State.RUNNING,
+        m.Disarm: State.CONFIGURED,
+    },
+    State.RUNNING: {
+        **dict.fromkeys(_QUESTIONS, State.RUNNING),
+        m.Command: State.RUNNING,
+        m.Disarm: State.CONFIGURED,
+    },
+    State.FAULT: {
+        **dict.fromkeys(_QUESTIONS, State.FAULT),
+        m.Disarm: State.CONFIGURED,  # only with CLEAR_FAULT: see Connection._objection
+    },
+}
+
+# The reply that each question has of its own; all other requests, and all refusals, are answered by ACK.
+REPLIES: dict[type[Message], type[Message]] = {
+    m.Identify: m.Identity,
+    m.GetParameters: m.Parameters,
+    m.GetTime: m.Time,
+    m.GetFaultLog: m.FaultLog,
+    m.GetStatistics: m.Statistics,
+}
+
+# State → what the device may send unasked. With session 0 STATE only shows the rig to a host that has
+# not armed it.
+UNASKED: dict[State, frozenset[type[Message]]] = {
+    State.BOOT: frozenset(),
+    State.IDENTIFIED: frozenset({m.State}),
+    State.CONFIGURED: frozenset({m.State}),
+    State.ARMED: frozenset({m.State}),
+    State.RUNNING: frozenset({m.State, m.Batch}),
+    State.FAULT: frozenset({m.State, m.Batch}),  # the batches that were still in the buffer
+}
+
+# How long a host waits for an answer before it repeats the request with the same nonce; after the last
+# repeat it waits the last time once more and gives up.
+RETRY_AFTER_S = (0.020, 0.040, 0.080)
+
+QUEUE_LIMIT = 4096  # frames received and not yet taken; beyond it the oldest go, counted
+OPEN_LIMIT = 16  # requests under way; a host has one or two
+
+_REQUEST_OF: dict[type[Message], int] = {reply: type_id_of(request) for request, reply in REPLIES.items()}
+_NEXT: dict[State, dict[int, State]] = {
+    state: {type_id_of(cls): after for cls, after in row.items()} for state, row in TRANSITIONS.items()
+}
+_COMMAND = type_id_of(m.Command)
+_STATE = type_id_of(m.State)
+_ARM = type_id_of(m.Arm)
+_IDENTIFY = type_id_of(m.Identify)
+_NONCE = struct.Struct("<H")
+_STATES: dict[int, State] = {int(state): state for state in State}
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message that the protocol allows here and now, with what its header said."""
+
+    message: Message
+    session: int
+    sequence: int
+
+    @property
+    def request(self) -> int:
+        """Type id of the message."""
+        return LAYOUT_OF[type(self.message)].type_id
+
+    @property
+    def nonce(self) -> int:
+        """Nonce of a transaction; a stream message has none (AttributeError)."""
+        return self.message.nonce  # type: ignore[attr-defined, no-any-return]
+
+    def ack(
+        self, status: Status = Status.OK, *, detail: int = 0, sample_index: int = 0, crc: int = 0
+    ) -> m.Ack:
+        """Make the ACK of this request."""
+        return m.Ack(self.nonce, self.request, int(status), detail, sample_index, crc)
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A request that the device must refuse by sending `ack()`, unless it is a repeat (see replies.py)."""
+
+    request: int  # type id, possibly one that we do not know
+    nonce: int
+    session: int
+    status: Status
+    detail: int
+
+    def ack(self) -> m.Ack:
+        """Make the ACK that says why."""
+        return m.Ack(self.nonce, self.request, int(self.status), self.detail, 0, 0)
+
+
+Event = Received | Refused
+
+
+class Connection:
+    """One end of the link.
+
+    Parameters
+    ----------
+    role
+        Which end this is.
+
+    Attributes
+    ----------
+    state
+        State of the device; on the host, the latest that is known of it.
+    session
+        Session of the armed run, 0 outside of one.
+    statistics
+        Counters of what was received (`LinkStatistics`).
+    """
+
+    def __init__(self, role: Role) -> None:
+        self.role = role
+        self.state = State.BOOT
+        self.session = 0
+        self.statistics = LinkStatistics()
+        self._last_session = 0
+        self._splitter = FrameSplitter(self.statistics)
+        self._frames: deque[bytes] = deque()
+        self._to_send: dict[int, int] = {}  # type id → sequence of the next frame
+        self._received: dict[int, int] = {}  # stream type id → sequence of the newest frame delivered
+        # (request, nonce) → session in its header, until it is answered
+        self._open: dict[tuple[int, int], int] = {}
+
+    # ------------------------------------------------------------------ receiving
+
+    def receive_data(self, data: bytes) -> None:
+        """Take bytes from the link, in any pieces. Then call `next_event` until it returns None."""
+        self._frames.extend(self._splitter.feed(data))
+        while len(self._frames) > QUEUE_LIMIT:
+            self._frames.popleft()
+            self.statistics.overrun += 1
+
+    def next_event(self) -> Event | None:
+        """Return the next event, or None when all that came has been told.
+
+        Raises
+        ------
+        IncompatibleMajorError
+            Host only: the device speaks another major version. The frame is dropped; one may go on.
+        """
+        while self._frames:
+            event = self._event(self._frames.popleft())
+            if event is not None:
+                return event
+        return None
+
+    def _event(self, raw: bytes) -> Event | None:
+        major, type_id, _, session, sequence = HEADER.unpack_from(raw)
+        if major != MAJOR and not (type_id == _IDENTIFY and self.role is Role.DEVICE):
+            self.statistics.foreign_major += 1
+            if self.role is Role.HOST:
+                raise IncompatibleMajorError(MAJOR, major)
+            return None
+        if m.sender_of(type_id) is self.role:
+            self.statistics.wrong_direction += 1
+            return None
+        layout = LAYOUTS.get(type_id)
+        if layout is None:
+            self.statistics.unknown_type += 1
+            return self._refuse(raw, Status.UNSUPPORTED)
+        if layout.delivery is Delivery.TRANSACTION:
+            return self._transaction(layout, raw, session, sequence)
+        return self._stream(layout, raw, session, sequence)
+
+    def _stream(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
+        statistics = self.statistics
+        if session != self.session:
+            statistics.stale_session += 1
+            return None
+        after = self.state
+        if self.role is Role.DEVICE:
+            known = _NEXT[self.state].get(layout.type_id)
+            if known is None:
+                statistics.out_of_state += 1
+                return None
+            after = known
+        message = self._unpack(layout, raw)
+        if message is None:
+            return None
+        if isinstance(message, m.State):
+            if message.state not in _STATES:
+                statistics.malformed += 1
+                return None
+            after = _STATES[message.state]
+        if not self._is_news(layout, sequence):
+            return None
+        if after is not self.state:
+            self._move(after)
+        return Received(message, session, sequence)
+
+    def _is_news(self, layout: Layout, sequence: int) -> bool:
+        """Count what is missing since the newest frame; say whether this one is to be delivered."""
+        newest = self._received.get(layout.type_id)
+        step = 1 if newest is None else (sequence - newest) & 0xFFFF
+        if step == 0:
+            self.statistics.duplicated += 1
+            return False
+        if step > 0x7FFF:  # half of the circle lies behind
+            self.statistics.reordered += 1
+            return layout.delivery is Delivery.BATCH
+        self.statistics.lost += step - 1
+        self._received[layout.type_id] = sequence
+        return True
+
+    def _transaction(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
+        message = self._unpack(layout, raw)
+        if message is None:
+            return self._refuse(raw, Status.BAD_LENGTH)
+        event = Received(message, session, sequence)
+        if self.role is Role.HOST:
+            self._answered(message)
+            return event
+        objection = self._objection(event)
+        if objection is not None:
+            self.statistics.out_of_state += 1
+            return self._refuse(raw, *objection)
+        self._begin(layout.type_id, event.nonce, session)
+        return event
+
+    def _objection(self, event: Received) -> tuple[Status, int] | None:
+        """Why the state, or a rule beside the table, forbids a request."""
+        if event.request not in _NEXT[self.state]:
+            return Status.BAD_STATE, int(self.state)
+        message = event.message
+        if isinstance(message, m.Arm) and event.session in {0, self._last_session}:
+            return Status.STALE_SESSION, event.session
+        if (
+            self.state is State.FAULT
+            and isinstance(message, m.Disarm)
+            and not message.flags & m.DisarmFlag.CLEAR_FAULT
+        ):
+            return Status.FAULT_LATCHED, 0
+        return None
+
+    def _unpack(self, layout: Layout, raw: bytes) -> Message | None:
+        try:
+            return layout.unpack(raw)
+        except RemoteProtocolError:
+            self.statistics.malformed += 1
+            return None
+
+    def _refuse(self, raw: bytes, status: Status, detail: int = 0) -> Refused | None:
+        """Make a device's refusal of a transaction, known or not, if the frame has room for a nonce."""
+        if (
+            self.role is Role.HOST
+            or m.delivery_of(raw[1]) is not Delivery.TRANSACTION
+            or len(raw) < HEADER_BYTES + 2
+        ):
+            return None
+        (nonce,) = _NONCE.unpack_from(raw, HEADER_BYTES)
+        return Refused(raw[1], nonce, raw[3], status, detail)
+
+    # ------------------------------------------------------------------ sending
+
+    def send(self, message: Message, *, session: int | None = None) -> bytes:
+        """Return the frame of a message, ready to be written to the link.
+
+        Parameters
+        ----------
+        message
+            What to send.
+        session
+            ARM only, and required there: number of the new session, 1 … 255, not the one used last.
+
+        Raises
+        ------
+        LocalProtocolError
+            The other role sends this message, the state forbids it, or a value does not fit its field.
+            Nothing has changed then.
+        """
+        layout = LAYOUT_OF[type(message)]
+        type_id = layout.type_id
+        if layout.sender is not self.role:
+            raise LocalProtocolError(f"{layout.name} is not sent by the {self.role.name.lower()}")
+        if self.role is Role.HOST:
+            number = self._session_of_request(layout, session)
+        else:
+            self._check_unasked(layout)
+            number = self.session
+        sequence = self._to_send.get(type_id, 0)
+        frame = encode_frame(HEADER.pack(MAJOR, type_id, 0, number, sequence) + layout.pack(message))
+        self._to_send[type_id] = (sequence + 1) & 0xFFFF
+        if type_id == _COMMAND:
+            self.state = State.RUNNING
+        elif layout.delivery is Delivery.TRANSACTION:
+            if self.role is Role.HOST:
+                self._begin(type_id, message.nonce, number)  # type: ignore[attr-defined]
+            else:
+                self._answered(message)
+        return frame
+
+    def _session_of_request(self, layout: Layout, session: int | None) -> int:
+        if layout.type_id not in _NEXT[self.state]:
+            raise LocalProtocolError(f"{layout.name} is not allowed in state {self.state.name}")
+        if (session is not None) != (layout.type_id == _ARM):
+            raise LocalProtocolError("the session is given with ARM, and with nothing else")
+        if session is not None:
+            if not 1 <= session <= 0xFF or session == self._last_session:
+                raise LocalProtocolError(f"session {session} is not 1 … 255, or was the last one")
+            return session
+        if layout.type_id == _COMMAND and not self.session:
+            raise LocalProtocolError("COMMAND needs a session of ours: the device is armed by somebody else")
+        return self.session
+
+    def _check_unasked(self, layout: Layout) -> None:
+        if layout.delivery is not Delivery.TRANSACTION and layout.cls not in UNASKED[self.state]:
+            raise LocalProtocolError(f"{layout.name} is not allowed in state {self.state.name}")
+
+    # ------------------------------------------------------------------ transactions and states, both roles
+
+    def _begin(self, request: int, nonce: int, session: int) -> None:
+        self._open.pop((request, nonce), None)
+        if len(self._open) >= OPEN_LIMIT:
+            del self._open[next(iter(self._open))]
+        self._open[request, nonce] = session
+
+    def _answered(self, reply: Message) -> None:
+        """Move as the answer to an open request says; a repeated answer finds none and moves nothing."""
+        request = reply.request if isinstance(reply, m.Ack) else _REQUEST_OF[type(reply)]
+        session = self._open.pop((request, reply.nonce), None)  # type: ignore[attr-defined]
+        if session is None:
+            return
+        if self.role is Role.HOST:
+            self._believe(reply)
+        after = _NEXT[self.state].get(request)
+        if after is None or (isinstance(reply, m.Ack) and reply.status != Status.OK):
+            return
+        if request == _ARM:
+            self._open_session(session)
+        self._move(after)
+
+    def _believe(self, reply: Message) -> None:
+        """Host: take the state from an answer that tells it."""
+        if isinstance(reply, m.Identity):
+            self._move(_STATES.get(reply.state, self.state))
+        elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
+            self._move(_STATES.get(reply.detail, self.state))
+
+    def _move(self, after: State) -> None:
+        if self.session and after < State.ARMED:
+            self._open_session(0)
+        self.state = after
+
+    def _open_session(self, session: int) -> None:
+        self.session = session
+        if session:
+            self._last_session = session
+        for type_id in LAYOUTS:
+            if m.delivery_of(type_id) is not Delivery.TRANSACTION:
+                self._to_send.pop(type_id, None)
+                self._received.pop(type_id, None)
+
+    # ------------------------------------------------------------------ events of our own
+
+    def fault(self) -> None:
+        """Device: latch FAULT. The session stays, so that STATE frames still reach the host that runs it."""
+        self._only(Role.DEVICE, "fault")
+        self.state = State.FAULT
+
+    def reset(self) -> None:
+        """Start anew, as after a reset of the device or a reopened port; the counters stay."""
+        self.state = State.BOOT
+        self._open_session(0)
+        self._last_session = 0
+        self._to_send.clear()
+        self._open.clear()
+        self._frames.clear()
+        self._splitter.reset()
+
+    def sequence_to_send(self, cls: type[Message]) -> int:
+        """Sequence that the next frame of this class will carry: where a compiled loop begins to count."""
+        return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
+
+    def resume(self, *, next_command: int, newest_state: int, state: State) -> None:
+        """Host: take the stream back from a compiled loop that read from and wrote to the link in between.
+
+        Parameters
+        ----------
+        next_command
+            Sequence of the first COMMAND that the loop did not send.
+        newest_state
+            Sequence of the newest STATE that the loop took.
+        state
+            State of the device in that STATE.
+        """
+        self._only(Role.HOST, "resume")
+        self._splitter.reset()
+        self._frames.clear()
+        self._to_send[_COMMAND] = next_command & 0xFFFF
+        self._received[_STATE] = newest_state & 0xFFFF
+        self._move(state)
+
+    def _only(self, role: Role, what: str) -> None:
+        if self.role is not role:
+            raise LocalProtocolError(f"{what} belongs to the {role.name.lower()}")

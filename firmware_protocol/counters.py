@@ -1,0 +1,31 @@
+"""What happened on a link, as counters: nothing that arrives is dropped without one of them rising."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class LinkStatistics:
+    """Counters since the connection was made; they never decrease."""
+
+    frames: int = 0  # frames with a good CRC
+    cobs_errors: int = 0  # byte stuffing that does not add up
+    crc_errors: int = 0  # frames whose CRC is wrong
+    too_long: int = 0  # frames above the limit of their class, and bytes without an end
+    too_short: int = 0  # frames without room for header and CRC
+    malformed: int = 0  # good CRC, but a payload that its type cannot have
+    unknown_type: int = 0  # types of a newer minor version
+    wrong_direction: int = 0  # our own kind of message coming back: an echo
+    foreign_major: int = 0  # frames of another major version
+    stale_session: int = 0  # stream frames of another session
+    out_of_state: int = 0  # messages that the state table forbids
+    lost: int = 0  # stream frames missing between two that came, those that came too late included
+    duplicated: int = 0  # stream frames that came twice
+    reordered: int = 0  # stream frames older than one already delivered
+    overrun: int = 0  # frames dropped unread because nobody took the events
+
+    @property
+    def framing_errors(self) -> int:
+        """Frames that were no frames: all defects but a wrong CRC."""
+        return self.cobs_errors + self.too_long + self.too_short

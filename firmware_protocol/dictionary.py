@@ -1,0 +1,259 @@
+"""The device's dictionary: what a host must know of a device before it may arm it.
+
+Canonical JSON (sorted keys, no spaces, UTF-8), zlib-compressed, read page by page with IDENTIFY. Its
+hash stands in every IDENTITY, so that a host reads a dictionary once for each firmware, and ARM repeats
+it. A device that is younger than the host brings texts for its own fault codes and ranges for its own
+parameters; keys that a host does not know are ignored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NoReturn
+
+from firmware_protocol.errors import RemoteProtocolError
+from firmware_protocol.faults import Described, Fault, Status
+from firmware_protocol.messages import MAJOR, MINOR, TIME_UNIT_NS
+from firmware_protocol.parameters import PARAMETERS, Parameter, Value
+
+COMPRESSED_LIMIT = 0xFFFF  # IDENTITY counts its bytes in a u16
+PLAIN_LIMIT = 1 << 18  # what a host is willing to unpack
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterInfo:
+    """A parameter as the device has it: its range may be narrower than the one of `parameters.PARAMETERS`."""
+
+    id: int
+    name: str
+    ctype: str
+    unit: str
+    minimum: Value
+    maximum: Value
+    default: Value
+
+
+@dataclass(frozen=True, slots=True)
+class CodeInfo:
+    """A fault or status code as the device explains it."""
+
+    code: int
+    name: str
+    text: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dictionary:
+    """What a device says of itself."""
+
+    major: int = MAJOR
+    minor: int = MINOR
+    device: str
+    firmware: str
+    simulated: bool
+    time_unit_ns: float = TIME_UNIT_NS
+    current_quantum_a: float
+    position_rate_default: int
+    position_rate_maximum: int
+    parameters: tuple[ParameterInfo, ...]
+    faults: tuple[CodeInfo, ...]
+    statuses: tuple[CodeInfo, ...]
+
+    def parameter(self, name: str) -> ParameterInfo | None:
+        """Return the device's own entry for a parameter, or None when it has none of this name."""
+        return next((info for info in self.parameters if info.name == name), None)
+
+    def explain_fault(self, code: int) -> CodeInfo:
+        """Return text and remedy of a fault: the device's, else ours, else an honest placeholder."""
+        return _explain(self.faults, Fault, code)
+
+    def explain_status(self, code: int) -> CodeInfo:
+        """Return text and remedy of a status, as `explain_fault`."""
+        return _explain(self.statuses, Status, code)
+
+
+def build(
+    *,
+    device: str,
+    firmware: str,
+    simulated: bool,
+    current_quantum_a: float,
+    position_rate_default: int = 1_000,
+    position_rate_maximum: int = 50_000,
+    ranges: Mapping[str, tuple[Value, Value]] | None = None,
+) -> Dictionary:
+    """Dictionary of a device that has all parameters and codes of this package.
+
+    Parameters
+    ----------
+    device, firmware
+        Name of the device and version of what runs on it.
+    simulated
+        Whether there is no real motor behind it.
+    current_quantum_a
+        One step of every current on the wire (A).
+    position_rate_default, position_rate_maximum
+        Ticks a second (Hz): unless configured, and at most.
+    ranges
+        Parameter name → (minimum, maximum) where the device is narrower than the table.
+    """
+    narrower = {"position_rate": (PARAMETERS[1].minimum, position_rate_maximum), **(ranges or {})}
+    defaults = {"position_rate": position_rate_default}
+    return Dictionary(
+        device=device,
+        firmware=firmware,
+        simulated=simulated,
+        current_quantum_a=current_quantum_a,
+        position_rate_default=position_rate_default,
+        position_rate_maximum=position_rate_maximum,
+        parameters=tuple(_info(parameter, narrower, defaults) for parameter in PARAMETERS),
+        faults=tuple(_code_info(fault) for fault in Fault),
+        statuses=tuple(_code_info(status) for status in Status),
+    )
+
+
+def encode(dictionary: Dictionary) -> bytes:
+    """Compressed bytes as IDENTIFY pages them; equal dictionaries give equal bytes under one zlib."""
+    plain = json.dumps(
+        asdict(dictionary), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    packed = zlib.compress(plain.encode(), 9)
+    if len(packed) > COMPRESSED_LIMIT:
+        raise ValueError(f"a dictionary of {len(packed)} bytes does not fit IDENTITY")
+    return packed
+
+
+def dictionary_hash(packed: bytes) -> int:
+    """First 8 bytes of the SHA-256 of the compressed dictionary, little-endian."""
+    return int.from_bytes(hashlib.sha256(packed).digest()[:8], "little")
+
+
+def decode(packed: bytes) -> Dictionary:
+    """Parse and check what a device sent; raises `RemoteProtocolError` for anything that is no dictionary."""
+    try:
+        content = json.loads(_inflate(packed), parse_constant=_no_constant)
+        if not isinstance(content, dict):
+            raise TypeError("not an object")
+        return _dictionary(content)
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, zlib.error) as error:
+        raise RemoteProtocolError(f"the device's dictionary cannot be read: {error!r}") from error
+
+
+def _inflate(packed: bytes) -> bytes:
+    inflater = zlib.decompressobj()
+    plain = inflater.decompress(packed, PLAIN_LIMIT)
+    if not inflater.eof or inflater.unused_data:
+        raise ValueError("truncated, too long, or followed by something")
+    return plain
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")
+
+
+def _dictionary(content: dict[str, Any]) -> Dictionary:
+    return Dictionary(
+        major=_whole(content, "major", 0, 255),
+        minor=_whole(content, "minor", 0, 255),
+        device=_text(content, "device"),
+        firmware=_text(content, "firmware"),
+        simulated=_typed(content, "simulated", bool),
+        time_unit_ns=_positive(content, "time_unit_ns"),
+        current_quantum_a=_positive(content, "current_quantum_a"),
+        position_rate_default=_whole(content, "position_rate_default", 1, 10**6),
+        position_rate_maximum=_whole(content, "position_rate_maximum", 1, 10**6),
+        parameters=tuple(_parameter(item) for item in _typed(content, "parameters", list)),
+        faults=tuple(_code(item) for item in _typed(content, "faults", list)),
+        statuses=tuple(_code(item) for item in _typed(content, "statuses", list)),
+    )
+
+
+def _parameter(item: Any) -> ParameterInfo:
+    minimum, maximum, default = (_number(item, key) for key in ("minimum", "maximum", "default"))
+    if not minimum <= default <= maximum:
+        raise ValueError(f"default of {item['name']!r} outside its range")
+    return ParameterInfo(
+        _whole(item, "id", 0, 0xFFFF),
+        _text(item, "name"),
+        _text(item, "ctype"),
+        _text(item, "unit"),
+        minimum,
+        maximum,
+        default,
+    )
+
+
+def _code(item: Any) -> CodeInfo:
+    return CodeInfo(
+        _whole(item, "code", 0, 0xFFFF), _text(item, "name"), _text(item, "text"), _text(item, "remedy")
+    )
+
+
+def _typed(item: Any, key: str, kind: type) -> Any:
+    value = item[key]
+    if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
+        raise TypeError(f"{key} is {value!r}")
+    return value
+
+
+def _text(item: Any, key: str) -> str:
+    return str(_typed(item, key, str))
+
+
+def _number(item: Any, key: str) -> Value:
+    value: Value = item[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError(f"{key} is {value!r}")
+    return value
+
+
+def _positive(item: Any, key: str) -> float:
+    value = float(_number(item, key))
+    if value <= 0.0:
+        raise ValueError(f"{key} is {value}")
+    return value
+
+
+def _whole(item: Any, key: str, minimum: int, maximum: int) -> int:
+    value = int(_typed(item, key, int))
+    if not minimum <= value <= maximum:
+        raise ValueError(f"{key} is {value}")
+    return value
+
+
+def _info(
+    parameter: Parameter, narrower: Mapping[str, tuple[Value, Value]], defaults: Mapping[str, Value]
+) -> ParameterInfo:
+    minimum, maximum = narrower.get(parameter.name, (parameter.minimum, parameter.maximum))
+    default = defaults.get(parameter.name, parameter.default)
+    return ParameterInfo(
+        parameter.id,
+        parameter.name,
+        parameter.ctype,
+        parameter.unit,
+        minimum,
+        maximum,
+        min(max(default, minimum), maximum),
+    )
+
+
+def _code_info(code: Described) -> CodeInfo:
+    return CodeInfo(int(code), code.name, code.text, code.remedy)
+
+
+def _explain(known: tuple[CodeInfo, ...], ours: type[Described], code: int) -> CodeInfo:
+    for info in known:
+        if info.code == code:
+            return info
+    try:
+        return _code_info(ours(code))
+    except ValueError:
+        return CodeInfo(
+            code, f"code {code}", "a code that neither side's dictionary explains", "update both sides"
+        )

@@ -1,0 +1,150 @@
+"""Frames: COBS, one 0x00 behind each, CRC-32 inside.
+
+    wire = COBS(raw) 0x00        raw = header, payload, CRC-32/ISO-HDLC of both (little-endian)
+
+A 0x00 occurs nowhere but between frames, so a receiver that lost its place finds it at the next one. Raw
+frames are so short that no run of 254 bytes without a zero exists: the block code 0xFF, about whose end
+COBS encoders disagree, never occurs, and every raw frame has exactly one encoding. The CRC has Hamming
+distance 5 or more at these lengths (decoded); a flipped bit on the wire can spread through COBS, so the
+tests try every single one.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from zlib import crc32
+
+from firmware_protocol.counters import LinkStatistics
+from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
+
+HEADER_BYTES = 6
+CRC_BYTES = 4
+SHORT_RAW_LIMIT = 60  # with stuffing and delimiter 62 bytes: one 64-byte packet of full-speed USB
+RAW_LIMIT = 252  # BATCH; with stuffing 253, below the 254 where a COBS block would have to be split
+ENCODED_LIMIT = RAW_LIMIT + 1
+RAW_MINIMUM = HEADER_BYTES + CRC_BYTES
+
+_CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # the code byte before a run without zeros
+
+
+class Defect(IntEnum):
+    """What can be wrong with a frame; the compiled codec returns the negative of these."""
+
+    COBS = 1
+    CRC = 2
+    TOO_LONG = 3
+    TOO_SHORT = 4
+
+
+class FrameError(RemoteProtocolError):
+    """Bytes between two delimiters that are no frame; `defect` says why."""
+
+    def __init__(self, defect: Defect) -> None:
+        super().__init__(f"bad frame: {defect.name}")
+        self.defect = defect
+
+
+def encode_frame(raw: bytes) -> bytes:
+    """Append the CRC to header and payload, stuff, delimit.
+
+    Raises `LocalProtocolError` when `raw` is longer or shorter than any frame may be.
+    """
+    if not HEADER_BYTES <= len(raw) <= RAW_LIMIT - CRC_BYTES:
+        raise LocalProtocolError(f"a frame of {len(raw)} bytes before its CRC cannot be sent")
+    runs = (raw + crc32(raw).to_bytes(CRC_BYTES, "little")).split(b"\0")
+    return b"".join([_CODES[len(run)] + run for run in runs]) + b"\0"
+
+
+def decode_frame(encoded: bytes | bytearray) -> bytes:
+    """Return header and payload of a frame given without its delimiter; raises `FrameError`."""
+    size = len(encoded)
+    if size > ENCODED_LIMIT:
+        raise FrameError(Defect.TOO_LONG)
+    if size < RAW_MINIMUM + 1:
+        raise FrameError(Defect.TOO_SHORT)
+    if 0 in encoded:
+        raise FrameError(Defect.COBS)
+    frame = bytearray(encoded)
+    here = 0
+    while here < size:
+        code = frame[here]
+        frame[here] = 0
+        here += code
+    if here != size:
+        raise FrameError(Defect.COBS)
+    raw = bytes(frame[1:-CRC_BYTES])
+    if crc32(raw) != int.from_bytes(frame[-CRC_BYTES:], "little"):
+        raise FrameError(Defect.CRC)
+    return raw
+
+
+class FrameSplitter:
+    """Bytes in any pieces in, raw frames out; defects are counted and never raised.
+
+    Keeps at most one unfinished frame, so memory is bounded, and looks at every byte once. Empty frames
+    (a delimiter after a delimiter) are legal and mean nothing: a sender may begin with one to end
+    whatever noise came before.
+    """
+
+    def __init__(self, statistics: LinkStatistics | None = None) -> None:
+        self.statistics = statistics if statistics is not None else LinkStatistics()
+        self._pending = bytearray()
+        self._skipping = False  # inside something too long: wait for its end
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes and return the raw frames (without CRC) that they complete, in order."""
+        *ends, tail = data.split(b"\0")
+        frames = []
+        for piece in ends:
+            encoded = self._finish(piece)
+            if encoded:
+                raw = self._decode(encoded)
+                if raw is not None:
+                    frames.append(raw)
+        self._keep(tail)
+        return frames
+
+    def reset(self) -> None:
+        """Forget an unfinished frame, for example when somebody else has read from the link in between."""
+        self._pending.clear()
+        self._skipping = False
+
+    def _finish(self, piece: bytes) -> bytes | bytearray:
+        if self._skipping:
+            self._skipping = False
+            return b""
+        if not self._pending:
+            return piece
+        encoded = self._pending + piece
+        self._pending.clear()
+        return encoded
+
+    def _keep(self, tail: bytes) -> None:
+        if self._skipping or not tail:
+            return
+        if len(self._pending) + len(tail) > ENCODED_LIMIT:
+            self.statistics.too_long += 1
+            self._pending.clear()
+            self._skipping = True
+        else:
+            self._pending += tail
+
+    def _decode(self, encoded: bytes | bytearray) -> bytes | None:
+        try:
+            raw = decode_frame(encoded)
+        except FrameError as error:
+            self._count(error.defect)
+            return None
+        self.statistics.frames += 1
+        return raw
+
+    def _count(self, defect: Defect) -> None:
+        statistics = self.statistics
+        if defect is Defect.CRC:
+            statistics.crc_errors += 1
+        elif defect is Defect.COBS:
+            statistics.cobs_errors += 1
+        elif defect is Defect.TOO_LONG:
+            statistics.too_long += 1
+        else:
+            statistics.too_short += 1

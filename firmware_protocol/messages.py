@@ -1,0 +1,330 @@
+"""Every message: a frozen dataclass whose fields carry C type, unit and meaning, and the table of type ids.
+
+The annotations are the only description of the bytes; packing.py, codec.py and the tables of PROTOCOL.md
+are made from them. Little-endian, no padding. A type id says by itself who sends it and how it travels,
+so that a receiver can treat a type that is younger than itself properly:
+
+* even: sent by the host, odd: sent by the device;
+* below 0x40: TRANSACTION, from 0x40: STREAM, from 0x60: BATCH.
+
+Ids 0 and 1 and the fields that IDENTIFY and IDENTITY have in version 1.0 never change, in no version.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Annotated
+
+from firmware_protocol.wire import Wire
+
+MAJOR = 1
+MINOR = 0
+TIME_UNIT_NS = 62.5  # one unit of every u32 and u64 device time: 1/16 µs; u32 wraps after 268 s
+
+
+class Role(IntEnum):
+    """Which end of the link."""
+
+    HOST = 0
+    DEVICE = 1
+
+
+class Delivery(IntEnum):
+    """How a message travels."""
+
+    TRANSACTION = 0  # answered; repeated by the host until it is
+    STREAM = 1  # never repeated, the newest wins, losses are counted
+    BATCH = 2  # never repeated, every frame kept, gaps show in the first index
+
+
+class Mode(IntEnum):
+    """What a COMMAND asks for."""
+
+    CURRENT = 0  # apply the current
+    SUPERVISE = 1  # the law runs on the device; the current is ignored, the watchdog fed
+    STOP = 2  # zero current now, without a ramp; the device stays armed
+
+
+class DisarmFlag(IntFlag):
+    """Flags of DISARM."""
+
+    CLEAR_FAULT = 1  # also leave FAULT; refused while the cause is present
+
+
+Nonce = Annotated[int, Wire("u16", "", "names the transaction; a repeat carries the same")]
+Tail = Annotated[bytes, Wire("bytes", "", "the rest of the frame")]
+
+
+class Message:
+    """Root of all messages."""
+
+    __slots__ = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Identify(Message):
+    """Ask for a piece of the device's dictionary; answered in every state, to every major version."""
+
+    nonce: Nonce
+    offset: Annotated[int, Wire("u16", "byte", "first byte wanted of the compressed dictionary")]
+
+
+@dataclass(frozen=True, slots=True)
+class Identity(Message):
+    """A piece of the device's dictionary (see dictionary.py). The header's major is the device's."""
+
+    nonce: Nonce
+    minor: Annotated[int, Wire("u8", "", "minor protocol version of the device")]
+    state: Annotated[int, Wire("u8", "", "state of the device before this reply")]
+    dictionary_hash: Annotated[
+        int, Wire("u64", "", "first 8 bytes of the SHA-256 of the compressed dictionary")
+    ]
+    total: Annotated[int, Wire("u16", "byte", "length of the compressed dictionary")]
+    offset: Annotated[int, Wire("u16", "byte", "where this piece begins")]
+    data: Tail
+
+
+@dataclass(frozen=True, slots=True)
+class Ack(Message):
+    """The answer to a request that has no reply of its own, and every refusal."""
+
+    nonce: Nonce
+    request: Annotated[int, Wire("u8", "", "type id of the request")]
+    status: Annotated[int, Wire("u8", "", "Status")]
+    detail: Annotated[
+        int, Wire("u16", "", "what the status refers to: state, parameter id, fault; offset of a CHUNK")
+    ]
+    sample_index: Annotated[int, Wire("u32", "tick", "tick at which the request took effect")]
+    crc: Annotated[
+        int, Wire("u32", "", "COMMIT and ARM: CRC-32 of the whole parameter block in force; else 0")
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class SetBegin(Message):
+    """SET_PARAMETERS, first step: announce a parameter block."""
+
+    nonce: Nonce
+    length: Annotated[int, Wire("u16", "byte", "length of the block")]
+    crc: Annotated[int, Wire("u32", "", "CRC-32 of the block")]
+
+
+@dataclass(frozen=True, slots=True)
+class SetChunk(Message):
+    """SET_PARAMETERS, second step: a piece of the block; pieces may come twice and in any order."""
+
+    nonce: Annotated[int, Wire("u16", "", "that of the SET_BEGIN")]
+    offset: Annotated[int, Wire("u16", "byte", "where this piece begins")]
+    data: Tail
+
+
+@dataclass(frozen=True, slots=True)
+class SetCommit(Message):
+    """SET_PARAMETERS, last step: check the block, then put all or none of it in force between two ticks."""
+
+    nonce: Annotated[int, Wire("u16", "", "that of the SET_BEGIN")]
+
+
+@dataclass(frozen=True, slots=True)
+class GetParameters(Message):
+    """Ask for a piece of the parameter block in force."""
+
+    nonce: Nonce
+    offset: Annotated[int, Wire("u16", "byte", "first byte wanted")]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters(Message):
+    """A piece of the parameter block in force, which holds every parameter."""
+
+    nonce: Nonce
+    total: Annotated[int, Wire("u16", "byte", "length of the block")]
+    crc: Annotated[int, Wire("u32", "", "CRC-32 of the block")]
+    offset: Annotated[int, Wire("u16", "byte", "where this piece begins")]
+    data: Tail
+
+
+@dataclass(frozen=True, slots=True)
+class Arm(Message):
+    """Begin a session, whose number is in the header; both sums must be the device's own."""
+
+    nonce: Nonce
+    dictionary_hash: Annotated[int, Wire("u64", "", "that of IDENTITY")]
+    parameters_crc: Annotated[int, Wire("u32", "", "CRC-32 of the whole parameter block in force")]
+
+
+@dataclass(frozen=True, slots=True)
+class Disarm(Message):
+    """End the session: zero effort, amplifier off."""
+
+    nonce: Nonce
+    flags: Annotated[int, Wire("u8", "", "DisarmFlag")]
+
+
+@dataclass(frozen=True, slots=True)
+class GetTime(Message):
+    """Clock exchange, first stamp."""
+
+    nonce: Nonce
+    host_sent: Annotated[int, Wire("u64", "ns", "host clock at sending; echoed")]
+
+
+@dataclass(frozen=True, slots=True)
+class Time(Message):
+    """Clock exchange, second and third stamp; the host takes the fourth on receipt."""
+
+    nonce: Nonce
+    host_sent: Annotated[int, Wire("u64", "ns", "as in the request")]
+    device_received: Annotated[int, Wire("u64", "1/16 µs", "device time at receipt, extended to 64 bits")]
+    device_sent: Annotated[int, Wire("u64", "1/16 µs", "device time at sending, extended to 64 bits")]
+
+
+@dataclass(frozen=True, slots=True)
+class GetFaultLog(Message):
+    """Ask for the fault and a piece of the ring of ticks before it."""
+
+    nonce: Nonce
+    first: Annotated[int, Wire("u16", "", "first entry wanted; 0 is the oldest")]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultLog(Message):
+    """The latched fault and some of the last 256 ticks before it, as FAULT_ENTRYs."""
+
+    nonce: Nonce
+    fault: Annotated[int, Wire("u16", "", "Fault that came first")]
+    later: Annotated[int, Wire("u32", "", "faults since: bit 1 << code")]
+    device_time: Annotated[int, Wire("u64", "1/16 µs", "device time of the fault, extended to 64 bits")]
+    total: Annotated[int, Wire("u16", "", "entries in the ring")]
+    first: Annotated[int, Wire("u16", "", "number of the first entry here")]
+    data: Tail
+
+
+@dataclass(frozen=True, slots=True)
+class GetStatistics(Message):
+    """Ask for the device's link counters."""
+
+    nonce: Nonce
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics(Message):
+    """The device's counters of what it received (counters.py), each modulo 2³²."""
+
+    nonce: Nonce
+    frames: Annotated[int, Wire("u32", "", "frames with a good CRC")]
+    framing_errors: Annotated[int, Wire("u32", "", "bad byte stuffing, too long, too short")]
+    crc_errors: Annotated[int, Wire("u32", "", "wrong CRC")]
+    malformed: Annotated[int, Wire("u32", "", "impossible payload")]
+    unknown_type: Annotated[int, Wire("u32", "", "types of a newer minor version")]
+    foreign_major: Annotated[int, Wire("u32", "", "frames of another major version")]
+    stale_session: Annotated[int, Wire("u32", "", "COMMANDs of another session")]
+    out_of_state: Annotated[int, Wire("u32", "", "messages forbidden in their state")]
+    lost: Annotated[int, Wire("u32", "", "COMMANDs missing between two that came")]
+    duplicated: Annotated[int, Wire("u32", "", "COMMANDs that came twice")]
+    reordered: Annotated[int, Wire("u32", "", "COMMANDs older than one applied")]
+
+
+@dataclass(frozen=True, slots=True)
+class Command(Message):
+    """What the host wants in this tick; feeds the watchdog."""
+
+    state_sequence: Annotated[int, Wire("u16", "", "sequence of the STATE that this answers")]
+    lifetime_us: Annotated[
+        int, Wire("u32", "µs", "the effort ramps to zero unless another COMMAND comes within this time")
+    ]
+    mode: Annotated[int, Wire("u8", "", "Mode")]
+    flags: Annotated[int, Wire("u8", "", "reserved, 0")]
+    current: Annotated[int, Wire("i16", "quantum", "motor current")]
+
+
+@dataclass(frozen=True, slots=True)
+class State(Message):
+    """One tick as the device saw it."""
+
+    command_sequence: Annotated[int, Wire("u16", "", "sequence of the COMMAND in force")]
+    command_age: Annotated[
+        int, Wire("u16", "tick", "ticks since that COMMAND came; saturates; 65535 for none yet")
+    ]
+    sample_index: Annotated[
+        int, Wire("u32", "tick", "number of this tick since the device started, modulo 2³²")
+    ]
+    device_time: Annotated[int, Wire("u32", "1/16 µs", "device time at which the count was read")]
+    count: Annotated[int, Wire("i32", "count", "encoder count")]
+    edge_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the last encoder edge")]
+    current_measured: Annotated[int, Wire("i16", "quantum", "measured motor current; saturates")]
+    current_commanded: Annotated[int, Wire("i16", "quantum", "current in force, after all limits")]
+    limits: Annotated[int, Wire("u16", "", "LimitFlag: limits that acted since the last STATE")]
+    fault: Annotated[int, Wire("u16", "", "Fault that is latched, or 0")]
+    execution_time: Annotated[
+        int, Wire("u16", "1/16 µs", "worst execution time of a tick since arming; saturates")
+    ]
+    missed_ticks: Annotated[int, Wire("u16", "tick", "ticks missed since arming; saturates")]
+    state: Annotated[int, Wire("u8", "", "state of the device (connection.State)")]
+    inputs: Annotated[int, Wire("u8", "", "Input")]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch(Message):
+    """Consecutive ticks of the law on the device, packed as `layout` says (BATCH_LAYOUTS)."""
+
+    first_index: Annotated[int, Wire("u32", "tick", "sample index of the first sample")]
+    device_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the first sample")]
+    base_count: Annotated[int, Wire("i32", "count", "encoder count before the first sample's difference")]
+    layout: Annotated[int, Wire("u8", "", "key of BATCH_LAYOUTS")]
+    samples: Annotated[int, Wire("u8", "", "number of samples")]
+    data: Tail
+
+
+@dataclass(frozen=True, slots=True)
+class FaultEntry:
+    """One tick in the device's fault ring (FAULT_ENTRY)."""
+
+    sample_index: Annotated[int, Wire("u32", "tick", "number of the tick")]
+    count: Annotated[int, Wire("i32", "count", "encoder count")]
+    current_commanded: Annotated[int, Wire("i16", "quantum", "current in force")]
+    current_measured: Annotated[int, Wire("i16", "quantum", "measured motor current")]
+    limits: Annotated[int, Wire("u16", "", "LimitFlag")]
+
+
+MESSAGES: dict[int, type[Message]] = {
+    0x00: Identify,
+    0x01: Identity,
+    0x03: Ack,
+    0x04: SetBegin,
+    0x06: SetChunk,
+    0x08: SetCommit,
+    0x0A: GetParameters,
+    0x0B: Parameters,
+    0x0C: Arm,
+    0x0E: Disarm,
+    0x10: GetTime,
+    0x11: Time,
+    0x12: GetFaultLog,
+    0x13: FaultLog,
+    0x14: GetStatistics,
+    0x15: Statistics,
+    0x40: Command,
+    0x41: State,
+    0x61: Batch,
+}
+
+# Samples of a BATCH: (count difference, commanded current, measured current); the last is absent in layout 1.
+BATCH_LAYOUTS: dict[int, tuple[str, ...]] = {
+    0: ("i8", "i16", "i16"),
+    1: ("i8", "i16"),
+    2: ("i16", "i16", "i16"),  # below 5 kHz, where a fast handle passes more than 127 counts in a tick
+}
+
+
+def sender_of(type_id: int) -> Role:
+    """Who sends this type, known or not."""
+    return Role.DEVICE if type_id & 1 else Role.HOST
+
+
+def delivery_of(type_id: int) -> Delivery:
+    """How this type travels, known or not."""
+    if type_id < 0x40:
+        return Delivery.TRANSACTION
+    return Delivery.STREAM if type_id < 0x60 else Delivery.BATCH

@@ -1,0 +1,132 @@
+"""Messages to raw frames and back, readable and quick: one precompiled struct for each class."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from typing import Annotated, NamedTuple
+
+from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
+from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES, RAW_LIMIT, SHORT_RAW_LIMIT
+from firmware_protocol.messages import MAJOR, MESSAGES, Delivery, FaultEntry, Message, delivery_of, sender_of
+from firmware_protocol.wire import Wire, field_getter, fixed_fields, record_struct, wire_fields
+
+
+class Header(NamedTuple):
+    """The bytes before every payload."""
+
+    major: Annotated[int, Wire("u8", "", "major protocol version of the sender")]
+    type_id: Annotated[int, Wire("u8", "", "type of the message, see below")]
+    flags: Annotated[int, Wire("u8", "", "reserved: sent as 0, ignored on receipt")]
+    session: Annotated[int, Wire("u8", "", "session of the armed run; 0 outside of one; the new one in ARM")]
+    sequence: Annotated[
+        int, Wire("u16", "", "counts the frames of this type; from 0 in each session for streams")
+    ]
+
+
+HEADER = record_struct(Header)
+
+
+class Layout:
+    """How one message class lies in a frame; made once from its annotations."""
+
+    def __init__(self, type_id: int, cls: type[Message]) -> None:
+        self.type_id = type_id
+        self.cls: Callable[..., Message] = cls
+        self.name = cls.__name__
+        self.sender = sender_of(type_id)
+        self.delivery = delivery_of(type_id)
+        self.tail = len(fixed_fields(cls)) < len(wire_fields(cls))
+        self.struct = record_struct(cls)
+        self.size = self.struct.size
+        self.limit = (
+            (RAW_LIMIT if self.delivery is Delivery.BATCH else SHORT_RAW_LIMIT) - CRC_BYTES - HEADER_BYTES
+        )
+        self._get = field_getter(cls)
+
+    @property
+    def data_limit(self) -> int:
+        """Longest tail that fits into a frame; 0 for a message without one."""
+        return self.limit - self.size if self.tail else 0
+
+    def pack(self, message: Message) -> bytes:
+        """Payload of a message; raises `LocalProtocolError` for a value that its C type cannot hold."""
+        try:
+            payload = self.struct.pack(*self._get(message))
+        except struct.error as error:
+            raise LocalProtocolError(f"{message!r}: {error}") from None
+        if self.tail:
+            payload += message.data  # type: ignore[attr-defined]
+            if len(payload) > self.limit:
+                raise LocalProtocolError(f"{self.name} carries at most {self.data_limit} bytes of data")
+        return payload
+
+    def unpack(self, raw: bytes) -> Message:
+        """Message in a raw frame; raises `RemoteProtocolError` when its length is impossible for its type.
+
+        Bytes behind the last known field belong to a newer minor version and are ignored.
+        """
+        if not self.size <= len(raw) - HEADER_BYTES <= self.limit:
+            raise RemoteProtocolError(f"{self.name} with a payload of {len(raw) - HEADER_BYTES} bytes")
+        if self.tail:
+            return self.cls(*self.struct.unpack_from(raw, HEADER_BYTES), raw[HEADER_BYTES + self.size :])
+        return self.cls(*self.struct.unpack_from(raw, HEADER_BYTES))
+
+
+LAYOUTS: dict[int, Layout] = {type_id: Layout(type_id, cls) for type_id, cls in MESSAGES.items()}
+LAYOUT_OF: dict[type[Message], Layout] = {MESSAGES[type_id]: layout for type_id, layout in LAYOUTS.items()}
+
+
+def type_id_of(cls: type[Message]) -> int:
+    """Type id of a message class."""
+    return LAYOUT_OF[cls].type_id
+
+
+def data_limit(cls: type[Message]) -> int:
+    """Longest `data` that a message of this class can carry, in bytes."""
+    return LAYOUT_OF[cls].data_limit
+
+
+def pack(message: Message, *, session: int = 0, sequence: int = 0) -> bytes:
+    """Raw frame (header and payload, without CRC); raises `LocalProtocolError` for values that do not fit."""
+    layout = LAYOUT_OF[type(message)]
+    try:
+        header = HEADER.pack(MAJOR, layout.type_id, 0, session, sequence)
+    except struct.error as error:
+        raise LocalProtocolError(f"session {session}, sequence {sequence}: {error}") from None
+    return header + layout.pack(message)
+
+
+def unpack(raw: bytes) -> tuple[Header, Message]:
+    """Header and message of a raw frame.
+
+    Raises `RemoteProtocolError` for an unknown type or an impossible payload. The major version is left
+    to the caller, because IDENTIFY must be understood in every one.
+    """
+    if len(raw) < HEADER_BYTES:
+        raise RemoteProtocolError("a frame without a header")
+    header = Header._make(HEADER.unpack_from(raw))
+    layout = LAYOUTS.get(header.type_id)
+    if layout is None:
+        raise RemoteProtocolError(f"unknown message type 0x{header.type_id:02X}")
+    return header, layout.unpack(raw)
+
+
+_FAULT_ENTRY = record_struct(FaultEntry)
+_fault_values = field_getter(FaultEntry)
+FAULT_ENTRY_BYTES = _FAULT_ENTRY.size
+
+
+def pack_fault_entries(entries: Iterable[FaultEntry]) -> bytes:
+    """Bytes of FAULT_ENTRYs, one behind the other; raises `LocalProtocolError` for values that do not fit."""
+    try:
+        return b"".join(_FAULT_ENTRY.pack(*_fault_values(entry)) for entry in entries)
+    except struct.error as error:
+        raise LocalProtocolError(f"fault entry: {error}") from None
+
+
+def unpack_fault_entries(data: bytes) -> list[FaultEntry]:
+    """FAULT_ENTRYs of a fault log, oldest first; raises `RemoteProtocolError` for a broken length."""
+    if len(data) % FAULT_ENTRY_BYTES:
+        raise RemoteProtocolError(f"a fault log of {len(data)} bytes")
+    return [FaultEntry(*values) for values in _FAULT_ENTRY.iter_unpack(data)]

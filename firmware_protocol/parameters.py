@@ -1,0 +1,277 @@
+"""THE table of parameters, and the block in which they travel.
+
+A block is a sequence of entries, each an id (u16) and a value in four bytes, both little-endian, rising
+by id. It is put in force as a whole or not at all. The same values always make the same bytes, so that
+the CRC-32 of the block that holds every parameter is the fingerprint of a configuration: ARM carries it.
+
+Units that depend on the motion of the rig are written by quantity (``position``, ``stiffness``, …).
+Defaults lie on the safe side: a device that was never configured gives no current.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from zlib import crc32
+
+from firmware_protocol.errors import ProtocolError
+from firmware_protocol.faults import Status
+
+Value = int | float
+
+_ENTRY_BYTES = 6
+_I16_MAXIMUM = 2**15 - 1
+_I32_MINIMUM, _I32_MAXIMUM = -(2**31), 2**31 - 1
+_U32_MAXIMUM = 2**32 - 1
+# Every value travels in four bytes; the C type says how they are read and what the device stores.
+_FORMATS = {"u8": "<HI", "u16": "<HI", "u32": "<HI", "i8": "<Hi", "i32": "<Hi", "f32": "<Hf"}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter: its number on the wire, its name everywhere else, type, unit, range and meaning.
+
+    `excluded` are values inside the range that are not allowed.
+    """
+
+    id: int
+    name: str
+    ctype: str
+    unit: str
+    minimum: Value
+    maximum: Value
+    default: Value
+    meaning: str
+    excluded: tuple[Value, ...] = ()
+
+    def accepts(self, value: Value) -> bool:
+        """Whether a value is in range; no NaN is."""
+        return self.minimum <= value <= self.maximum and value not in self.excluded
+
+
+class ParameterError(ProtocolError):
+    """A parameter or block that cannot be taken.
+
+    `status` is what an ACK answers, `detail` its detail: the id of the parameter, or 0 for the block;
+    `name` is the parameter's name, or empty.
+    """
+
+    def __init__(self, status: Status, message: str, *, detail: int = 0, name: str = "") -> None:
+        super().__init__(message)
+        self.status = status
+        self.detail = detail
+        self.name = name
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(1, "motion", "u8", "", 0, 1, 0, "0 rotary, 1 linear: which units the other parameters have"),
+    Parameter(
+        2, "position_rate", "u32", "Hz", 50, 50_000, 1_000, "ticks a second; see the device's own maximum"
+    ),
+    Parameter(
+        3,
+        "velocity_divider",
+        "u16",
+        "tick",
+        1,
+        1_000,
+        1,
+        "N: the velocity is sampled every N ticks, T2 = N T1",
+    ),
+    Parameter(4, "stiffness", "f32", "stiffness", 0.0, 1e6, 0.0, "of the wall; law on the device"),
+    Parameter(5, "damping", "f32", "damping", 0.0, 1e5, 0.0, "of the wall; law on the device"),
+    Parameter(
+        6, "wall_position", "f32", "position", -1e3, 1e3, 0.0, "of the wall's surface, from the reference"
+    ),
+    Parameter(
+        7,
+        "wall_side",
+        "i8",
+        "",
+        -1,
+        1,
+        1,
+        "+1: the wall fills the positions above its surface, -1: below",
+        excluded=(0,),
+    ),
+    Parameter(
+        8, "wall_pull", "u8", "", 0, 1, 0, "0: the wall only pushes (effort clamped at zero), 1: it may pull"
+    ),
+    Parameter(
+        9,
+        "reference_count",
+        "i32",
+        "count",
+        _I32_MINIMUM,
+        _I32_MAXIMUM,
+        0,
+        "the count that is position zero; setting it declares the rig homed until the device starts anew",
+    ),
+    Parameter(
+        10,
+        "verified",
+        "u8",
+        "",
+        0,
+        1,
+        0,
+        "1: signs and scale of encoder and motor were checked for this configuration; "
+        "a commit that does not repeat it clears it",
+    ),
+    Parameter(
+        11,
+        "command_lifetime_us",
+        "u16",
+        "µs",
+        100,
+        20_000,
+        3_000,
+        "cap on the lifetime of a COMMAND of the host loop; the host chooses max(5 periods, 3 ms)",
+    ),
+    Parameter(
+        12,
+        "ramp_us",
+        "u16",
+        "µs",
+        0,
+        10_000,
+        10_000,
+        "after link silence: time in which the effort falls to zero",
+    ),
+    Parameter(13, "current_limit", "u16", "quantum", 0, _I16_MAXIMUM, 0, "largest current, either sign"),
+    Parameter(
+        14,
+        "slew_limit",
+        "u16",
+        "quantum/tick",
+        1,
+        65_535,
+        65_535,
+        "largest change of current in a tick; 65535: none",
+    ),
+    Parameter(15, "speed_limit", "u32", "count/s", 0, _U32_MAXIMUM, 0, "faster motion is a fault"),
+    Parameter(
+        16, "window_minimum", "i32", "count", _I32_MINIMUM, _I32_MAXIMUM, 0, "a smaller count is a fault"
+    ),
+    Parameter(
+        17,
+        "window_maximum",
+        "i32",
+        "count",
+        _I32_MINIMUM,
+        _I32_MAXIMUM,
+        0,
+        "a larger count is a fault; not below window_minimum",
+    ),
+    Parameter(
+        18,
+        "continuous_current",
+        "u16",
+        "quantum",
+        0,
+        _I16_MAXIMUM,
+        0,
+        "what the motor bears for ever (I²t, nominal)",
+    ),
+    Parameter(
+        19, "thermal_time_constant", "f32", "s", 0.125, 8192.0, 8.0, "of the winding, for the I²t budget"
+    ),
+    Parameter(20, "hold_to_run", "u8", "", 0, 1, 0, "1: effort only while the hold-to-run input is active"),
+    Parameter(
+        21,
+        "supervise_lifetime_us",
+        "u32",
+        "µs",
+        100,
+        100_000,
+        20_000,
+        "cap on the lifetime of a COMMAND that supervises a law on the device",
+    ),
+)
+
+BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in PARAMETERS}
+BY_ID: dict[int, Parameter] = {parameter.id: parameter for parameter in PARAMETERS}
+DEFAULTS: dict[str, Value] = {parameter.name: parameter.default for parameter in PARAMETERS}
+BLOCK_LIMIT = (
+    1024  # a longer block is refused at BEGIN; far above one entry for every parameter there will ever be
+)
+
+
+def check(values: Mapping[str, Value]) -> None:
+    """Check names, ranges and rules between parameters; raises `ParameterError`.
+
+    Give all values in force for the rules between them: a missing one is taken at its default.
+    """
+    for name, value in values.items():
+        _check_one(_by_name(name), value)
+    if values.get("window_minimum", 0) > values.get("window_maximum", 0):
+        parameter = BY_NAME["window_maximum"]
+        raise ParameterError(
+            Status.INCONSISTENT,
+            "window_maximum is below window_minimum",
+            detail=parameter.id,
+            name=parameter.name,
+        )
+
+
+def encode_block(values: Mapping[str, Value]) -> bytes:
+    """Bytes of the given parameters, in any order of the mapping; raises `ParameterError`.
+
+    f32 values are rounded to float32: `decode_block` gives back what the device will hold.
+    """
+    entries = []
+    for parameter in sorted((_by_name(name) for name in values), key=lambda parameter: parameter.id):
+        value = values[parameter.name]
+        _check_one(parameter, value)
+        if parameter.ctype == "f32":
+            value += 0.0  # one zero only: -0.0 would be another block with the same meaning
+        entries.append(struct.pack(_FORMATS[parameter.ctype], parameter.id, value))
+    return b"".join(entries)
+
+
+def decode_block(block: bytes) -> dict[str, Value]:
+    """Name → value, rising by id; raises `ParameterError` with the status to answer."""
+    if len(block) % _ENTRY_BYTES or len(block) > BLOCK_LIMIT:
+        raise ParameterError(Status.BAD_LENGTH, f"a parameter block of {len(block)} bytes")
+    values: dict[str, Value] = {}
+    previous = -1
+    for start in range(0, len(block), _ENTRY_BYTES):
+        (number,) = struct.unpack_from("<H", block, start)
+        parameter = BY_ID.get(number)
+        if parameter is None:
+            raise ParameterError(Status.UNKNOWN_PARAMETER, f"no parameter has id {number}", detail=number)
+        if number <= previous:
+            raise ParameterError(
+                Status.BAD_ORDER, f"{parameter.name} is out of order", detail=number, name=parameter.name
+            )
+        previous = number
+        _, value = struct.unpack_from(_FORMATS[parameter.ctype], block, start)
+        _check_one(parameter, value)
+        values[parameter.name] = value
+    return values
+
+
+def block_crc(block: bytes) -> int:
+    """CRC-32 of a block: the fingerprint that COMMIT answers and ARM repeats."""
+    return crc32(block)
+
+
+def _by_name(name: str) -> Parameter:
+    parameter = BY_NAME.get(name)
+    if parameter is None:
+        raise ParameterError(Status.UNKNOWN_PARAMETER, f"there is no parameter {name!r}", name=name)
+    return parameter
+
+
+def _check_one(parameter: Parameter, value: Value) -> None:
+    if parameter.ctype != "f32" and not hasattr(value, "__index__"):
+        raise _refusal(parameter, f"{parameter.name} = {value} is not a whole number")
+    if not parameter.accepts(value):
+        excluded = "".join(f", not {banned}" for banned in parameter.excluded)
+        limits = f"{parameter.minimum} … {parameter.maximum}{excluded}"
+        raise _refusal(parameter, f"{parameter.name} = {value} is outside {limits}")
+
+
+def _refusal(parameter: Parameter, message: str) -> ParameterError:
+    return ParameterError(Status.OUT_OF_RANGE, message, detail=parameter.id, name=parameter.name)

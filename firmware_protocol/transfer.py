@@ -1,0 +1,117 @@
+"""What is longer than a frame: parameter blocks to the device, paged replies to the host.
+
+SET_PARAMETERS is BEGIN, CHUNKs, COMMIT, each acknowledged; only COMMIT changes anything. Replies of more
+than one frame (dictionary, parameters, fault log) are read page by page: each request names the first
+byte or entry wanted, so that reading needs no memory on the device.
+"""
+
+from __future__ import annotations
+
+from firmware_protocol.errors import RemoteProtocolError
+from firmware_protocol.faults import Status
+from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
+from firmware_protocol.packing import data_limit
+from firmware_protocol.parameters import BLOCK_LIMIT, block_crc
+
+CHUNK_BYTES = data_limit(SetChunk)
+
+
+def set_parameters(block: bytes, nonce: int) -> list[SetBegin | SetChunk | SetCommit]:
+    """Messages that bring a block to the device, in order; each waits for the ACK of the one before."""
+    chunks = [SetChunk(nonce, at, block[at : at + CHUNK_BYTES]) for at in range(0, len(block), CHUNK_BYTES)]
+    return [SetBegin(nonce, len(block), block_crc(block)), *chunks, SetCommit(nonce)]
+
+
+class Assembler:
+    """The device's side of SET_PARAMETERS: chunks in any order and more than once, within `limit` bytes.
+
+    A BEGIN with another nonce, length or CRC starts afresh; the same one again changes nothing, so that
+    a repeat is harmless.
+    """
+
+    def __init__(self, limit: int = BLOCK_LIMIT) -> None:
+        self._limit = limit
+        self._begun: SetBegin | None = None
+        self._block = bytearray()
+        self._missing: set[int] = set()
+
+    def begin(self, message: SetBegin) -> Status:
+        """Make room for a block."""
+        if message.length > self._limit:
+            return Status.BAD_LENGTH
+        if message != self._begun:
+            self._begun = message
+            self._block = bytearray(message.length)
+            self._missing = set(range(message.length))
+        return Status.OK
+
+    def chunk(self, message: SetChunk) -> Status:
+        """Lay a piece in its place."""
+        if self._begun is None or message.nonce != self._begun.nonce:
+            return Status.INCOMPLETE
+        end = message.offset + len(message.data)
+        if end > self._begun.length:
+            return Status.BAD_LENGTH
+        self._block[message.offset : end] = message.data
+        self._missing.difference_update(range(message.offset, end))
+        return Status.OK
+
+    def commit(self, message: SetCommit) -> tuple[Status, bytes]:
+        """Return OK and the block, or why there is none. It is forgotten then, unless bytes are missing."""
+        begun = self._begun
+        if begun is None or message.nonce != begun.nonce or self._missing:
+            return Status.INCOMPLETE, b""
+        block = bytes(self._block)
+        self._begun = None
+        if block_crc(block) != begun.crc:
+            return Status.BAD_CRC, b""
+        return Status.OK, block
+
+
+def page(content: bytes, offset: int, size: int) -> bytes:
+    """At most `size` bytes of a reply from `offset`; empty behind its end."""
+    return content[offset : offset + size]
+
+
+class PageReader:
+    """The host's side of a paged reply: ask for `offset`, `add` what comes, until `complete`.
+
+    `limit` bounds what is accepted; `fingerprint` (a hash or CRC) and the total must be the same on
+    every page, else the content changed under the reader's hands. Raises `RemoteProtocolError`.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._head: tuple[int, int] | None = None
+        self._content = bytearray()
+
+    @property
+    def offset(self) -> int:
+        """First byte still wanted."""
+        return len(self._content)
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything has come."""
+        return self._head is not None and len(self._content) == self._head[0]
+
+    @property
+    def content(self) -> bytes:
+        """What has come so far."""
+        return bytes(self._content)
+
+    def add(self, *, total: int, fingerprint: int, offset: int, data: bytes) -> None:
+        """Take one page. A page that was already taken is ignored."""
+        if self._head is None:
+            if total > self._limit:
+                raise RemoteProtocolError(f"a reply of {total} bytes, above {self._limit}")
+            self._head = (total, fingerprint)
+        if (total, fingerprint) != self._head:
+            raise RemoteProtocolError("the reply changed while it was read; read it again")
+        if offset < self.offset or self.complete:
+            return
+        if offset > self.offset or not data or self.offset + len(data) > total:
+            raise RemoteProtocolError(
+                f"page of {len(data)} bytes at {offset}, wanted at {self.offset} of {total}"
+            )
+        self._content += data

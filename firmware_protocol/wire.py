@@ -1,0 +1,54 @@
+"""How a field on the wire says its C type, unit and meaning, once, and how such fields become bytes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, get_type_hints
+
+FORMATS = {
+    "u8": "B",
+    "i8": "b",
+    "u16": "H",
+    "i16": "h",
+    "u32": "I",
+    "i32": "i",
+    "u64": "Q",
+    "i64": "q",
+    "f32": "f",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """C type (a key of FORMATS, or "bytes" for a tail), unit and meaning of a field."""
+
+    ctype: str
+    unit: str
+    meaning: str
+
+
+def wire_fields(cls: type) -> dict[str, Wire]:
+    """Return name → `Wire` of a record class whose fields are ``Annotated[int, Wire(…)]``, in wire order."""
+    return {name: hint.__metadata__[0] for name, hint in get_type_hints(cls, include_extras=True).items()}
+
+
+def fixed_fields(cls: type) -> dict[str, Wire]:
+    """Return `wire_fields` without the tail."""
+    return {name: wire for name, wire in wire_fields(cls).items() if wire.ctype != "bytes"}
+
+
+def record_struct(cls: type) -> struct.Struct:
+    """Return the packer of the fixed fields: little-endian, no padding."""
+    return struct.Struct("<" + "".join(FORMATS[wire.ctype] for wire in fixed_fields(cls).values()))
+
+
+def field_getter(cls: type) -> Callable[[Any], tuple[int, ...]]:
+    """Return a function that reads the fixed fields of an instance as one tuple."""
+    names = list(fixed_fields(cls))
+    getter: Callable[[Any], Any] = attrgetter(*names)
+    if len(names) > 1:
+        return getter
+    return lambda record: (getter(record),)  # attrgetter of one name gives a bare value

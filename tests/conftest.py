@@ -1,0 +1,9 @@
+"""Settings of all tests: hypothesis without deadlines (the first call of a kernel may compile), repeatable in CI."""
+
+import os
+
+from hypothesis import settings
+
+settings.register_profile("default", deadline=None)
+settings.register_profile("ci", deadline=None, derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "default")

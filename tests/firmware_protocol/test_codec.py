@@ -1,0 +1,203 @@
+"""The compiled codec and the readable one are the same, byte for byte and refusal for refusal."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zlib
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol import codec, framing
+from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
+from firmware_protocol.framing import FrameError, encode_frame
+from firmware_protocol.messages import MAJOR, Command, Message, State
+from firmware_protocol.packing import HEADER, LAYOUT_OF, pack, unpack
+from tests.conformance.wire_strategies import any_message, messages_of
+
+SESSIONS = st.integers(0, 255)
+SEQUENCES = st.integers(0, 65535)
+ENCODE = {Command: codec.encode_command, State: codec.encode_state}
+DECODE = {Command: codec.decode_command, State: codec.decode_state}
+streams = st.sampled_from([Command, State]).flatmap(messages_of)
+
+
+def buffer_of(data: bytes) -> Any:
+    return np.frombuffer(data, dtype=np.uint8).copy()
+
+
+def compiled_frame(message: Message, session: int, sequence: int) -> bytes:
+    out = np.full(codec.FRAME_BYTES, 0xAA, dtype=np.uint8)
+    values = np.array(astuple(message), dtype=np.int64)  # type: ignore[call-overload]
+    size = ENCODE[type(message)](session, sequence, values, out)
+    assert size > 0
+    return out[:size].tobytes()
+
+
+def compiled_raw(encoded: bytes) -> bytes | int:
+    raw = np.zeros(codec.RAW_BYTES, dtype=np.uint8)
+    length = codec.decode_frame(buffer_of(encoded), 0, len(encoded), raw)
+    return raw[:length].tobytes() if length >= 0 else int(length)
+
+
+def readable_raw(encoded: bytes) -> bytes | int:
+    try:
+        return framing.decode_frame(encoded)
+    except FrameError as error:
+        return -int(error.defect)
+
+
+@given(streams, SESSIONS, SEQUENCES)
+def test_both_encoders_make_the_same_bytes(message: Message, session: int, sequence: int) -> None:
+    readable = encode_frame(pack(message, session=session, sequence=sequence))
+    assert compiled_frame(message, session, sequence) == readable
+
+
+@given(streams, SESSIONS, SEQUENCES, st.binary(max_size=6))
+def test_both_decoders_read_the_same(message: Message, session: int, sequence: int, tail: bytes) -> None:
+    encoded = encode_frame(pack(message, session=session, sequence=sequence) + tail)[:-1]
+    raw = np.zeros(codec.RAW_BYTES, dtype=np.uint8)
+    header, values = np.zeros(5, dtype=np.int64), np.zeros(len(astuple(message)), dtype=np.int64)  # type: ignore[call-overload]
+    length = codec.decode_frame(buffer_of(b"\xee" + encoded), 1, 1 + len(encoded), raw)
+    assert DECODE[type(message)](raw, length, header, values) == 0
+    read_header, read = unpack(raw[:length].tobytes())
+    assert tuple(header) == read_header == (MAJOR, LAYOUT_OF[type(message)].type_id, 0, session, sequence)
+    assert tuple(values) == astuple(read) == astuple(message)  # type: ignore[call-overload]
+
+
+def broken(draw: st.DrawFn) -> bytes:
+    """Draw a frame that was cut, flipped, joined or left whole."""
+    encoded = bytearray(encode_frame(pack(draw(any_message())))[:-1])
+    for _ in range(draw(st.integers(0, 3))):
+        at = draw(st.integers(0, len(encoded) - 1))
+        encoded[at] = draw(st.integers(0, 255))
+    return bytes(encoded[: draw(st.integers(0, len(encoded)))]) + draw(
+        st.sampled_from([b"", b"\x01", b"\x02\x00"])
+    )
+
+
+@given(
+    st.composite(broken)() | st.binary(max_size=300) | st.lists(st.integers(0, 3), max_size=300).map(bytes)
+)
+def test_both_agree_on_every_corrupt_frame_and_on_its_defect(encoded: bytes) -> None:
+    assert compiled_raw(encoded) == readable_raw(encoded)
+
+
+@given(st.integers(0, 3), st.integers(0, 255), st.binary(max_size=60))
+def test_both_refuse_the_same_payloads(major: int, type_id: int, payload: bytes) -> None:
+    raw = HEADER.pack(major, type_id, 0, 0, 0) + payload
+    values, header = np.zeros(14, dtype=np.int64), np.zeros(5, dtype=np.int64)
+    result = codec.decode_state(buffer_of(raw), len(raw), header, values)
+    if major != MAJOR:
+        assert result == codec.FOREIGN_MAJOR
+    elif type_id != LAYOUT_OF[State].type_id:
+        assert result == codec.OTHER_TYPE
+    else:
+        try:
+            unpack(raw)
+        except RemoteProtocolError:
+            assert result == codec.BAD_PAYLOAD
+        else:
+            assert result == 0
+
+
+@pytest.mark.parametrize("length", [39, 40, 41, 56, 57, 80])
+def test_lengths_of_a_state_at_both_limits(length: int) -> None:
+    raw = HEADER.pack(MAJOR, LAYOUT_OF[State].type_id, 0, 0, 0) + bytes(length - 6)
+    values, header = np.zeros(14, dtype=np.int64), np.zeros(5, dtype=np.int64)
+    result = codec.decode_state(buffer_of(raw), len(raw), header, values)
+    assert result == (0 if 40 <= length <= 56 else codec.BAD_PAYLOAD)
+
+
+@given(
+    st.integers(-(2**40), 2**40) | st.integers(-(2**15) - 2, 2**15 + 2), st.sampled_from(codec.STATE._fields)
+)
+def test_a_value_that_does_not_fit_is_refused_by_both(value: int, name: str) -> None:
+    fields = dict.fromkeys(codec.STATE._fields, 0) | {name: value}
+    out = np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
+    result = codec.encode_state(0, 0, np.array(list(fields.values()), dtype=np.int64), out)
+    try:
+        readable = encode_frame(pack(State(**fields)))
+    except LocalProtocolError:
+        assert result == codec.BAD_VALUE
+    else:
+        assert out[:result].tobytes() == readable
+
+
+def test_session_and_sequence_must_fit_too() -> None:
+    values, out = np.zeros(5, dtype=np.int64), np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
+    for session, sequence in ((256, 0), (-1, 0), (0, 65536), (0, -1)):
+        assert codec.encode_command(session, sequence, values, out) == codec.BAD_VALUE
+
+
+def test_named_places_are_those_of_the_messages() -> None:
+    assert codec.COMMAND._fields == tuple(Command.__dataclass_fields__)
+    assert codec.STATE._fields == tuple(State.__dataclass_fields__)
+    assert codec.STATE.count == list(State.__dataclass_fields__).index("count")
+
+
+@given(st.binary(max_size=300), st.binary(max_size=40), st.integers(0, 2**32 - 1))
+def test_the_crc_is_zlibs_also_in_pieces(data: bytes, more: bytes, seed: int) -> None:
+    assert codec.crc32(buffer_of(data), 0, len(data), seed) == zlib.crc32(data, seed)
+    first = codec.crc32(buffer_of(data), 0, len(data), 0)
+    assert codec.crc32(buffer_of(b"x" + more), 1, 1 + len(more), first) == zlib.crc32(data + more)
+
+
+def test_the_crc_of_a_large_buffer() -> None:
+    block = np.random.default_rng(1).integers(0, 256, 1 << 20, dtype=np.uint8)
+    assert codec.crc32(block, 3, len(block) - 5, 0) == zlib.crc32(block[3:-5].tobytes())
+
+
+@given(st.binary(max_size=framing.RAW_LIMIT))
+def test_stuffing_alone_is_the_readable_one(raw: bytes) -> None:
+    out = np.full(framing.RAW_LIMIT + 2, 0xAA, dtype=np.uint8)
+    size = codec.cobs_encode(buffer_of(raw), len(raw), out)
+    assert out[:size].tobytes() == b"".join(bytes([len(run) + 1]) + run for run in raw.split(b"\0")) + b"\0"
+
+
+@given(st.binary(max_size=50), st.integers(0, 50), st.integers(0, 50))
+def test_the_delimiter_is_found(data: bytes, a: int, b: int) -> None:
+    start, end = sorted((min(a, len(data)), min(b, len(data))))
+    assert codec.find_delimiter(buffer_of(data), start, end) == data.find(0, start, end)
+
+
+UNCOMPILED = """
+import numpy as np, zlib
+from firmware_protocol import codec
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.messages import State
+from firmware_protocol.packing import pack
+state = State(65535, 65535, 2**32 - 1, 7, -2**31, 0, -2**15, 2**15 - 1, 3, 0, 65535, 0, 4, 255)
+values = np.array([getattr(state, name) for name in codec.STATE._fields], dtype=np.int64)
+out, raw = np.zeros(codec.FRAME_BYTES, np.uint8), np.zeros(codec.RAW_BYTES, np.uint8)
+size = codec.encode_state(9, 65535, values, out)
+assert out[:size].tobytes() == encode_frame(pack(state, session=9, sequence=65535))
+end = codec.find_delimiter(out, 0, size)
+length = codec.decode_frame(out, 0, end, raw)
+header, back = np.zeros(5, np.int64), np.zeros(14, np.int64)
+assert codec.decode_state(raw, length, header, back) == 0 and (back == values).all()
+assert header[codec.HEAD.sequence] == 65535
+out[5] ^= 4
+assert codec.decode_frame(out, 0, end, raw) in (codec.CRC_ERROR, codec.COBS_ERROR)
+data = np.arange(100, dtype=np.uint8)
+assert codec.crc32(data, 0, 100, 0) == zlib.crc32(data.tobytes())
+print(hasattr(codec.crc32, "py_func"))
+"""
+
+
+def test_the_same_text_runs_uncompiled() -> None:
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", UNCOMPILED],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert (run.stdout.strip(), run.stderr) == ("False", "")

@@ -1,0 +1,552 @@
+"""Two ends, every state, every message; and whatever bytes come, nothing but events or the peer's blame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import (
+    OPEN_LIMIT,
+    QUEUE_LIMIT,
+    REPLIES,
+    TRANSITIONS,
+    UNASKED,
+    Connection,
+    Event,
+    Received,
+    Refused,
+    State,
+)
+from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
+from firmware_protocol.faults import Status
+from firmware_protocol.framing import ENCODED_LIMIT, encode_frame
+from firmware_protocol.messages import Delivery, Message, Role
+from firmware_protocol.packing import HEADER, LAYOUT_OF, pack, type_id_of
+from firmware_protocol.replies import Replies
+from tests.conformance.wire_strategies import any_message
+
+SESSION = 7
+HOST_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is Role.HOST]
+DEVICE_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is Role.DEVICE]
+
+
+def example(cls: type[Message]) -> Message:
+    """A message with harmless fields; DISARM asks to clear the fault."""
+    layout = LAYOUT_OF[cls]
+    numbers = [5] + [1] * (len(layout.struct.unpack(bytes(layout.size))) - 1)
+    return layout.cls(*numbers, *([b"data"] if layout.tail else []))
+
+
+def state_message(state: State, sequence: int = 0) -> m.State:
+    return m.State(sequence, 0, 1, 2, 3, 4, 0, 0, 0, 0, 0, 0, int(state), 0)
+
+
+def events(connection: Connection, data: bytes) -> list[Event]:
+    connection.receive_data(data)
+    return list(iter(connection.next_event, None))
+
+
+class Pair:
+    """A host and a device joined back to back; the device answers OK, as a device does that agrees with everything."""
+
+    def __init__(self) -> None:
+        self.host = Connection(Role.HOST)
+        self.device = Connection(Role.DEVICE)
+        self.replies = Replies()
+        self.executed: list[Message] = []
+
+    def ask(self, message: Message, *, session: int | None = None, status: Status = Status.OK) -> list[Event]:
+        """Send a request, let the device answer, and return what the host is told."""
+        answers = self.answer(self.host.send(message, session=session), status)
+        return events(self.host, answers)
+
+    def answer(self, frames: bytes, status: Status = Status.OK) -> bytes:
+        """What the device says to these frames."""
+        return b"".join(self._answers(frames, status))
+
+    def _answers(self, frames: bytes, status: Status) -> Iterator[bytes]:
+        for event in events(self.device, frames):
+            if isinstance(event, Received) and isinstance(event.message, m.Command):
+                self.executed.append(event.message)
+                continue
+            reply = self.replies.answer(event, partial(self._execute, event, status))
+            yield self.device.send(reply)
+
+    def _execute(self, event: Event, status: Status) -> Message:
+        if isinstance(event, Refused):
+            return event.ack()
+        self.executed.append(event.message)
+        if isinstance(event.message, m.Identify):
+            return m.Identity(event.nonce, m.MINOR, int(self.device.state), 1, 4, 0, b"dict")
+        reply = REPLIES.get(type(event.message))
+        if reply is None or status is not Status.OK:
+            return event.ack(status)
+        layout = LAYOUT_OF[reply]
+        numbers = layout.struct.unpack(bytes(layout.size))
+        return layout.cls(event.nonce, *numbers[1:], *([b""] if layout.tail else []))
+
+    def bring_to(self, state: State) -> None:
+        """Walk from BOOT to a state by messages alone."""
+        path = {
+            State.IDENTIFIED: [m.Identify(1, 0)],
+            State.CONFIGURED: [m.Identify(1, 0), m.SetBegin(2, 0, 0), m.SetCommit(2)],
+        }
+        for message in path.get(state, path[State.CONFIGURED] if state > State.CONFIGURED else []):
+            self.ask(message)
+        if state >= State.ARMED:
+            self.ask(m.Arm(3, 1, 1), session=SESSION)
+        if state >= State.RUNNING:
+            self.answer(self.host.send(m.Command(0, 3000, 0, 0, 0)))
+        if state is State.FAULT:
+            self.device.fault()
+            events(self.host, self.device.send(state_message(State.FAULT)))
+        assert (self.host.state, self.device.state) == (state, state)
+        assert self.host.session == self.device.session == (SESSION if state >= State.ARMED else 0)
+
+
+@pytest.fixture
+def pair() -> Pair:
+    return Pair()
+
+
+# ---------------------------------------------------------------------- the table
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("cls", HOST_MESSAGES)
+def test_every_message_in_every_state_follows_the_table(pair: Pair, state: State, cls: type[Message]) -> None:
+    pair.bring_to(state)
+    pair.executed.clear()
+    after = TRANSITIONS[state].get(cls)
+    message = example(cls)
+    session = SESSION + 1 if cls is m.Arm else None
+    if after is not None:
+        answers = pair.answer(pair.host.send(message, session=session))
+        assert pair.executed == [message]
+        assert bool(answers) == (cls is not m.Command), "a COMMAND has no answer"
+        events(pair.host, answers)
+        assert (pair.host.state, pair.device.state) == (after, after)
+        return
+    with pytest.raises(LocalProtocolError, match="not allowed"):
+        pair.host.send(message, session=session)
+    frame = encode_frame(pack(message, session=pair.device.session if session is None else session))
+    told = events(pair.device, frame)
+    if cls is m.Command:
+        assert told == []
+    else:
+        assert told == [Refused(type_id_of(cls), 5, told[0].session, Status.BAD_STATE, int(state))]
+    assert pair.device.statistics.out_of_state == 1
+    assert pair.device.state is state
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("cls", [m.State, m.Batch])
+def test_what_the_device_may_send_unasked(pair: Pair, state: State, cls: type[Message]) -> None:
+    pair.bring_to(state)
+    message = state_message(state, 9) if cls is m.State else example(cls)
+    if cls in UNASKED[state]:
+        assert [event.message for event in events(pair.host, pair.device.send(message))] == [message]  # type: ignore[union-attr]
+        assert pair.host.state is state
+    else:
+        with pytest.raises(LocalProtocolError, match="not allowed"):
+            pair.device.send(message)
+
+
+@pytest.mark.parametrize("state", State)
+def test_the_device_alone_enters_fault_from_every_state_and_the_host_hears_of_it(
+    pair: Pair, state: State
+) -> None:
+    pair.bring_to(state)
+    pair.device.fault()
+    events(pair.host, pair.device.send(state_message(State.FAULT)))
+    assert (pair.device.state, pair.host.state) == (State.FAULT, State.FAULT)
+    with pytest.raises(LocalProtocolError):
+        pair.host.fault()
+
+
+@pytest.mark.parametrize("cls", HOST_MESSAGES)
+def test_the_device_does_not_send_the_hosts_messages(pair: Pair, cls: type[Message]) -> None:
+    pair.bring_to(State.RUNNING)
+    with pytest.raises(LocalProtocolError, match="not sent by the device"):
+        pair.device.send(example(cls))
+
+
+@pytest.mark.parametrize("cls", DEVICE_MESSAGES)
+def test_the_host_does_not_send_the_devices_messages(pair: Pair, cls: type[Message]) -> None:
+    with pytest.raises(LocalProtocolError, match="not sent by the host"):
+        pair.host.send(example(cls))
+
+
+def test_the_tables_speak_of_every_state_and_of_the_right_senders() -> None:
+    assert set(TRANSITIONS) == set(UNASKED) == set(State)
+    assert {cls for row in TRANSITIONS.values() for cls in row} == set(HOST_MESSAGES)
+    assert {cls for row in UNASKED.values() for cls in row} | set(REPLIES.values()) | {m.Ack} == set(
+        DEVICE_MESSAGES
+    )
+    assert State.ARMED not in TRANSITIONS[State.FAULT].values()
+
+
+# ---------------------------------------------------------------------- the rules beside the table
+
+
+def test_through_all_states_and_back(pair: Pair) -> None:
+    pair.bring_to(State.FAULT)
+    pair.ask(m.Disarm(9, m.DisarmFlag.CLEAR_FAULT))
+    assert pair.host.state is pair.device.state is State.CONFIGURED
+    assert pair.host.session == pair.device.session == 0
+    pair.ask(m.Arm(10, 1, 1), session=SESSION + 1)
+    assert pair.host.state is pair.device.state is State.ARMED
+    assert pair.host.session == pair.device.session == SESSION + 1
+
+
+def test_a_fault_stays_until_it_is_cleared_aloud(pair: Pair) -> None:
+    pair.bring_to(State.FAULT)
+    (answer,) = pair.ask(m.Disarm(9, 0))
+    assert isinstance(answer, Received)
+    assert isinstance(answer.message, m.Ack)
+    assert answer.message.status == Status.FAULT_LATCHED
+    assert pair.device.state is pair.host.state is State.FAULT
+    pair.ask(m.Disarm(10, m.DisarmFlag.CLEAR_FAULT), status=Status.FAULT_PRESENT)
+    assert pair.device.state is pair.host.state is State.FAULT
+
+
+def test_a_refused_request_moves_neither_end(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    pair.ask(m.Arm(3, 1, 1), session=SESSION, status=Status.NOT_HOMED)
+    assert pair.device.state is pair.host.state is State.CONFIGURED
+    assert pair.device.session == pair.host.session == 0
+
+
+def test_the_last_session_cannot_be_armed_again(pair: Pair) -> None:
+    pair.bring_to(State.RUNNING)
+    pair.ask(m.Disarm(4, 0))
+    for session in (0, SESSION, 256):
+        with pytest.raises(LocalProtocolError):
+            pair.host.send(m.Arm(5, 1, 1), session=session)
+    for session in (0, SESSION):
+        (event,) = events(pair.device, encode_frame(pack(m.Arm(5, 1, 1), session=session)))
+        assert isinstance(event, Refused)
+        assert event.status is Status.STALE_SESSION
+
+
+def test_the_session_is_given_with_arm_and_with_nothing_else(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    with pytest.raises(LocalProtocolError, match="ARM"):
+        pair.host.send(m.Arm(3, 1, 1))
+    with pytest.raises(LocalProtocolError, match="ARM"):
+        pair.host.send(m.GetTime(3, 1), session=4)
+
+
+def test_commands_of_a_dead_process_never_arrive(pair: Pair) -> None:
+    pair.bring_to(State.ARMED)
+    for session in (0, SESSION - 1, SESSION + 1):
+        assert events(pair.device, encode_frame(pack(m.Command(0, 3000, 0, 0, 99), session=session))) == []
+    assert pair.device.statistics.stale_session == 3
+    assert pair.device.state is State.ARMED
+
+
+def test_a_new_host_finds_an_armed_device_and_disarms_it(pair: Pair) -> None:
+    pair.bring_to(State.RUNNING)
+    pair.host = Connection(Role.HOST)
+    pair.ask(m.Identify(100, 0))
+    assert pair.host.state is State.RUNNING
+    with pytest.raises(LocalProtocolError, match="somebody else"):
+        pair.host.send(m.Command(0, 3000, 0, 0, 0))
+    pair.ask(m.Disarm(101, 0))
+    assert pair.host.state is pair.device.state is State.CONFIGURED
+
+
+def test_a_refusal_for_the_state_tells_the_host_the_state(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    pair.device.fault()
+    (answer,) = pair.ask(m.Arm(3, 1, 1), session=SESSION)
+    assert isinstance(answer, Received)
+    assert answer.message == m.Ack(3, type_id_of(m.Arm), Status.BAD_STATE, State.FAULT, 0, 0)
+    assert pair.host.state is State.FAULT
+
+
+@pytest.mark.parametrize(
+    ("message", "before", "after"),
+    [
+        (m.SetCommit(2), State.IDENTIFIED, State.CONFIGURED),
+        (m.Arm(3, 1, 1), State.CONFIGURED, State.ARMED),
+        (m.Disarm(4, 0), State.RUNNING, State.CONFIGURED),
+    ],
+)
+def test_a_lost_answer_is_repeated_and_the_request_done_once(
+    pair: Pair, message: Message, before: State, after: State
+) -> None:
+    pair.bring_to(before)
+    pair.executed.clear()
+    session = SESSION if isinstance(message, m.Arm) else None
+    pair.answer(pair.host.send(message, session=session))  # the answer is lost
+    assert (pair.host.state, pair.device.state) == (before, after)
+    told = pair.ask(message, session=session)
+    assert pair.executed == [message]
+    assert len(told) == 1
+    assert (pair.host.state, pair.device.state) == (after, after)
+    assert pair.host.session == pair.device.session
+
+
+def test_a_late_second_answer_moves_nothing(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    answer = pair.answer(pair.host.send(m.Arm(3, 1, 1), session=SESSION))
+    events(pair.host, answer)
+    pair.answer(pair.host.send(m.Command(0, 3000, 0, 0, 0)))
+    assert len(events(pair.host, answer)) == 1
+    assert pair.host.state is State.RUNNING
+
+
+def test_an_answer_that_nobody_waits_for_cannot_arm(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    answer = pair.answer(pair.host.send(m.Arm(3, 1, 1), session=SESSION))
+    events(pair.host, answer)
+    pair.ask(m.Disarm(4, 0))
+    assert len(events(pair.host, answer)) == 1
+    assert (pair.host.state, pair.host.session) == (State.CONFIGURED, 0)
+
+
+def test_questions_are_executed_each_time_and_changes_of_another_host_too(pair: Pair) -> None:
+    pair.bring_to(State.IDENTIFIED)
+    pair.executed.clear()
+    for _ in range(2):
+        pair.ask(m.GetTime(5, 1))
+    for _ in range(2):  # a new process that happens to begin with the same nonce
+        pair.ask(m.SetBegin(2, 0, 0))
+        pair.ask(m.SetCommit(2))
+    assert len(pair.executed) == 6
+    pair.ask(m.SetCommit(2))
+    assert len(pair.executed) == 6
+    pair.replies.forget()
+    pair.ask(m.SetCommit(2))
+    assert len(pair.executed) == 7
+
+
+def test_an_unknown_request_is_unsupported_and_an_unknown_stream_only_counted(pair: Pair) -> None:
+    told = events(pair.device, encode_frame(HEADER.pack(m.MAJOR, 0x3E, 0, 4, 0) + b"\x34\x12future"))
+    assert told == [Refused(0x3E, 0x1234, 4, Status.UNSUPPORTED, 0)]
+    assert told[0].ack() == m.Ack(0x1234, 0x3E, Status.UNSUPPORTED, 0, 0, 0)
+    assert events(pair.device, encode_frame(HEADER.pack(m.MAJOR, 0x5E, 0, 4, 0) + b"\x34\x12future")) == []
+    assert events(pair.device, encode_frame(HEADER.pack(m.MAJOR, 0x3E, 0, 4, 0))) == []
+    assert pair.device.statistics.unknown_type == 3
+    assert events(pair.host, encode_frame(HEADER.pack(m.MAJOR, 0x3F, 0, 4, 0) + b"\x34\x12")) == []
+
+
+def test_a_request_of_impossible_length_is_answered_if_it_has_a_nonce(pair: Pair) -> None:
+    told = events(
+        pair.device, encode_frame(HEADER.pack(m.MAJOR, type_id_of(m.Identify), 0, 0, 0) + b"\x05\x00")
+    )
+    assert told == [Refused(type_id_of(m.Identify), 5, 0, Status.BAD_LENGTH, 0)]
+    assert (
+        events(pair.device, encode_frame(HEADER.pack(m.MAJOR, type_id_of(m.Identify), 0, 0, 0) + b"\x05"))
+        == []
+    )
+    assert pair.device.statistics.malformed == 2
+
+
+def test_another_major_stops_the_host_with_both_numbers(pair: Pair) -> None:
+    frame = encode_frame(HEADER.pack(m.MAJOR + 1, type_id_of(m.State), 0, 0, 0) + bytes(34))
+    pair.host.receive_data(frame + encode_frame(pack(state_message(State.IDENTIFIED))))
+    with pytest.raises(IncompatibleMajorError, match="major 2") as caught:
+        pair.host.next_event()
+    assert (caught.value.ours, caught.value.theirs) == (1, 2)
+    assert pair.host.next_event() is not None, "the frame is dropped, the connection goes on"
+
+
+def test_the_device_answers_identify_of_any_major_and_drops_the_rest(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    foreign = HEADER.pack(99, type_id_of(m.Identify), 0, 0, 0) + b"\x01\x00\x00\x00"
+    assert pair.answer(encode_frame(foreign))
+    arm = bytearray(pack(m.Arm(1, 1, 1), session=4))
+    arm[0] = 99
+    assert events(pair.device, encode_frame(bytes(arm))) == []
+    assert pair.device.statistics.foreign_major == 1
+
+
+def test_an_echo_is_counted_and_dropped(pair: Pair) -> None:
+    assert events(pair.host, pair.host.send(m.Identify(1, 0))) == []
+    assert pair.host.statistics.wrong_direction == 1
+
+
+def test_a_state_that_does_not_exist_is_malformed(pair: Pair) -> None:
+    assert events(pair.host, encode_frame(pack(m.State(*[0] * 12, 77, 0)))) == []
+    assert pair.host.statistics.malformed == 1
+
+
+def test_a_value_that_does_not_fit_sends_nothing_and_changes_nothing(pair: Pair) -> None:
+    pair.bring_to(State.ARMED)
+    with pytest.raises(LocalProtocolError):
+        pair.host.send(m.Command(0, 3000, 0, 0, 1 << 15))
+    assert pair.host.state is State.ARMED
+    assert pair.host.sequence_to_send(m.Command) == 0
+
+
+# ---------------------------------------------------------------------- sequences
+
+
+def command_frame(sequence: int) -> bytes:
+    return encode_frame(pack(m.Command(sequence, 3000, 0, 0, 0), session=SESSION, sequence=sequence))
+
+
+@given(st.integers(0, 65535), st.lists(st.integers(0, 40), min_size=1, max_size=30))
+def test_losses_repeats_and_reordering_are_counted_round_the_circle(start: int, offsets: list[int]) -> None:
+    pair = Pair()
+    pair.bring_to(State.ARMED)
+    delivered = []
+    for offset in offsets:
+        told = events(pair.device, command_frame((start + offset) & 0xFFFF))
+        delivered += [(event.sequence - start) & 0xFFFF for event in told if isinstance(event, Received)]
+    # The oracle: what comes is news when it is beyond everything that came before.
+    news = [offset for i, offset in enumerate(offsets) if all(offset > earlier for earlier in offsets[:i])]
+    newest = [max(offsets[:i]) for i in range(1, len(offsets))]
+    assert delivered == news
+    statistics = pair.device.statistics
+    assert statistics.lost == news[-1] - news[0] + 1 - len(news)
+    assert statistics.duplicated == sum(a == b for a, b in zip(offsets[1:], newest, strict=True))
+    assert statistics.reordered == sum(a < b for a, b in zip(offsets[1:], newest, strict=True))
+
+
+@pytest.mark.parametrize(("step", "delivered"), [(0x7FFF, True), (0x8000, False), (0xFFFF, False)])
+def test_half_of_the_circle_lies_ahead(pair: Pair, step: int, delivered: bool) -> None:
+    pair.bring_to(State.ARMED)
+    events(pair.device, command_frame(100))
+    assert bool(events(pair.device, command_frame((100 + step) & 0xFFFF))) == delivered
+    assert pair.device.statistics.reordered == (not delivered)
+
+
+def test_a_late_batch_is_still_delivered_but_not_twice_in_a_row(pair: Pair) -> None:
+    pair.bring_to(State.RUNNING)
+    frames = [pair.device.send(m.Batch(7 * i, 0, 0, 0, 0, b"")) for i in range(3)]
+    order = [0, 2, 1, 2]
+    told = [event for i in order for event in events(pair.host, frames[i])]
+    assert [event.message.first_index for event in told] == [0, 14, 7]  # type: ignore[union-attr]
+    assert (pair.host.statistics.reordered, pair.host.statistics.duplicated) == (1, 1)
+
+
+def test_the_sequence_of_a_stream_begins_anew_with_each_session(pair: Pair) -> None:
+    pair.bring_to(State.CONFIGURED)
+    for _ in range(3):
+        events(pair.host, pair.device.send(state_message(State.CONFIGURED)))
+    pair.ask(m.Arm(3, 1, 1), session=SESSION)
+    (event,) = events(pair.host, pair.device.send(state_message(State.ARMED)))
+    assert isinstance(event, Received)
+    assert (event.session, event.sequence) == (SESSION, 0)
+    assert pair.host.statistics.lost == 0
+
+
+def test_a_compiled_loop_takes_the_stream_and_gives_it_back(pair: Pair) -> None:
+    pair.bring_to(State.ARMED)
+    first = pair.host.sequence_to_send(m.Command)
+    pair.host.receive_data(b"\x05half a frame")  # the rest of it goes to the loop
+    for sequence in range(first, first + 10):
+        events(pair.device, command_frame(sequence))
+    for _ in range(20):
+        state = pair.device.send(state_message(State.RUNNING))
+    pair.host.resume(next_command=first + 10, newest_state=18, state=State.RUNNING)
+    (event,) = events(pair.host, state)
+    assert isinstance(event, Received)
+    assert event.sequence == 19
+    assert len(events(pair.device, pair.host.send(m.Command(19, 3000, m.Mode.STOP, 0, 0)))) == 1
+    statistics = pair.device.statistics
+    assert (statistics.lost, statistics.duplicated, pair.host.statistics.lost) == (0, 0, 0)
+    with pytest.raises(LocalProtocolError):
+        pair.device.resume(next_command=0, newest_state=0, state=State.RUNNING)
+
+
+# ---------------------------------------------------------------------- bytes from anywhere
+
+
+def receive_all(connection: Connection, pieces: list[bytes]) -> list[Event | str]:
+    """Feed, and return events and the names of what was raised."""
+    told: list[Event | str] = []
+    for piece in pieces:
+        connection.receive_data(piece)
+        while True:
+            try:
+                event = connection.next_event()
+            except RemoteProtocolError as error:
+                told.append(type(error).__name__)
+                continue
+            if event is None:
+                break
+            told.append(event)
+    return told
+
+
+def header_bytes() -> st.SearchStrategy[bytes]:
+    types = st.sampled_from(sorted(m.MESSAGES)) | st.integers(0, 255)
+    sessions = st.sampled_from([0, SESSION]) | st.integers(0, 255)
+    return st.builds(
+        HEADER.pack,
+        st.sampled_from([1, 1, 1, 2]),
+        types,
+        st.integers(0, 255),
+        sessions,
+        st.integers(0, 65535),
+    )
+
+
+good_crc = st.builds(
+    lambda header, payload: encode_frame(header + payload), header_bytes(), st.binary(max_size=60)
+)
+sensible = st.builds(
+    lambda message, session, sequence: encode_frame(pack(message, session=session, sequence=sequence)),
+    any_message(),
+    st.sampled_from([0, SESSION]),
+    st.integers(0, 5),
+)
+anything = st.lists(good_crc | sensible | st.binary(max_size=300), max_size=12).map(b"".join)
+
+
+@settings(max_examples=300)
+@given(st.sampled_from(Role), st.sampled_from(State), anything)
+def test_any_bytes_give_events_or_the_peers_blame_and_nothing_else(
+    role: Role, state: State, data: bytes
+) -> None:
+    pair, twin = Pair(), Pair()
+    pair.bring_to(state)
+    twin.bring_to(state)
+    whole, single = ((p.host if role is Role.HOST else p.device) for p in (pair, twin))
+    told = receive_all(whole, [data])
+    assert receive_all(single, [bytes([byte]) for byte in data]) == told, "byte by byte as whole"
+    assert single.statistics == whole.statistics
+    assert whole.state in State
+    assert len(whole._splitter._pending) <= ENCODED_LIMIT
+    assert len(whole._open) <= OPEN_LIMIT
+    for event in told:
+        if role is Role.DEVICE and not isinstance(event, str) and event.request < 0x40:
+            whole.send(event.ack() if isinstance(event, Refused) else event.ack(Status.UNSUPPORTED))
+
+
+def test_frames_that_nobody_takes_are_bounded_and_counted(pair: Pair) -> None:
+    frame = encode_frame(pack(m.Identify(1, 0)))
+    pair.device.receive_data(frame * (QUEUE_LIMIT + 10))
+    assert pair.device.statistics.overrun == 10
+    assert len(list(iter(pair.device.next_event, None))) == QUEUE_LIMIT
+    assert len(pair.device._open) == 1
+
+
+def test_open_requests_are_bounded(pair: Pair) -> None:
+    pair.bring_to(State.IDENTIFIED)
+    for nonce in range(10 * OPEN_LIMIT):
+        pair.host.send(m.GetTime(nonce, 0))
+    assert len(pair.host._open) == OPEN_LIMIT
+
+
+def test_reset_starts_anew_and_keeps_the_counters(pair: Pair) -> None:
+    pair.bring_to(State.RUNNING)
+    frames = pair.device.statistics.frames
+    pair.device.reset()
+    assert (pair.device.state, pair.device.session) == (State.BOOT, 0)
+    assert pair.device.statistics.frames == frames
+    assert events(pair.device, command_frame(9)) == []
+    assert pair.device.statistics.stale_session == 1
+
+
+def test_every_class_of_delivery_occurs() -> None:
+    assert {LAYOUT_OF[cls].delivery for cls in (*HOST_MESSAGES, *DEVICE_MESSAGES)} == set(Delivery)

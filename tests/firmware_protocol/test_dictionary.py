@@ -1,0 +1,123 @@
+"""What a device says of itself comes back; nonsense is the device's fault and nothing else happens."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zlib
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.dictionary import PLAIN_LIMIT, Dictionary, build, decode, dictionary_hash, encode
+from firmware_protocol.errors import RemoteProtocolError
+from firmware_protocol.faults import Fault, Status
+
+DICTIONARY = build(
+    device="koul-compliant",
+    firmware="0.1.0",
+    simulated=True,
+    current_quantum_a=0.001,
+    position_rate_default=1000,
+    position_rate_maximum=20_000,
+    ranges={"current_limit": (0, 1240)},
+)
+PACKED = encode(DICTIONARY)
+
+
+def repacked(**changes: Any) -> bytes:
+    content = json.loads(zlib.decompress(PACKED))
+    content.update(changes)
+    return zlib.compress(json.dumps(content).encode())
+
+
+def test_a_dictionary_comes_back() -> None:
+    assert decode(PACKED) == DICTIONARY
+    assert encode(decode(PACKED)) == PACKED
+
+
+def test_the_hash_is_the_head_of_sha_256() -> None:
+    assert dictionary_hash(PACKED).to_bytes(8, "little") == hashlib.sha256(PACKED).digest()[:8]
+    assert dictionary_hash(PACKED) != dictionary_hash(repacked(device="another"))
+
+
+def test_a_device_may_be_narrower_than_the_table() -> None:
+    rate, limit = DICTIONARY.parameter("position_rate"), DICTIONARY.parameter("current_limit")
+    assert rate is not None
+    assert rate.maximum == 20_000
+    assert limit is not None
+    assert (limit.minimum, limit.maximum) == (0, 1240)
+    assert DICTIONARY.parameter("no such thing") is None
+
+
+def test_what_a_younger_device_adds_is_ignored() -> None:
+    assert decode(repacked(colour="red")) == DICTIONARY
+
+
+def test_the_devices_own_text_comes_first_then_ours_then_a_placeholder() -> None:
+    own = {"code": 200, "name": "LASER", "text": "laser hot", "remedy": "wait"}
+    dictionary = decode(repacked(faults=[own]))
+    assert dictionary.explain_fault(200).text == "laser hot"
+    assert dictionary.explain_fault(Fault.ENCODER).text == Fault.ENCODER.text
+    assert dictionary.explain_fault(999).name == "code 999"
+    assert DICTIONARY.explain_status(Status.NOT_HOMED).remedy == Status.NOT_HOMED.remedy
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"major": "1"},
+        {"major": True},
+        {"minor": 256},
+        {"device": None},
+        {"simulated": 1},
+        {"current_quantum_a": 0.0},
+        {"current_quantum_a": 10**400},
+        {"time_unit_ns": "62.5"},
+        {"position_rate_maximum": 1e4},
+        {"parameters": {}},
+        {"parameters": [1]},
+        {"parameters": [{"id": 1}]},
+        {"faults": ["LINK_LOST"]},
+        {"statuses": [{"code": -1, "name": "", "text": "", "remedy": ""}]},
+    ],
+)
+def test_nonsense_is_the_devices_fault(changes: dict[str, Any]) -> None:
+    with pytest.raises(RemoteProtocolError):
+        decode(repacked(**changes))
+
+
+@pytest.mark.parametrize(
+    "packed",
+    [
+        b"",
+        b"not zlib",
+        PACKED[:-1],
+        PACKED + b"x",
+        zlib.compress(b"[]"),
+        zlib.compress(b"{}"),
+        zlib.compress(b"\xff"),
+        zlib.compress(b'{"major": NaN}'),
+        zlib.compress(b"[" * 100_000),
+        zlib.compress(b" " * (PLAIN_LIMIT + 1)),
+    ],
+    ids=["empty", "noise", "cut", "longer", "list", "object", "no text", "nan", "deep", "bomb"],
+)
+def test_what_is_no_dictionary_is_the_devices_fault(packed: bytes) -> None:
+    with pytest.raises(RemoteProtocolError):
+        decode(packed)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists, max_leaves=5))
+def test_any_value_under_any_key_is_a_dictionary_or_the_devices_fault(value: object) -> None:
+    for key in ("parameters", "faults", "current_quantum_a", "device"):
+        try:
+            assert isinstance(decode(repacked(**{key: value})), Dictionary)
+        except RemoteProtocolError:
+            continue
+
+
+def test_it_fits_the_pages() -> None:
+    assert len(PACKED) < 8192, "read over a 1 ms link in a quarter of a second"

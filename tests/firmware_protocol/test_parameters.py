@@ -1,0 +1,159 @@
+"""The parameter block is canonical, and nothing out of range gets through in either direction."""
+
+from __future__ import annotations
+
+import math
+import struct
+from zlib import crc32
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.faults import Status
+from firmware_protocol.parameters import (
+    BY_NAME,
+    DEFAULTS,
+    PARAMETERS,
+    Parameter,
+    ParameterError,
+    Value,
+    block_crc,
+    check,
+    decode_block,
+    encode_block,
+)
+from tests.conformance.wire_strategies import parameter_sets
+
+IDS = [parameter.name for parameter in PARAMETERS]
+FLOATS = [parameter for parameter in PARAMETERS if parameter.ctype == "f32"]
+RANGES = {
+    "u8": (0, 255),
+    "i8": (-128, 127),
+    "u16": (0, 2**16 - 1),
+    "i32": (-(2**31), 2**31 - 1),
+    "u32": (0, 2**32 - 1),
+}
+
+
+@given(parameter_sets())
+def test_a_block_comes_back(values: dict[str, Value]) -> None:
+    assert decode_block(encode_block(values)) == values
+
+
+@given(parameter_sets())
+def test_the_same_values_make_the_same_bytes_in_any_order(values: dict[str, Value]) -> None:
+    backwards = dict(reversed(list(values.items())))
+    assert encode_block(backwards) == encode_block(values)
+
+
+@given(st.floats(0.0, 1e6))
+def test_a_float_becomes_the_float32_that_the_device_holds(stiffness: float) -> None:
+    (nearest,) = struct.unpack("<f", struct.pack("<f", stiffness))
+    assert decode_block(encode_block({"stiffness": stiffness}))["stiffness"] == nearest
+
+
+def test_there_is_one_zero_only() -> None:
+    assert encode_block({"damping": -0.0}) == encode_block({"damping": 0.0})
+
+
+entries = st.tuples(st.integers(1, 22), st.integers(0, 2) | st.integers(0, 2**32 - 1))
+
+
+@given(
+    st.binary(max_size=200)
+    | st.lists(entries, max_size=8).map(lambda rows: b"".join(struct.pack("<HI", *row) for row in rows))
+)
+def test_any_bytes_give_values_or_a_typed_refusal(block: bytes) -> None:
+    # Few random blocks are good ones; entries with known ids make more of them.
+    refusal = None
+    try:
+        values = decode_block(block)
+    except ParameterError as error:
+        refusal = error
+    if refusal is None:
+        assert all(BY_NAME[name].accepts(value) for name, value in values.items())
+    else:
+        assert refusal.status is not Status.OK
+        assert 0 <= refusal.detail <= 0xFFFF
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=IDS)
+def test_the_ends_of_a_range_are_in_it_and_what_lies_beyond_is_not(parameter: Parameter) -> None:
+    for value in (parameter.minimum, parameter.maximum, parameter.default):
+        assert decode_block(encode_block({parameter.name: value})) == {parameter.name: value}
+    for value in (parameter.minimum - 1, parameter.maximum + 1, math.inf, -math.inf, math.nan):
+        with pytest.raises(ParameterError) as caught:
+            encode_block({parameter.name: value})
+        assert (caught.value.status, caught.value.detail) == (Status.OUT_OF_RANGE, parameter.id)
+        assert caught.value.name == parameter.name
+
+
+@pytest.mark.parametrize("parameter", FLOATS, ids=lambda parameter: parameter.name)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_the_device_refuses_a_float_that_is_no_number(parameter: Parameter, value: float) -> None:
+    with pytest.raises(ParameterError) as caught:
+        decode_block(struct.pack("<Hf", parameter.id, value))
+    assert (caught.value.status, caught.value.detail) == (Status.OUT_OF_RANGE, parameter.id)
+
+
+def test_the_wall_has_a_side() -> None:
+    with pytest.raises(ParameterError, match="not 0"):
+        encode_block({"wall_side": 0})
+
+
+def test_a_fraction_of_a_count_is_refused() -> None:
+    with pytest.raises(ParameterError, match="whole"):
+        encode_block({"reference_count": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("block", "status", "detail"),
+    [
+        (b"\0" * 5, Status.BAD_LENGTH, 0),
+        (b"\0" * 6 * 1000, Status.BAD_LENGTH, 0),
+        (struct.pack("<HI", 999, 0), Status.UNKNOWN_PARAMETER, 999),
+        (struct.pack("<HI", 1, 0) * 2, Status.BAD_ORDER, 1),
+        (struct.pack("<HIHI", 3, 1, 2, 1000), Status.BAD_ORDER, 2),
+        (struct.pack("<Hi", 7, 2), Status.OUT_OF_RANGE, 7),
+    ],
+)
+def test_each_refusal_names_its_status_and_parameter(block: bytes, status: Status, detail: int) -> None:
+    with pytest.raises(ParameterError) as caught:
+        decode_block(block)
+    assert (caught.value.status, caught.value.detail) == (status, detail)
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(ParameterError, match="stifness"):
+        encode_block({"stifness": 1.0})
+
+
+def test_a_window_must_not_be_inside_out() -> None:
+    check({"window_minimum": -5, "window_maximum": 5})
+    with pytest.raises(ParameterError) as caught:
+        check({"window_minimum": 5, "window_maximum": -5})
+    assert caught.value.status is Status.INCONSISTENT
+
+
+def test_the_crc_is_that_of_zlib_and_sees_every_value() -> None:
+    block = encode_block(DEFAULTS)
+    assert block_crc(block) == crc32(block)
+    for parameter in PARAMETERS:
+        value = parameter.maximum if parameter.default != parameter.maximum else parameter.minimum
+        assert block_crc(encode_block({**DEFAULTS, parameter.name: value})) != block_crc(block)
+
+
+def test_the_table_is_sound() -> None:
+    assert len({parameter.id for parameter in PARAMETERS}) == len(BY_NAME) == len(PARAMETERS)
+    assert [parameter.id for parameter in PARAMETERS] == sorted(parameter.id for parameter in PARAMETERS)
+    for parameter in PARAMETERS:
+        assert parameter.accepts(parameter.default)
+        if parameter.ctype != "f32":
+            low, high = RANGES[parameter.ctype]
+            assert low <= parameter.minimum <= parameter.maximum <= high
+    check(DEFAULTS)
+
+
+def test_a_device_that_was_never_configured_gives_no_current() -> None:
+    assert DEFAULTS["current_limit"] == DEFAULTS["continuous_current"] == DEFAULTS["verified"] == 0

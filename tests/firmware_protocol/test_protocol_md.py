@@ -1,0 +1,42 @@
+"""PROTOCOL.md says what the code does."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from firmware_protocol import codegen
+from firmware_protocol.connection import State
+from firmware_protocol.messages import MESSAGES
+from firmware_protocol.parameters import PARAMETERS
+
+
+def test_the_generated_tables_are_fresh() -> None:
+    assert codegen.main(["--check"]) == 0, "run python -m firmware_protocol.codegen"
+
+
+def test_every_section_is_in_the_document_once() -> None:
+    text = codegen.PROTOCOL.read_text(encoding="utf-8")
+    assert sorted(re.findall(r"<!-- generated: (\w+) -->", text)) == sorted(codegen.SECTIONS)
+    assert text.count("<!-- end -->") == len(codegen.SECTIONS)
+
+
+def test_a_stale_table_is_noticed_and_mended() -> None:
+    fresh = codegen.PROTOCOL.read_text(encoding="utf-8")
+    stale = fresh.replace("| `stiffness` | f32 |", "| `stiffness` | f64 |")
+    assert stale != fresh
+    assert codegen.render(stale) == fresh
+
+
+def test_a_misspelt_section_is_an_error() -> None:
+    with pytest.raises(KeyError, match="massages"):
+        codegen.render("<!-- generated: massages -->\n<!-- end -->")
+
+
+def test_nothing_is_left_out() -> None:
+    text = codegen.PROTOCOL.read_text(encoding="utf-8")
+    for cls in MESSAGES.values():
+        assert f" {codegen.title(cls)}\n" in text
+    for name in [parameter.name for parameter in PARAMETERS] + [state.name for state in State]:
+        assert name in text
