@@ -1,0 +1,42 @@
+"""The family of velocity estimators, by name.
+
+A third party adds one by the entry-point group ``rig.estimators``: a name and the ``module:attribute`` of an
+`rig.estimators.estimator.Estimator`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, cast
+
+from rig.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.estimators.estimator import Estimator
+
+BUILT_IN = {
+    "fdm": "rig.estimators.fdm",
+    "fdm-butterworth": "rig.estimators.fdm_butterworth",
+}
+
+
+def names() -> list[str]:
+    """Names of all estimators, built-in ones first."""
+    plugins = sorted(point.name for point in entry_points(group="rig.estimators"))
+    return [*BUILT_IN, *(name for name in plugins if name not in BUILT_IN)]
+
+
+def get(name: str) -> Estimator:
+    """Return the estimator of that name; `ConfigError` for an unknown one or a broken plug-in."""
+    if name in BUILT_IN:
+        return cast("Estimator", import_module(BUILT_IN[name]).ESTIMATOR)
+    for point in entry_points(group="rig.estimators", name=name):
+        try:
+            return cast("Estimator", point.load())
+        except Exception as error:
+            raise ConfigError(
+                f"estimator {name!r} ({point.value}) does not load: {error!r}",
+                remedy="mend or remove that package",
+            ) from error
+    raise ConfigError(f"there is no estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")

@@ -1,0 +1,81 @@
+"""The family of force laws, by name, as `rig.estimators` is that of the estimators.
+
+A law is a compiled function with the signature `rig.plugs.LAW_SIGNATURE` and a design that turns the
+``[wall]`` section into its parameter vector. A third party adds one by the entry-point group ``rig.laws``,
+or passes a `Law` to a command's function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """A force law: its compiled function, the size of its memory, and its design.
+
+    `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …) and returns the
+    parameters. `floats` counts the whole memory, whose first number is the mark `rig.plugs.LAW_CLAMPED`.
+    """
+
+    name: str
+    summary: str
+    function: Any
+    floats: int
+    design: Callable[[Mapping[str, Any]], list[float]]
+
+    def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
+        """Design the parameters and allocate a memory of zeros."""
+        parameters = np.array(self.design(wall), dtype=np.float64)
+        return PreparedLaw(self, parameters, np.zeros(max(1, self.floats)))
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedLaw:
+    """A law ready to run: its parameter vector and its (mutable) memory."""
+
+    law: Law
+    parameters: NDArray[np.float64]
+    state: NDArray[np.float64]
+
+
+def _spring_damper() -> Law:
+    from rig import wall  # noqa: PLC0415  (numba only when a law is built)
+
+    def design(section: Mapping[str, Any]) -> list[float]:
+        may_pull = 1.0 if section["pull"] == "allow" else 0.0
+        entry_only = 1.0 if section["damping_on"] == "entry" else 0.0
+        return [section["stiffness"], section["damping"], may_pull, entry_only]
+
+    return Law("spring-damper", "unilateral spring and damper", wall.spring_damper, wall.STATE, design)
+
+
+BUILT_IN: dict[str, Callable[[], Law]] = {"spring-damper": _spring_damper}
+
+
+def names() -> list[str]:
+    """Names of all laws, built-in ones first."""
+    plugins = sorted(point.name for point in entry_points(group="rig.laws"))
+    return [*BUILT_IN, *(name for name in plugins if name not in BUILT_IN)]
+
+
+def get(name: str) -> Law:
+    """Return the law of that name; `ConfigError` for an unknown one or a broken plug-in."""
+    if name in BUILT_IN:
+        return BUILT_IN[name]()
+    for point in entry_points(group="rig.laws", name=name):
+        try:
+            return cast("Law", point.load())
+        except Exception as error:
+            raise ConfigError(
+                f"law {name!r} ({point.value}) does not load: {error!r}", remedy="mend or remove that package"
+            ) from error
+    raise ConfigError(f"there is no law {name!r}", remedy=f"choose one of: {', '.join(names())}")

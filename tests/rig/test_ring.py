@@ -1,0 +1,179 @@
+"""Words and the ring: what one thread publishes without the GIL, another sees whole and in order."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numba
+import numpy as np
+import pytest
+from numba import types
+
+from firmware_protocol.kernel import kernel
+from rig import ring as words
+from rig.ring import WORDS, Ring
+from rig.sample import ROW
+from rig.system import monotonic_now, sleep_until
+from rig.words import exchange_word, load_word, read_word, store_word, write_word
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="atomics are intrinsics")
+
+ROWS = types.Array(numba.from_dtype(ROW), 1, "C")
+PATIENCE_NS = 20_000_000_000  # a broken publication must fail a test, not hang it
+JOIN_S = 30.0
+
+
+@kernel(types.int64(types.uintp, ROWS, types.int64), cache=False)
+def produce(control, rows, count):
+    """A loop's writer: rows in order, waiting for room; returns how often the ring was full."""
+    full, deadline = 0, monotonic_now(0) + PATIENCE_NS
+    for n in range(count):
+        while n - load_word(control + 8 * words.TAIL) >= len(rows):
+            full += 1
+            if monotonic_now(0) > deadline:
+                return -1
+            sleep_until(monotonic_now(0) + 10_000)  # a busy machine may have one core for both
+        row = rows[n % len(rows)]
+        row["tick"] = n
+        row["count"] = -3 * n
+        row["position"] = 0.5 * n
+        row["applied_at"] = n + 7
+        store_word(control + 8 * words.HEAD, n + 1)
+    return full
+
+
+@kernel(types.int64(types.uintp), cache=False)
+def spin_until_stopped(control):
+    """A loop that does nothing but look at the stop word."""
+    deadline = monotonic_now(0) + PATIENCE_NS
+    turns = 0
+    while load_word(control + 8 * words.STOP) == 0:
+        turns += 1
+        if turns % 1_000_000 == 0 and monotonic_now(0) > deadline:
+            return -1
+    return load_word(control + 8 * words.STOP)
+
+
+@kernel(types.int64(types.uintp, types.int64, types.int64), cache=False)
+def trade(mailbox, token, times):
+    """Swap the token in hand with the one in the mailbox, again and again."""
+    for _ in range(times):
+        token = exchange_word(mailbox, token)
+    return token
+
+
+def in_thread(function, *arguments):
+    results = []
+    thread = threading.Thread(target=lambda: results.append(function(*arguments)), daemon=True)
+    thread.start()
+    return thread, results
+
+
+def test_a_new_ring_is_empty_and_says_its_layout():
+    ring = Ring.allocate(10)
+    assert ring.get(words.VERSION) == words.LAYOUT_VERSION
+    assert ring.capacity == 10
+    assert [ring.get(word) for word in range(1, WORDS)] == [0] * (WORDS - 1)
+    assert not ring.rows.view(np.uint8).any()
+
+
+def test_the_ring_is_one_block_so_that_it_can_be_shared_memory():
+    ring = Ring.allocate(4)
+    assert ring.buffer.nbytes == WORDS * 8 + 4 * ROW.itemsize
+    ring.put(words.HEAD, 3)
+    ring.rows["tick"][2] = 77
+    again = Ring(ring.buffer, ring.buffer[: WORDS * 8].view(np.int64), ring.buffer[WORDS * 8 :].view(ROW))
+    assert again.get(words.HEAD) == 3
+    assert again.rows["tick"].tolist() == [0, 0, 77, 0]
+
+
+def test_every_control_word_has_a_place_of_its_own():
+    places = {
+        name: value
+        for name, value in vars(words).items()
+        if name.isupper() and name not in {"WORDS", "LAYOUT_VERSION", "ROW"}
+    }
+    assert len(set(places.values())) == len(places) > 20
+    assert all(0 <= place < WORDS for place in places.values())
+
+
+@pytest.mark.parametrize("value", [0, 1, -1, 2**63 - 1, -(2**63)])
+def test_a_word_holds_any_64_bit_value(value):
+    word = np.zeros(3, np.int64)
+    write_word(word.ctypes.data + 8, value)
+    assert read_word(word.ctypes.data + 8) == value
+    assert word.tolist() == [0, value, 0]
+
+
+def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes():
+    """Two hundred thousand rows through a ring of 64: it wraps thousands of times under both threads."""
+    ring, count = Ring.allocate(64), 200_000
+    thread, full = in_thread(produce, ring.words.ctypes.data, ring.rows, count)
+    tail = 0
+    while tail < count:
+        head = ring.get(words.HEAD)
+        if head == tail:
+            if not thread.is_alive() and ring.get(words.HEAD) == tail:
+                break
+            time.sleep(0)
+            continue
+        assert tail < head <= tail + ring.capacity
+        n = np.arange(tail, head)
+        seen = ring.rows[n % ring.capacity]
+        assert (seen["tick"] == n).all()
+        assert (seen["count"] == -3 * n).all()
+        assert (seen["position"] == 0.5 * n).all()
+        assert (seen["applied_at"] == n + 7).all()
+        tail = head
+        ring.put(words.TAIL, tail)
+    thread.join(JOIN_S)
+    assert tail == count
+    assert full[0] > 0  # the producer did run against a full ring: the test tested what it says
+
+
+def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil():
+    """A plain load could be hoisted out of the loop, which then never stopped."""
+    ring = Ring.allocate(1)
+    thread, result = in_thread(spin_until_stopped, ring.words.ctypes.data)
+    thread.join(0.02)
+    assert thread.is_alive()
+    ring.put(words.STOP, 5)
+    thread.join(JOIN_S)
+    assert result == [5]
+
+
+def test_exchanged_words_are_neither_lost_nor_doubled():
+    mailbox, times = np.array([100], np.int64), 200_000
+    traders = [in_thread(trade, mailbox.ctypes.data, token, times) for token in (1, 2, 3)]
+    for thread, _ in traders:
+        thread.join(JOIN_S)
+    held = [result[0] for _, result in traders]
+    assert sorted([*held, int(mailbox[0])]) == [1, 2, 3, 100]
+
+
+@pytest.mark.parametrize(
+    ("written", "asked", "expected"),
+    [
+        (0, 5, []),
+        (3, 5, [0, 1, 2]),
+        (3, 2, [1, 2]),
+        (11, 3, [8, 9, 10]),
+        (11, 100, [3, 4, 5, 6, 7, 8, 9, 10]),
+        (11, 0, []),
+    ],
+)
+def test_the_last_rows_come_oldest_first_and_never_more_than_the_ring_holds(written, asked, expected):
+    ring = Ring.allocate(8)
+    for n in range(written):
+        ring.rows["tick"][n % 8] = n
+    ring.put(words.HEAD, written)
+    assert ring.last_rows(asked)["tick"].tolist() == expected
+
+
+def test_the_last_rows_are_a_copy_that_an_error_may_keep():
+    ring = Ring.allocate(4)
+    ring.put(words.HEAD, 1)
+    kept = ring.last_rows(1)
+    ring.rows["tick"][0] = 9
+    assert kept["tick"][0] == 0
