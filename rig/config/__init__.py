@@ -1,0 +1,38 @@
+"""Experiments as data: typed sections, the file that describes them, and every complaint about it in one go.
+
+* `sections`: the dataclasses, with range, unit and meaning of every key;
+* `table`: the same as a table, from which messages, listings and the editors' schema are made;
+* `rules`: what ties keys together;
+* `files`: TOML and presets as raw tables;
+* `load`: the way from those to an `Experiment`;
+* `derive`: what others make of it.
+
+pydantic is imported by the functions that validate, not by this import.
+"""
+
+from rig.config.derive import check_plugins, rig_model, verdict_limits
+from rig.config.load import as_mapping, experiment_from_mapping, load_experiment, override, with_realtime
+from rig.config.sections import Controller, Experiment, Homing, Limits, Rig, Trial, VerdictLimits, Wall
+from rig.config.table import Described, describe, json_schema
+
+__all__ = [
+    "Controller",
+    "Described",
+    "Experiment",
+    "Homing",
+    "Limits",
+    "Rig",
+    "Trial",
+    "VerdictLimits",
+    "Wall",
+    "as_mapping",
+    "check_plugins",
+    "describe",
+    "experiment_from_mapping",
+    "json_schema",
+    "load_experiment",
+    "override",
+    "rig_model",
+    "verdict_limits",
+    "with_realtime",
+]

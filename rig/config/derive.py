@@ -1,0 +1,87 @@
+"""What others need of an experiment: the physics of its rig, its thresholds, proof that its plug-ins exist."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rig.config.problems import Problem, config_error, did_you_mean
+from rig.config.sections import Experiment, Rig
+from rig.config.table import shown
+from rig.errors import ConfigError
+from rig.model import RigModel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rig.verdict import Limits
+
+
+def rig_model(described: Experiment | Rig) -> RigModel:
+    """Return the physics of a rig, as simulation and theory want it."""
+    rig = described.rig if isinstance(described, Experiment) else described
+    return RigModel(
+        name=rig.name,
+        motion=rig.motion,
+        mechanics=rig.mechanics,
+        amplifier=rig.amplifier,
+        encoder=rig.encoder,
+        simulation=rig.simulation,
+    )
+
+
+def verdict_limits(experiment: Experiment) -> Limits:
+    """Return the thresholds of the verdict in the units of the rig: at the link, not at the handle.
+
+    A handle that moves by x has turned the link by x / radius; a force F there is a torque of F · radius.
+    """
+    from rig.verdict import Limits  # noqa: PLC0415
+
+    given, radius = experiment.verdict, experiment.rig.mechanics.handle_radius
+    return Limits(
+        tail_s=given.tail_s,
+        highpass_hz=given.highpass_hz,
+        lowpass_hz=given.lowpass_hz,
+        felt_velocity=given.felt_velocity / radius,
+        heard_effort=given.heard_force * radius,
+        moved=given.moved / radius,
+        growth=given.growth_ratio,
+        late_fraction=given.late_fraction,
+        saturated_fraction=given.saturated_fraction,
+    )
+
+
+def check_plugins(experiment: Experiment, source: str) -> None:
+    """Check estimator, law and the estimator's settings, which `load_experiment` takes as they come.
+
+    Imports the estimator, and numba with it; whatever plans or runs an experiment calls this first.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name (with the closest known one), an unknown setting, or one out of range.
+    """
+    from rig import estimators, laws  # noqa: PLC0415
+
+    controller = experiment.controller
+    problems = [
+        *_unknown("controller.estimator", controller.estimator, estimators.names()),
+        *_unknown("wall.law", experiment.wall.law, laws.names()),
+    ]
+    if problems:
+        raise config_error(problems, source)
+    resolution = experiment.rig.encoder.sign * experiment.rig.encoder.resolution
+    try:
+        estimator = estimators.get(controller.estimator)
+        estimator.prepare(controller.parameters, resolution, 1.0 / controller.velocity_rate)
+    except ConfigError as error:
+        problem = Problem("controller.parameters", "", error.message, error.remedy)
+        raise config_error([problem], source) from None
+
+
+def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:
+    if name in known:
+        return []
+    choice = f"choose one of: {', '.join(known)}"
+    return [
+        Problem(key, shown(name), f"must be one of {', '.join(known)}", did_you_mean(name, known, choice))
+    ]

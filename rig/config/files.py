@@ -1,0 +1,115 @@
+"""Experiment files and presets as raw tables: reading TOML, and laying one table over another."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from rig.config.problems import did_you_mean
+from rig.errors import ConfigError
+
+Table = dict[str, Any]
+DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow
+
+
+def read_toml(path: Path) -> Table:
+    """Read a TOML file; `ConfigError` when it is missing, unreadable or not TOML."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        nearby = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        remedy = did_you_mean(path.name, nearby, "give the path of an experiment file")
+        raise ConfigError(f"{path}: no such file", remedy=remedy) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", remedy="save it as UTF-8") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"{path}: cannot be read: {reason}", remedy="give the path of a readable file"
+        ) from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> Table:
+    """Parse TOML; `ConfigError` with the line when it is none."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise ConfigError(
+            f"{source}: not valid TOML: {reason}", remedy="mend that place in the file"
+        ) from None
+
+
+@cache
+def preset_names() -> tuple[str, ...]:
+    """Names of the presets that this package ships."""
+    found = (files("rig") / "presets").iterdir()
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
+
+
+def preset_text(name: str) -> str:
+    """Text of a preset, comments and sources included; `ConfigError` when there is no such preset."""
+    if name not in preset_names():
+        choice = f"choose one of: {', '.join(preset_names())}"
+        raise ConfigError(f"there is no preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
+    return (files("rig") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def preset_table(name: str) -> Table:
+    """Parse a preset."""
+    return parse_toml(preset_text(name), f"preset {name}")
+
+
+def tidy(value: Any, depth: int = 0) -> Any:
+    """Copy a table into plain dicts with text keys, cut off at `DEPTH`; other values pass as they are."""
+    if not isinstance(value, Mapping):
+        return value
+    if depth == DEPTH:
+        return "a table nested too deeply"
+    return {str(key): tidy(inner, depth + 1) for key, inner in value.items()}
+
+
+def overlay(base: Table, top: Table) -> Table:
+    """Lay one table over another, key by key; neither is changed.
+
+    The settings of an estimator do not outlive it: when `top` names another estimator, those of `base` are
+    dropped.
+    """
+    merged = dict(base)
+    for key, value in top.items():
+        below = merged.get(key)
+        merged[key] = overlay(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    if "estimator" in top and "estimator" in base and top["estimator"] != base["estimator"]:
+        merged["parameters"] = top.get("parameters", {})
+    return merged
+
+
+def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the leaves of nested tables by dotted key; an empty table is a leaf."""
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def nest(flat: Mapping[str, Any]) -> Table:
+    """Turn dotted keys into nested tables: the opposite of `flatten`."""
+    root: Table = {}
+    for dotted, value in flat.items():
+        *path, leaf = dotted.split(".")
+        node = root
+        for part in path:
+            below = node.get(part)
+            node[part] = node = below if isinstance(below, dict) else {}
+        node[leaf] = (
+            overlay(node[leaf], value)
+            if isinstance(value, dict) and isinstance(node.get(leaf), dict)
+            else value
+        )
+    return root

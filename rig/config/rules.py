@@ -1,0 +1,247 @@
+"""Rules that tie keys together: each is a function that yields the problems it finds.
+
+They run on an experiment whose every value is already of the right type and in its own range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from rig.config.problems import Problem
+from rig.config.sections import Experiment
+from rig.config.table import parameters, shown
+from rig.sample import Motion, unit_of
+
+LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
+LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
+
+
+def broken_rules(experiment: Experiment) -> list[Problem]:
+    """Every problem of every rule."""
+    return [problem for rule in RULES for problem in rule(experiment)]
+
+
+def rates(x: Experiment) -> Iterator[Problem]:
+    """Dual-rate: T2 = N·T1 with a whole N."""
+    fast, slow = x.controller.position_rate, x.controller.velocity_rate
+    if fast % slow == 0:
+        return
+    multiples = [n * slow for n in (fast // slow, fast // slow + 1) if n > 0]
+    below = next(v for v in range(min(slow, fast), 0, -1) if fast % v == 0)
+    above = next((v for v in range(slow + 1, fast + 1) if fast % v == 0), below)
+    yield _problem(
+        x,
+        "controller.position_rate",
+        f"must be an integer multiple of controller.velocity_rate = {slow} Hz",
+        f"nearest allowed: position_rate = {_either(multiples)} Hz, "
+        f"or velocity_rate = {_either([below, above])} Hz",
+    )
+
+
+def cutoff(x: Experiment) -> Iterator[Problem]:
+    """A low pass on the velocity cannot cut at or above the Nyquist frequency of its samples."""
+    cutoff_hz = x.controller.parameters.get("cutoff_hz")
+    nyquist_hz = x.controller.velocity_rate / 2
+    if cutoff_hz is not None and not 0 < cutoff_hz < nyquist_hz:
+        yield Problem(
+            "controller.parameters.cutoff_hz",
+            shown(cutoff_hz),
+            f"must be above 0 and below half of controller.velocity_rate, {nyquist_hz:g} Hz",
+            f"usual is a tenth of the rate, {nyquist_hz / 5:g} Hz; or raise controller.velocity_rate",
+        )
+
+
+def encoder(x: Experiment) -> Iterator[Problem]:
+    """A rotary encoder is given by its lines, a linear one by its quantum (`Encoder` sees to one of the two)."""
+    motion, lines = x.rig.motion, x.rig.encoder.counts_per_revolution
+    if motion == "rotary" and lines is None:
+        yield _wrong_encoder(x, "quantum", "counts_per_revolution", "linear")
+    elif motion == "linear" and lines is not None:
+        yield _wrong_encoder(x, "counts_per_revolution", "quantum", "rotary")
+    elif lines is not None and lines > LARGEST_DISC:
+        key = "rig.encoder.counts_per_revolution"
+        yield _problem(x, key, f"must be > 0 and ≤ {LARGEST_DISC}", "take it from the data sheet")
+
+
+def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Problem:
+    parameter = parameters()[f"rig.encoder.{wanted}"]
+    return _problem(
+        x,
+        f"rig.encoder.{given}",
+        f'belongs to a rig with motion = "{other}"; rig.motion = "{x.rig.motion}" needs rig.encoder.{wanted}, '
+        f"{parameter.expected(x.rig.motion)} ({parameter.meaning})",
+        f'give {wanted} in its place, or set rig.motion = "{other}"',
+    )
+
+
+def handle(x: Experiment) -> Iterator[Problem]:
+    """On a linear rig the handle moves as far as the encoder."""
+    if x.rig.motion == "linear" and x.rig.mechanics.handle_radius != 1.0:
+        yield _problem(
+            x, "rig.mechanics.handle_radius", "must be 1 on a linear rig, which has no lever arm", "remove it"
+        )
+
+
+def current(x: Experiment) -> Iterator[Problem]:
+    """The largest current fits into the command's 16 bits."""
+    amplifier = x.rig.amplifier
+    largest = LARGEST_CURRENT * amplifier.effort_quantum
+    if amplifier.effort_limit > largest:
+        yield _problem(
+            x,
+            "rig.amplifier.effort_limit",
+            f"must be ≤ {largest:.4g} {_unit(x, 'effort')}, which is {LARGEST_CURRENT} current quanta",
+            "make rig.amplifier.current_quantum_a coarser",
+        )
+
+
+def efforts(x: Experiment) -> Iterator[Problem]:
+    """The motor bounds the guard, the guard bounds what is asked for."""
+    limits, motor = x.rig.limits, x.rig.amplifier.effort_limit
+    for key, value, bound_key, bound in (
+        ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
+        ("rig.limits.effort", limits.effort, "rig.amplifier.effort_limit", motor),
+        ("homing.effort", x.homing.effort, "rig.limits.effort", limits.effort),
+        ("trial.effort", abs(x.trial.effort), "rig.limits.effort", limits.effort),
+    ):
+        if value > bound:
+            yield _problem(
+                x,
+                key,
+                f"must be at most {bound_key}, {bound:g} {_unit(x, 'effort')}",
+                f"lower {key}, or raise {bound_key} if the motor allows it",
+            )
+    if limits.human and not limits.override_stall and limits.effort > limits.nominal_effort:
+        yield _problem(
+            x,
+            "rig.limits.effort",
+            f"must be at most rig.limits.nominal_effort, {limits.nominal_effort:g} {_unit(x, 'effort')}, "
+            "while a person holds the handle (rig.limits.human = true)",
+            "lower it; or set rig.limits.override_stall = true and answer for it",
+        )
+
+
+def window(x: Experiment) -> Iterator[Problem]:
+    """The wall, the start and the rest position lie inside the window."""
+    low, high, unit = x.rig.limits.position_minimum, x.rig.limits.position_maximum, _unit(x, "position")
+    if low >= high:
+        yield _problem(
+            x,
+            "rig.limits.position_minimum",
+            f"must be below position_maximum, {high:g} {unit}",
+            "swap the two",
+        )
+        return
+    for key, value in (
+        ("wall.position", x.wall.position),
+        ("trial.start", x.trial.start),
+        ("rig.simulation.initial_position", x.rig.simulation.initial_position),
+    ):
+        if value is not None and not low < value < high:
+            yield _problem(
+                x,
+                key,
+                f"must lie inside the position window, {low:g} to {high:g} {unit}",
+                "move it, or widen rig.limits.position_minimum and position_maximum if the rig allows it",
+            )
+
+
+def approach(x: Experiment) -> Iterator[Problem]:
+    """A trial starts on the free side of the wall and pushes towards it."""
+    side, wall, unit = x.wall.side, x.wall.position, _unit(x, "position")
+    if side * (x.trial.start - wall) >= 0:
+        where = "below" if side > 0 else "above"
+        yield _problem(
+            x,
+            "trial.start",
+            f"must be {where} wall.position, {wall:g} {unit}: the free side for wall.side = {side}",
+            "start farther out, or turn wall.side",
+        )
+    if side * x.trial.effort <= 0:
+        sign = ">" if side > 0 else "<"
+        yield _problem(
+            x,
+            "trial.effort",
+            f"must be {sign} 0 {_unit(x, 'effort')} to push into a wall with wall.side = {side}",
+            "change its sign, or turn wall.side",
+        )
+
+
+def rest(x: Experiment) -> Iterator[Problem]:
+    """A push that rests less than a few counts deep tests the encoder, not the wall."""
+    if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
+        return
+    resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
+    push, needed = abs(x.trial.effort), least * resolution * x.wall.stiffness
+    if push >= needed or push == 0:
+        return
+    softest = push / (least * resolution)
+    yield _problem(
+        x,
+        "trial.effort",
+        f"must be at least {needed:.3g} {_unit(x, 'effort')}: against wall.stiffness = {x.wall.stiffness:g} "
+        f"{_unit(x, 'stiffness')} it rests {least * push / needed:.2g} counts deep, less than "
+        f"trial.minimum_rest_counts = {least:g}",
+        f"push harder, or take a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
+    )
+
+
+def speeds(x: Experiment) -> Iterator[Problem]:
+    """Homing stays below the speed that ends a run."""
+    if x.homing.speed >= x.rig.limits.speed:
+        yield _problem(
+            x,
+            "homing.speed",
+            f"must be below rig.limits.speed, {x.rig.limits.speed:g} {_unit(x, 'velocity')}",
+            "home more slowly",
+        )
+
+
+def times(x: Experiment) -> Iterator[Problem]:
+    """The judged tail is a part of the push, and its band has a width."""
+    if x.verdict.tail_s >= x.trial.duration_s:
+        yield _problem(
+            x,
+            "verdict.tail_s",
+            f"must be shorter than trial.duration_s, {x.trial.duration_s:g} s",
+            "shorten the tail or lengthen the trial",
+        )
+    if x.verdict.highpass_hz >= x.verdict.lowpass_hz:
+        yield _problem(
+            x,
+            "verdict.highpass_hz",
+            f"must be below verdict.lowpass_hz, {x.verdict.lowpass_hz:g} Hz",
+            "swap the two",
+        )
+
+
+RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
+    rates,
+    cutoff,
+    encoder,
+    handle,
+    current,
+    efforts,
+    window,
+    approach,
+    rest,
+    speeds,
+    times,
+)
+
+
+def _problem(x: Experiment, key: str, must: str, remedy: str) -> Problem:
+    value: Any = x
+    for part in key.split("."):
+        value = getattr(value, part)
+    unit = parameters()[key].unit_for(x.rig.motion)
+    return Problem(key, f"{shown(value)} {unit}".rstrip(), must, remedy)
+
+
+def _unit(x: Experiment, quantity: str) -> str:
+    return unit_of(quantity, x.rig.motion)
+
+
+def _either(values: list[int]) -> str:
+    return " or ".join(str(v) for v in dict.fromkeys(values))

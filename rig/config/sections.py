@@ -1,0 +1,226 @@
+"""What an experiment file may say: one dataclass a section, every range, unit and meaning in its annotation.
+
+The annotations are the only place of a range or a unit; the validator, the error messages, the listing of a
+plan and the schema for editors all read them from here (see `rig.config.table`). Rules that tie two keys
+together are in `rig.config.rules`. The physics of the rig is typed by `rig.model`.
+
+Positions, efforts and stiffnesses are at the link, in SI units, which depend on ``rig.motion``
+(`rig.sample.unit_of`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le, Lt, MinLen
+
+from rig.model import Amplifier, Encoder, Mechanics, Simulation
+from rig.quantity import STRICT, Quantity
+from rig.sample import Motion
+
+Setting = bool | int | float | str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """What the guard allows on this rig, whatever the law asks for."""
+
+    nominal_effort: Annotated[
+        float, Gt(0), Quantity("effort", "what the motor gives for hours without overheating")
+    ]
+    effort: Annotated[
+        float, Gt(0), Quantity("effort", "every command is clipped to ± this; left out: nominal_effort")
+    ]
+    thermal_time_constant_s: Annotated[
+        float, Gt(0), Le(10_000), Quantity("s", "thermal time constant of the motor's winding")
+    ]
+    speed: Annotated[float, Gt(0), Quantity("velocity", "a faster handle ends the run")]
+    slew: Annotated[
+        float,
+        Gt(0),
+        Quantity("effort/s", "fastest change of effort in a trial; a tick where it binds makes it invalid"),
+    ]
+    position_minimum: Annotated[
+        float, Quantity("position", "lower end of the window; leaving it ends the run")
+    ]
+    position_maximum: Annotated[
+        float, Quantity("position", "upper end of the window; leaving it ends the run")
+    ]
+    human: Annotated[
+        bool, Quantity("", "a person holds the handle, so effort may not exceed nominal_effort")
+    ] = True
+    override_stall: Annotated[
+        bool, Quantity("", "let effort exceed nominal_effort although a person holds the handle")
+    ] = False
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rig:
+    """The machine: its physics as far as it is known, and its limits."""
+
+    name: Annotated[str, MinLen(1), Quantity("", "short name, written into recordings")]
+    motion: Annotated[Motion, Quantity("", "decides the units: rad and N·m, or m and N")]
+    mechanics: Mechanics
+    amplifier: Amplifier
+    encoder: Encoder
+    limits: Limits
+    simulation: Simulation = field(default_factory=Simulation)
+    description: Annotated[str, Quantity("", "what the rig is, in a sentence")] = ""
+    source: Annotated[str, Quantity("", "where its numbers come from")] = ""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Controller:
+    """Rates of the law and the velocity estimator; where the law runs."""
+
+    position_rate: Annotated[
+        int,
+        Ge(10),
+        Le(200_000),
+        Quantity("Hz", "ticks per second, 1/T1; an integer multiple of velocity_rate"),
+    ]
+    velocity_rate: Annotated[
+        int,
+        Ge(10),
+        Le(200_000),
+        Quantity("Hz", "velocity estimates per second, 1/T2; uniform when equal to position_rate"),
+    ]
+    estimator: Annotated[str, MinLen(1), Quantity("", "name of the velocity estimator")]
+    parameters: Annotated[Mapping[str, float], Quantity("", "settings of the estimator")] = field(
+        default_factory=dict
+    )
+    loop: Annotated[Literal["host"], Quantity("", "where the law runs")] = "host"
+    command_lifetime_s: Annotated[
+        float | None,
+        Gt(0),
+        Le(0.02),
+        Quantity(
+            "s",
+            "the device drops to zero effort after this time without a command; left out: max(5 ticks, 3 ms)",
+        ),
+    ] = None
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Wall:
+    """The virtual wall: stiffness · penetration + damping · velocity inside, nothing outside."""
+
+    stiffness: Annotated[float, Ge(0), Quantity("stiffness", "K")]
+    damping: Annotated[float, Ge(0), Quantity("damping", "B")]
+    position: Annotated[float, Quantity("position", "where the wall begins")] = 0.0
+    side: Annotated[Literal[-1, 1], Quantity("", "1: entered with rising position; -1: with falling")] = 1
+    pull: Annotated[
+        Literal["clamp", "allow"],
+        Quantity("", "may the wall pull a handle that leaves it, or is it clamped at zero"),
+    ] = "clamp"
+    damping_on: Annotated[
+        Literal["both", "entry"], Quantity("", "damping both ways, or on the way in only")
+    ] = "both"
+    law: Annotated[str, MinLen(1), Quantity("", "name of the force law")] = "spring-damper"
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Homing:
+    """The soft servo that takes the handle to the start of a trial."""
+
+    speed: Annotated[float, Gt(0), Quantity("velocity", "speed of the set point")]
+    stiffness: Annotated[float, Gt(0), Quantity("stiffness", "spring to the set point")]
+    damping: Annotated[float, Ge(0), Quantity("damping", "damping to rest")]
+    effort: Annotated[float, Gt(0), Quantity("effort", "most effort of the servo")]
+    slew: Annotated[float, Gt(0), Quantity("effort/s", "fastest change of effort in homing and ramps")]
+    tolerance_counts: Annotated[
+        float, Gt(0), Le(1e6), Quantity("count", "home when no farther than this from the start")
+    ]
+    settle_s: Annotated[float, Ge(0), Le(60), Quantity("s", "how long the handle must stay there")]
+    timeout_s: Annotated[float, Gt(0), Le(600), Quantity("s", "give up after this time")]
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trial:
+    """One automated hit: released at the start, pushed into the wall by a constant effort."""
+
+    effort: Annotated[
+        float, Quantity("effort", "constant push, inside and outside the wall, signed like position")
+    ]
+    start: Annotated[
+        float, Quantity("position", "where the handle is released, on the free side of the wall")
+    ]
+    duration_s: Annotated[float, Gt(0), Le(3600), Quantity("s", "time from release to the end of the push")]
+    release_s: Annotated[float, Gt(0), Le(60), Quantity("s", "ramp to zero effort afterwards")] = 0.1
+    repeats: Annotated[int, Ge(1), Le(100_000), Quantity("", "how often the trial runs")] = 1
+    seed: Annotated[
+        int, Ge(0), Le(2**63 - 1), Quantity("", "seed of everything random in the simulation")
+    ] = 0
+    minimum_rest_counts: Annotated[
+        float, Ge(0), Quantity("count", "refuse a push that would rest less deep than this; 0: never refuse")
+    ] = 2.0
+    kind: Annotated[Literal["constant-effort"], Quantity("", "what drives the handle")] = "constant-effort"
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VerdictLimits:
+    """Thresholds of the verdict, at the handle; `Mechanics.handle_radius` turns them for a rotary rig."""
+
+    tail_s: Annotated[float, Gt(0), Le(3600), Quantity("s", "the last part of the push, which is judged")] = (
+        0.4
+    )
+    highpass_hz: Annotated[
+        float, Gt(0), Le(100_000), Quantity("Hz", "two-pole high pass that removes slow pressing")
+    ] = 30.0
+    lowpass_hz: Annotated[
+        float, Gt(0), Le(100_000), Quantity("Hz", "upper edge of the band that a hand feels")
+    ] = 500.0
+    felt_velocity: Annotated[
+        float, Gt(0), Quantity("m/s", "felt: rms velocity of the handle in the band above this")
+    ] = 0.005
+    heard_force: Annotated[
+        float, Gt(0), Quantity("N", "heard: rms ripple of the commanded effort, at the handle, above this")
+    ] = 1.0
+    moved: Annotated[float, Gt(0), Quantity("m", "moved: peak-to-peak travel of the handle above this")] = (
+        1.25e-4
+    )
+    growth_ratio: Annotated[
+        float, Gt(1), Quantity("", "unstable: amplitude of the tail's second half over its first above this")
+    ] = 1.2
+    late_fraction: Annotated[float, Gt(0), Lt(1), Quantity("", "invalid: share of late ticks from this")] = (
+        0.01
+    )
+    saturated_fraction: Annotated[
+        float,
+        Gt(0),
+        Lt(1),
+        Quantity("", "unstable or invalid: share of saturated ticks in the tail above this"),
+    ] = 0.01
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Experiment:
+    """A whole experiment, validated. `realtime` holds what `with_realtime` changes, by dotted key."""
+
+    rig: Rig
+    controller: Controller
+    wall: Wall
+    homing: Homing
+    trial: Trial
+    verdict: VerdictLimits = field(default_factory=VerdictLimits)
+    realtime: Annotated[
+        Mapping[str, Setting], Quantity("", "changes for a loop in real time, by dotted key")
+    ] = field(default_factory=dict)
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
