@@ -1,0 +1,84 @@
+"""Files that are whole or absent (written under another name, synced, renamed), and errors in plain words."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from rig.errors import RecordingError
+
+_REMEDIES = {
+    errno.ENOENT: "check the path, or make the directory first",
+    errno.ENOTDIR: "check the path, or make the directory first",
+    errno.EEXIST: "choose another name; recordings are never overwritten",
+    errno.EISDIR: "name a file inside it",
+    errno.EACCES: "choose a place that you may use",
+    errno.EPERM: "choose a place that you may use",
+    errno.EROFS: "choose a place that you may use",
+    errno.ENOSPC: "free some space",
+    errno.EDQUOT: "free some space",
+    errno.EFBIG: "free some space, or raise the limit on file sizes",
+}
+
+
+def disk_error(doing: str, path: Path, number: int) -> RecordingError:
+    """Say what the system refused and what to do about it."""
+    return RecordingError(f"cannot {doing} {path}: {os.strerror(number)}", remedy=_REMEDIES.get(number, ""))
+
+
+@contextmanager
+def plain_errors(doing: str, path: Path) -> Iterator[None]:
+    """Turn an `OSError` inside the block into a `RecordingError` of one line."""
+    try:
+        yield
+    except OSError as error:
+        raise disk_error(doing, path, error.errno or errno.EIO) from error
+
+
+def sync_directory(directory: Path) -> None:
+    """Make the names in a directory survive a power cut; does nothing where directories cannot be synced."""
+    with suppress(OSError):
+        descriptor = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise `RecordingError` when something of that name exists."""
+    if path.exists():
+        raise disk_error("write", path, errno.EEXIST)
+
+
+@contextmanager
+def whole_file(
+    path: Path, *, overwrite: bool = False, check: Callable[[Path], None] | None = None
+) -> Iterator[BinaryIO]:
+    """Open a file that appears under its name only when the block ends without an exception, synced to disk.
+
+    `check` is called with the draft's path before it gets its name; an exception from it leaves no file either.
+    Raises `RecordingError` when it exists (unless `overwrite`), or when the disk refuses.
+    """
+    if not overwrite:
+        refuse_existing(path)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    with plain_errors("write", path):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        try:
+            with open(draft, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            if check is not None:
+                check(draft)
+            os.replace(draft, path)
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise
+        sync_directory(path.parent)

@@ -1,0 +1,181 @@
+"""What a recording says about itself before its first row.
+
+The same seed, experiment and versions give the same header but for the keys in `VOLATILE`.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.errors import RecordingError
+from rig.recording.canonical import plain
+from rig.sample import COLUMNS, Column, Motion, unit_of
+
+FORMAT = "haptic-rig recording"
+VOLATILE = ("created", "host", "git")
+_SIMPLE_DTYPE = re.compile(r"[<|][iuf][1248]")
+
+
+def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
+    """Describe a row for any language: its bytes; name, dtype, offset, unit and meaning of each column."""
+    dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
+    described = [
+        {
+            "name": column.name,
+            "dtype": column.dtype,
+            "offset": _field(dtype, column.name)[1],
+            "unit": unit_of(column.unit, motion),
+            "description": column.description,
+        }
+        for column in columns
+    ]
+    return {"row_bytes": dtype.itemsize, "columns": described}
+
+
+def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
+    """Dtype of a schema's rows; raises `RecordingError` when the schema describes no row."""
+    try:
+        columns = schema["columns"]
+        formats = [column["dtype"] for column in columns]
+        if not columns or not all(_SIMPLE_DTYPE.fullmatch(text) for text in formats):
+            raise ValueError("its columns are not plain numbers")
+        if not all({"unit", "description"} <= column.keys() for column in columns):
+            raise ValueError("a column has no unit or description")
+        return np.dtype(
+            {
+                "names": [column["name"] for column in columns],
+                "formats": formats,
+                "offsets": [column["offset"] for column in columns],
+                "itemsize": schema["row_bytes"],
+            }
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RecordingError(f"the recording's schema makes no sense ({error})") from error
+
+
+def make_header(
+    *,
+    rig: str,
+    motion: Motion,
+    experiment: Mapping[str, Any],
+    identity: Mapping[str, Any],
+    clocks: Mapping[str, Any],
+    seed: int | None,
+    protocol: str,
+    initial_state: Mapping[str, Any],
+    extra: Mapping[str, Any] | None = None,
+    host: Mapping[str, Any] | None = None,
+    columns: Sequence[Column] = COLUMNS,
+) -> dict[str, Any]:
+    """Gather the header of a recording: JSON types only, which read back equal from every format.
+
+    Parameters
+    ----------
+    rig
+        Name of the rig.
+    motion
+        Decides the units of the columns.
+    experiment
+        All parameters in effect, as the law and the device use them.
+    identity
+        What the far end said about itself.
+    clocks
+        Kind, origin and offset of the host's and the device's clock.
+    seed
+        Seed of everything random, None when nothing is.
+    protocol
+        Version of the wire protocol.
+    initial_state
+        State of estimator, law and guard before the first row, as lists of numbers. They keep their bits, so
+        that a replay starts where the trial did; ``[float(x) for x in …]`` restores also what JSON lacks
+        (NaN, infinities).
+    extra
+        Anything else that belongs to the trial and repeats with it.
+    host
+        Facts about this run on this machine (scheduling obtained, …), added to what is found here.
+    columns
+        Columns of the rows to come.
+    """
+    header = plain(
+        {
+            "format": FORMAT,
+            "rig": rig,
+            "motion": motion,
+            "experiment": experiment,
+            "identity": identity,
+            "clocks": clocks,
+            "seed": seed,
+            "versions": versions(protocol),
+            "schema": make_schema(columns, motion),
+            "initial_state": initial_state,
+            "extra": extra or {},
+            "created": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "host": {**host_facts(), **(host or {})},
+            "git": git_revision(Path.cwd()),
+        }
+    )
+    assert isinstance(header, dict)
+    return header
+
+
+def repeatable(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of a header that two runs with the same seed have in common."""
+    return {key: value for key, value in header.items() if key not in VOLATILE}
+
+
+def versions(protocol: str) -> dict[str, str]:
+    """Versions of what computed the rows."""
+    found = {"python": platform.python_version(), "protocol": protocol}
+    for name in ("haptic-rig", "numpy", "numba"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def host_facts() -> dict[str, Any]:
+    """Name and kind of this machine; nothing about the person who uses it."""
+    system = platform.uname()
+    return {
+        "name": system.node,
+        "system": system.system,
+        "release": system.release,
+        "machine": system.machine,
+        "cpus": os.cpu_count(),
+    }
+
+
+def git_revision(directory: Path) -> dict[str, Any] | None:
+    """Revision of a git checkout and whether its files were edited since; None elsewhere, never an error."""
+    command = ["git", "-C", str(directory), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            check=True,
+            timeout=2.0,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+        )
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return None
+    revision = done.stdout.strip()
+    return {"revision": revision.removesuffix("-dirty"), "dirty": revision.endswith("-dirty")}
+
+
+def _field(dtype: np.dtype[np.void], name: str) -> tuple[np.dtype[Any], int]:
+    fields = dtype.fields
+    assert fields is not None
+    return fields[name][0], fields[name][1]

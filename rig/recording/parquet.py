@@ -1,0 +1,112 @@
+"""Recordings as Parquet: the form to keep, which pandas, polars, DuckDB, MATLAB and PlotJuggler open.
+
+Unit and meaning are metadata of each field (``unit``, ``description``); header, trailer, completeness and
+losses are metadata of the file, as JSON under the keys in `KEYS`, with a checksum over all of it and the
+columns. pyarrow is loaded when a function here is called.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RecordingError
+from rig.recording.canonical import canonical_json
+from rig.recording.data import Loss, Recording
+from rig.recording.files import plain_errors
+from rig.recording.header import dtype_of
+
+KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
+CHECKSUM_KEY = b"rig.crc32"
+
+
+def has_pyarrow() -> bool:
+    """Whether Parquet can be written and read here."""
+    try:
+        import pyarrow.parquet  # noqa: F401, PLC0415
+    except ImportError:
+        return False
+    return True
+
+
+def _pyarrow() -> Any:
+    if not has_pyarrow():
+        raise RecordingError("Parquet needs pyarrow", remedy="pip install pyarrow, or use captures and CSV")
+    import pyarrow.parquet  # noqa: PLC0415
+
+    return pyarrow
+
+
+def write_parquet(file: BinaryIO, recording: Recording) -> None:
+    """Write a recording; equal recordings give equal bytes under the same pyarrow."""
+    pa = _pyarrow()
+    units, descriptions = recording.units, recording.descriptions
+    columns = recording.to_numpy()
+    fields = [
+        pa.field(
+            name,
+            pa.from_numpy_dtype(column.dtype),
+            nullable=False,
+            metadata={"unit": units[name], "description": descriptions[name]},
+        )
+        for name, column in columns.items()
+    ]
+    lost = [asdict(loss) for loss in recording.lost]
+    facts = (recording.header, recording.trailer, recording.complete, lost)
+    metadata = {key: canonical_json(fact) for key, fact in zip(KEYS, facts, strict=True)}
+    metadata[CHECKSUM_KEY] = _checksum(metadata, columns)
+    arrays = [pa.array(column) for column in columns.values()]
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=metadata))
+    pa.parquet.write_table(table, file, compression="zstd", **_encodings(columns))
+
+
+def _checksum(metadata: Mapping[bytes, bytes], columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """CRC-32 over metadata and columns in their order, since Parquet checks neither footer nor page heads."""
+    crc = zlib.crc32(b"".join(metadata[key] for key in KEYS))
+    for column in columns.values():
+        crc = zlib.crc32(column.data, crc)
+    return b"%08x" % crc
+
+
+def _encodings(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Floats by byte stream: neighbours share exponents. Whole numbers by difference: most repeat."""
+    chosen = {
+        name: "BYTE_STREAM_SPLIT" if column.dtype.kind == "f" else "DELTA_BINARY_PACKED"
+        for name, column in columns.items()
+        if column.dtype.kind == "f" or column.dtype.itemsize >= 4
+    }
+    return {"use_dictionary": False, "column_encoding": chosen}
+
+
+def read_parquet(path: Path) -> Recording:
+    """Read a sealed recording; raises `RecordingError` when it is none, or when a bit of it has changed."""
+    pa = _pyarrow()
+    with plain_errors("read", path), open(path, "rb") as file:
+        try:
+            table = pa.parquet.ParquetFile(file).read()
+            metadata = table.schema.metadata or {}
+            if not any(key in metadata for key in KEYS):
+                raise RecordingError(
+                    f"{path} is not a recording", remedy="it is Parquet that another program wrote"
+                )
+            return _recording(path, table, metadata)
+        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+            raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
+
+
+def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recording:
+    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
+        raise ValueError("its checksum does not match")
+    header, trailer, complete, lost = (json.loads(metadata[key]) for key in KEYS)
+    rows = np.empty(table.num_rows, dtype_of(header["schema"]))
+    for name in rows.dtype.names or ():
+        rows[name] = columns[name]
+    return Recording(header, rows, trailer, complete, tuple(Loss(**loss) for loss in lost), path)

@@ -1,0 +1,32 @@
+"""Open any recording, whatever its format; the first bytes decide, not the name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig.recording.data import Recording
+from rig.recording.files import plain_errors
+
+_PARQUET_MAGIC = b"PAR1"
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Read a capture or a sealed recording into memory.
+
+    Raises
+    ------
+    RecordingError
+        There is no such file, it is no recording, it is of a newer format, its header is damaged, or it needs
+        a library that is not installed. Damage after the header is no error: see `Recording.lost` and
+        `Recording.complete`.
+    """
+    path = Path(path)
+    with plain_errors("read", path), open(path, "rb") as file:
+        magic = file.read(len(_PARQUET_MAGIC))
+    if magic == _PARQUET_MAGIC:
+        from rig.recording.parquet import read_parquet  # noqa: PLC0415  (pyarrow only when it is needed)
+
+        return read_parquet(path)
+    from rig.recording.capture import read_capture  # noqa: PLC0415
+
+    return read_capture(path)

@@ -1,0 +1,128 @@
+"""Sealing: from the capture that survives anything to the one file to keep.
+
+The capture goes only after the sealed file is on disk, has been read back and is equal to the last bit.
+Sealing can be repeated: when a crash left both files, the next call compares them and finishes.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RecordingError
+from rig.recording.canonical import plain
+from rig.recording.capture import write_capture
+from rig.recording.data import Recording
+from rig.recording.files import whole_file
+from rig.recording.header import dtype_of, make_schema
+from rig.recording.parquet import has_pyarrow, write_parquet
+from rig.recording.reader import open_recording
+from rig.sample import TRUTH_COLUMNS
+
+_log = logging.getLogger(__name__)
+
+
+def seal(
+    capture: str | Path,
+    truth: NDArray[np.void] | None = None,
+    *,
+    extra_trailer: Mapping[str, Any] | None = None,
+    keep_capture: bool = False,
+) -> Path:
+    """Turn a capture into Parquet beside it, and remove the capture.
+
+    Without pyarrow the capture is kept (and takes up the truth and the longer trailer, unless it is damaged
+    or was cut off), and a warning is logged.
+
+    Parameters
+    ----------
+    capture
+        A ``.rigcap`` file whose writer has ended, cleanly or not.
+    truth
+        The simulation's truth (`rig.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
+    extra_trailer
+        Added to the trailer: verdicts, and what else was found after the trial.
+    keep_capture
+        Leave the capture where it is.
+
+    Returns
+    -------
+    Path
+        The file that now holds the recording.
+
+    Raises
+    ------
+    RecordingError
+        The capture cannot be read, the disk refuses, another recording has the name, or the sealed file is
+        not equal. The capture is then untouched.
+    """
+    capture = Path(capture)
+    recording = open_recording(capture)
+    sealed = recording if truth is None else with_truth(recording, truth)
+    if extra_trailer:
+        sealed = replace(sealed, trailer={**(sealed.trailer or {}), **plain(extra_trailer)})
+    if not has_pyarrow():
+        _log.warning("pyarrow is not installed: %s stays a capture", capture)
+        if sealed is not recording and recording.complete and not recording.lost:
+            with whole_file(capture, overwrite=True, check=partial(_require_equal, sealed)) as file:
+                write_capture(file, sealed)
+        return capture
+    target = capture.with_suffix(".parquet")
+    if target.exists():
+        _require_equal(recording, target)
+    else:
+        with whole_file(target, check=partial(_require_equal, sealed)) as file:
+            write_parquet(file, sealed)
+    if not keep_capture:
+        capture.unlink(missing_ok=True)
+    return target
+
+
+def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
+    """Return the recording with the simulation's truth as further columns, joined by sample index.
+
+    Samples without truth get NaN; truth without a row is left out; of two truths for one sample the later
+    counts.
+    """
+    added = make_schema(TRUTH_COLUMNS, recording.header["motion"])
+    schema = recording.header["schema"]
+    before = schema["row_bytes"]
+    moved = [{**column, "offset": column["offset"] + before} for column in added["columns"]]
+    joined = {"row_bytes": before + added["row_bytes"], "columns": [*schema["columns"], *moved]}
+    rows = np.zeros(len(recording.rows), dtype_of(joined))
+    for name in recording.names:
+        rows[name] = recording.rows[name]
+    wanted = recording.rows["sample_index"]
+    order = np.argsort(truth["sample_index"], kind="stable")
+    have = truth["sample_index"][order]
+    place = np.searchsorted(have, wanted, side="right") - 1
+    known = place >= 0
+    known[known] = have[place[known]] == wanted[known]
+    for column in TRUTH_COLUMNS:
+        rows[column.name] = np.nan
+        rows[column.name][known] = truth[column.name][order[place[known]]]
+    return replace(recording, header={**recording.header, "schema": joined}, rows=rows)
+
+
+def _require_equal(expected: Recording, path: Path) -> None:
+    """Read a file back and compare every bit of the expected columns (it may have more)."""
+    found = open_recording(path)
+    same = (
+        len(found) == len(expected)
+        and set(expected.names) <= set(found.names)
+        and {**found.header, "schema": None} == {**expected.header, "schema": None}
+        and (found.complete, found.lost) == (expected.complete, expected.lost)
+        and all(found.column(name).tobytes() == expected.column(name).tobytes() for name in expected.names)
+    )
+    if not same:
+        raise RecordingError(
+            f"{path} does not hold what {expected.path} holds",
+            remedy="the capture is kept; move one of them away",
+        )

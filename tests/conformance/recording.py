@@ -1,0 +1,198 @@
+"""What every format of a recording must keep, as a function of a factory.
+
+A new format begins by calling `check_recording_format` with a function that writes a recording somewhere and
+one that reads it back. What a format cannot do is said in its `Limits`, not skipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RecordingError
+from rig.recording.data import Loss, Recording
+from rig.recording.header import make_header
+from rig.sample import COLUMNS, ROW, TRUTH, TRUTH_COLUMNS, Column
+
+AWKWARD = (0.1, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, float("nan"), float("inf"), float("-inf"))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a format cannot do.
+
+    `nan_bits`: keeps the payload of a NaN. `losses`: can say what its source had lost. `damage`: notices a
+    changed byte.
+    """
+
+    nan_bits: bool = True
+    losses: bool = True
+    damage: bool = True
+
+
+Write = Callable[[Recording], Path]
+Read = Callable[[Path], Recording]
+
+
+def example_header(**changes: Any) -> dict[str, Any]:
+    """Header with text beyond ASCII, integers beyond 2**53 and floats that are hard to spell."""
+    facts: dict[str, Any] = {
+        "rig": "Prüfstand 力",
+        "motion": "rotary",
+        "experiment": {"wall": {"stiffness": 560.0, "damping": 0.1}, "note": 'quote " and\nline'},
+        "identity": {"serial": "0007", "current_quantum": 1 / 3},
+        "clocks": {"host": {"kind": "virtual", "origin": 2**62 + 1}},
+        "seed": 7,
+        "protocol": "1.0",
+        "initial_state": {"estimator": np.array(AWKWARD), "counts": np.array([2**62 + 1, -1])},
+    }
+    return make_header(**(facts | changes))
+
+
+def example_rows(count: int, seed: int = 1, dtype: np.dtype[np.void] = ROW) -> NDArray[np.void]:
+    """Rows of random bits: every integer, every float, every kind of NaN."""
+    rows = np.frombuffer(np.random.default_rng(seed).bytes(count * dtype.itemsize), dtype).copy()
+    floats = [name for name in dtype.names or () if dtype[name] == np.float64]
+    for row, name in zip(range(count), floats, strict=False):
+        rows[name][row] = AWKWARD[row % len(AWKWARD)]
+    return rows
+
+
+def example_truth(sample_index: NDArray[np.int64]) -> NDArray[np.void]:
+    """Truth for the samples, with values that name their sample."""
+    truth = np.zeros(len(sample_index), TRUTH)
+    truth["sample_index"] = sample_index
+    for number, column in enumerate(TRUTH_COLUMNS):
+        truth[column.name] = sample_index + number / 8
+    return truth
+
+
+def check_recording_format(write: Write, read: Read, limits: Limits) -> None:
+    """Run all checks over one format.
+
+    Parameters
+    ----------
+    write
+        Writes a recording to a new place and returns the place.
+    read
+        Reads what `write` wrote; raises `RecordingError` for what it cannot read.
+    limits
+        What the format cannot do.
+    """
+    check_every_row_comes_back(write, read, limits)
+    check_header_and_trailer_come_back(write, read)
+    check_any_columns_come_back(write, read, limits)
+    check_an_unfinished_recording_stays_unfinished(write, read)
+    if limits.losses:
+        check_losses_are_passed_on(write, read)
+    if limits.damage:
+        check_no_damage_is_silent(write, read)
+
+
+def check_every_row_comes_back(write: Write, read: Read, limits: Limits) -> None:
+    """No row, one row, and numbers of rows around the size of a block: all bits of all columns."""
+    for count in (0, 1, 2, 999, 1000, 1001):
+        recording = Recording(example_header(), example_rows(count, seed=count), {"reason": "finished"})
+        _assert_equal_rows(read(write(recording)), recording, limits)
+
+
+def check_header_and_trailer_come_back(write: Write, read: Read) -> None:
+    """Header, trailer, units and descriptions; floats of the initial state with their bits."""
+    trailer = {"reason": "stopped — by a person", "statistics": {"p99_ns": 12345, "ripple": 0.1 + 0.2}}
+    recording = Recording(example_header(), example_rows(3), trailer)
+    found = read(write(recording))
+    assert found.header == recording.header
+    assert found.trailer == trailer
+    assert found.complete
+    assert found.lost == ()
+    assert found.units["effort_sent"] == "N·m"
+    assert found.units["host_time"] == "ns"
+    assert found.descriptions == {column.name: column.description for column in COLUMNS}
+    state = np.array([float(value) for value in found.header["initial_state"]["estimator"]])
+    assert _bits(state) == _bits(np.array(AWKWARD))
+
+
+def check_any_columns_come_back(write: Write, read: Read, limits: Limits) -> None:
+    """A reader of this version meets columns of another: fewer, more, of other types; and a linear rig."""
+    other = (
+        Column("tick", "<i8", "1", "number of the step"),
+        Column("temperature_of_the_winding", "<f4", "K", "not known to this version"),
+        Column("small", "|u1", "1", "one byte"),
+        Column("position", "<f8", "position", "where"),
+        Column("half", "<i2", "count", "two bytes"),
+    )
+    for columns in (COLUMNS[:3], (*COLUMNS, *TRUTH_COLUMNS), other):
+        dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
+        header = example_header(motion="linear", columns=columns)
+        recording = Recording(header, example_rows(50, dtype=dtype), {"reason": "finished"})
+        found = read(write(recording))
+        _assert_equal_rows(found, recording, limits)
+        assert found.units == recording.units
+
+
+def check_an_unfinished_recording_stays_unfinished(write: Write, read: Read) -> None:
+    """A recording without an end never turns into one with an end."""
+    found = read(write(Recording(example_header(), example_rows(5), None, complete=False)))
+    assert not found.complete
+    assert found.trailer is None
+    assert len(found) == 5
+
+
+def check_losses_are_passed_on(write: Write, read: Read) -> None:
+    """What was missing in the source is missing in the copy, and the copy says so."""
+    lost = (Loss("damaged block", 4096, 2048, 10, 8), Loss("torn tail", 9000, 17, 30, None))
+    assert read(write(Recording(example_header(), example_rows(5), {}, True, lost))).lost == lost
+
+
+def check_no_damage_is_silent(write: Write, read: Read) -> None:
+    """One byte changed anywhere: an error, a reported loss, or nothing that matters; never other content.
+
+    What does not matter is, for example, padding, or statistics that no reader of recordings looks at.
+    """
+    columns = COLUMNS[:12]
+    dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
+    recording = Recording(
+        example_header(columns=columns), example_rows(40, dtype=dtype), {"reason": "finished"}
+    )
+    path = write(recording)
+    good = path.read_bytes()
+    for place, flip in _flips(len(good)):
+        path.write_bytes(good[:place] + bytes([good[place] ^ flip]) + good[place + 1 :])
+        try:
+            found = read(path)
+        except RecordingError:
+            continue
+        if found.complete and not found.lost:
+            _assert_equal_rows(found, recording, Limits())
+            assert found.header == recording.header
+            assert found.trailer == recording.trailer
+    path.write_bytes(good)
+    _assert_equal_rows(read(path), recording, Limits())
+
+
+def _flips(size: int, count: int = 300) -> Iterator[tuple[int, int]]:
+    rng = np.random.default_rng(3)
+    for place in np.unique(
+        np.concatenate([rng.integers(0, size, count), np.arange(16), size - 1 - np.arange(16)])
+    ):
+        yield int(place), 1 << int(rng.integers(8))
+
+
+def _assert_equal_rows(found: Recording, expected: Recording, limits: Limits) -> None:
+    assert found.rows.dtype == expected.rows.dtype
+    assert len(found) == len(expected)
+    for name in expected.names:
+        left, right = found.column(name), expected.column(name)
+        if not limits.nan_bits and left.dtype.kind == "f":
+            left, right = (np.where(np.isnan(values), np.nan, values) for values in (left, right))
+            left, right = left.astype(found.rows.dtype[name]), right.astype(found.rows.dtype[name])
+        assert _bits(left) == _bits(right), name
+
+
+def _bits(values: NDArray[Any]) -> bytes:
+    return values.tobytes()

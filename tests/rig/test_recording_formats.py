@@ -1,0 +1,72 @@
+"""The conformance suite over every format; CSV and MAT are read back as users would, by csv and scipy."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from rig.recording.capture import write_capture
+from rig.recording.data import Recording
+from rig.recording.export import export
+from rig.recording.header import dtype_of
+from rig.recording.reader import open_recording
+from tests.conformance.recording import Limits, check_recording_format
+
+
+def write_rigcap(recording: Recording, path: Path) -> None:
+    with open(path, "wb") as file:
+        write_capture(file, recording)
+
+
+def read_csv(path: Path) -> Recording:
+    sidecar = json.loads(path.with_name(path.name + ".json").read_text("utf-8"))
+    with open(path, newline="", encoding="utf-8") as file:
+        names, *lines = csv.reader(file)
+    dtype = dtype_of(sidecar["header"]["schema"])
+    assert names == list(dtype.names or ())
+    rows = np.zeros(len(lines), dtype)
+    for name, values in zip(names, zip(*lines, strict=True), strict=False):
+        parse = float if dtype[name].kind == "f" else int
+        rows[name] = [parse(text) for text in values]
+    return Recording(sidecar["header"], rows, sidecar["trailer"], sidecar["complete"])
+
+
+def read_mat(path: Path) -> Recording:
+    contents = loadmat(path, simplify_cells=True, chars_as_strings=True)
+    header = json.loads(str(contents["header"]))
+    dtype = dtype_of(header["schema"])
+    data = {name: np.atleast_1d(column) for name, column in contents["data"].items()}
+    rows = np.zeros(len(data[(dtype.names or ())[0]]), dtype)
+    for name in dtype.names or ():
+        assert data[name].dtype == dtype[name]
+        rows[name] = data[name]
+    assert contents["units"] == {column["name"]: column["unit"] for column in header["schema"]["columns"]}
+    return Recording(header, rows, json.loads(str(contents["trailer"])), bool(contents["complete"]))
+
+
+FORMATS: dict[str, tuple[Any, Any, Limits]] = {
+    "rigcap": (write_rigcap, open_recording, Limits(losses=False)),
+    "parquet": (export, open_recording, Limits()),
+    "csv": (export, read_csv, Limits(nan_bits=False, losses=False, damage=False)),
+    "mat": (export, read_mat, Limits(losses=False, damage=False)),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_format_keeps_what_a_recording_is(name: str, tmp_path: Path) -> None:
+    write, read, limits = FORMATS[name]
+    numbers = itertools.count()
+
+    def write_somewhere(recording: Recording) -> Path:
+        path = tmp_path / f"{next(numbers)}.{name}"
+        write(recording, path)
+        return path
+
+    check_recording_format(write_somewhere, read, limits)
