@@ -1,0 +1,95 @@
+"""Devices by URL scheme: a table from scheme to ``module:function``, imported only when opened.
+
+The function has the signature ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Third parties
+add a scheme by the entry-point group ``rig.devices``; they cannot shadow a built-in one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, cast
+
+from rig import config, presets
+from rig.devices.device import DeviceUrl, Link
+from rig.errors import ConfigError, DeviceNotFoundError
+
+if TYPE_CHECKING:
+    from rig.devices.framed import FramedDevice
+    from rig.model import RigModel
+
+BUILT_IN = {
+    "sim": "sim_backend.link:open_link",
+    "serial": "rig.devices.serial:open_link",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Backend:
+    """One row of the table: URL scheme, ``module:function``, and the distribution that brought it."""
+
+    scheme: str
+    target: str
+    distribution: str
+
+
+def backends() -> list[Backend]:
+    """Every scheme that can be opened here, built-in ones first."""
+    table = [Backend(scheme, target, "haptic-rig") for scheme, target in BUILT_IN.items()]
+    plugins = sorted(entry_points(group="rig.devices"), key=lambda point: point.name)
+    return table + [
+        Backend(point.name, point.value, point.dist.name if point.dist else "?")
+        for point in plugins
+        if point.name not in BUILT_IN
+    ]
+
+
+def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
+    """Import the backend of a URL and return its opener; errors as `open_link`."""
+    scheme = DeviceUrl.parse(url).scheme
+    found = next((backend for backend in backends() if backend.scheme == scheme), None)
+    if found is None:
+        schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
+        raise ConfigError(f"no backend for {scheme}:// (in {url!r})", remedy=f"known schemes: {schemes}")
+    module, _, function = found.target.partition(":")
+    try:
+        opener = getattr(import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise DeviceNotFoundError(
+            f"the backend for {scheme}:// ({found.target}) does not load: {error}",
+            remedy=f"reinstall {found.distribution}",
+        ) from error
+    return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
+
+
+def open_link(url: str, model: RigModel | None = None) -> Link:
+    """Open the link behind a URL.
+
+    Parameters
+    ----------
+    url
+        ``sim://koul-compliant``, ``serial:///dev/ttyACM0?baud=921600``, ….
+    model
+        Physics of the rig, for a backend that simulates it: what ``sim://`` without a name means. A name in
+        the URL wins.
+
+    Raises
+    ------
+    ConfigError
+        An unknown scheme, or an option that the backend does not know.
+    DeviceNotFoundError
+        No such port, no permission, or somebody else has it.
+    """
+    parsed = DeviceUrl.parse(url)
+    if parsed.scheme == "sim" and parsed.place:
+        model = config.rig_model(presets.load(parsed.place))
+    return load_backend(url)(parsed, model)
+
+
+def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
+    """Open the device behind a URL; parameters and errors as `open_link`."""
+    from rig.devices.framed import FramedDevice  # noqa: PLC0415
+
+    return FramedDevice(open_link(url, model))

@@ -1,0 +1,92 @@
+"""What a far end must offer: a link of bytes that Python and the compiled loop can both use.
+
+A backend is one function ``open(url, model, options) -> Link``; `rig.devices` finds it by the scheme of the
+URL. The link carries the frames of `firmware_protocol` and nothing else, so that everything above it is the
+shipped code, whether a board, a process behind a pseudo-terminal or the simulation in this process answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.clock import Clock
+from rig.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceUrl:
+    """``scheme://place?key=value``: for example ``sim://koul-compliant?seed=3`` or ``serial:///dev/ttyACM0?baud=921600``."""
+
+    scheme: str
+    place: str
+    options: Mapping[str, str]
+    text: str
+
+    @classmethod
+    def parse(cls, text: str) -> DeviceUrl:
+        """Split a URL; raises `ConfigError` when it has no scheme or an option twice."""
+        parts = urlsplit(text)
+        if "://" not in text or not parts.scheme:
+            raise ConfigError(
+                f"device URL {text!r} has no scheme",
+                remedy="write it like sim://koul-compliant or serial:///dev/ttyACM0",
+            )
+        pairs = parse_qsl(parts.query, keep_blank_values=True)
+        options = dict(pairs)
+        if len(options) != len(pairs):
+            raise ConfigError(f"device URL {text!r} names an option twice", remedy="keep one of them")
+        return cls(parts.scheme, parts.netloc + parts.path, options, text)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopPort:
+    """What the compiled loop needs of a link: plug functions (`rig.plugs`) and their handles."""
+
+    read: Any
+    write: Any
+    wait: Any
+    handle: int
+    now: Any
+    clock_handle: int
+
+
+class Link(Protocol):
+    """Bytes to and from one far end.
+
+    Every call is bounded in time. A link that is gone raises `rig.errors.LinkLostError`, never a bare
+    OSError.
+    """
+
+    url: DeviceUrl
+    clock: Clock
+    bytes_per_second: float | None  # capacity each way, None when it is not a limit
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived, waiting at most `timeout_s` for the first byte; empty at the time-out."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`."""
+        ...
+
+    def port(self) -> LoopPort:
+        """Return the plug functions for the loop; Python must not read or write while the loop runs."""
+        ...
+
+    def failure(self) -> BaseException | None:
+        """Return what went wrong inside the far end while the loop ran (simulation), or None."""
+        ...
+
+    def truth(self) -> NDArray[np.void] | None:
+        """Return the simulation's truth by sample index (`rig.sample.TRUTH`), or None on a real device."""
+        ...
+
+    def close(self) -> None:
+        """Release the port; may be called twice."""
+        ...

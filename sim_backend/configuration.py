@@ -1,0 +1,120 @@
+"""What a simulated device says of itself and what it was told: its dictionary, and the parameter block in force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol import messages as m
+from firmware_protocol.faults import Status
+from firmware_protocol.packing import data_limit
+from firmware_protocol.parameters import (
+    ParameterError,
+    Value,
+    block_crc,
+    check,
+    decode_block,
+    encode_block,
+)
+from firmware_protocol.transfer import Assembler, page
+from rig.model import RigModel
+from sim_backend.sensors import CURRENT_QUANTA_LIMIT
+
+FIRMWARE = "simulated 1"
+
+
+def describe(model: RigModel, name: str, rate_default: int, rate_maximum: int) -> dictionaries.Dictionary:
+    """Dictionary of a simulated device: narrower than the parameter table by its motion and its amplifier's peak."""
+    motion = 0 if model.motion == "rotary" else 1
+    peak = int(min(model.amplifier.effort_limit / model.amplifier.effort_quantum, CURRENT_QUANTA_LIMIT))
+    return dictionaries.build(
+        device=name,
+        firmware=FIRMWARE,
+        simulated=True,
+        current_quantum_a=model.amplifier.current_quantum_a,
+        position_rate_default=rate_default,
+        position_rate_maximum=rate_maximum,
+        ranges={"motion": (motion, motion), "current_limit": (0, peak), "continuous_current": (0, peak)},
+    )
+
+
+class Configuration:
+    """Parameters in force, and how they change: all of a block between two ticks, or nothing.
+
+    Parameters
+    ----------
+    dictionary
+        What the device says of itself; its defaults are in force first.
+    apply
+        Called with all values before they are put in force; what it raises (`ParameterError`) refuses them.
+
+    Attributes
+    ----------
+    values
+        Name → value in force.
+    crc
+        CRC-32 of the block in force.
+    homed
+        Whether `reference_count` was set since the start.
+    hash
+        Of the dictionary.
+    """
+
+    def __init__(
+        self, dictionary: dictionaries.Dictionary, apply: Callable[[Mapping[str, Value]], None]
+    ) -> None:
+        self._dictionary = dictionary
+        self._packed = dictionaries.encode(dictionary)
+        self.hash = dictionaries.dictionary_hash(self._packed)
+        self._apply = apply
+        self._assembler = Assembler()
+        self.homed = False
+        self._put_in_force({info.name: info.default for info in dictionary.parameters})
+
+    def identity(self, request: m.Identify, state: int) -> m.Identity:
+        """Page of the dictionary."""
+        packed = self._packed
+        piece = page(packed, request.offset, data_limit(m.Identity))
+        return m.Identity(request.nonce, m.MINOR, state, self.hash, len(packed), request.offset, piece)
+
+    def parameters(self, request: m.GetParameters) -> m.Parameters:
+        """Page of the block in force."""
+        piece = page(self._block, request.offset, data_limit(m.Parameters))
+        return m.Parameters(request.nonce, len(self._block), self.crc, request.offset, piece)
+
+    def begin(self, request: m.SetBegin) -> Status:
+        """Make room for a block."""
+        return self._assembler.begin(request)
+
+    def chunk(self, request: m.SetChunk) -> Status:
+        """Take a piece of it."""
+        return self._assembler.chunk(request)
+
+    def commit(self, request: m.SetCommit) -> tuple[Status, int]:
+        """Put the block in force: status, and the parameter that it is about."""
+        status, block = self._assembler.commit(request)
+        if status is not Status.OK:
+            return status, 0
+        try:
+            values = decode_block(block)
+            self._check_ranges(values)
+            self._put_in_force({**self.values, "verified": 0, **values})
+        except ParameterError as error:
+            return error.status, error.detail
+        self.homed = self.homed or "reference_count" in values
+        return Status.OK, 0
+
+    def _check_ranges(self, values: Mapping[str, Value]) -> None:
+        """Refuse what is inside the table's range and outside this device's."""
+        for name, value in values.items():
+            info = self._dictionary.parameter(name)
+            if info is not None and not info.minimum <= value <= info.maximum:
+                message = f"{name} = {value} is outside {info.minimum} … {info.maximum}"
+                raise ParameterError(Status.OUT_OF_RANGE, message, detail=info.id, name=name)
+
+    def _put_in_force(self, values: dict[str, Value]) -> None:
+        check(values)
+        self._apply(values)
+        self.values = values
+        self._block = encode_block(values)
+        self.crc = block_crc(self._block)

@@ -1,0 +1,406 @@
+"""The simulated device: a whole rig that speaks the protocol, without I/O and without a clock.
+
+`receive` takes the host's bytes and returns the answers; `tick` lets one period pass and returns the STATE that
+follows. Whoever owns the bytes and the time (`link` in virtual time, `pty` in real time) calls the two in turn. Tick
+k covers the time from sample k − 1 to sample k:
+
+1. the current for the tick: the command in force, faded by the watchdog, cut by the limits;
+2. the plant moves;
+3. sample k: count, time of the last edge, measured current;
+4. the monitors look at it; a fault cuts the current from here on;
+5. STATE k tells sample k and the current that led to it.
+
+So a command that arrives between samples k and k + 1 acts at once, without any delay but the plant's own.
+
+It mirrors the device of PROTOCOL.md: a microcontroller with a quadrature counter that captures edge times, a
+current amplifier with an enable input, and two switches. The law on the device (mode SUPERVISE) is not part
+of it: such a command feeds the watchdog and gives no current. After ARM and after STOP there is no effort that a
+silent host could leave behind, so the watchdog waits longer then (`IDLE_LIFETIME_S`) before it says LINK_LOST.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, Event, Received, Refused, State
+from firmware_protocol.faults import Fault, Input, LimitFlag, Status
+from firmware_protocol.messages import Message, Mode, Role
+from firmware_protocol.parameters import BY_NAME, ParameterError, Value
+from firmware_protocol.replies import Replies
+from rig.errors import ConfigError
+from rig.model import RigModel
+from sim_backend.configuration import Configuration, describe
+from sim_backend.hardware import Hardware
+from sim_backend.safety import UNITS_PER_SECOND, UNITS_PER_US, FaultMemory, Limits, Monitor, Thermal, Watchdog
+
+UNARMED_STATES_HZ = 100  # STATE frames a second while nobody has armed the device: enough to home by hand
+NO_COMMAND_YET = 0xFFFF
+OLDEST_EDGE = (1 << 31) - 1  # ages saturate here (134 s): the 32-bit time would make an older edge look fresh
+
+_U32 = 0xFFFFFFFF
+_U16 = 0xFFFF
+_NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
+_RAMPING, _RELEASED = int(LimitFlag.RAMPING), int(LimitFlag.HOLD_TO_RUN_RELEASED)
+_EMERGENCY, _HELD = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN)
+_MODES = frozenset(int(mode) for mode in Mode)
+
+
+class SimulatedDevice:
+    """A rig behind the wire protocol; see the module's text for the order of a tick.
+
+    Parameters
+    ----------
+    model
+        The physics. Its current quantum is the one that the dictionary declares.
+    name
+        What the device calls itself; the model's name unless given.
+    position_rate_maximum, position_rate_default
+        Ticks a second (Hz) that it can run at most, and runs until it is configured.
+    seed
+        Of the current sensor's noise.
+    initial_position
+        Where the handle rests at power-up (rad or m); unless given, the model's own, else 0.
+    keep_truth
+        Remember the plant's state of every tick of a session for `truth`.
+
+    Attributes
+    ----------
+    connection
+        The protocol's end of this device: state, session, statistics.
+    hardware
+        The physics behind it; `hardware.external_effort` pushes the link.
+    inputs
+        `Input` bits that are active.
+    sample_index, time
+        Number and device time (1/16 µs since boot) of the last sample.
+    worst_execution_time
+        Longest tick since arming (1/16 µs), as the owner measured it.
+    missed_ticks
+        Ticks since arming that had no STATE, as the owner counted them.
+
+    Raises
+    ------
+    ConfigError
+        The default rate is above the maximum, or the model cannot be stepped at it.
+    """
+
+    def __init__(
+        self,
+        model: RigModel,
+        *,
+        name: str | None = None,
+        position_rate_maximum: int = 50_000,
+        position_rate_default: int = 1_000,
+        seed: int = 0,
+        initial_position: float | None = None,
+        keep_truth: bool = True,
+    ) -> None:
+        if not 1 <= position_rate_default <= position_rate_maximum:
+            raise ConfigError(
+                f"a default rate of {position_rate_default} Hz with a maximum of {position_rate_maximum} Hz",
+                remedy="choose a rate that the device can run",
+            )
+        self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)
+        self.connection = Connection(Role.DEVICE)
+        self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
+        self.inputs = 0
+        self._replies = Replies()
+        self._watchdog = Watchdog()
+        self._thermal = Thermal()
+        self._limits = Limits(self._thermal)
+        self._monitor = Monitor(model, self._thermal)
+        self._keep_truth = keep_truth
+        self._epoch_ns = 0
+        self._next_time = 0
+        self._rate = position_rate_default
+        self._start()
+
+    def _start(self) -> None:
+        """Set what a microcontroller has in its memory, as its reset leaves it."""
+        self.sample_index = self.time = self._received_at = 0
+        self._faults = FaultMemory()
+        self.hardware.reset()
+        self._configuration = Configuration(self._dictionary, self._apply)
+        self._truth = self.hardware.new_truth() if self._keep_truth else None
+        self._begin_session()
+
+    def _begin_session(self) -> None:
+        self._watchdog.idle(self.time)
+        self._limits.cut()
+        self._monitor.forget()
+        self._limits.flags = self._monitor.flags = 0
+        self._command_sequence = 0
+        self._command_index: int | None = None
+        self.worst_execution_time = self.missed_ticks = 0
+
+    # ------------------------------------------------------------------ time
+
+    @property
+    def time_ns(self) -> int:
+        """Device time of the last sample (ns since boot)."""
+        return self.time * _NS_NUMERATOR // _NS_DENOMINATOR
+
+    @property
+    def elapsed_ns(self) -> int:
+        """Simulated time since this object was made, over all resets (ns)."""
+        return self._epoch_ns + self.time_ns
+
+    @property
+    def next_tick_ns(self) -> int:
+        """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        return self._epoch_ns + self._next_time * _NS_NUMERATOR // _NS_DENOMINATOR
+
+    @property
+    def rate(self) -> int:
+        """Ticks a second (Hz)."""
+        return self._rate
+
+    @property
+    def current(self) -> int:
+        """Current in force, after all limits (quanta)."""
+        return self._limits.current
+
+    def _time_of(self, index: int) -> int:
+        """Device time of a sample, from its number: a period that is no whole number of units does not drift."""
+        return self._grid_time + (index - self._grid_index) * UNITS_PER_SECOND // self._rate
+
+    # ------------------------------------------------------------------ the tick
+
+    def tick(self) -> bytes:
+        """Let one period pass; return the STATE frame that is due then, or nothing."""
+        connection, hardware, limits, monitor = self.connection, self.hardware, self._limits, self._monitor
+        armed = connection.state is State.RUNNING or connection.state is State.ARMED
+        current = self._current() if armed else 0
+        hardware.advance(current)
+        count, measured = hardware.count, hardware.measured
+        self.sample_index += 1
+        self.time = self._next_time
+        self._next_time = self._time_of(self.sample_index + 1)
+        self._thermal.update(measured)
+        faults = monitor.check(count, current, measured)
+        flags = limits.flags | monitor.flags
+        self._faults.remember((self.sample_index & _U32, count, current, measured, flags))
+        if connection.session:
+            if faults:
+                self._latch(faults)
+            if self._truth is not None:
+                hardware.log(self._truth, self.sample_index)
+        elif not self._shows_itself():
+            return b""
+        limits.flags = monitor.flags = 0
+        return connection.send(self._state(count, current, measured, flags))
+
+    def miss(self) -> None:
+        """Let one period pass whose STATE was not sent, and count it: the owner was late."""
+        self.tick()
+        self.missed_ticks += 1
+
+    def _current(self) -> int:
+        """Current for the coming tick of an armed device (quanta)."""
+        limits, watchdog = self._limits, self._watchdog
+        if self.inputs & _EMERGENCY:
+            self._latch(1 << Fault.EMERGENCY_STOP)
+            return 0
+        wanted = watchdog.wanted(self._next_time, limits.current)
+        if watchdog.ramping:
+            limits.flags |= _RAMPING
+            if watchdog.lost:
+                self._latch(1 << Fault.LINK_LOST)
+                return 0
+        if self._needs_hold and not self.inputs & _HELD:
+            limits.flags |= _RELEASED
+            self._cut()
+            return 0
+        return limits.apply(wanted)
+
+    def _cut(self) -> None:
+        """Zero current, whatever the slew limit says."""
+        self._limits.cut()
+        self.hardware.cut()
+
+    def _latch(self, faults: int) -> None:
+        """Enter FAULT with bits ``1 << code``."""
+        self._faults.latch(faults, self.time)
+        self.connection.fault()
+        self._cut()
+
+    def _shows_itself(self) -> bool:
+        """Whether a STATE is due in a device that nobody has armed."""
+        if self.connection.state is State.BOOT:
+            return False
+        return self.sample_index % max(1, self._rate // UNARMED_STATES_HZ) == 0
+
+    def _state(self, count: int, current: int, measured: int, flags: int) -> m.State:
+        age = NO_COMMAND_YET
+        if self._command_index is not None:
+            age = min(self.sample_index - self._command_index, _U16)
+        edge_age = min(self.hardware.edge_age_s * UNITS_PER_SECOND, self.time, OLDEST_EDGE)
+        return m.State(
+            self._command_sequence,
+            age,
+            self.sample_index & _U32,
+            self.time & _U32,
+            count,
+            (self.time - round(edge_age)) & _U32,
+            measured,
+            current,
+            flags,
+            self._faults.latched,
+            min(self.worst_execution_time, _U16),
+            min(self.missed_ticks, _U16),
+            self.connection.state,
+            self.inputs,
+        )
+
+    # ------------------------------------------------------------------ the conversation
+
+    def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
+        """Take bytes of the host and return the answers; any bytes, in any pieces.
+
+        `received_at` is when they came (device time), for the stamps of TIME; unless given, the last sample's.
+        """
+        self._received_at = self.time if received_at is None else received_at
+        connection = self.connection
+        connection.receive_data(data)
+        answers = b""
+        while (event := connection.next_event()) is not None:
+            if isinstance(event, Received) and isinstance(event.message, m.Command):
+                self._command(event.message, event.sequence)
+            else:
+                answers += connection.send(self._answer(event))
+        return answers
+
+    def _command(self, command: m.Command, sequence: int) -> None:
+        if command.mode not in _MODES:
+            self.connection.statistics.malformed += 1
+            return
+        self._command_sequence = sequence
+        self._command_index = self.sample_index
+        if command.mode == Mode.STOP:
+            self._watchdog.idle(self.time)
+            self._cut()
+            return
+        supervise = command.mode == Mode.SUPERVISE
+        cap = self._supervise_lifetime if supervise else self._command_lifetime
+        lifetime = min(command.lifetime_us * UNITS_PER_US, cap)
+        self._watchdog.feed(self.time, 0 if supervise else command.current, lifetime, self._ramp)
+
+    def _answer(self, event: Event) -> Message:
+        if isinstance(event, Refused):
+            return self._replies.answer(event, event.ack)
+        handler = self._handlers().get(type(event.message))
+        if handler is None:
+            return event.ack(Status.UNSUPPORTED)
+        return self._replies.answer(event, lambda: handler(event.message, event))
+
+    def _handlers(self) -> dict[type[Message], Callable[[Any, Received], Message]]:
+        """Request → what executes it and makes its answer."""
+        return {
+            m.Identify: lambda request, _: self._configuration.identity(request, self.connection.state),
+            m.GetParameters: lambda request, _: self._configuration.parameters(request),
+            m.GetTime: lambda request, _: self._stamps(request),
+            m.GetFaultLog: lambda request, _: self._faults.page(request),
+            m.SetBegin: lambda request, event: self._ack(event, self._configuration.begin(request)),
+            m.SetChunk: lambda request, event: self._ack(
+                event, self._configuration.chunk(request), request.offset
+            ),
+            m.SetCommit: lambda request, event: self._ack(event, *self._configuration.commit(request)),
+            m.Arm: lambda request, event: self._ack(event, *self._arm(request)),
+            m.Disarm: lambda _, event: self._ack(event, *self._disarm()),
+        }
+
+    def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
+        """ACK that names the first tick which sees the change, and the parameters in force."""
+        crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
+        return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
+
+    def _stamps(self, request: m.GetTime) -> m.Time:
+        received = self._received_at
+        return m.Time(request.nonce, request.host_sent, received, max(received, self.time))
+
+    def _arm(self, request: m.Arm) -> tuple[Status, int]:
+        configuration = self._configuration
+        if (request.dictionary_hash, request.parameters_crc) != (configuration.hash, configuration.crc):
+            return Status.HASH_MISMATCH, 0
+        if not configuration.homed:
+            return Status.NOT_HOMED, 0
+        if not configuration.values["verified"]:
+            return Status.NOT_VERIFIED, 0
+        present = self._present_fault()
+        if not present and not self._monitor.in_window(self.hardware.count):
+            present = Fault.POSITION_WINDOW
+        if present:
+            return Status.FAULT_PRESENT, present
+        self._begin_session()
+        return Status.OK, 0
+
+    def _disarm(self) -> tuple[Status, int]:
+        present = self._present_fault() if self.fault else Fault.NONE
+        if present:
+            return Status.FAULT_PRESENT, present
+        self._faults.clear()
+        self._cut()
+        return Status.OK, 0
+
+    def _present_fault(self) -> Fault:
+        """Return the cause of a fault that is there now and will not go by itself when the effort is zero."""
+        if self.inputs & _EMERGENCY:
+            return Fault.EMERGENCY_STOP
+        return Fault.THERMAL if self._thermal.overheated else Fault.NONE
+
+    def _apply(self, values: Mapping[str, Value]) -> None:
+        """Run under new parameters from the next tick on, or raise `ParameterError` and go on as before."""
+        rate = int(values["position_rate"])
+        try:
+            self.hardware.set_rate(rate)
+        except ConfigError as error:
+            number = BY_NAME["position_rate"].id
+            raise ParameterError(Status.INCONSISTENT, error.message, detail=number) from error
+        self._rate = rate
+        self._grid_index, self._grid_time = self.sample_index, self.time
+        self._next_time = self._time_of(self.sample_index + 1)
+        self._thermal.configure(values["continuous_current"], values["thermal_time_constant"], rate)
+        self._limits.configure(values)
+        self._monitor.configure(values, self.hardware.count)
+        self._needs_hold = bool(values["hold_to_run"])
+        self._command_lifetime = int(values["command_lifetime_us"]) * UNITS_PER_US
+        self._supervise_lifetime = int(values["supervise_lifetime_us"]) * UNITS_PER_US
+        self._ramp = int(values["ramp_us"]) * UNITS_PER_US
+
+    # ------------------------------------------------------------------ the world
+
+    @property
+    def fault(self) -> Fault:
+        """The fault that is latched, or NONE."""
+        return self._faults.latched
+
+    def press_emergency_stop(self, pressed: bool = True) -> None:
+        """Press the emergency stop, or release it."""
+        self.inputs = self.inputs | _EMERGENCY if pressed else self.inputs & ~_EMERGENCY
+
+    def hold_to_run(self, held: bool) -> None:
+        """Hold the hold-to-run switch, or let it go."""
+        self.inputs = self.inputs | _HELD if held else self.inputs & ~_HELD
+
+    def inject_fault(self, fault: Fault) -> None:
+        """Let the device find a fault: zero effort from here on, FAULT latched."""
+        if fault is Fault.ENCODER:
+            self._configuration.homed = False
+        self._latch(1 << fault)
+
+    def reset(self) -> None:
+        """Reboot: parameters, homing, session and time are gone; the handle moves on without effort."""
+        self._epoch_ns = self.elapsed_ns
+        self.connection.reset()
+        self._replies.forget()
+        self._cut()
+        self._start()
+
+    def truth(self) -> NDArray[np.void]:
+        """Return the plant's state in every tick of a session since boot, dtype `rig.sample.TRUTH`."""
+        return (self._truth or self.hardware.new_truth()).table()

@@ -1,0 +1,106 @@
+"""The simulated board's hardware: encoder counter, current amplifier and sensor, and the rig that hangs on them.
+
+The seam between `device`, which is software, and the physics: a current goes in for one tick; a count, the age of
+its last edge and a measured current come out. It mirrors the hardware layer of a firmware.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rig.model import RigModel
+from sim_backend.plant import DiscretePlant, advance
+from sim_backend.sensors import current_quanta
+from sim_backend.truth import TruthLog
+
+_NOISE_BLOCK = 4096
+
+
+class Hardware:
+    """A rig at rest, with its sensors.
+
+    Parameters
+    ----------
+    model
+        The physics.
+    rate
+        Ticks a second (Hz).
+    seed
+        Of the current sensor's noise.
+    initial_position
+        Where the handle rests at power-up (rad or m); None for the model's own, else 0.
+
+    Attributes
+    ----------
+    count
+        Encoder count at the last sample.
+    measured
+        Measured motor current at the last sample (quanta).
+    external_effort
+        Effort of the world on the link (N·m or N), from the next tick on.
+    """
+
+    def __init__(self, model: RigModel, rate: int, *, seed: int, initial_position: float | None) -> None:
+        if initial_position is None:
+            initial_position = model.simulation.initial_position or 0.0
+        self._model = model
+        self._plant = DiscretePlant.build(model, 1.0 / rate)
+        self._state = self._plant.at_rest(initial_position)
+        self._effort_quantum = model.amplifier.effort_quantum
+        self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
+        self._quantum_a = model.amplifier.current_quantum_a
+        self._noise = _Noise(model.amplifier.current_noise_a, seed)
+        self.external_effort = 0.0
+        self.count = self._plant.count(self._state)
+        self.measured = 0
+
+    def set_rate(self, rate: int) -> None:
+        """Tick at another rate (Hz) from here on; the motion goes on. Raises `ConfigError` and changes nothing."""
+        self._plant = DiscretePlant.build(self._model, 1.0 / rate)
+
+    def advance(self, current: int) -> None:
+        """Let one tick pass under a current (quanta), then sample."""
+        plant, state = self._plant, self._state
+        effort = current * self._effort_quantum
+        self.count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, self.external_effort)
+        measured_a = state.item(plant.effort) * self._ampere_per_effort + self._noise.next()
+        self.measured = current_quanta(measured_a, self._quantum_a)
+
+    @property
+    def edge_age_s(self) -> float:
+        """Age of the last encoder edge at the last sample (s); ∞ when there was none."""
+        return self._state.item(self._plant.edge_age)
+
+    def cut(self) -> None:
+        """Pull the amplifier's enable low: commands that are on their way are gone too."""
+        self._state[self._plant.commands] = 0.0
+
+    def reset(self) -> None:
+        """Forget the captured edge, as the counter's own reset does; the rig moves on."""
+        self._state[self._plant.edge_age] = math.inf
+
+    def new_truth(self) -> TruthLog:
+        """Return an empty log for this plant's states."""
+        return TruthLog(self._plant, self._state)
+
+    def log(self, truth: TruthLog, sample_index: int) -> None:
+        """Write the present state into a log."""
+        truth.add(sample_index, self._state)
+
+
+class _Noise:
+    """Gaussian noise of the current sensor (A), drawn in blocks: one draw at a time costs a microsecond."""
+
+    def __init__(self, rms_a: float, seed: int) -> None:
+        self._rms_a = rms_a
+        self._generator = np.random.default_rng(seed)
+        self._drawn: list[float] = []
+
+    def next(self) -> float:
+        if self._rms_a == 0.0:
+            return 0.0
+        if not self._drawn:
+            self._drawn = self._generator.normal(0.0, self._rms_a, _NOISE_BLOCK).tolist()
+        return self._drawn.pop()

@@ -1,0 +1,285 @@
+"""The simulated rig in this process, in virtual time: bytes by function call, hours in seconds, every run alike.
+
+Time moves only while the host waits. A host that waits for bytes lets the device tick until it says something, so
+the device never passes sample k before the COMMAND that answers it has been delivered: lock-step, without a delay.
+A host that sleeps on the link's clock lets the device tick that long without it, as a slow host would.
+
+It mirrors a serial port and its driver: a bounded input buffer that throws away what nobody reads, EIO after an unplug.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.faults import Fault
+from rig.clock import VirtualClock
+from rig.devices.device import DeviceUrl, LoopPort
+from rig.errors import ConfigError, LinkLostError
+from rig.model import RigModel
+from sim_backend.channel import Direction, Faults, Line
+from sim_backend.device import SimulatedDevice
+
+OPTIONS: dict[str, type] = {
+    "seed": int,
+    "initial_position": float,
+    "offset": float,
+    "position_rate_default": int,
+    "position_rate_maximum": int,
+}
+BUFFER_BYTES = 1 << 16  # of input that nobody reads, as of a driver; what comes then is lost
+
+_TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_URL = DeviceUrl("sim", "", {}, "sim://")
+
+
+def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
+    """Open ``sim://name?seed=3&offset=0.25``: a fresh simulated device, at rest, powered up at this moment.
+
+    Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
+    0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz).
+
+    Raises
+    ------
+    ConfigError
+        No model, an unknown option, or a value that it cannot have.
+    """
+    if model is None:
+        raise ConfigError(f"{url.text}: nothing to simulate", remedy="name a rig, like sim://koul-compliant")
+    options = _parse(url)
+    if "offset" in options:
+        model = _with_offset(url, model, options.pop("offset"))
+    return MemoryLink(SimulatedDevice(model, **options), url=url)
+
+
+def _parse(url: DeviceUrl) -> dict[str, Any]:
+    options: dict[str, Any] = {}
+    for name, text in url.options.items():
+        kind = OPTIONS.get(name)
+        if kind is None:
+            raise ConfigError(
+                f"{url.text}: unknown option {name!r}", remedy=f"known options: {', '.join(OPTIONS)}"
+            )
+        try:
+            options[name] = kind(text)
+        except ValueError:
+            what = "a whole number" if kind is int else "a number"
+            raise ConfigError(f"{url.text}: {name} = {text!r} is not {what}", remedy=f"give {what}") from None
+    _check(url, options)
+    return options
+
+
+def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
+    allowed: dict[str, Callable[[Any], bool]] = {
+        "seed": lambda value: value >= 0,
+        "initial_position": np.isfinite,
+        "offset": lambda value: 0.0 <= value < 1.0,
+        "position_rate_default": lambda value: 50 <= value <= 50_000,
+        "position_rate_maximum": lambda value: 50 <= value <= 50_000,
+    }
+    for name, value in options.items():
+        if not allowed[name](value):
+            raise ConfigError(
+                f"{url.text}: {name} = {value} is out of range",
+                remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, a seed is not negative",
+            )
+
+
+def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
+    return replace(model, encoder=replace(model.encoder, offset=offset))
+
+
+class MemoryLink:
+    """`rig.devices.device.Link` over a `SimulatedDevice` in this process.
+
+    Parameters
+    ----------
+    device
+        The far end.
+    faults
+        What goes wrong, and when; None for a line that never fails.
+    url
+        How it was named.
+
+    Attributes
+    ----------
+    device
+        The far end, for tests that look at it or act on it as the world does.
+    line
+        The failing line with its counters, or None.
+    discarded
+        Bytes that came while the buffer was full.
+    """
+
+    bytes_per_second: float | None = None
+
+    def __init__(
+        self, device: SimulatedDevice, faults: Faults | None = None, *, url: DeviceUrl = _URL
+    ) -> None:
+        self.url = url
+        self.clock = VirtualClock()
+        self.device = device
+        self.line = None if faults is None else Line(faults.frames)
+        self.discarded = 0
+        self._device_faults = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
+        self._ticks = 0
+        self._start_ns = device.elapsed_ns
+        self._arrived = bytearray()
+        self._failure: BaseException | None = None
+        self._closed = False
+        self._port: LoopPort | None = None
+
+    # ------------------------------------------------------------------ Link
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived, letting at most `timeout_s` of virtual time pass for the first byte."""
+        self._wait(self.clock.now_ns() + round(max(0.0, timeout_s) * 1e9))
+        data = bytes(self._arrived)
+        self._arrived.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`; it is there at once."""
+        self._check_open()
+        self._catch_up()
+        if self.line is not None:
+            self.line.send(Direction.TO_DEVICE, data, self._ticks)
+            self._check_open()
+            data = self.line.receive(Direction.TO_DEVICE, self._ticks)
+        self._to_host(self.device.receive(data))
+
+    def port(self) -> LoopPort:
+        """Return the plug functions of the loop: callbacks that come back into this object."""
+        if self._port is None:
+            self._port = self._make_port()
+        return self._port
+
+    def failure(self) -> BaseException | None:
+        """Return the exception that the simulation raised inside the loop, or None; a scripted unplug is none."""
+        return self._failure
+
+    def truth(self) -> NDArray[np.void]:
+        """Return the plant's true state in every tick of a session (`rig.sample.TRUTH`)."""
+        return self.device.truth()
+
+    def close(self) -> None:
+        """Go away. The device stays as it is, and its watchdog runs when time does: see `elapse`."""
+        self._closed = True
+
+    # ------------------------------------------------------------------ virtual time
+
+    def elapse(self, duration_s: float) -> None:
+        """Let time pass without the host: it is busy, hangs, or was killed. Works on a closed link too."""
+        self.clock.sleep_until(self.clock.now_ns() + round(duration_s * 1e9))
+        self._catch_up()
+
+    def _next_tick_ns(self) -> int:
+        return self.device.next_tick_ns - self._start_ns
+
+    def _catch_up(self) -> None:
+        """Bring the device to the clock's time, which the host may have moved by sleeping."""
+        now_ns = self.clock.now_ns()
+        while self._next_tick_ns() <= now_ns:
+            self._tick()
+
+    def _wait(self, deadline_ns: int) -> bool:
+        """Let time pass until something has arrived, or to the deadline; whether something is there."""
+        self._check_open()
+        self._catch_up()
+        while not self._arrived:
+            tick_ns = self._next_tick_ns()
+            if tick_ns > deadline_ns:
+                self.clock.sleep_until(deadline_ns)
+                return False
+            self._tick()
+            self.clock.sleep_until(tick_ns)
+            self._check_open()
+        return True
+
+    def _tick(self) -> None:
+        while self._device_faults and self._device_faults[0].tick <= self._ticks:
+            fault = self._device_faults.pop(0).fault
+            if fault is Fault.EMERGENCY_STOP:
+                self.device.press_emergency_stop()
+            else:
+                self.device.inject_fault(fault)
+        state = self.device.tick()
+        self._ticks += 1
+        if self.line is None:
+            self._keep(state)
+            return
+        late = self.line.receive(Direction.TO_DEVICE, self._ticks)
+        if late:
+            state += self.device.receive(late)
+        self._to_host(state)
+
+    def _to_host(self, data: bytes) -> None:
+        if self.line is not None:
+            self.line.send(Direction.TO_HOST, data, self._ticks)
+            data = self.line.receive(Direction.TO_HOST, self._ticks)
+        self._keep(data)
+
+    def _keep(self, data: bytes) -> None:
+        room = BUFFER_BYTES - len(self._arrived)
+        self.discarded += max(0, len(data) - room)
+        self._arrived += data[:room]
+
+    def _check_open(self) -> None:
+        if self._closed or (self.line is not None and self.line.unplugged):
+            raise LinkLostError(
+                f"{self.url.text} is gone ({'closed' if self._closed else 'unplugged'})",
+                remedy="open it again; the device cuts the effort by itself",
+            )
+
+    # ------------------------------------------------------------------ the compiled loop
+
+    def _make_port(self) -> LoopPort:
+        from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
+
+        def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
+            callback = kind(self._guarded(function))
+            address = ctypes.cast(callback, ctypes.c_void_p).value
+            assert address is not None
+            return NativeFunction(address, signature, keep=callback)
+
+        return LoopPort(
+            read=native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
+            write=native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
+            wait=native(_WAIT, lambda handle, deadline_ns: int(self._wait(deadline_ns)), WAIT_SIGNATURE),
+            handle=0,
+            now=self.clock.now_plug,
+            clock_handle=self.clock.handle,
+        )
+
+    def _guarded(self, function: Callable[..., int]) -> Callable[..., int]:
+        """Wrap a callback so that nothing escapes into compiled code: a lost link and any failure become -EIO."""
+
+        def call(*arguments: int) -> int:
+            try:
+                return function(*arguments)
+            except LinkLostError:
+                return -errno.EIO
+            except BaseException as failure:
+                self._failure = self._failure or failure
+                return -errno.EIO
+
+        return call
+
+    def _plug_read(self, handle: int, address: int, size: int) -> int:
+        self._check_open()
+        data = self._arrived[:size]
+        if data:
+            ctypes.memmove(address, bytes(data), len(data))
+            del self._arrived[:size]
+        return len(data)
+
+    def _plug_write(self, handle: int, address: int, size: int) -> int:
+        self.write(ctypes.string_at(address, size))
+        return size

@@ -1,0 +1,67 @@
+"""What the simulated sensors and the amplifier's converter make of true values: counts and current quanta.
+
+The simulated device and the sweep without bytes call these same functions, so that both see the same
+quantisation. The encoder mirrors a quadrature counter (data sheet: cycles per revolution, times decoding);
+the current quantum mirrors the one that IDENTIFY declares.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import types
+
+from firmware_protocol.kernel import kernel
+
+CURRENT_QUANTA_LIMIT = 32767.0  # i16 on the wire; symmetric, so that negating a current never overflows
+
+
+@kernel(types.int64(types.float64, types.float64, types.float64), inline=True)
+def cell(position: float, resolution: float, offset: float) -> int:
+    """Encoder cell that contains a position: floor(position / resolution + offset), before the sign.
+
+    Parameters
+    ----------
+    position
+        True position of the sensed side (rad or m), finite.
+    resolution
+        Travel for one count (rad or m), above zero.
+    offset
+        Where position zero lies in its cell (count): 0.5 rounds to the nearest count, 0 truncates downwards.
+    """
+    return math.floor(position / resolution + offset)
+
+
+@kernel(types.int64(types.float64, types.float64, types.float64, types.int64), inline=True)
+def encoder_count(position: float, resolution: float, offset: float, sign: int) -> int:
+    """Count that the encoder shows at a position: sign · floor(position / resolution + offset).
+
+    Parameters
+    ----------
+    position, resolution, offset
+        See `cell`.
+    sign
+        −1 for an encoder whose counts fall while the position rises, else +1.
+    """
+    return sign * cell(position, resolution, offset)
+
+
+@kernel(types.int64(types.float64, types.float64), inline=True)
+def current_quanta(current_a: float, quantum_a: float) -> int:
+    """Current as a whole number of quanta: floor(current / quantum + ½), within ±32767.
+
+    Parameters
+    ----------
+    current_a
+        Current (A). A value that is not a number gives 0, an infinite one the limit.
+    quantum_a
+        Size of one quantum (A), above zero.
+
+    Notes
+    -----
+    Nearest, halves towards +∞: the rule of the encoder and of the command (`rig.guard.current_quanta`).
+    """
+    quanta = current_a / quantum_a
+    if math.isnan(quanta):
+        return 0
+    return math.floor(min(max(quanta, -CURRENT_QUANTA_LIMIT), CURRENT_QUANTA_LIMIT) + 0.5)

@@ -1,0 +1,43 @@
+"""The plant's own state, tick by tick, for comparison with what a rig can record."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.sample import TRUTH
+from sim_backend.plant import DiscretePlant, Vector
+
+_FIRST_ROWS = 4096
+
+
+class TruthLog:
+    """States of a plant by sample index; the buffers double when they are full."""
+
+    def __init__(self, plant: DiscretePlant, state: Vector) -> None:
+        self._plant = plant
+        self._size = 0
+        self._indices = np.zeros(_FIRST_ROWS, np.int64)
+        self._states = np.zeros((_FIRST_ROWS, len(state)))
+
+    def add(self, sample_index: int, state: Vector) -> None:
+        """Copy one state."""
+        row = self._size
+        if row == len(self._indices):
+            self._indices = np.concatenate([self._indices, np.zeros_like(self._indices)])
+            self._states = np.concatenate([self._states, np.zeros_like(self._states)])
+        self._indices[row] = sample_index
+        self._states[row] = state
+        self._size = row + 1
+
+    def table(self) -> NDArray[np.void]:
+        """Return the rows so far, dtype `rig.sample.TRUTH`."""
+        plant, states = self._plant, self._states[: self._size]
+        rows = np.zeros(self._size, TRUTH)
+        rows["sample_index"] = self._indices[: self._size]
+        rows["position_true"] = states[:, plant.sensed_position]
+        rows["velocity_true"] = states[:, plant.sensed_position + 1]
+        rows["effort_true"] = states[:, plant.effort]
+        rows["handle_position_true"] = states[:, plant.handle_position]
+        rows["handle_velocity_true"] = states[:, plant.handle_position + 1]
+        return rows

@@ -1,0 +1,237 @@
+"""What every device must do, whoever built it: the conformance suite of the far end, over its link.
+
+`check_device` asks through a real link and knows the far end by its answers alone. The twin, its process, the
+firmware and a real rig run it alike; a rig on a bench must be free to move by a few counts.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+import time
+from collections.abc import Callable
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, LimitFlag, Status
+from firmware_protocol.framing import decode_frame, encode_frame
+from firmware_protocol.packing import pack, unpack_fault_entries
+from firmware_protocol.parameters import BY_NAME, block_crc, decode_block, encode_block
+from rig.devices.device import Link
+from tests.conformance.host import RUN_PARAMETERS, Host
+
+UNITS_PER_US = 16
+PROBE_CURRENT = 100  # quanta: small enough for a bench, large enough to see a ramp
+MakeLink = Callable[[], Link]
+
+
+def check_device(make_device_connection: MakeLink, *, starts_in_boot: bool = True) -> None:
+    """Run all checks; each asks `make_device_connection()` for a link to a device that nobody has armed.
+
+    Parameters
+    ----------
+    make_device_connection
+        Returns an open link; it is closed here.
+    starts_in_boot
+        Whether each link leads to a device that has just started. A process or a board that lives on between two
+        links says False, and what only a fresh device shows is not asked.
+    """
+    checks = [
+        _identifies,
+        _runs_through_the_states,
+        _refuses_to_arm,
+        _sets_all_or_nothing,
+        _wants_to_be_verified_again,
+        _stops_at_once,
+        _ramps_down_when_the_host_falls_silent,
+        _answers_what_it_does_not_know,
+        _survives_noise,
+        _executes_once,
+        _tells_the_time,
+    ]
+    for check in [_refuses_to_arm_unhomed, *checks] if starts_in_boot else checks:
+        link = make_device_connection()
+        try:
+            check(Host(link))
+        finally:
+            link.close()
+
+
+def _identifies(host: Host) -> None:
+    about = host.identify()
+    assert about.major == m.MAJOR
+    assert 50 <= about.position_rate_default <= about.position_rate_maximum
+    assert host.connection.state >= State.IDENTIFIED
+    again = host.identify()
+    assert again == about
+
+
+def _runs_through_the_states(host: Host) -> None:
+    host.identify()
+    ack = host.configure(**RUN_PARAMETERS)
+    assert (ack.status, host.connection.state) == (Status.OK, State.CONFIGURED)
+    ack = host.arm(_unused_session(), ack.crc)
+    assert (ack.status, host.connection.state) == (Status.OK, State.ARMED)
+    armed = host.next_state()
+    assert (armed.state, armed.command_age, armed.current_commanded) == (State.ARMED, 0xFFFF, 0)
+    indices = []
+    for _ in range(20):
+        host.command(0)
+        indices.append(host.next_state().sample_index)
+    assert indices == sorted(set(indices))
+    assert host.states[-1].state == State.RUNNING
+    assert host.disarm().status == Status.OK
+    assert host.connection.state is State.CONFIGURED
+
+
+def _refuses_to_arm_unhomed(host: Host) -> None:
+    host.identify()
+    host.believe(State.CONFIGURED)
+    assert host.arm(1, 0).status == Status.BAD_STATE
+    unhomed = {name: value for name, value in RUN_PARAMETERS.items() if name != "reference_count"}
+    ack = host.configure(**unhomed)
+    assert host.arm(1, ack.crc).status == Status.NOT_HOMED
+
+
+def _refuses_to_arm(host: Host) -> None:
+    host.identify()
+    crc = host.configure(**RUN_PARAMETERS).crc
+    session = _unused_session()
+    wrong_hash = host.ask(m.Arm(host.nonce(), host.hash ^ 1, crc), session)
+    assert wrong_hash.status == Status.HASH_MISMATCH
+    assert host.arm(session, crc ^ 1).status == Status.HASH_MISMATCH
+    assert host.arm(session, crc).status == Status.OK
+    assert host.disarm().status == Status.OK
+    successor = Host(host.link, first_nonce=1_000)  # another process, which does not know of the session
+    successor.identify()
+    assert successor.arm(session, crc).status == Status.STALE_SESSION
+    assert successor.connection.state is State.CONFIGURED
+    unverified = successor.configure(**{**RUN_PARAMETERS, "verified": 0})
+    assert successor.arm(session % 255 + 1, unverified.crc).status == Status.NOT_VERIFIED
+
+
+def _sets_all_or_nothing(host: Host) -> None:
+    host.identify()
+    before_crc = host.configure(**RUN_PARAMETERS).crc
+    before = host.parameters()
+    assert block_crc(before) == before_crc
+    for name, value in RUN_PARAMETERS.items():
+        assert decode_block(before)[name] == value
+    ramp = BY_NAME["ramp_us"].id
+    out_of_range = (
+        encode_block({"position_rate": 50}) + ramp.to_bytes(2, "little") + (10_001).to_bytes(4, "little")
+    )
+    ack = host.set_block(out_of_range)
+    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, ramp)
+    assert host.set_block((999).to_bytes(2, "little") + bytes(4)).status == Status.UNKNOWN_PARAMETER
+    ack = host.configure(window_minimum=10, window_maximum=-10)
+    assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["window_maximum"].id)
+    assert host.set_block(b"\x01").status == Status.BAD_LENGTH
+    assert host.parameters() == before
+
+
+def _wants_to_be_verified_again(host: Host) -> None:
+    host.identify()
+    host.configure(**RUN_PARAMETERS)
+    ack = host.configure(ramp_us=5_000)
+    assert decode_block(host.parameters())["verified"] == 0
+    assert host.arm(_unused_session(), ack.crc).status == Status.NOT_VERIFIED
+
+
+def _stops_at_once(host: Host) -> None:
+    host.begin(_unused_session())
+    _drive(host)
+    host.command(mode=m.Mode.STOP)
+    states = [host.next_state() for _ in range(5)]
+    assert {state.current_commanded for state in states} <= {0, PROBE_CURRENT}, "no ramp"
+    assert (states[-1].current_commanded, states[-1].state) == (0, State.RUNNING)
+    host.disarm()
+
+
+def _ramps_down_when_the_host_falls_silent(host: Host) -> None:
+    """Zero within lifetime + 10 ms, never rising; then latched, and left by an explicit clear alone."""
+    host.begin(_unused_session())
+    _drive(host, lifetime_us=10_000)
+    seen = [host.states[-1]]
+    while seen[-1].state != State.FAULT:
+        seen.append(host.next_state())
+    currents = [state.current_commanded for state in seen]
+    assert currents == sorted(currents, reverse=True)
+    assert seen[-1].current_commanded == 0
+    assert any(state.limits & LimitFlag.RAMPING for state in seen)
+    passed_us = ((seen[-1].device_time - seen[0].device_time) & 0xFFFFFFFF) / UNITS_PER_US
+    period_us = passed_us / (seen[-1].sample_index - seen[0].sample_index)
+    assert (seen[-1].command_age - 1) * period_us <= 10_000 + 10_000
+    assert seen[-1].fault == Fault.LINK_LOST
+    assert host.disarm().status == Status.FAULT_LATCHED
+    log = host.ask(m.GetFaultLog(host.nonce(), 0))
+    assert log.fault == Fault.LINK_LOST
+    assert log.total >= len(unpack_fault_entries(log.data)) > 0
+    assert host.disarm(clear_fault=True).status == Status.OK
+    assert host.connection.state is State.CONFIGURED
+
+
+def _answers_what_it_does_not_know(host: Host) -> None:
+    host.identify()
+    unknown = pack(m.Identify(77, 0))
+    host.link.write(encode_frame(bytes([m.MAJOR, 0x3E]) + unknown[2:]))
+    ack = host.answer(77)
+    assert (ack.request, ack.status) == (0x3E, Status.UNSUPPORTED)
+    foreign = pack(m.Identify(78, 0))
+    host.link.write(encode_frame(bytes([m.MAJOR + 1]) + foreign[1:]))
+    assert host.answer(78).dictionary_hash == host.hash  # IDENTIFY is answered to every major
+    foreign = pack(m.GetTime(79, 0))
+    host.link.write(encode_frame(bytes([m.MAJOR + 1]) + foreign[1:]))
+    for _ in range(5):
+        assert all(getattr(event.message, "nonce", 0) != 79 for event in host.events(0.01))
+
+
+def _survives_noise(host: Host) -> None:
+    noise = random.Random(1)
+    for _ in range(20):
+        host.link.write(noise.randbytes(200))
+    host.link.write(b"\0")  # ends whatever frame the noise began
+    host.identify()
+    damaged = bytearray(host.sent)
+    damaged[len(damaged) // 2] ^= 0x10
+    host.link.write(bytes(damaged) + b"\0")
+    host.identify()
+
+
+def _executes_once(host: Host) -> None:
+    """The answer to ARM was lost: the repeat gets the same answer, and no second session begins."""
+    host.identify()
+    crc = host.configure(**RUN_PARAMETERS).crc
+    first = host.arm(_unused_session(), crc)
+    frame = host.sent
+    assert decode_frame(frame[:-1])[1] == first.request
+    host.link.write(frame)
+    assert host.answer(first.nonce) == first
+    assert host.disarm().status == Status.OK
+
+
+def _tells_the_time(host: Host) -> None:
+    host.identify()
+    earlier = 0
+    for host_sent in (0, 1, 2**64 - 1):
+        stamps = host.ask(m.GetTime(host.nonce(), host_sent))
+        assert stamps.host_sent == host_sent
+        assert earlier <= stamps.device_received <= stamps.device_sent
+        earlier = stamps.device_sent
+
+
+def _drive(host: Host, lifetime_us: int = 20_000) -> None:
+    """Command until the current flows; the newest STATE shows it."""
+    for _ in range(10):
+        host.command(PROBE_CURRENT, lifetime_us=lifetime_us)
+        if host.next_state().current_commanded == PROBE_CURRENT:
+            return
+    raise AssertionError("the commanded current never came into force")
+
+
+_sessions = itertools.count(time.time_ns())
+
+
+def _unused_session() -> int:
+    """A session number that differs from the one before, and hardly is the last one of another process."""
+    return 1 + next(_sessions) % 255

@@ -1,0 +1,141 @@
+"""A host in twenty lines for the conformance suites: one transaction at a time over any link."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from firmware_protocol import dictionary, transfer
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.messages import Message, Role
+from firmware_protocol.parameters import Value, encode_block
+from rig.devices.device import Link
+
+ANSWER_S = 2.0  # far beyond any honest answer
+RUN_PARAMETERS: dict[str, Value] = {
+    "reference_count": 0,
+    "verified": 1,
+    "command_lifetime_us": 20_000,
+    "current_limit": 500,
+    "continuous_current": 500,
+    "speed_limit": 1_000_000,
+    "window_minimum": -1_000_000,
+    "window_maximum": 1_000_000,
+}
+
+
+class Host:
+    """Asks and answers over a link; STATE frames that come meanwhile lie in `states`."""
+
+    def __init__(self, link: Link, *, first_nonce: int = 1) -> None:
+        self.link = link
+        self.connection = Connection(Role.HOST)
+        self.states: list[m.State] = []
+        self.sequences: list[int] = []  # of the frames of `states`
+        self.sent = b""  # the last frame
+        self._nonce = first_nonce - 1
+
+    def nonce(self) -> int:
+        """Return a nonce that this host has not used."""
+        self._nonce += 1
+        return self._nonce
+
+    def send(self, message: Message, session: int | None = None) -> None:
+        """Send, and wait for nothing."""
+        self.sent = self.connection.send(message, session=session)
+        self.link.write(self.sent)
+
+    def events(self, timeout_s: float) -> Iterator[Received]:
+        """Read once and return what that completes."""
+        self.connection.receive_data(self.link.read(timeout_s))
+        while (event := self.connection.next_event()) is not None:
+            assert isinstance(event, Received)
+            if isinstance(event.message, m.State):
+                self.states.append(event.message)
+                self.sequences.append(event.sequence)
+            yield event
+
+    def ask(self, message: Message, session: int | None = None) -> Any:
+        """Send a request and return its answer."""
+        self.send(message, session)
+        return self.answer(message.nonce)  # type: ignore[attr-defined]
+
+    def answer(self, nonce: int) -> Any:
+        """Wait for the answer with a nonce."""
+        deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
+        while self.link.clock.now_ns() < deadline_ns:
+            for event in self.events(0.01):
+                if getattr(event.message, "nonce", None) == nonce:
+                    return event.message
+        raise AssertionError(f"no answer within {ANSWER_S} s")
+
+    def identify(self) -> dictionary.Dictionary:
+        """Read the whole dictionary; its hash is in `hash` afterwards."""
+        reader = transfer.PageReader(dictionary.COMPRESSED_LIMIT)
+        while not reader.complete:
+            page = self.ask(m.Identify(self.nonce(), reader.offset))
+            reader.add(total=page.total, fingerprint=page.dictionary_hash, offset=page.offset, data=page.data)
+        self.hash = page.dictionary_hash
+        assert dictionary.dictionary_hash(reader.content) == self.hash
+        return dictionary.decode(reader.content)
+
+    def parameters(self) -> bytes:
+        """Read the parameter block in force."""
+        reader = transfer.PageReader(0xFFFF)
+        while not reader.complete:
+            page = self.ask(m.GetParameters(self.nonce(), reader.offset))
+            reader.add(total=page.total, fingerprint=page.crc, offset=page.offset, data=page.data)
+        return reader.content
+
+    def set_block(self, block: bytes) -> m.Ack:
+        """Send a block as it is; return the answer to COMMIT, or the first refusal."""
+        for message in transfer.set_parameters(block, self.nonce()):
+            ack: m.Ack = self.ask(message)
+            if ack.status:
+                break
+        return ack
+
+    def configure(self, **values: Value) -> m.Ack:
+        """Put parameters in force."""
+        return self.set_block(encode_block(values))
+
+    def arm(self, session: int, crc: int) -> m.Ack:
+        """ARM with this host's dictionary hash."""
+        ack: m.Ack = self.ask(m.Arm(self.nonce(), self.hash, crc), session)
+        return ack
+
+    def disarm(self, clear_fault: bool = False) -> m.Ack:
+        """DISARM, with CLEAR_FAULT or without."""
+        ack: m.Ack = self.ask(m.Disarm(self.nonce(), int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0))
+        return ack
+
+    def believe(self, state: State) -> None:
+        """Take the device to be in another state, as a host does that lost track."""
+        self.connection.state = state
+
+    def begin(self, session: int = 1, **values: Value) -> None:
+        """Identify, configure for a run, arm."""
+        self.identify()
+        ack = self.configure(**{**RUN_PARAMETERS, **values})
+        assert ack.status == 0, ack
+        ack = self.arm(session, ack.crc)
+        assert ack.status == 0, ack
+
+    def command(self, current: int = 0, *, lifetime_us: int = 20_000, mode: int = m.Mode.CURRENT) -> None:
+        """Send a COMMAND that answers the newest STATE; a fault of the device does not deter this host."""
+        if self.connection.state is State.FAULT:
+            self.believe(State.RUNNING)
+        answers = self.sequences[-1] if self.sequences else 0
+        self.send(m.Command(answers, lifetime_us, int(mode), 0, current))
+
+    def next_state(self) -> m.State:
+        """Wait for a STATE and return the newest."""
+        self.states.clear()
+        deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
+        while self.link.clock.now_ns() < deadline_ns:
+            for _ in self.events(0.01):
+                pass
+            if self.states:
+                return self.states[-1]
+        raise AssertionError(f"no STATE within {ANSWER_S} s")

@@ -1,0 +1,166 @@
+"""What every link must do: the conformance suite of `rig.devices.device.Link`, in virtual and in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numba
+import numpy as np
+import pytest
+from numba import types
+
+from firmware_protocol import messages as m
+from firmware_protocol.kernel import kernel
+from rig.devices.device import Link
+from rig.errors import LinkLostError
+from rig.plugs import NOW, TRANSFER, WAIT
+from rig.sample import TRUTH
+from tests.conformance.host import Host
+
+MakeLink = Callable[[], Link]
+SHORT_S = 0.02
+COMPILED = (
+    not numba.config.DISABLE_JIT
+)  # plug points are function types of compiled code; else only Python's side runs
+
+
+def check_link(make_link: MakeLink, make_silent_link: MakeLink, *, slack_s: float = 0.0) -> None:
+    """Run all checks.
+
+    Parameters
+    ----------
+    make_link
+        Returns an open link to a device that answers IDENTIFY.
+    make_silent_link
+        Returns an open link whose far end says nothing.
+    slack_s
+        How much later than its time-out a call may return: 0 in virtual time.
+    """
+    for check in (
+        _carries_a_conversation,
+        _carries_single_bytes,
+        _serves_the_compiled_loop,
+        _is_gone_when_closed,
+    ):
+        link = make_link()
+        try:
+            check(link)
+        finally:
+            link.close()
+    link = make_silent_link()
+    try:
+        _waits_no_longer_than_asked(link, slack_s)
+    finally:
+        link.close()
+
+
+def _carries_a_conversation(link: Link) -> None:
+    host = Host(link)
+    before_ns = link.clock.now_ns()
+    for _ in range(3):
+        host.identify()
+    assert link.clock.now_ns() >= before_ns
+    assert link.failure() is None
+    truth = link.truth()
+    assert truth is None or truth.dtype == TRUTH
+
+
+def _carries_single_bytes(link: Link) -> None:
+    host = Host(link)
+    nonce = host.nonce()
+    for byte in host.connection.send(m.Identify(nonce, 0)):
+        link.write(bytes([byte]))
+    assert host.answer(nonce).nonce == nonce
+    link.write(b"")
+
+
+def _serves_the_compiled_loop(link: Link) -> None:
+    """The same conversation through the plug points of the compiled loop."""
+    if not COMPILED:
+        return
+    host = Host(link)
+    request = np.frombuffer(host.connection.send(m.Identify(host.nonce(), 0)), np.uint8).copy()
+    answer = np.zeros(4096, np.uint8)
+    port = link.port()
+    size = exchange(
+        port.read,
+        port.write,
+        port.wait,
+        port.now,
+        port.handle,
+        port.clock_handle,
+        request,
+        answer,
+        1_000_000_000,
+    )
+    assert size > 0, f"errno {-size}"
+    messages: list[object] = []
+    for _ in range(100):  # a STATE may come first
+        host.connection.receive_data(answer[:size].tobytes())
+        while (event := host.connection.next_event()) is not None:
+            messages.append(event.message)  # type: ignore[union-attr]
+        if any(isinstance(message, m.Identity) for message in messages):
+            break
+        size = listen(port.read, port.wait, port.handle, answer, link.clock.now_ns() + 1_000_000_000)
+    assert any(isinstance(message, m.Identity) for message in messages)
+    assert link.failure() is None
+
+
+def _is_gone_when_closed(link: Link) -> None:
+    link.close()
+    link.close()
+    with pytest.raises(LinkLostError):
+        link.read(SHORT_S)
+    with pytest.raises(LinkLostError):
+        link.write(b"\0")
+
+
+def _waits_no_longer_than_asked(link: Link, slack_s: float) -> None:
+    slack_ns = round(slack_s * 1e9)
+    before_ns = link.clock.now_ns()
+    assert link.read(SHORT_S) == b""
+    assert link.read(0.0) == b""
+    waited_ns = link.clock.now_ns() - before_ns
+    assert round(SHORT_S * 1e9) - 1_000_000 <= waited_ns <= round(SHORT_S * 1e9) + slack_ns
+    if not COMPILED:
+        return
+    port = link.port()
+    nothing = np.zeros(16, np.uint8)
+    deadline_ns = link.clock.now_ns() + round(SHORT_S * 1e9)
+    got = listen(port.read, port.wait, port.handle, nothing, deadline_ns)
+    assert got == 0
+    assert deadline_ns <= link.clock.now_ns() <= deadline_ns + slack_ns
+    assert port.now(port.clock_handle) >= deadline_ns
+
+
+_BYTES = types.uint8[::1]
+
+
+@kernel(types.int64(TRANSFER, WAIT, types.int64, _BYTES, types.int64))
+def listen(read, wait, handle, into, deadline_ns):  # type: ignore[no-untyped-def]
+    """Wait to a deadline and read: bytes, 0, or negative errno."""
+    ready = wait(handle, deadline_ns)
+    if ready <= 0:
+        return ready
+    return read(handle, into.ctypes.data + 0, len(into))  # + 0: an address is unsigned, a plug takes int64
+
+
+@kernel(types.int64(TRANSFER, TRANSFER, WAIT, NOW, types.int64, types.int64, _BYTES, _BYTES, types.int64))
+def exchange(read, write, wait, now, handle, clock, request, answer, timeout_ns):  # type: ignore[no-untyped-def]
+    """Write a request and collect bytes up to the first delimiter: their number, or negative errno."""
+    sent = write(handle, request.ctypes.data + 0, len(request))
+    if sent != len(request):
+        return min(sent, -1)
+    deadline_ns = now(clock) + timeout_ns
+    size = 0
+    while size < len(answer) and now(clock) < deadline_ns:
+        ready = wait(handle, deadline_ns)
+        if ready < 0:
+            return ready
+        got = read(handle, answer.ctypes.data + size, len(answer) - size)
+        if got < 0:
+            return got
+        size += got
+        if size > 0 and answer[size - 1] == 0:
+            return size
+    return 0

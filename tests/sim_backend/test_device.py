@@ -1,0 +1,663 @@
+"""The simulated device: its states, its physics, and above all what makes it safe."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input, LimitFlag, Status
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.packing import unpack_fault_entries
+from firmware_protocol.parameters import BY_NAME, Value
+from rig.errors import ConfigError
+from rig.model import RigModel
+from rig.sample import TRUTH
+from sim_backend.device import OLDEST_EDGE, SimulatedDevice
+from sim_backend.link import MemoryLink
+from sim_backend.plant import DiscretePlant, advance
+from sim_backend.safety import IDLE_LIFETIME_S, RING_TICKS, Monitor, Thermal, Watchdog, stall_time
+from tests.conformance.device import check_device
+from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.conformance.rigs import linear_rig, rotary_rig
+
+RATE = 2_000
+TICK_S = 1.0 / RATE
+
+
+def host_of(model: RigModel | None = None, **device: object) -> Host:
+    return Host(MemoryLink(SimulatedDevice(model or rotary_rig(), **device)))  # type: ignore[arg-type]
+
+
+def device_of(host: Host) -> SimulatedDevice:
+    assert isinstance(host.link, MemoryLink)
+    return host.link.device
+
+
+def armed(model: RigModel | None = None, **values: Value) -> Host:
+    host = host_of(model)
+    host.begin(**{"position_rate": RATE, **values})
+    return host
+
+
+def exchange(host: Host, current: int, ticks: int = 1, **command: int) -> m.State:
+    """Command a current for some ticks, one COMMAND for each STATE."""
+    for _ in range(ticks):
+        host.command(current, **command)
+        state = host.next_state()
+    return state
+
+
+def silence(host: Host, ticks: int) -> list[m.State]:
+    """The STATEs of some ticks without a COMMAND."""
+    host.states.clear()
+    while len(host.states) < ticks:
+        list(host.events(0.1))
+    return list(host.states)
+
+
+def log_of(host: Host) -> tuple[m.FaultLog, list[m.FaultEntry]]:
+    entries: list[m.FaultEntry] = []
+    while True:
+        page: m.FaultLog = host.ask(m.GetFaultLog(host.nonce(), len(entries)))
+        entries += unpack_fault_entries(page.data)
+        if len(entries) == page.total:
+            return page, entries
+
+
+# ---------------------------------------------------------------------- the protocol
+
+
+@pytest.mark.parametrize("model", [rotary_rig(), linear_rig()], ids=["rotary", "linear"])
+def test_the_device_conforms(model: RigModel) -> None:
+    check_device(lambda: MemoryLink(SimulatedDevice(model)))
+
+
+def test_the_dictionary_tells_the_rig_and_its_limits() -> None:
+    about = host_of(position_rate_default=4_000, position_rate_maximum=8_000, name="bench").identify()
+    assert (about.device, about.simulated, about.current_quantum_a) == ("bench", True, 0.001)
+    assert (about.position_rate_default, about.position_rate_maximum) == (4_000, 8_000)
+    limit = about.parameter("current_limit")
+    assert limit is not None
+    assert limit.maximum == 10_000  # effort limit 1 N·m at 0.1 N·m/A and 1 mA
+
+
+def test_a_rate_above_the_devices_own_maximum_is_refused_with_its_id() -> None:
+    host = host_of(position_rate_maximum=8_000)
+    host.identify()
+    ack = host.configure(**RUN_PARAMETERS, position_rate=8_001)
+    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["position_rate"].id)
+    assert device_of(host).rate == 1_000
+
+
+def test_parameters_of_the_other_motion_are_refused() -> None:
+    host = host_of(rotary_rig())
+    host.identify()
+    ack = host.configure(**RUN_PARAMETERS, motion=1)
+    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["motion"].id)
+
+
+def test_a_default_rate_above_the_maximum_is_refused_at_once() -> None:
+    with pytest.raises(ConfigError, match="default rate"):
+        SimulatedDevice(rotary_rig(), position_rate_default=2_000, position_rate_maximum=1_000)
+
+
+def test_before_arming_it_shows_itself_a_hundred_times_a_second_and_not_before_identify() -> None:
+    host = host_of()
+    assert host.link.read(1.0) == b""
+    host.identify()
+    states = silence(host, 3)
+    assert [b.sample_index - a.sample_index for a, b in pairwise(states)] == [10, 10]
+    assert {state.current_commanded for state in states} == {0}
+
+
+def test_what_it_does_not_implement_is_unsupported_in_every_state() -> None:
+    host = armed()
+    assert host.ask(m.GetStatistics(host.nonce())).status == Status.UNSUPPORTED
+
+
+def test_parameters_cannot_change_while_armed() -> None:
+    host = armed()
+    host.believe(State.CONFIGURED)
+    ack = host.configure(ramp_us=0)
+    assert (ack.status, ack.detail) == (Status.BAD_STATE, State.ARMED)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.binary(max_size=80), max_size=20), st.booleans())
+def test_no_bytes_can_make_it_raise(pieces: list[bytes], run: bool) -> None:
+    host = armed() if run else host_of()
+    device = device_of(host)
+    for piece in pieces:
+        device.receive(piece)
+        device.tick()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 0x7F), st.binary(min_size=2, max_size=40)), max_size=20), st.booleans()
+)
+def test_no_well_framed_nonsense_can_make_it_raise_or_move(
+    frames: list[tuple[int, bytes]], run: bool
+) -> None:
+    host = host_of()
+    if run:
+        host.begin(current_limit=0)
+    device = device_of(host)
+    for sequence, (type_id, payload) in enumerate(frames):
+        device.receive(encode_frame(bytes([1, type_id, 0, run, sequence, 0]) + payload))
+        device.tick()
+    assert device.truth()["effort_true"].tolist() == [0.0] * len(device.truth())
+
+
+# ---------------------------------------------------------------------- time
+
+
+@pytest.mark.parametrize("rate", [1_000, 3_000, 7_777, 20_000])
+def test_a_tick_that_is_no_whole_number_of_units_does_not_drift(rate: int) -> None:
+    device = SimulatedDevice(rotary_rig(), position_rate_default=rate)
+    for _ in range(rate):
+        device.tick()
+    assert device.time == 16_000_000
+    assert device.time_ns == device.elapsed_ns == 10**9
+
+
+def test_time_answers_the_device_time_of_the_last_sample() -> None:
+    host = armed()
+    state = silence(host, 5)[-1]
+    time = host.ask(m.GetTime(host.nonce(), 123))
+    assert (
+        time.device_received
+        == time.device_sent
+        == state.device_time
+        == state.sample_index * 16_000_000 // RATE
+    )
+
+
+def test_a_new_rate_keeps_time_and_motion() -> None:
+    model = rotary_rig(initial_position=0.01)
+    host = host_of(model)
+    device = device_of(host)
+    host.identify()
+    host.link.read(0.01)
+    before, count = device.time_ns, silence(host, 1)[-1].count
+    host.configure(position_rate=RATE)
+    assert device.next_tick_ns - device.elapsed_ns == 500_000
+    assert device.time_ns >= before
+    assert silence(host, 1)[-1].count == count == round(0.01 / model.encoder.resolution)
+
+
+def test_the_32_bit_edge_time_of_a_handle_at_rest_never_looks_fresh() -> None:
+    device = SimulatedDevice(rotary_rig(), position_rate_default=50)
+    host = Host(MemoryLink(device))
+    host.identify()
+    host.link.elapse(300.0)  # beyond the 268 s after which device times repeat
+    host.link.read(0.0)  # what nobody read meanwhile
+    state = host.next_state()
+    assert (state.device_time - state.edge_time) & 0xFFFFFFFF == OLDEST_EDGE
+
+
+# ---------------------------------------------------------------------- physics
+
+
+def test_a_constant_current_accelerates_the_link_as_newton_says() -> None:
+    """0.05 A give 5 mN·m on 1e-3 kg·m²: 5 rad/s², so after 0.1 s 0.5 rad/s and 25 mrad."""
+    host = armed()
+    state = exchange(host, 50, ticks=RATE // 10)
+    truth = device_of(host).truth()
+    assert truth["velocity_true"][-1] == pytest.approx(0.5)
+    assert truth["position_true"][-1] == pytest.approx(0.025)
+    assert state.count == math.floor(0.025 / rotary_rig().encoder.resolution + 0.5)
+    edge_age = (state.device_time - state.edge_time) * 62.5e-9
+    since_edge = 0.025 - (state.count - 0.5) * rotary_rig().encoder.resolution
+    assert edge_age == pytest.approx(since_edge / 0.5, rel=2e-3)
+
+
+def test_it_moves_as_the_plant_without_bytes_bit_for_bit() -> None:
+    model = rotary_rig(
+        damping=1e-3, coulomb=2e-3, lag_s=1e-4, computation_delay_ticks=2, initial_position=0.003
+    )
+    host = armed(model)
+    plant = DiscretePlant.build(model, TICK_S)
+    state = plant.at_rest(0.003)
+    for _ in range(device_of(host).sample_index):
+        advance(state, *plant.arrays, 0.0, 0.0)
+    currents = [round(400 * math.sin(0.1 * k)) for k in range(200)]
+    counts = [exchange(host, current).count for current in currents]
+    alone = [
+        advance(state, *plant.arrays, current * model.amplifier.effort_quantum, 0.0) for current in currents
+    ]
+    assert counts == alone
+    assert device_of(host).truth()["position_true"][-1] == state[plant.sensed_position]
+
+
+def test_truth_has_one_row_for_each_tick_of_a_session() -> None:
+    host = armed()
+    first = device_of(host).sample_index + 1
+    exchange(host, 10, ticks=5_000)
+    truth = device_of(host).truth()
+    assert truth.dtype == TRUTH
+    np.testing.assert_array_equal(truth["sample_index"], np.arange(first, first + 5_000))
+
+
+def test_a_command_is_in_force_in_the_tick_after_the_state_that_it_answers() -> None:
+    host = armed()
+    host.next_state()
+    state = exchange(host, 77)
+    assert (state.current_commanded, state.command_age, state.command_sequence) == (77, 1, 0)
+    later = silence(host, 2)[-1]
+    assert (later.current_commanded, later.command_age) == (77, 3)
+
+
+def test_the_measured_current_lags_and_is_noisy_alike_for_the_same_seed() -> None:
+    def currents(seed: int) -> list[int]:
+        host = host_of(rotary_rig(lag_s=1e-3, current_noise_a=0.005), seed=seed)
+        host.begin(position_rate=RATE)
+        return [exchange(host, 200).current_measured for _ in range(400)]
+
+    run = currents(1)
+    assert run == currents(1) != currents(2)
+    assert run[0] < 100 < run[3]
+    assert np.std(run[100:]) == pytest.approx(5.0, rel=0.2)
+
+
+def test_an_effort_from_the_world_moves_the_link_too() -> None:
+    host = armed()
+    device_of(host).hardware.external_effort = -5e-3
+    exchange(host, 0, ticks=RATE // 10)
+    assert device_of(host).truth()["velocity_true"][-1] == pytest.approx(-0.5)
+
+
+# ---------------------------------------------------------------------- limits
+
+
+def test_the_current_limit_clips_and_says_so() -> None:
+    host = armed(current_limit=40)
+    state = exchange(host, -5_000)
+    assert (state.current_commanded, state.limits) == (-40, LimitFlag.CURRENT)
+    assert exchange(host, 40).limits == 0
+
+
+def test_the_slew_limit_binds_in_both_directions_and_lets_stop_pass() -> None:
+    host = armed(slew_limit=30)
+    ramp = [exchange(host, 100) for _ in range(4)]
+    assert [state.current_commanded for state in ramp] == [30, 60, 90, 100]
+    assert [bool(state.limits & LimitFlag.SLEW) for state in ramp] == [True, True, True, False]
+    assert exchange(host, -100).current_commanded == 70
+    assert exchange(host, 0, mode=m.Mode.STOP).current_commanded == 0
+
+
+def test_the_thermal_model_brings_the_current_down_to_what_the_motor_bears() -> None:
+    """From cold, 400 reach the budget of 200² after t = −τ ln(1 − (200/400)²) = 0.288 τ."""
+    model = rotary_rig(inertia=1.0)
+    host = armed(model, continuous_current=200, thermal_time_constant=0.5)
+    states = [exchange(host, 400) for _ in range(RATE // 2)]
+    reduced = next(k for k, state in enumerate(states) if state.current_commanded == 200)
+    assert reduced * TICK_S == pytest.approx(-0.5 * math.log(1 - 0.25), rel=0.01)
+    assert states[reduced].limits & LimitFlag.THERMAL
+    assert states[-1].fault == Fault.NONE
+    assert np.mean([state.current_commanded for state in states[reduced:]]) == pytest.approx(200, rel=0.05)
+
+
+def test_hold_to_run_gives_current_only_while_it_is_held() -> None:
+    host = armed(hold_to_run=1)
+    state = exchange(host, 50)
+    assert (state.current_commanded, state.limits, state.inputs) == (0, LimitFlag.HOLD_TO_RUN_RELEASED, 0)
+    device_of(host).hold_to_run(True)
+    state = exchange(host, 50)
+    assert (state.current_commanded, state.inputs) == (50, Input.HOLD_TO_RUN)
+    device_of(host).hold_to_run(False)
+    assert exchange(host, 50).current_commanded == 0
+    assert host.states[-1].state == State.RUNNING
+
+
+def test_supervise_feeds_the_watchdog_and_gives_no_current() -> None:
+    host = armed()
+    for _ in range(3):
+        assert exchange(host, 50, mode=m.Mode.SUPERVISE).current_commanded == 0
+    assert host.states[-1].state == State.RUNNING
+
+
+def test_an_unknown_mode_changes_nothing_and_feeds_no_watchdog() -> None:
+    host = armed()
+    exchange(host, 50, lifetime_us=2_000)
+    states = [exchange(host, 400, mode=9) for _ in range(40)]
+    assert max(state.current_commanded for state in states) == 50
+    assert states[-1].fault == Fault.LINK_LOST
+
+
+# ---------------------------------------------------------------------- the watchdog
+
+
+@pytest.mark.parametrize("lifetime_us", [100, 2_000, 3_333, 20_000])
+@pytest.mark.parametrize("rate", [200, 1_000, 3_000, 20_000])
+def test_silence_brings_the_effort_to_exactly_zero_within_lifetime_and_ramp(
+    lifetime_us: int, rate: int
+) -> None:
+    host = armed(position_rate=rate)
+    exchange(host, 300, ticks=3)
+    host.command(300, lifetime_us=lifetime_us)
+    commanded_at = device_of(host).time
+    states = silence(host, math.ceil(0.035 * rate) + 3)
+    currents = [state.current_commanded for state in states]
+    assert currents == sorted(currents, reverse=True)
+    deadline = commanded_at + (lifetime_us + 10_000) * 16
+    assert all(state.current_commanded == 0 for state in states if state.device_time >= deadline)
+    assert (states[-1].state, states[-1].fault) == (State.FAULT, Fault.LINK_LOST)
+    ramping = [state for state in states if state.current_commanded and state.limits & LimitFlag.RAMPING]
+    for state in ramping:  # linear, judged at the end of the tick: never above the line
+        line = 300 * (deadline - state.device_time) / 160_000
+        assert line - 1 < state.current_commanded <= max(line, 0)
+
+
+def test_the_lifetime_is_capped_by_the_parameter() -> None:
+    host = armed(command_lifetime_us=2_000, ramp_us=0)
+    host.next_state()
+    exchange(host, 300, lifetime_us=2**32 - 1)
+    states = silence(host, 10)
+    assert [state.current_commanded for state in states[:4]] == [300, 300, 300, 0]
+    assert states[3].fault == Fault.LINK_LOST
+
+
+def test_limits_stay_active_in_the_ramp_which_begins_at_what_they_left() -> None:
+    host = armed(current_limit=100, slew_limit=20)
+    exchange(host, 500, ticks=2, lifetime_us=3_000)
+    states = silence(host, 60)
+    currents = [state.current_commanded for state in states]
+    top = currents.index(max(currents))
+    assert max(currents) == 100
+    assert currents[top:] == sorted(currents[top:], reverse=True)
+    assert currents[-1] == 0
+
+
+def test_a_command_in_the_ramp_takes_the_effort_back() -> None:
+    host = armed()
+    exchange(host, 200, lifetime_us=1_000)
+    assert silence(host, 12)[-1].limits & LimitFlag.RAMPING
+    state = exchange(host, 200)
+    assert (state.current_commanded, state.limits, state.fault) == (200, 0, Fault.NONE)
+
+
+@given(st.integers(-500, 500), st.integers(0, 400), st.integers(0, 400), st.integers(1, 50))
+def test_the_ramp_never_rises_and_never_changes_sign(
+    current: int, lifetime: int, ramp: int, step: int
+) -> None:
+    watchdog = Watchdog()
+    watchdog.feed(0, current, lifetime, ramp)
+    wanted, flows = [], current
+    for until in range(step, lifetime + ramp + 2 * step, step):
+        flows = watchdog.wanted(until, flows)
+        wanted.append(abs(flows))
+        assert flows * current >= 0
+        assert until < lifetime + ramp or until <= lifetime or flows == 0
+    assert wanted == sorted(wanted, reverse=True)
+    assert watchdog.lost
+
+
+@pytest.mark.parametrize("stopped", [False, True], ids=["after-arm", "after-stop"])
+def test_without_effort_the_host_has_longer_to_say_something(stopped: bool) -> None:
+    host = armed()
+    if stopped:
+        exchange(host, 200, ticks=5)
+        assert exchange(host, 200, mode=m.Mode.STOP).current_commanded == 0
+    states = silence(host, RATE)
+    assert {state.current_commanded for state in states} == {0}
+    lost = next(k for k, state in enumerate(states) if state.fault == Fault.LINK_LOST)
+    assert lost * TICK_S == pytest.approx(IDLE_LIFETIME_S, abs=3 * TICK_S)
+
+
+def test_a_command_after_stop_runs_again() -> None:
+    host = armed()
+    exchange(host, 200, mode=m.Mode.STOP, ticks=3)
+    assert exchange(host, 200).current_commanded == 200
+
+
+def test_only_commands_of_the_session_feed_the_watchdog() -> None:
+    host = armed()
+    exchange(host, 200, lifetime_us=3_000)
+    stale = host.sent
+    for _ in range(60):
+        host.ask(m.GetTime(host.nonce(), 0))
+        host.link.write(stale)  # the same sequence again
+        host.next_state()
+    assert host.states[-1].fault == Fault.LINK_LOST
+    assert device_of(host).connection.statistics.duplicated > 0
+
+
+# ---------------------------------------------------------------------- faults
+
+
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.NONE])
+def test_every_fault_cuts_at_the_next_tick_and_is_left_by_clear_alone(fault: Fault) -> None:
+    host = armed()
+    assert exchange(host, 200, ticks=3).current_commanded == 200
+    device_of(host).inject_fault(fault)
+    state = exchange(host, 200)
+    assert (state.state, state.fault, state.current_commanded) == (State.FAULT, fault, 0)
+    assert exchange(host, 200, ticks=5).current_commanded == 0
+    host.believe(State.CONFIGURED)
+    host.identify()
+    assert host.connection.state is State.FAULT
+    assert host.disarm().status == Status.FAULT_LATCHED
+    assert host.disarm(clear_fault=True).status == Status.OK
+    assert (device_of(host).connection.state, device_of(host).fault) == (State.CONFIGURED, Fault.NONE)
+
+
+def test_a_fault_cuts_the_commands_on_their_way_through_the_computation_delay_too() -> None:
+    host = armed(rotary_rig(computation_delay_ticks=10))
+    exchange(host, 200, ticks=20)
+    device_of(host).inject_fault(Fault.ENCODER)
+    exchange(host, 200, ticks=2)
+    assert device_of(host).truth()["effort_true"][-1] == 0.0
+
+
+def test_the_first_fault_is_kept_and_later_ones_go_into_the_mask() -> None:
+    host = armed()
+    device = device_of(host)
+    device.inject_fault(Fault.ENCODER)
+    device.inject_fault(Fault.ENCODER)
+    device.inject_fault(Fault.TICK_OVERRUN)
+    assert host.next_state().fault == Fault.ENCODER
+    page, _ = log_of(host)
+    assert (page.fault, page.later) == (Fault.ENCODER, 1 << Fault.TICK_OVERRUN)
+
+
+def test_the_fault_log_holds_the_ticks_before_the_fault_and_freezes() -> None:
+    host = armed()
+    states = [exchange(host, k % 50) for k in range(400)]
+    device_of(host).inject_fault(Fault.ENCODER)
+    exchange(host, 10, ticks=20)
+    page, entries = log_of(host)
+    assert len(entries) == RING_TICKS
+    assert page.device_time == states[-1].device_time
+    expected = [
+        (s.sample_index, s.count, s.current_commanded, s.current_measured, s.limits)
+        for s in states[-RING_TICKS:]
+    ]
+    got = [(e.sample_index, e.count, e.current_commanded, e.current_measured, e.limits) for e in entries]
+    assert got == expected
+    host.disarm(clear_fault=True)
+    assert log_of(host)[0].fault == Fault.ENCODER  # still there for a host that cleared first
+
+
+def test_without_a_fault_the_log_is_empty() -> None:
+    host = armed()
+    page, entries = log_of(host)
+    assert (page.fault, page.total, entries) == (Fault.NONE, 0, [])
+
+
+def test_the_emergency_stop_cuts_and_must_be_released_before_anything_else() -> None:
+    host = armed()
+    exchange(host, 200, ticks=3)
+    device_of(host).press_emergency_stop()
+    state = exchange(host, 200)
+    assert (state.fault, state.current_commanded, state.inputs) == (
+        Fault.EMERGENCY_STOP, 0, Input.EMERGENCY_STOP,
+    )  # fmt: skip
+    ack = host.disarm(clear_fault=True)
+    assert (ack.status, ack.detail) == (Status.FAULT_PRESENT, Fault.EMERGENCY_STOP)
+    device_of(host).press_emergency_stop(False)
+    assert host.disarm(clear_fault=True).status == Status.OK
+
+
+def test_a_pressed_emergency_stop_forbids_arming() -> None:
+    host = host_of()
+    device_of(host).press_emergency_stop()
+    host.identify()
+    ack = host.arm(1, host.configure(**RUN_PARAMETERS).crc)
+    assert (ack.status, ack.detail) == (Status.FAULT_PRESENT, Fault.EMERGENCY_STOP)
+
+
+def test_over_speed_cuts_when_the_limit_is_passed_and_not_by_one_count() -> None:
+    """5 rad/s² reach 1000 counts/s (0.314 rad/s) after 62.8 ms.
+
+    Over 5 ms that is 5 counts; the sixth, which either end of the window may hide, takes 12.6 ms more, and the
+    mean over the window lags by half of it.
+    """
+    host = armed(speed_limit=1_000, current_limit=10_000)
+    begun = host.next_state().device_time
+    while not (state := exchange(host, 50)).fault:
+        pass
+    assert state.fault == Fault.OVER_SPEED
+    assert 0.0628 < (state.device_time - begun) * 62.5e-9 < 0.0628 + 0.0126 + 0.0025 + 2 * TICK_S + 0.0126
+    assert exchange(host, 50).current_commanded == 0
+
+
+def test_a_toggling_count_is_no_speed() -> None:
+    monitor = Monitor(rotary_rig(), Thermal())
+    monitor.configure({**_values(), "position_rate": 20_000, "speed_limit": 10}, 0)
+    assert all(monitor.check(k % 2, 0, 0) == 0 for k in range(1_000))
+    assert monitor.flags == 0
+
+
+def test_near_the_limits_the_state_warns() -> None:
+    host = armed(window_minimum=-100, window_maximum=100, speed_limit=100_000)
+    states = []
+    while not (states and states[-1].fault):
+        states.append(exchange(host, 50))
+    warned = next(state.count for state in states if state.limits & LimitFlag.POSITION)
+    assert 90 < warned <= 93
+    assert states[-1].fault == Fault.POSITION_WINDOW
+    assert states[-1].count > 100
+
+
+def test_outside_the_window_it_does_not_arm() -> None:
+    host = host_of(rotary_rig(initial_position=0.1))
+    host.identify()
+    ack = host.arm(1, host.configure(**{**RUN_PARAMETERS, "window_minimum": 0, "window_maximum": 10}).crc)
+    assert (ack.status, ack.detail) == (Status.FAULT_PRESENT, Fault.POSITION_WINDOW)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_motor_that_runs_away_under_its_own_effort_is_called_a_runaway(sign: int) -> None:
+    host = armed(rotary_rig(sign=sign), speed_limit=1_000)
+    while not exchange(host, 200).fault:
+        pass
+    page, _ = log_of(host)
+    assert page.fault == Fault.RUNAWAY
+    assert page.later == 1 << Fault.OVER_SPEED
+
+
+def test_speed_against_the_effort_is_over_speed_alone() -> None:
+    """The world throws the handle into a motor that brakes: no sign is wrong."""
+    host = armed(speed_limit=1_000)
+    device_of(host).hardware.external_effort = 0.2
+    while not exchange(host, -200).fault:
+        pass
+    assert log_of(host)[0].fault == Fault.OVER_SPEED
+
+
+def test_a_dead_encoder_is_found_by_the_edges_that_do_not_come() -> None:
+    model = rotary_rig(inertia=1e-3, coulomb=5e-3)
+    device = device_of(armed(model))
+    monitor = Monitor(model, Thermal())
+    monitor.configure({**_values(), "current_limit": 500, "position_rate": RATE}, 0)
+    ticks = next(k for k in range(RATE) if monitor.check(0, 200, 200))
+    assert ticks * TICK_S == pytest.approx(stall_time(model, 0.2 * 500), abs=2 * TICK_S)
+    assert device.fault == Fault.NONE
+
+
+def test_the_free_rig_shows_edges_long_before_it_is_called_stalled() -> None:
+    """The most unlucky start: the least effort that is watched, friction against it, a whole cell to cross."""
+    model = rotary_rig(coulomb=5e-3, offset=0.0)
+    host = armed(model, speed_limit=100_000)
+    state = exchange(host, 101, ticks=math.ceil(stall_time(model, 100) / 3 * RATE))
+    assert state.count >= 1
+
+
+def test_a_person_may_hold_the_handle_still_as_long_as_she_holds_the_switch() -> None:
+    model = rotary_rig(coulomb=5e-3)
+    values = {**_values(), "current_limit": 500, "position_rate": RATE, "hold_to_run": 1}
+    monitor = Monitor(model, Thermal())
+    monitor.configure(values, 0)
+    assert all(monitor.check(0, 400, 400) == 0 for _ in range(10 * RATE))
+
+
+def test_an_effort_that_friction_may_hold_demands_no_edge() -> None:
+    assert stall_time(rotary_rig(coulomb=0.02), 200) == math.inf
+    assert stall_time(rotary_rig(coulomb=0.02), 201) < math.inf
+
+
+def test_a_current_above_the_amplifiers_peak_is_over_current() -> None:
+    monitor = Monitor(rotary_rig(), Thermal())
+    monitor.configure(_values(), 0)
+    assert monitor.check(0, 0, 10_500) == 0
+    assert monitor.check(0, 0, -11_001) == 1 << Fault.OVER_CURRENT
+
+
+def test_heat_that_the_reduction_does_not_stop_cuts() -> None:
+    thermal = Thermal()
+    thermal.configure(100, 0.5, 1_000)
+    monitor = Monitor(rotary_rig(), thermal)
+    monitor.configure(_values(), 0)
+    for _ in range(2_000):
+        thermal.update(150)
+    assert monitor.check(0, 0, 150) == 1 << Fault.THERMAL
+
+
+def test_after_an_encoder_fault_it_wants_to_be_homed_again() -> None:
+    host = armed()
+    device_of(host).inject_fault(Fault.ENCODER)
+    host.next_state()
+    host.disarm(clear_fault=True)
+    assert host.arm(2, device_of(host)._configuration.crc).status == Status.NOT_HOMED
+
+
+def test_a_reset_forgets_homing_verification_parameters_and_session_but_not_the_motion() -> None:
+    host = armed()
+    exchange(host, 100, ticks=100)
+    device = device_of(host)
+    count = host.states[-1].count
+    elapsed_ns = device.elapsed_ns
+    device.reset()
+    assert (device.connection.state, device.connection.session, device.time) == (State.BOOT, 0, 0)
+    assert device.elapsed_ns == elapsed_ns
+    host.connection.reset()
+    host.identify()
+    assert host.next_state().count > count
+    unhomed = {name: value for name, value in RUN_PARAMETERS.items() if name != "reference_count"}
+    assert host.arm(1, host.configure(**unhomed).crc).status == Status.NOT_HOMED
+    ack = host.configure(reference_count=0)
+    assert host.arm(1, ack.crc).status == Status.NOT_VERIFIED
+
+
+def test_missed_ticks_pass_in_the_plant_and_are_counted() -> None:
+    host = armed()
+    exchange(host, 50, ticks=10)
+    before = host.states[-1]
+    for _ in range(7):
+        device_of(host).miss()
+    state = host.next_state()
+    assert state.missed_ticks == 7
+    assert state.sample_index == before.sample_index + 8
+    assert host.connection.statistics.lost == 7
+
+
+def _values() -> dict[str, Value]:
+    return {**{name: parameter.default for name, parameter in BY_NAME.items()}, **RUN_PARAMETERS}

@@ -1,0 +1,395 @@
+"""The in-memory link: virtual time in lock-step, and every way in which a line can fail."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, State
+from firmware_protocol.faults import Fault
+from rig.devices.device import DeviceUrl
+from rig.errors import ConfigError, LinkLostError
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind, Line
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import BUFFER_BYTES, MemoryLink, open_link
+from sim_backend.safety import IDLE_LIFETIME_S
+from tests.conformance.host import Host
+from tests.conformance.link import COMPILED, check_link, listen
+from tests.conformance.rigs import rotary_rig
+
+RATE = 2_000
+TICK_S = 1.0 / RATE
+CURRENT = 100
+TO_DEVICE, TO_HOST = Direction.TO_DEVICE, Direction.TO_HOST
+SHORT_RUN = 20  # ticks
+needs_compiler = pytest.mark.skipif(not COMPILED, reason="function types need the compiler")
+
+
+def fresh(faults: Faults | None = None, **device: Any) -> MemoryLink:
+    return MemoryLink(SimulatedDevice(rotary_rig(current_noise_a=0.002), **device), faults)
+
+
+def run(link: MemoryLink, ticks: int = SHORT_RUN) -> Host:
+    """A short run: each STATE is answered by a COMMAND, and a lost one is waited for."""
+    host = Host(link)
+    host.begin(position_rate=RATE, command_lifetime_us=3_000)
+    for _ in range(ticks):
+        list(host.events(TICK_S))
+        if host.connection.state is State.FAULT:
+            break
+        if host.states:
+            host.command(CURRENT, lifetime_us=3_000)
+    return host
+
+
+@cache
+def count_frames() -> tuple[dict[Direction, int], dict[Direction, int]]:
+    """Frames in each direction before the session begins, and in the whole of a short run."""
+    link = fresh(Faults())
+    assert link.line is not None
+    Host(link).begin(position_rate=RATE)
+    before = dict(link.line.frames)
+    link = fresh(Faults())
+    run(link)
+    assert link.line is not None
+    return before, dict(link.line.frames)
+
+
+# ---------------------------------------------------------------------- the contract
+
+
+def test_the_link_conforms() -> None:
+    check_link(fresh, fresh)  # in BOOT a device says nothing unasked
+
+
+def test_a_silenced_link_conforms_as_the_silent_one() -> None:
+    dead = FrameFault(kind=Kind.SILENCE, direction=TO_DEVICE, frame=0, both=True)
+    check_link(fresh, lambda: fresh(Faults((dead,))))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.sampled_from(["command", "idle", "sleep", "ask"]), max_size=40))
+def test_the_device_never_passes_a_sample_before_the_answer_to_it_is_delivered(steps: list[str]) -> None:
+    """Lock-step: whatever the host does between two waits, the next tick runs with its newest command."""
+    link = fresh()
+    host = Host(link)
+    host.begin(position_rate=RATE)
+    current = 0
+    for number, step in enumerate(steps):
+        state = host.next_state()
+        assert state.sample_index == link.device.sample_index
+        assert state.current_commanded == current
+        assert 0 <= link.clock.now_ns() - link.device.elapsed_ns < TICK_S * 1e9
+        if step == "command":
+            current = number
+            host.command(current)
+        elif step == "ask":
+            assert host.ask(m.GetTime(host.nonce(), 0)).device_sent == link.device.time
+        elif step == "sleep":
+            link.clock.sleep_until(link.clock.now_ns() + round(1.5 * TICK_S * 1e9))
+
+
+def test_a_host_that_sleeps_is_not_waited_for() -> None:
+    link = fresh()
+    host = Host(link)
+    host.begin(position_rate=RATE)
+    host.next_state()
+    before = link.device.sample_index
+    link.clock.sleep_until(link.clock.now_ns() + 10_000_000)
+    host.command(CURRENT)
+    assert link.device.sample_index == before + 20
+    assert [state.current_commanded for state in host.states] == [0]
+    assert host.next_state().current_commanded == 0  # the twenty of before
+    assert host.next_state().current_commanded == CURRENT
+
+
+def test_waiting_jumps_to_the_deadline_and_no_further() -> None:
+    link = fresh()
+    host = Host(link)
+    host.begin(position_rate=RATE)
+    host.next_state()
+    now_ns = link.clock.now_ns()
+    assert link.read(0.4 * TICK_S) == b""
+    assert link.clock.now_ns() == now_ns + 200_000
+    assert link.read(0.4 * TICK_S) == b""
+    assert link.read(0.4 * TICK_S) != b""
+    assert link.clock.now_ns() == now_ns + 500_000
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    def stream(seed: int) -> list[m.State]:
+        return run(fresh(seed=seed), 100).states
+
+    assert stream(3) == stream(3)
+    assert stream(3) != stream(4)
+
+
+def test_a_short_run_answers_every_state() -> None:
+    link = fresh()
+    host = run(link)
+    assert len(host.states) == SHORT_RUN
+    assert [state.current_commanded for state in host.states] == [0] + [CURRENT] * (SHORT_RUN - 1)
+    assert host.connection.statistics.lost == 0
+    assert link.failure() is None
+
+
+def test_a_buffer_that_nobody_reads_is_bounded() -> None:
+    link = fresh()
+    Host(link).begin(position_rate=20_000)
+    link.elapse(0.2)
+    assert link.discarded > 0
+    assert len(link.read(0.0)) == BUFFER_BYTES
+
+
+# ---------------------------------------------------------------------- opening by URL
+
+
+def test_a_url_opens_a_device_as_its_options_say() -> None:
+    url = DeviceUrl.parse("sim://test?seed=3&initial_position=0.01&offset=0.25&position_rate_maximum=9000")
+    link = open_link(url, rotary_rig())
+    assert link.url == url
+    host = Host(link)
+    assert host.identify().position_rate_maximum == 9_000
+    resolution = rotary_rig().encoder.resolution
+    assert host.next_state().count == np.floor(0.01 / resolution + 0.25)
+
+
+@pytest.mark.parametrize(
+    ("url", "says"),
+    [
+        ("sim://test?sed=3", "unknown option 'sed'.*known options: seed, initial_position"),
+        ("sim://test?seed=x", "seed = 'x' is not a whole number"),
+        ("sim://test?seed=-1", "seed = -1 is out of range"),
+        ("sim://test?offset=1.0", "offset = 1.0 is out of range"),
+        ("sim://test?initial_position=nan", "initial_position = nan is out of range"),
+        ("sim://test?position_rate_maximum=100", "default rate of 1000 Hz with a maximum of 100 Hz"),
+    ],
+)
+def test_a_wrong_option_is_refused_by_name(url: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        open_link(DeviceUrl.parse(url), rotary_rig())
+
+
+def test_without_a_model_there_is_nothing_to_simulate() -> None:
+    with pytest.raises(ConfigError, match="nothing to simulate"):
+        open_link(DeviceUrl.parse("sim://test"))
+
+
+# ---------------------------------------------------------------------- the compiled loop's side
+
+
+@needs_compiler
+def test_an_exception_inside_the_simulation_becomes_eio_and_is_kept() -> None:
+    link = fresh()
+    host = Host(link)
+    host.begin(position_rate=RATE)
+    link.device.hardware.external_effort = "no number"  # type: ignore[assignment]
+    port = link.port()
+    got = listen(port.read, port.wait, port.handle, np.zeros(64, np.uint8), link.clock.now_ns() + 10**9)
+    assert got == -errno.EIO
+    assert isinstance(link.failure(), TypeError)
+
+
+@needs_compiler
+def test_the_loop_reads_no_more_than_it_has_room_for() -> None:
+    link = fresh()
+    host = Host(link)
+    host.begin(position_rate=RATE)
+    link.elapse(10 * TICK_S)
+    port = link.port()
+    stream = b""
+    for size in (1, 7, 40, 10_000):
+        into = np.zeros(size, np.uint8)
+        got = listen(port.read, port.wait, port.handle, into, link.clock.now_ns())
+        assert 0 < got <= size
+        stream += into[:got].tobytes()
+    host.connection.receive_data(stream)
+    indices = []
+    while (event := host.connection.next_event()) is not None:
+        indices.append(event.message.sample_index)  # type: ignore[union-attr]
+    assert len(indices) == 10
+    assert np.all(np.diff(indices) == 1)
+
+
+@needs_compiler
+def test_an_unplugged_line_is_eio_for_the_loop_and_no_failure_of_the_simulation() -> None:
+    link = fresh(Faults((FrameFault(kind=Kind.UNPLUG, direction=TO_DEVICE, frame=0),)))
+    port = link.port()
+    frame = Connection(m.Role.HOST).send(m.Identify(1, 0))
+    write = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 3)(port.write.__wrapper_address__())
+    assert write(0, ctypes.addressof(ctypes.create_string_buffer(frame)), len(frame)) == -errno.EIO
+    assert listen(port.read, port.wait, port.handle, np.zeros(8, np.uint8), 10**9) == -errno.EIO
+    assert link.failure() is None
+
+
+# ---------------------------------------------------------------------- faults on the line
+
+
+def line_of(kind: Kind, frame: int, **others: Any) -> Line:
+    return Line([FrameFault(kind=kind, direction=TO_HOST, frame=frame, **others)])
+
+
+def through(line: Line, frames: list[bytes]) -> list[bytes]:
+    """What comes out in each tick when frame k is sent in tick k."""
+    out = []
+    for tick, frame in enumerate(frames):
+        line.send(TO_HOST, frame, tick)
+        out.append(line.receive(TO_HOST, tick))
+    return out
+
+
+FRAMES = [bytes([k + 1]) * 4 + b"\0" for k in range(5)]
+A, B, C, D, E = FRAMES
+
+
+@pytest.mark.parametrize(
+    ("line", "out"),
+    [
+        (Line(), [A, B, C, D, E]),
+        (line_of(Kind.DROP, 1), [A, b"", C, D, E]),
+        (line_of(Kind.CORRUPT, 1, byte=7, bit=6), [A, b"\2\2\x42\2\0", C, D, E]),
+        (line_of(Kind.CORRUPT, 1, byte=4), [A, b"\2\2\2\2\1", C, D, E]),
+        (line_of(Kind.DUPLICATE, 1), [A, B + B, C, D, E]),
+        (line_of(Kind.REORDER, 1), [A, b"", C + B, D, E]),
+        (line_of(Kind.TRUNCATE, 1, byte=2), [A, b"\2\2", C, D, E]),
+        (line_of(Kind.DELAY, 1, ticks=2), [A, b"", b"", B + C + D, E]),
+        (line_of(Kind.SILENCE, 1), [A, b"", b"", b"", b""]),
+        (line_of(Kind.UNPLUG, 1), [A, b"", b"", b"", b""]),
+        (Line([FrameFault(kind=Kind.DROP, direction=TO_DEVICE, frame=1)]), [A, B, C, D, E]),
+    ],
+    ids=["none", "drop", "corrupt", "corrupt-end", "duplicate", "reorder", "truncate", "delay", "silence",
+         "unplug", "other-direction"],
+)  # fmt: skip
+def test_a_fault_does_what_it_says_to_its_frame_and_no_other(line: Line, out: list[bytes]) -> None:
+    assert through(line, FRAMES) == out
+
+
+def test_bytes_in_pieces_are_frames_all_the_same() -> None:
+    line = line_of(Kind.DROP, 1)
+    whole = b"".join(FRAMES)
+    out = through(line, [b"\0"] + [whole[k : k + 3] for k in range(0, len(whole), 3)])
+    assert b"".join(out) == A + C + D + E
+    assert line.frames[TO_HOST] == 5
+    assert line.acted == {Kind.DROP: 1}
+
+
+def test_faults_on_one_frame_act_one_after_the_other() -> None:
+    faults = [
+        FrameFault(kind=kind, direction=TO_HOST, frame=0, ticks=3) for kind in (Kind.DUPLICATE, Kind.DELAY)
+    ]
+    assert through(Line(faults), FRAMES) == [b"", b"", b"", A + A + B + C + D, E]
+
+
+def every_frame(direction: Direction) -> range:
+    """Numbers of the frames of the session."""
+    before, after = count_frames()
+    return range(before[direction], after[direction])
+
+
+def survivors(kind: Kind, direction: Direction, **others: Any) -> list[tuple[int, Host, MemoryLink]]:
+    """A short run for each frame of the session, with that frame hurt."""
+    hosts = []
+    for frame in every_frame(direction):
+        link = fresh(Faults((FrameFault(kind=kind, direction=direction, frame=frame, **others),)))
+        host = run(link)
+        assert link.line is not None
+        assert link.line.acted[kind] == 1
+        hosts.append((frame, host, link))
+    assert len(hosts) >= SHORT_RUN - 1
+    return hosts
+
+
+NEXT_SHOWS_IT = (
+    Kind.DROP,
+    Kind.TRUNCATE,
+    Kind.REORDER,
+)  # the next frame of the direction, which the last lacks
+LOSSES: list[tuple[Kind, dict[str, Any], Callable[[Any], int]]] = [
+    (Kind.CORRUPT, {"byte": 5, "bit": 3}, lambda s: s.crc_errors + s.framing_errors),
+    (Kind.DUPLICATE, {}, lambda s: s.duplicated),
+    (Kind.REORDER, {}, lambda s: s.reordered),
+    (Kind.TRUNCATE, {"byte": 9}, lambda s: s.crc_errors + s.framing_errors),
+    (Kind.DROP, {}, lambda s: s.lost),
+]
+
+
+@pytest.mark.parametrize("direction", [TO_DEVICE, TO_HOST], ids=["to-device", "to-host"])
+@pytest.mark.parametrize(("kind", "others", "counted"), LOSSES, ids=[kind.value for kind, _, _ in LOSSES])
+def test_a_single_hurt_frame_is_counted_and_the_run_goes_on(
+    kind: Kind, others: dict[str, Any], counted: Callable[[Any], int], direction: Direction
+) -> None:
+    for frame, host, link in survivors(kind, direction, **others):
+        connection = host.connection if direction is TO_HOST else link.device.connection
+        first, last = every_frame(direction)[0], every_frame(direction)[-1]
+        hidden = (kind in NEXT_SHOWS_IT and frame == last) or (kind is Kind.DROP and frame == first)
+        assert (counted(connection.statistics) >= 1) is not hidden, frame
+        assert link.device.fault == Fault.NONE
+        assert host.states[-1].state in (State.ARMED, State.RUNNING)
+
+
+@pytest.mark.parametrize("direction", [TO_DEVICE, TO_HOST], ids=["to-device", "to-host"])
+def test_silence_from_any_frame_on_ends_with_zero_effort_and_link_lost(direction: Direction) -> None:
+    for frame, _, link in survivors(Kind.SILENCE, direction, both=direction is TO_HOST):
+        link.elapse(0.003 + 0.010)
+        assert_no_effort(link)
+        link.elapse(IDLE_LIFETIME_S)  # the command that is silenced may be the first
+        assert link.device.fault == Fault.LINK_LOST, frame
+
+
+@pytest.mark.parametrize("direction", [TO_DEVICE, TO_HOST], ids=["to-device", "to-host"])
+def test_an_unplug_at_any_frame_is_told_to_the_host_and_ends_with_zero_effort(direction: Direction) -> None:
+    for frame in every_frame(direction):
+        link = fresh(Faults((FrameFault(kind=Kind.UNPLUG, direction=direction, frame=frame),)))
+        with pytest.raises(LinkLostError, match="unplugged"):
+            run(link)
+        with pytest.raises(LinkLostError):
+            link.read(0.0)
+        link.elapse(0.003 + 0.010)
+        assert_no_effort(link)
+
+
+def test_a_delay_shorter_than_the_lifetime_changes_the_age_and_nothing_else() -> None:
+    for _, host, link in survivors(Kind.DELAY, TO_DEVICE, ticks=3):
+        ages = [state.command_age for state in host.states if state.command_age != 0xFFFF]
+        assert set(ages) <= {1, 2, 3, 4}
+        assert link.device.fault == Fault.NONE
+
+
+@pytest.mark.parametrize("fault", [Fault.EMERGENCY_STOP, Fault.ENCODER, Fault.OVER_CURRENT])
+def test_a_device_fault_at_any_tick_cuts_in_that_tick(fault: Fault) -> None:
+    for tick in range(1, SHORT_RUN):
+        link = fresh(Faults(device=(DeviceFault(tick, fault),)))
+        host = run(link)
+        assert host.states[-1].fault == fault
+        assert host.states[-1].current_commanded == 0
+        assert [state.fault for state in host.states[:-1]] == [Fault.NONE] * (len(host.states) - 1)
+
+
+def assert_no_effort(link: MemoryLink) -> None:
+    before = len(link.device.truth())
+    link.elapse(3 * TICK_S)
+    assert not link.device.truth()["effort_true"][before:].any()
+
+
+def test_a_killed_host_leaves_a_device_that_the_next_one_can_use() -> None:
+    link = fresh()
+    run(link)
+    link.close()
+    link.elapse(0.05)
+    heir = MemoryLink(link.device)
+    host = Host(heir, first_nonce=500)
+    host.identify()
+    assert host.connection.state is State.FAULT
+    assert host.ask(m.GetFaultLog(host.nonce(), 0)).fault == Fault.LINK_LOST
+    host.disarm(clear_fault=True)
+    host.begin(session=2)
+    assert host.next_state().state == State.ARMED

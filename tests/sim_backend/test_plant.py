@@ -1,0 +1,566 @@
+"""The simulated plant against closed forms, scipy's integrators and the laws of mechanics."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from rig.errors import ConfigError
+from rig.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
+from sim_backend.plant import STEP_S, STEPS, DiscretePlant, _rub_both, advance, energy
+
+Trajectory = NDArray[np.float64]
+
+MOTOR, MOTOR_VELOCITY, LINK, LINK_VELOCITY = 0, 1, 2, 3
+TICK_S = 5e-5
+
+# Chawda's linear rig (0.52 kg, 13.2 N·s/m, 1 µm), here without friction: each test adds what it is about.
+LINEAR = RigModel(
+    name="linear",
+    motion="linear",
+    mechanics=Mechanics(structure="rigid", motor_inertia=0.5, link_inertia=0.02),
+    amplifier=Amplifier(effort_per_ampere=10.0, effort_limit=100.0),
+    encoder=Encoder(quantum=1e-6),
+)
+# Koul's rotary rig with the compliant capstan.
+ROTARY = RigModel(
+    name="rotary",
+    motion="rotary",
+    mechanics=Mechanics(
+        structure="two-mass",
+        motor_inertia=1.9e-4,
+        link_inertia=1.58e-3,
+        motor_damping=2.7e-3,
+        link_damping=1e-3,
+        motor_coulomb=0.005,
+        link_coulomb=0.0017,
+        transmission_stiffness=2310.0,
+        transmission_damping_ratio=0.035,
+        handle_radius=0.1,
+    ),
+    amplifier=Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4),
+    encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
+)
+FRICTIONLESS = {"motor_coulomb": 0.0, "link_coulomb": 0.0}
+
+
+def with_mechanics(rig: RigModel, **changes: Any) -> RigModel:
+    return replace(rig, mechanics=replace(rig.mechanics, **changes))
+
+
+def with_amplifier(rig: RigModel, **changes: Any) -> RigModel:
+    return replace(rig, amplifier=replace(rig.amplifier, **changes))
+
+
+def with_simulation(rig: RigModel, **changes: Any) -> RigModel:
+    return replace(rig, simulation=Simulation(**changes))
+
+
+def run(
+    plant: DiscretePlant, ticks: int, *, state: Trajectory, command: float = 0.0, external: float = 0.0
+) -> Trajectory:
+    """States at the end of each tick, under constant inputs; `state` is the start and is changed."""
+    rows = np.empty((ticks, state.size))
+    for row in rows:
+        advance(state, *plant.arrays, command, external)
+        row[:] = state
+    return rows
+
+
+# The linear part -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("lag_s", [0.0, 2e-4])
+@pytest.mark.parametrize(("tick_s", "inner_step_s"), [(5e-5, 5e-5), (1e-3, 5e-5), (1e-3, 3e-4)])
+def test_without_friction_the_motion_is_that_of_an_independent_solver(
+    rig: RigModel, lag_s: float, tick_s: float, inner_step_s: float
+) -> None:
+    rig = with_mechanics(with_amplifier(rig, lag_s=lag_s), motor_damping=0.004, **FRICTIONLESS)
+    plant = DiscretePlant.build(with_simulation(rig, inner_step_s=inner_step_s), tick_s)
+    continuous = state_space(rig.mechanics, rig.amplifier)
+    start = 0.01 * np.random.default_rng(7).standard_normal(continuous.order)
+    inputs = np.zeros(continuous.b.shape[1])
+    inputs[:2] = 0.4, -0.3
+    if lag_s == 0.0:
+        start[continuous.effort] = inputs[0]
+
+    ticks = round(0.02 / tick_s)
+    state = plant.at_rest(0.0)
+    state[: continuous.order] = start
+    end = run(plant, ticks, state=state, command=inputs[0], external=inputs[1])[-1]
+    solved = solve_ivp(
+        lambda _, x: continuous.a @ x + continuous.b @ inputs,
+        (0.0, 0.02),
+        start,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+    )
+    assert end[: continuous.order] == pytest.approx(solved.y[:, -1], rel=1e-8, abs=1e-11)
+
+
+def test_one_tick_of_twenty_steps_is_twenty_ticks_of_one_step_to_the_last_bit() -> None:
+    slow, fast = DiscretePlant.build(ROTARY, 1e-3), DiscretePlant.build(ROTARY, 5e-5)
+    assert (slow.parameters[STEPS], fast.parameters[STEPS]) == (20, 1)
+    assert slow.parameters[STEP_S] == fast.parameters[STEP_S]
+    one, other = slow.at_rest(0.1), fast.at_rest(0.1)
+    for k in range(50):
+        push = 0.2 * math.sin(0.4 * k)
+        run(slow, 1, state=one, command=push, external=-0.5 * push)
+        run(fast, 20, state=other, command=push, external=-0.5 * push)
+        assert one.tobytes() == other.tobytes()
+
+
+def test_the_inner_step_divides_the_tick_and_is_never_longer_than_asked() -> None:
+    for tick_s in (5e-5, 7.3e-5, 1e-4, 1 / 3000, 1e-3, 0.01):
+        plant = DiscretePlant.build(ROTARY, tick_s)
+        step_s, steps = plant.parameters[STEP_S], plant.parameters[STEPS]
+        assert step_s <= 5e-5 * (1 + 1e-9)
+        assert step_s * steps == pytest.approx(tick_s)
+        assert steps == 1 or tick_s / (steps - 1) > 5e-5
+
+
+def test_two_masses_ring_at_the_free_free_mode_of_the_capstan_and_decay_with_its_damping_ratio() -> None:
+    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **FRICTIONLESS)
+    plant = DiscretePlant.build(rig, 1e-5)
+    state = plant.at_rest(0.0)
+    state[LINK] = 1e-3
+    rows = run(plant, 2000, state=state)
+    stretch = rows[:, LINK] - rows[:, MOTOR]
+    rising = np.flatnonzero((stretch[:-1] < 0) & (stretch[1:] >= 0))
+    crossings = rising - stretch[rising] / (stretch[rising + 1] - stretch[rising])
+    period_s = 1e-5 * np.diff(crossings).mean()
+    assert 1.0 / period_s == pytest.approx(586.0, rel=3e-3)
+    peaks = [stretch[a:b].max() for a, b in pairwise(rising)]
+    decrement = math.log(peaks[0] / peaks[-1]) / (len(peaks) - 1)
+    assert decrement == pytest.approx(2 * math.pi * 0.035 / math.sqrt(1 - 0.035**2), rel=2e-3)
+
+
+def test_moving_a_rig_elsewhere_changes_nothing_but_its_positions() -> None:
+    plant = DiscretePlant.build(with_mechanics(ROTARY, **FRICTIONLESS), TICK_S)
+    here = run(plant, 400, state=plant.at_rest(0.0), command=0.1)
+    there = run(plant, 400, state=plant.at_rest(2.0), command=0.1)
+    assert there[:, MOTOR] - here[:, MOTOR] == pytest.approx(2.0, abs=1e-12)
+    assert there[:, LINK_VELOCITY] == pytest.approx(here[:, LINK_VELOCITY], abs=1e-10)
+
+
+def test_a_linear_and_a_rotary_rig_of_equal_numbers_move_alike_to_the_last_bit() -> None:
+    rotary = with_mechanics(ROTARY, handle_radius=1.0)
+    linear = replace(rotary, motion="linear", encoder=Encoder(quantum=rotary.encoder.resolution))
+    ends = []
+    for rig in (rotary, linear):
+        plant = DiscretePlant.build(rig, TICK_S)
+        ends.append(run(plant, 500, state=plant.at_rest(0.0), command=0.3, external=-0.1).tobytes())
+    assert ends[0] == ends[1]
+
+
+# Amplifier -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
+def test_the_effort_follows_a_step_as_one_minus_exp_t_over_lag(rig: RigModel) -> None:
+    rig = with_amplifier(rig, lag_s=1.1e-4)
+    plant = DiscretePlant.build(rig, 2e-5)
+    rows = run(plant, 50, state=plant.at_rest(0.0), command=0.5)
+    t = 2e-5 * np.arange(1, 51)
+    assert rows[:, plant.effort] == pytest.approx(0.5 * (1 - np.exp(-t / 1.1e-4)), rel=1e-12)
+
+
+@pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
+def test_without_lag_the_effort_is_the_command(rig: RigModel) -> None:
+    plant = DiscretePlant.build(with_amplifier(rig, lag_s=0.0), TICK_S)
+    state = plant.at_rest(0.0)
+    for command in (0.3, -0.7, 0.0):
+        assert run(plant, 1, state=state, command=command)[0, plant.effort] == command
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_command_beyond_the_limit_acts_as_the_limit_before_the_lag(sign: float) -> None:
+    plant = DiscretePlant.build(ROTARY, TICK_S)
+    beyond = run(plant, 100, state=plant.at_rest(0.0), command=sign * 40.0)
+    at_limit = run(plant, 100, state=plant.at_rest(0.0), command=sign * 1.3)
+    assert beyond.tobytes() == at_limit.tobytes()
+    assert np.abs(beyond[:, plant.effort]).max() < 1.3  # the lag starts from the limit, not from the command
+
+
+@pytest.mark.parametrize("delay_ticks", [1, 2, 7])
+def test_a_computation_delay_shifts_the_response_by_whole_ticks(delay_ticks: int) -> None:
+    def respond(rig: RigModel) -> Trajectory:
+        plant = DiscretePlant.build(rig, TICK_S)
+        state = plant.at_rest(0.02)
+        rows = [run(plant, 1, state=state, command=0.2 * math.cos(0.1 * k))[0] for k in range(60)]
+        return np.array(rows)[:, : plant.edge_age]
+
+    at_once = respond(ROTARY)
+    delayed = respond(with_simulation(ROTARY, computation_delay_ticks=delay_ticks))
+    assert (delayed[:delay_ticks, :4] == [0.02, 0.0, 0.02, 0.0]).all()
+    assert delayed[delay_ticks:].tobytes() == at_once[:-delay_ticks].tobytes()
+
+
+def test_zeroing_the_commands_on_their_way_cuts_the_effort_of_a_delayed_plant() -> None:
+    rig = with_amplifier(with_simulation(LINEAR, computation_delay_ticks=3), lag_s=0.0)
+    plant = DiscretePlant.build(rig, TICK_S)
+    state = plant.at_rest(0.0)
+    run(plant, 10, state=state, command=5.0)
+    assert (state[plant.commands] == 5.0).all()
+    state[plant.commands] = 0.0
+    assert run(plant, 1, state=state)[0, plant.effort] == 0.0
+
+
+# Steady states ---------------------------------------------------------------------------------------------------
+
+
+def test_a_20_newton_push_rests_20_millimetres_inside_a_wall_of_1_kilonewton_a_metre() -> None:
+    rig = with_mechanics(LINEAR, motor_damping=13.2)
+    plant = DiscretePlant.build(rig, 1e-3)
+    state = plant.at_rest(-0.005)
+    resolution = rig.encoder.resolution
+    for _ in range(3000):
+        penetration = plant.count(state) * resolution
+        wall = -1000.0 * penetration if penetration > 0.0 else 0.0
+        advance(state, *plant.arrays, wall, 20.0)
+    assert state[0] == pytest.approx(0.020, abs=2 * resolution)
+
+
+def test_under_viscous_damping_a_push_ends_at_its_terminal_velocity() -> None:
+    plant = DiscretePlant.build(with_mechanics(LINEAR, motor_damping=10.0, link_damping=3.2), 1e-3)
+    rows = run(plant, 1000, state=plant.at_rest(0.0), command=4.0, external=2.6)
+    assert rows[-1, 1] == pytest.approx(6.6 / 13.2, rel=1e-9)
+
+
+def test_coulomb_friction_takes_its_level_off_the_push() -> None:
+    rig = with_mechanics(LINEAR, motor_damping=13.2, link_coulomb=0.19)
+    plant = DiscretePlant.build(rig, 1e-3)
+    rows = run(plant, 1000, state=plant.at_rest(0.0), command=6.6)
+    assert rows[-1, 1] == pytest.approx((6.6 - 0.19) / 13.2, rel=1e-9)
+
+
+@pytest.mark.parametrize("structure", ["rigid", "two-mass"])
+def test_the_end_mass_falls_and_an_equal_effort_holds_it(structure: str) -> None:
+    loaded = {"structure": structure, "end_mass": 0.07, "gravity": -9.81}
+    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **loaded, **FRICTIONLESS)
+    plant = DiscretePlant.build(rig, 1e-3)
+    weight = -0.07 * 9.81 * 0.1
+    inertia = 1.9e-4 + 1.58e-3 + 0.07 * 0.1**2
+    centre = np.array([1.9e-4, inertia - 1.9e-4]) / inertia
+    falling = run(plant, 30, state=plant.at_rest(0.0))[-1]
+    velocities = falling[[MOTOR_VELOCITY, plant.handle_position + 1]]
+    assert centre @ velocities == pytest.approx(weight * 0.030 / inertia, rel=1e-9)
+
+    held = run(plant, 30, state=plant.at_rest(0.0), external=-weight)
+    assert held[-1, :2] == pytest.approx([0.0, 0.0], abs=1e-15)
+
+
+def test_a_push_on_the_link_against_the_motor_stretches_the_capstan_by_push_over_stiffness() -> None:
+    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **FRICTIONLESS)
+    plant = DiscretePlant.build(rig, 1e-3)
+    end = run(plant, 200, state=plant.at_rest(0.0), command=-0.5, external=0.5)[-1]
+    assert end[LINK] - end[MOTOR] == pytest.approx(0.5 / 2310.0, rel=1e-9)
+
+
+# Coulomb friction ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 1e-4])
+@pytest.mark.parametrize(
+    ("rig", "command", "external"),
+    [
+        (with_mechanics(LINEAR, motor_coulomb=0.1, link_coulomb=0.09), 0.1899, 0.0),
+        (with_mechanics(LINEAR, motor_coulomb=0.1, link_coulomb=0.09), 1.0, -1.1899),
+        (ROTARY, 0.00499, 0.0),
+        (ROTARY, -0.00499, 0.00169),
+    ],
+    ids=["rigid", "rigid balanced", "two-mass", "two-mass both"],
+)
+def test_a_push_below_the_friction_level_moves_nothing_exactly(
+    rig: RigModel, command: float, external: float, lag_s: float
+) -> None:
+    plant = DiscretePlant.build(with_amplifier(rig, lag_s=lag_s), TICK_S)
+    start = plant.at_rest(0.1234)
+    start[plant.effort] = command  # the effort is there already: a rising one might slip past its balance
+    still = [i for i in range(plant.edge_age) if i != plant.effort]
+    rows = run(plant, 2000, state=start.copy(), command=command, external=external)
+    assert (rows[:, still] == start[still]).all()
+    assert (rows[:, plant.edge_age] == math.inf).all()  # and no encoder edge came
+
+
+def test_a_push_above_the_friction_level_accelerates_by_the_difference() -> None:
+    plant = DiscretePlant.build(with_mechanics(LINEAR, motor_coulomb=0.19), 1e-3)
+    rows = run(plant, 200, state=plant.at_rest(0.0), command=1.0)
+    t, acceleration = 0.2, (1.0 - 0.19) / 0.52
+    assert rows[-1, :2] == pytest.approx([acceleration * t**2 / 2, acceleration * t], rel=1e-12)
+
+
+@given(speed=st.floats(1e-4, 1.0), push=st.floats(-0.15, 0.15))
+@settings(max_examples=30, deadline=None)
+def test_a_sliding_mass_stops_when_and_where_constant_deceleration_says(speed: float, push: float) -> None:
+    coulomb, mass, step_s = 0.19, 0.52, 1e-3
+    rig = with_simulation(with_mechanics(LINEAR, motor_coulomb=coulomb), inner_step_s=step_s)
+    plant = DiscretePlant.build(rig, step_s)
+    deceleration = (coulomb - push) / mass
+    stop_s = speed / deceleration
+    state = plant.at_rest(0.0)
+    state[1] = speed
+    rows = run(plant, math.ceil(stop_s / step_s) + 20, state=state, command=push)
+    moving = int(np.count_nonzero(rows[:, 1]))
+    assert moving * step_s == pytest.approx(stop_s, abs=step_s * (1 + 1e-6))
+    # In the last step the mass is brought to rest by its end instead of before it.
+    assert rows[-1, 0] == pytest.approx(speed * stop_s / 2, abs=deceleration * step_s**2 / 8 + 1e-12)
+    assert (rows[moving:, 0] == rows[-1, 0]).all()
+
+
+def test_the_error_of_friction_falls_with_the_inner_step() -> None:
+    def end(inner_step_s: float) -> Trajectory:
+        plant = DiscretePlant.build(with_simulation(ROTARY, inner_step_s=inner_step_s), 1e-3)
+        state = plant.at_rest(0.0)
+        pushes = [0.02 * math.sin(2 * math.pi * 20.0 * k * 1e-3) for k in range(100)]
+        return np.array([run(plant, 1, state=state, command=u)[0, :4] for u in pushes])
+
+    exact = end(1e-6)
+    coarse, usual, fine = (np.abs(end(step) - exact)[:, [MOTOR, LINK]].max() for step in (1e-4, 5e-5, 6e-6))
+    assert usual < 0.01 * ROTARY.encoder.resolution
+    assert coarse > usual > 5 * fine
+
+
+def test_only_the_link_moves_when_the_push_overcomes_its_friction_but_not_the_motors() -> None:
+    plant = DiscretePlant.build(ROTARY, TICK_S)
+    push = 0.004  # above 0.0017 of the link, and what is left is below 0.005 of the motor
+    rows = run(plant, 4000, state=plant.at_rest(0.0), external=push)
+    assert (rows[:, MOTOR] == 0.0).all()
+    at_rest = rows[-1]
+    assert at_rest[LINK_VELOCITY] == 0.0
+    # It rests anywhere in the band where friction can carry the difference.
+    assert (push - 0.0017) <= 2310.0 * at_rest[LINK] <= (push + 0.0017)
+
+
+@given(
+    free=st.tuples(*[st.floats(-10.0, 10.0)] * 2),
+    gains=st.tuples(st.floats(0.01, 10.0), st.floats(-0.99, 0.99), st.floats(0.01, 10.0)),
+    levels=st.tuples(*[st.floats(0.0, 10.0)] * 2),
+)
+def test_the_friction_pair_obeys_coulombs_law_on_both_masses(
+    free: tuple[float, float], gains: tuple[float, float, float], levels: tuple[float, float]
+) -> None:
+    motor, correlation, link = gains
+    cross = correlation * math.sqrt(motor * link)
+    *friction, motor_velocity, link_velocity = _rub_both(*free, motor, cross, link, *levels)
+    velocity = np.array([motor_velocity, link_velocity])
+    matrix = np.array([[motor, cross], [cross, link]])
+    assert velocity == pytest.approx(np.array(free) + matrix @ friction, abs=1e-10)
+    for f, v, level in zip(friction, velocity, levels, strict=True):
+        assert abs(f) <= level
+        if abs(v) > 1e-10:  # sliding: full friction against the motion
+            assert f == -math.copysign(level, v)
+
+
+@given(
+    start=st.tuples(*[st.floats(-1.0, 1.0)] * 4),
+    size=st.floats(1e-3, 1.0),
+    zeta=st.sampled_from([0.0, 0.035]),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_passive_plant_creates_no_energy(start: tuple[float, ...], size: float, zeta: float) -> None:
+    """But for a step in which a mass stops or turns: held friction then works at most over that step's travel."""
+    passive = {"motor_damping": 0.0, "link_damping": 0.0, "transmission_damping_ratio": zeta}
+    rig = with_mechanics(ROTARY, **passive)
+    plant = DiscretePlant.build(rig, TICK_S)
+    state = plant.at_rest(0.0)
+    state[:4] = size * np.array(start) * [1e-3, 1.0, 1e-3, 1.0]
+    first = energy(state, rig)
+    for _ in range(300):
+        before, energy_before = state.copy(), energy(state, rig)
+        advance(state, *plant.arrays, 0.0, 0.0)
+        allowed = 0.0
+        for position, level in ((MOTOR, 0.005), (LINK, 0.0017)):
+            if before[position + 1] * state[position + 1] <= 0.0:
+                allowed += level * abs(state[position] - before[position])
+        assert energy(state, rig) <= energy_before + allowed * (1 + 1e-6) + 1e-12 * first
+
+
+@given(speed=st.floats(-1.0, 1.0), damping=st.sampled_from([0.0, 13.2]))
+@settings(max_examples=20, deadline=None)
+def test_a_passive_rigid_mass_never_gains_energy_and_ends_at_rest(speed: float, damping: float) -> None:
+    rig = with_mechanics(LINEAR, motor_damping=damping, motor_coulomb=0.19)
+    plant = DiscretePlant.build(rig, 1e-3)
+    state = plant.at_rest(0.0)
+    state[1] = speed
+    energies = [0.26 * speed**2, *(0.26 * run(plant, 3000, state=state)[:, 1] ** 2)]
+    assert (np.diff(energies) <= 0.0).all()
+    assert energies[-1] == 0.0
+
+
+def test_a_ringing_capstan_with_friction_loses_energy_in_every_millisecond() -> None:
+    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, transmission_damping_ratio=0.0)
+    plant = DiscretePlant.build(rig, 1e-3)
+    state = plant.at_rest(0.0)
+    state[LINK] = 3e-4
+    energies = [energy(state, rig), *(energy(row, rig) for row in run(plant, 20, state=state))]
+    ringing = np.array(energies) > 0.01 * energies[0]
+    assert ringing.sum() > 4
+    assert (np.diff(energies)[ringing[:-1]] < 0.0).all()
+
+
+def test_energy_is_kinetic_and_elastic() -> None:
+    state = np.array([0.1, 2.0, 0.1004, -3.0, 0.0, math.inf])
+    wanted = 0.5 * 1.9e-4 * 4 + 0.5 * 1.58e-3 * 9 + 0.5 * 2310.0 * 0.0004**2
+    assert energy(state, ROTARY) == pytest.approx(wanted)
+    assert energy(np.array([9.0, 2.0, 0.0, 0.0]), LINEAR) == pytest.approx(0.5 * 0.52 * 4)
+
+
+def test_stick_slip_under_a_slow_push_is_that_of_an_event_driven_solver() -> None:
+    """A sinusoidal push slides a mass once in each half period and leaves it stuck in between."""
+    mass, damping, coulomb, amplitude, frequency_hz = 0.52, 13.2, 0.19, 0.3, 5.0
+    omega, half = 2 * math.pi * frequency_hz, 0.5 / frequency_hz
+    breaks_away = math.asin(coulomb / amplitude) / omega
+
+    def push(t: float) -> float:
+        return amplitude * math.sin(omega * t)
+
+    def slide(t: float, y: Trajectory) -> list[float]:
+        return [y[1], (push(t) - coulomb - damping * y[1]) / mass]
+
+    def stops(_: float, y: Trajectory) -> float:
+        return float(y[1]) + 1e-12
+
+    stops.terminal, stops.direction = True, -1.0  # type: ignore[attr-defined]
+    solved = solve_ivp(
+        slide,
+        (breaks_away, breaks_away + half),
+        [0.0, 0.0],
+        method="DOP853",
+        events=stops,
+        dense_output=True,
+        rtol=1e-11,
+        atol=1e-14,
+    )
+    rests, distance = solved.t[-1], solved.y[0, -1]
+    assert solved.status == 1, "it must stop before the push turns"
+    assert distance > 1e-4
+
+    rig = with_mechanics(LINEAR, motor_damping=damping, motor_coulomb=coulomb)
+    plant = DiscretePlant.build(rig, TICK_S)
+    state, ticks = plant.at_rest(0.0), round(4 * half / TICK_S)
+    rows = np.array([run(plant, 1, state=state, command=push((k + 0.5) * TICK_S))[0] for k in range(ticks)])
+    times = TICK_S * np.arange(1, ticks + 1)
+
+    sliding = (times > breaks_away) & (times < rests)
+    assert rows[sliding, 0] == pytest.approx(solved.sol(times[sliding])[0], abs=1e-9)
+    for n, resting_place in enumerate([distance, 0.0, distance]):
+        stuck = (times > rests + n * half + TICK_S) & (times < breaks_away + (n + 1) * half - TICK_S)
+        assert stuck.sum() > 400
+        assert rows[stuck, 0] == pytest.approx(resting_place, abs=1e-9)
+        assert not np.diff(rows[stuck, 0]).any()
+
+
+# Encoder ---------------------------------------------------------------------------------------------------------
+
+
+@given(
+    velocity=st.floats(1e-3, 0.2), direction=st.sampled_from([-1, 1]), offset=st.sampled_from([0.0, 0.3, 0.5])
+)
+@settings(max_examples=30, deadline=None)
+def test_at_constant_velocity_the_last_edge_is_dated_exactly(
+    velocity: float, direction: int, offset: float
+) -> None:
+    """From less than one edge in five ticks to ten edges a tick, upwards and downwards."""
+    rig = replace(LINEAR, encoder=Encoder(quantum=1e-6, offset=offset))
+    plant = DiscretePlant.build(rig, TICK_S)
+    state = plant.at_rest(0.2e-6)
+    state[1] = direction * velocity
+    for k in range(1, 200):
+        advance(state, *plant.arrays, 0.0, 0.0)
+        position = 0.2 + offset + direction * velocity * k * TICK_S / 1e-6  # in counts from an edge
+        if abs(position - round(position)) < 1e-6:
+            continue  # on an edge: rounding decides whether it has passed
+        edge = math.floor(position) if direction > 0 else math.ceil(position)
+        if edge == (math.ceil(0.2 + offset) - (direction > 0)):
+            assert state[plant.edge_age] == math.inf
+        else:
+            assert state[plant.edge_age] == pytest.approx(abs(position - edge) * 1e-6 / velocity, abs=1e-9)
+
+
+def test_under_acceleration_the_edge_is_dated_to_the_curvature_of_one_step() -> None:
+    rig = with_simulation(LINEAR, inner_step_s=1e-3)
+    plant = DiscretePlant.build(rig, 1e-3)
+    state = plant.at_rest(0.0)
+    acceleration = 2.0
+    for k in range(1, 100):
+        advance(state, *plant.arrays, 0.52 * acceleration, 0.0)
+        t = k * 1e-3
+        edge = (math.floor(acceleration * t**2 / 2 / 1e-6 + 0.5) - 0.5) * 1e-6
+        exact = t - math.sqrt(2 * edge / acceleration)
+        slowest = acceleration * (t - 1e-3)
+        if slowest > 0.0:
+            assert abs(state[plant.edge_age] - exact) <= acceleration * 1e-6 / 8 / slowest
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_count_of_a_tick_is_the_count_of_the_state_it_leaves(sign: Literal[1, -1]) -> None:
+    rig = replace(ROTARY, encoder=Encoder(counts_per_revolution=1000, ratio=10.0, offset=0.3, sign=sign))
+    plant = DiscretePlant.build(rig, TICK_S)
+    state, counts = plant.at_rest(0.0), []
+    for _ in range(500):
+        counts.append(advance(state, *plant.arrays, 0.1, 0.0))
+        assert counts[-1] == plant.count(state)
+    assert sign * counts[-1] > 50
+    assert counts == sorted(counts, reverse=sign < 0)
+
+
+# Building --------------------------------------------------------------------------------------------------------
+
+
+def test_a_step_longer_than_half_a_period_of_the_capstan_mode_is_refused_with_the_bound() -> None:
+    slow = with_simulation(ROTARY, inner_step_s=1e-3)
+    with pytest.raises(ConfigError, match="too long") as caught:
+        DiscretePlant.build(slow, 1e-3)
+    assert "0.00085" in caught.value.remedy  # 1 / (2 · 586 Hz)
+    DiscretePlant.build(with_simulation(LINEAR, inner_step_s=1e-3), 1e-3)  # a rigid rig has no such mode
+
+
+@pytest.mark.parametrize("tick_s", [0.0, -1e-3, math.inf, math.nan])
+def test_a_tick_that_is_no_time_is_refused(tick_s: float) -> None:
+    with pytest.raises(ConfigError, match="tick"):
+        DiscretePlant.build(ROTARY, tick_s)
+
+
+# Without the compiler --------------------------------------------------------------------------------------------
+
+
+def fingerprint() -> str:
+    """Bits left by runs that stick, slip, turn, saturate and wait, on both structures."""
+    bits = []
+    for rig in (with_mechanics(LINEAR, motor_coulomb=0.19), ROTARY):
+        plant = DiscretePlant.build(with_simulation(rig, computation_delay_ticks=2), 2e-4)
+        state = plant.at_rest(0.01)
+        limit = rig.amplifier.effort_limit
+        counts = [
+            advance(state, *plant.arrays, 1.2 * limit * math.sin(0.3 * k) ** 3, 0.01 * math.cos(0.2 * k))
+            for k in range(300)
+        ]
+        bits.append(state.tobytes().hex() + f"/{sum(counts)}")
+    return " ".join(bits)
+
+
+def test_plain_python_gives_the_bits_of_the_compiled_kernels() -> None:
+    command = "import runpy, sys; print(runpy.run_path(sys.argv[1])['fingerprint']())"
+    plain = subprocess.run(
+        [sys.executable, "-c", command, __file__],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert plain.stdout.strip() == fingerprint()

@@ -1,0 +1,285 @@
+"""The simulated rig as a process behind a pseudo-terminal, opened as any serial port is.
+
+Real time passes here, on whatever machine this is: nothing is asserted about latency, all waits are bounded.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from queue import Queue
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, State
+from firmware_protocol.faults import Fault
+from firmware_protocol.framing import FrameSplitter
+from firmware_protocol.packing import unpack
+from rig.devices.device import DeviceUrl
+from rig.devices.serial import SerialLink, open_link
+from rig.errors import ConfigError
+from sim_backend import pty
+from tests.conformance.device import check_device
+from tests.conformance.host import Host
+from tests.conformance.link import check_link
+from tests.conformance.rigs import rotary_rig
+
+WAIT_S = 20.0
+SLACK_S = 5.0  # of a loaded machine
+PROGRAM = """
+from sim_backend.pty import serve
+from tests.conformance.rigs import rotary_rig
+serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r})
+"""
+
+
+class Server:
+    """`serve` in a thread."""
+
+    def __init__(self, **options: object) -> None:
+        announced: Queue[str] = Queue()
+        self.stop = threading.Event()
+        self.error: BaseException | None = None
+
+        def body() -> None:
+            try:
+                pty.serve(rotary_rig(), announce=announced.put, stop_event=self.stop, **options)  # type: ignore[arg-type]
+            except BaseException as error:
+                self.error = error
+
+        self.thread = threading.Thread(target=body, daemon=True)
+        self.thread.start()
+        self.path = announced.get(timeout=WAIT_S)
+
+    def open(self) -> SerialLink:
+        return open_port(self.path)
+
+    def end(self) -> None:
+        self.stop.set()
+        self.thread.join(WAIT_S)
+        assert not self.thread.is_alive()
+        assert self.error is None
+
+
+def open_port(path: str) -> SerialLink:
+    return open_link(DeviceUrl.parse(f"serial://{path}"))
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    running = Server()
+    yield running
+    running.end()
+
+
+def run(host: Host, duration_s: float) -> list[m.State]:
+    """Answer every STATE for a while, as fast as it goes; the STATEs of the session."""
+    end = time.monotonic() + duration_s
+    host.states.clear()
+    while time.monotonic() < end:
+        list(host.events(0.1))
+        host.command(20)
+    return host.states
+
+
+def wait_for_fault(host: Host) -> m.State:
+    deadline = time.monotonic() + WAIT_S
+    while time.monotonic() < deadline:
+        state = host.next_state()
+        if state.fault:
+            return state
+    raise AssertionError("no fault")
+
+
+def test_the_process_conforms_as_a_device(server: Server) -> None:
+    check_device(server.open, starts_in_boot=False)
+
+
+def test_its_port_conforms_as_a_link(server: Server) -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    try:
+        check_link(server.open, lambda: open_port(os.ttyname(slave)), slack_s=SLACK_S)
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_it_advertises_the_rates_that_a_pseudo_terminal_carries(server: Server) -> None:
+    about = Host(server.open()).identify()
+    assert (about.position_rate_default, about.position_rate_maximum) == (1_000, 4_000)
+
+
+def test_a_descriptor_without_any_library_is_enough(server: Server) -> None:
+    connection = Connection(m.Role.HOST)
+    port = os.open(server.path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(port, connection.send(m.Identify(7, 0)))
+        event = None
+        while event is None:
+            connection.receive_data(os.read(port, 1))
+            event = connection.next_event()
+        assert event.nonce == 7
+    finally:
+        os.close(port)
+
+
+def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(server: Server) -> None:
+    host = Host(server.open())
+    host.begin()
+    states = run(host, 0.2)
+    host.disarm()
+    host.link.close()
+    assert len(states) >= 20
+    assert all(after.sample_index > before.sample_index for before, after in pairwise(states))
+    assert all(
+        (b.device_time - a.device_time) == 16_000 * (b.sample_index - a.sample_index)
+        for a, b in pairwise(states)
+    )
+    assert all(b.missed_ticks >= a.missed_ticks for a, b in pairwise(states))
+    running = [state for state in states if state.command_age != 0xFFFF]
+    assert min(state.command_age for state in running) >= 1
+    # The first STATE went out before any command; the second tick already ran when the answer came.
+    assert [state.current_commanded for state in states[:2]] == [0, 0]
+    assert states[-1].current_commanded == 20
+
+
+def test_after_the_host_is_gone_the_next_one_finds_link_lost_latched_and_goes_on(server: Server) -> None:
+    host = Host(server.open())
+    host.begin()
+    run(host, 0.2)
+    host.link.close()  # no STOP, no DISARM
+    time.sleep(0.1)
+    heir = Host(server.open(), first_nonce=500)
+    heir.identify()
+    assert heir.connection.state is State.FAULT
+    log: m.FaultLog = heir.ask(m.GetFaultLog(heir.nonce(), 0))
+    assert log.fault == Fault.LINK_LOST
+    assert heir.disarm(clear_fault=True).status == 0
+    heir.begin(session=2)
+    assert run(heir, 0.1)[-1].state == State.RUNNING
+    heir.disarm()
+    heir.link.close()
+
+
+def test_a_host_that_does_not_read_loses_states_and_hinders_nobody(server: Server) -> None:
+    host = Host(server.open())
+    host.begin(ramp_us=0)
+    host.next_state()
+    time.sleep(2.0)  # 2000 STATEs of 46 bytes are more than the port holds
+    indices = []
+    while not indices or indices[-1] < 2_000:
+        indices += [host.states[-1].sample_index for _ in host.events(0.1)]
+    assert indices == sorted(set(indices))
+    assert host.connection.statistics.lost > 0
+    assert host.connection.statistics.crc_errors == 0, "frames are dropped whole"
+    assert host.disarm(clear_fault=True).status == 0
+    host.link.close()
+
+
+def test_what_one_host_left_unread_is_not_read_by_the_next(server: Server) -> None:
+    host = Host(server.open())
+    host.begin()
+    last = host.next_state().sample_index
+    time.sleep(0.3)
+    host.link.close()
+    time.sleep(0.1)
+    port = os.open(server.path, os.O_RDWR | os.O_NOCTTY)  # pyserial would flush by itself
+    try:
+        received = b""
+        while not (frames := FrameSplitter().feed(received)):
+            received += os.read(port, 4096)
+    finally:
+        os.close(port)
+    _, first = unpack(frames[0])
+    assert isinstance(first, m.State)
+    assert first.sample_index > last + 300
+
+
+def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path) -> None:
+    """Two processes, as in life: the host dies by kill -9 in the middle of a run; the rig ends by SIGTERM, cleanly."""
+    link_path = tmp_path / "rig"
+    rig = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM.format(link_path=str(link_path))], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert rig.stdout is not None
+        assert rig.stdout.readline().strip() == str(link_path)
+        child = os.fork()
+        if child == 0:
+            try:
+                host = Host(open_port(str(link_path)))
+                host.begin()
+                run(host, 60.0)
+            finally:
+                os._exit(1)
+        time.sleep(1.5)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        time.sleep(0.2)
+        heir = Host(open_port(str(link_path)), first_nonce=500)
+        heir.identify()
+        assert heir.ask(m.GetFaultLog(heir.nonce(), 0)).fault == Fault.LINK_LOST
+        assert heir.disarm(clear_fault=True).status == 0
+        assert heir.next_state().current_commanded == 0
+        heir.link.close()
+        rig.send_signal(signal.SIGTERM)
+        assert rig.wait(WAIT_S) == 0
+        assert not link_path.is_symlink()
+    finally:
+        rig.kill()
+        rig.wait()
+        rig.stdout.close()  # type: ignore[union-attr]
+
+
+def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock of the server jumps by half a second, then by an hour; only the first passes in the simulated world."""
+    host = Host(server.open())
+    host.begin()
+    before = host.next_state()
+    jump_ns = 0
+    monotonic_ns = time.monotonic_ns
+    monkeypatch.setattr(pty.time, "monotonic_ns", lambda: monotonic_ns() + jump_ns)
+    jump_ns = 500_000_000
+    while (after := host.next_state()).missed_ticks < 400:
+        pass
+    assert after.missed_ticks <= after.sample_index - before.sample_index
+    jump_ns = 3_600_000_000_000
+    while (later := host.next_state()).missed_ticks < 65_535:
+        pass
+    assert later.sample_index - after.sample_index < 60_000
+    host.disarm()
+    host.link.close()
+    server.end()  # before its clock jumps back, which no real one does
+
+
+def test_it_ends_by_itself_after_its_duration() -> None:
+    finite = Server(duration_s=0.05)
+    finite.thread.join(WAIT_S)
+    assert not finite.thread.is_alive()
+    assert finite.error is None
+
+
+@pytest.mark.parametrize("rate", [10, 4_001])
+def test_a_rate_beyond_the_port_is_refused(rate: int) -> None:
+    with pytest.raises(ConfigError, match=f"rate = {rate} Hz is outside 50 … 4000"):
+        pty.serve(rotary_rig(), rate=rate, announce=lambda path: None)
+
+
+def test_a_link_path_that_is_a_file_is_not_touched(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("mine")
+    with pytest.raises(ConfigError, match="exists and is no symbolic link"):
+        pty.serve(rotary_rig(), link_path=path, announce=lambda path: None, duration_s=0.0)
+    assert path.read_text() == "mine"

@@ -1,0 +1,78 @@
+"""Encoder and current quantisation: what a number of counts or quanta says about the true value."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.guard import current_quanta as command_quanta
+from sim_backend.sensors import cell, current_quanta, encoder_count
+
+RESOLUTION = 2.0 * math.pi / 40_000.0
+
+positions = st.floats(-10.0, 10.0)
+offsets = st.floats(0.0, 1.0, exclude_max=True)
+
+
+@given(positions, offsets)
+def test_a_position_lies_in_the_cell_that_its_count_names(position: float, offset: float) -> None:
+    low = (encoder_count(position, RESOLUTION, offset, 1) - offset) * RESOLUTION
+    slack = 1e-12
+    assert low - slack <= position <= low + RESOLUTION + slack
+
+
+@given(positions)
+def test_an_offset_of_half_a_count_rounds_to_the_nearest_count(position: float) -> None:
+    count = encoder_count(position, RESOLUTION, 0.5, 1)
+    assert abs(position - count * RESOLUTION) <= RESOLUTION * (0.5 + 1e-9)
+
+
+@given(positions, positions, offsets)
+def test_counts_never_fall_while_the_position_rises(one: float, other: float, offset: float) -> None:
+    low, high = sorted((one, other))
+    assert encoder_count(low, RESOLUTION, offset, 1) <= encoder_count(high, RESOLUTION, offset, 1)
+
+
+@given(positions, offsets)
+def test_a_reversed_encoder_shows_the_negative_count(position: float, offset: float) -> None:
+    forward = encoder_count(position, RESOLUTION, offset, 1)
+    assert encoder_count(position, RESOLUTION, offset, -1) == -forward
+    assert cell(position, RESOLUTION, offset) == forward
+
+
+@pytest.mark.parametrize(
+    ("position", "offset", "count"),
+    [(0.0, 0.0, 0), (0.0, 0.5, 0), (-1e-9, 0.0, -1), (0.999, 0.0, 0), (1.5, 0.5, 2), (-0.51, 0.5, -1)],
+)
+def test_counts_at_the_edges(position: float, offset: float, count: int) -> None:
+    assert encoder_count(position, 1.0, offset, 1) == count
+
+
+@given(st.floats(-30.0, 30.0))
+def test_the_current_is_known_to_half_a_quantum(current_a: float) -> None:
+    assert abs(current_a - 1e-3 * current_quanta(current_a, 1e-3)) <= 0.5e-3 * (1.0 + 1e-9)
+
+
+@given(st.floats(-30.0, 30.0))
+def test_the_sensor_rounds_like_the_command(current_a: float) -> None:
+    assert current_quanta(current_a, 1e-3) == command_quanta(current_a, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("current_a", "quanta"),
+    [
+        (0.5, 1),
+        (-0.5, 0),
+        (-0.51, -1),
+        (1e9, 32767),
+        (-1e9, -32767),
+        (math.inf, 32767),
+        (-math.inf, -32767),
+        (math.nan, 0),
+    ],
+)
+def test_current_at_halves_limits_and_beyond(current_a: float, quanta: int) -> None:
+    assert current_quanta(current_a, 1.0) == quanta
