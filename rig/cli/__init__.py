@@ -1,0 +1,111 @@
+"""The command line. Each command is a thin shell around a function of `rig`; its module is imported only when it runs.
+
+Errors of `rig.errors` become one clear line and their exit code, never a traceback; set ``RIG_DEBUG=1`` to
+see where an unexpected one comes from.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from importlib import import_module
+from typing import cast
+
+import click
+
+from rig.errors import RigError
+
+# Command → module:attribute, and the line that `rig --help` shows without importing it.
+COMMANDS: dict[str, tuple[str, str]] = {
+    "hit": ("rig.cli.hit:hit", "Hit a virtual wall: run, judge, record and draw one automated trial."),
+    "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),
+    "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
+    "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
+    "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
+    "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
+    "preset": ("rig.cli.preset:preset", "List the built-in rigs, or print one as a file to start from."),
+    "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are named in `COMMANDS` and imported on use, so that ``rig --help`` is quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names, in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        return cast("click.Command", getattr(import_module(module), attribute))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="haptic-rig", prog_name="rig")
+def rig() -> None:
+    """Run 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.
+
+    Try it without hardware: `rig hit`. Every command takes --help, and --json for machines.
+    """
+
+
+def main() -> None:
+    """Entry point of the console command; SIGTERM ends it like Ctrl-C."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    sys.exit(run(sys.argv[1:]))
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def run(arguments: list[str]) -> int:
+    """Run a command line and return its exit code; prints errors, raises nothing."""
+    try:
+        result = rig.main(args=arguments, prog_name="rig", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("rig: stopped", err=True)
+        return 130
+    except RigError as error:
+        _report(error, arguments)
+        return error.exit_code
+    except BrokenPipeError:
+        sys.stderr.close()  # whoever read us has gone: nothing to complain about
+        return 0
+    except Exception as error:
+        if os.environ.get("RIG_DEBUG"):
+            raise
+        click.echo(
+            f"rig: internal error: {type(error).__name__}: {error}. This is a bug; RIG_DEBUG=1 shows where",
+            err=True,
+        )
+        return 70
+
+
+def _report(error: RigError, arguments: list[str]) -> None:
+    if "--json" in arguments:
+        facts = {
+            "error": error.message,
+            "kind": type(error).__name__,
+            "remedy": error.remedy,
+            "recording": None if error.recording is None else str(error.recording),
+            "exit_code": error.exit_code,
+        }
+        click.echo(json.dumps(facts, ensure_ascii=False))
+    click.echo(f"rig: {error}", err=True)
+    if error.recording is not None:
+        click.echo(f"rig: what was recorded until then: {error.recording}", err=True)

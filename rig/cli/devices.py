@@ -1,0 +1,64 @@
+"""``rig devices``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import click
+
+from rig.cli import options, output
+
+
+@click.command()
+@click.argument("url", required=False)
+@options.json_option
+def devices(url: str | None, as_json: bool) -> None:
+    """List the backends and the serial ports here, or ask the device at URL who it is."""
+    facts = _ask(url) if url else _list()
+    if as_json:
+        output.print_json(facts)
+        return
+    if url:
+        output.print_pairs([(name, str(value)) for name, value in facts.items()])
+        return
+    click.echo("backends")
+    output.print_pairs(
+        [(f"{b['scheme']}://", f"{b['target']} ({b['distribution']})") for b in facts["backends"]]
+    )
+    click.echo("serial ports")
+    output.print_pairs([(p["port"], p["description"]) for p in facts["ports"]] or [("none", "")])
+    click.echo("simulated rigs")
+    output.print_pairs([(f"sim://{name}", "") for name in facts["simulated"]])
+
+
+def _list() -> dict[str, Any]:
+    from rig import devices as table  # noqa: PLC0415
+    from rig import presets  # noqa: PLC0415
+    from rig.devices.serial import available_ports  # noqa: PLC0415
+
+    return {
+        "backends": [asdict(backend) for backend in table.backends()],
+        "ports": [{"port": port, "description": text} for port, text in available_ports()],
+        "simulated": presets.names(),
+    }
+
+
+def _ask(url: str) -> dict[str, Any]:
+    with output.compiling():
+        from rig.devices import open_device  # noqa: PLC0415
+    with open_device(url) as device:
+        dictionary, offset = device.dictionary, device.clock_offset()
+        return {
+            "url": url,
+            "device": dictionary.device,
+            "firmware": dictionary.firmware,
+            "simulated": dictionary.simulated,
+            "protocol": f"{dictionary.major}.{dictionary.minor}",
+            "state": device.connection.state.name,
+            "current_quantum_a": dictionary.current_quantum_a,
+            "position_rate_default": dictionary.position_rate_default,
+            "position_rate_maximum": dictionary.position_rate_maximum,
+            "clock_offset_ns": offset.offset_ns,
+            "clock_uncertainty_ns": offset.uncertainty_ns,
+        }

@@ -1,0 +1,121 @@
+"""Options that several commands share: which experiment, with which changes, and how to print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from rig.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.config import Experiment
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+DEFAULT_PRESET = "koul-compliant"
+_SUFFIXES = {"k": 1e3, "M": 1e6, "": 1.0}
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
+
+# Option → key of the experiment.
+_KEYS = {
+    "stiffness": "wall.stiffness",
+    "damping": "wall.damping",
+    "estimator": "controller.estimator",
+    "effort": "trial.effort",
+    "start": "trial.start",
+    "duration": "trial.duration_s",
+    "repeats": "trial.repeats",
+    "seed": "trial.seed",
+}
+
+
+def experiment_options(command: F) -> F:
+    """Add the options that choose and change an experiment; the command receives them as `**chosen`."""
+    options = [
+        click.argument("file", required=False, type=click.Path(path_type=Path)),
+        click.option(
+            "--rig", "preset", metavar="NAME", help=f"Built-in rig, when no FILE is given. [{DEFAULT_PRESET}]"
+        ),
+        click.option("-K", "--stiffness", type=float, help="Wall stiffness (N·m/rad or N/m)."),
+        click.option("-B", "--damping", type=float, help="Wall damping (N·m·s/rad or N·s/m)."),
+        click.option(
+            "--rate", metavar="T1[/T2]", help="Position rate and velocity rate: 20k/2k; uniform: 1k."
+        ),
+        click.option("--estimator", help="Velocity estimator."),
+        click.option("--effort", type=float, help="Constant push (N·m or N)."),
+        click.option("--start", type=float, help="Where the handle is released (rad or m)."),
+        click.option("--duration", type=float, help="Length of the push (s)."),
+        click.option("--repeats", type=int, help="How many hits."),
+        click.option("--seed", type=int, help="Seed of everything random in the simulation."),
+        click.option(
+            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set wall.pull=allow."
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
+    """Load the file, else the named preset, else the default one."""
+    from rig import config, presets  # noqa: PLC0415
+
+    if file is not None and preset is not None:
+        raise ConfigError(
+            "both a file and --rig are given", remedy='write preset = "…" into the file, or drop --rig'
+        )
+    if file is not None:
+        return config.load_experiment(file)
+    return presets.load(preset or DEFAULT_PRESET)
+
+
+def changes(rate: str | None, sets: tuple[str, ...], **named: Any) -> dict[str, Any]:
+    """Return what the user set by hand, by dotted key."""
+    changed = {_KEYS[name]: value for name, value in named.items() if value is not None}
+    if rate is not None:
+        changed["controller.position_rate"], changed["controller.velocity_rate"] = parse_rate(rate)
+    for text in sets:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise ConfigError(
+                f"--set {text}: no value", remedy="write --set key=value, like --set wall.pull=allow"
+            )
+        changed[key.strip()] = _value(value.strip())
+    return changed
+
+
+def parse_rate(text: str) -> tuple[int, int]:
+    """Rates of ``20k/2k``, ``20000/2000`` or ``1k`` (uniform), in Hz."""
+    parts = text.split("/")
+    if len(parts) > 2:
+        raise ConfigError(f"--rate {text}: too many rates", remedy="give T1/T2, like 20k/2k")
+    rates = [_hertz(part, text) for part in parts]
+    return rates[0], rates[-1]
+
+
+def _hertz(part: str, text: str) -> int:
+    number = part.strip().removesuffix("Hz").strip()
+    suffix = number[-1:] if number[-1:] in ("k", "M") else ""
+    try:
+        hertz = float(number.removesuffix(suffix)) * _SUFFIXES[suffix]
+    except ValueError:
+        hertz = 0.5
+    if hertz != round(hertz) or hertz <= 0:
+        raise ConfigError(
+            f"--rate {text}: {part!r} is not a whole number of Hz", remedy="write 20k/2k or 20000/2000"
+        )
+    return int(hertz)
+
+
+def _value(text: str) -> Any:
+    """Read a TOML value; text that is none is taken as a string, so that quotes may be left out."""
+    import tomllib  # noqa: PLC0415
+
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,176 @@
+"""How commands print: aligned lines for people, JSON for machines, signs of life on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.sample import Phase, unit_of
+
+if TYPE_CHECKING:
+    from rig.config import Experiment
+    from rig.verdict import Verdict
+
+_COLOURS = {"stable": "green", "limit cycle": "yellow", "unstable": "red", "invalid": "magenta"}
+
+
+def print_json(value: Any) -> None:
+    """One JSON document on standard output; what is not finite becomes null."""
+    click.echo(json.dumps(_finite(value), ensure_ascii=False, indent=2))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value
+
+
+def print_pairs(pairs: list[tuple[str, str]]) -> None:
+    """Name and value, one pair a line, aligned."""
+    width = max((len(name) for name, _ in pairs), default=0)
+    for name, value in pairs:
+        click.echo(f"  {name:<{width}}  {value}")
+
+
+def headline(experiment: Experiment) -> str:
+    """Rig, wall and scheme in one line."""
+    motion, wall, rates = experiment.rig.motion, experiment.wall, experiment.controller
+    scheme = "uniform" if rates.position_rate == rates.velocity_rate else "dual-rate"
+    return (
+        f"{experiment.rig.name}: K = {wall.stiffness:g} {unit_of('stiffness', motion)}, "
+        f"B = {wall.damping:g} {unit_of('damping', motion)}, "
+        f"{scheme} {rates.position_rate / 1e3:g}/{rates.velocity_rate / 1e3:g} kHz, {rates.estimator}"
+    )
+
+
+def coloured(kind: str) -> str:
+    """Return a verdict in its colour."""
+    return click.style(kind, fg=_COLOURS.get(kind), bold=True)
+
+
+def verdict_pairs(experiment: Experiment, verdict: Verdict, true: Verdict | None) -> list[tuple[str, str]]:
+    """Return the lines of a verdict, the true numbers beside the recorded ones where there are any."""
+    from rig.config import verdict_limits  # noqa: PLC0415
+
+    limits, count = verdict_limits(experiment), experiment.rig.encoder.resolution
+    position, velocity, effort = (
+        unit_of(q, experiment.rig.motion) for q in ("position", "velocity", "effort")
+    )
+
+    def beside(text: str, show: Callable[[Verdict], str]) -> str:
+        return text if true is None else f"{text}   (true: {show(true)})"
+
+    def depth(value: float) -> str:
+        return f"{value:.4g} {position} ({value / count:.1f} counts)"
+
+    def felt(v: Verdict) -> str:
+        shown = "not measurable" if v.felt is None else f"{v.felt:.3g}"
+        return f"{shown} {velocity} rms, limit {limits.felt_velocity:.3g}"
+
+    pairs = [("verdict", beside(coloured(verdict.kind), lambda v: coloured(v.kind)))]
+    pairs += [("", reason) for reason in verdict.reasons]
+    if verdict.contact_s is not None and verdict.impact_velocity is not None:
+        pairs.append(
+            ("first contact", f"{verdict.contact_s:.4g} s at {verdict.impact_velocity:.3g} {velocity}")
+        )
+    settling = "never" if verdict.settling_s is None else f"{verdict.settling_s:.3g} s"
+    return [
+        *pairs,
+        ("peak penetration", beside(depth(verdict.peak_penetration), lambda v: f"{v.peak_penetration:.4g}")),
+        (
+            "resting penetration",
+            beside(depth(verdict.resting_penetration), lambda v: f"{v.resting_penetration:.4g}"),
+        ),
+        ("settling time", settling),
+        ("peak effort", f"{verdict.peak_effort:.3g} {effort}, limit {experiment.rig.limits.effort:g}"),
+        ("felt", beside(f"{felt(verdict)}, floor {verdict.felt_floor:.2g}", lambda v: f"{v.felt:.3g}")),
+        (
+            "heard",
+            beside(
+                f"{verdict.heard:.3g} {effort} rms, limit {limits.heard_effort:.3g}",
+                lambda v: f"{v.heard:.3g}",
+            ),
+        ),
+        (
+            "moved",
+            beside(
+                f"{verdict.moved:.3g} {position} p-p, limit {limits.moved:.3g}", lambda v: f"{v.moved:.3g}"
+            ),
+        ),
+        ("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
+        ("late, gaps", f"{verdict.late_ticks} late ticks, {verdict.gaps} gaps in {verdict.ticks}"),
+    ]
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Say once that the kernels are being compiled, and show that the program is alive meanwhile."""
+    from firmware_protocol.kernel import is_cold, mark_warm  # noqa: PLC0415
+
+    if not is_cold():
+        yield
+        return
+    done = threading.Event()
+    thread = threading.Thread(target=_signs_of_life, args=(done,), daemon=True)
+    thread.start()
+    try:
+        yield
+        mark_warm()
+    finally:
+        done.set()
+        thread.join()
+
+
+def _signs_of_life(done: threading.Event) -> None:
+    started = time.monotonic()
+    text = "compiling the loop, once for this version and machine (half a minute)"
+    if not sys.stderr.isatty():
+        click.echo(f"{text} …", err=True)
+        while not done.wait(5.0):
+            click.echo(f"  still compiling, {time.monotonic() - started:.0f} s", err=True)
+        return
+    while not done.wait(0.2):
+        click.echo(f"\r{text}: {time.monotonic() - started:.0f} s ", nl=False, err=True)
+    click.echo(f"\r{text}: done in {time.monotonic() - started:.0f} s", err=True)
+
+
+@contextmanager
+def progress_bars(quiet: bool) -> Iterator[Callable[[int, Experiment], Callable[[int, int], None] | None]]:
+    """Yield a `rig.experiments.hit.Watch` that draws one bar for each hit, on a terminal only."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda repeat, experiment: None
+        return
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[phase]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+
+        def watch(repeat: int, experiment: Experiment) -> Callable[[int, int], None]:
+            trial, rate = experiment.trial, experiment.controller.position_rate
+            least_s = experiment.homing.settle_s + trial.duration_s + trial.release_s
+            task = bars.add_task(f"hit {repeat + 1}/{trial.repeats}", total=round(least_s * rate), phase="")
+
+            def told(ticks: int, phase: int) -> None:
+                bars.update(task, completed=ticks, phase=Phase(phase).name.lower())
+
+            return told
+
+        yield watch

@@ -1,0 +1,50 @@
+"""``rig sim``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rig.cli import options, output
+
+
+@click.group()
+def sim() -> None:
+    """Simulated rigs for other programs to talk to."""
+
+
+@sim.command()
+@click.option(
+    "--rig", "preset", default=options.DEFAULT_PRESET, show_default=True, help="Built-in rig or TOML file."
+)
+@click.option("--rate", type=int, default=None, help="Rate that the device advertises (Hz).")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
+def serve(preset: str, rate: int | None, seed: int, as_json: bool) -> None:
+    """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
+    from rig import config  # noqa: PLC0415
+
+    path = Path(preset)
+    experiment = (
+        options.chosen_experiment(path, None)
+        if path.suffix == ".toml"
+        else options.chosen_experiment(None, preset)
+    )
+    with output.compiling():
+        from rig.devices import load_backend  # noqa: PLC0415
+        from rig.devices.local import serve as serve_scheme  # noqa: PLC0415
+
+        load_backend("sim://")
+
+    def announce(port: str) -> None:
+        if as_json:
+            output.print_json({"url": f"serial://{port}", "rig": experiment.rig.name})
+        else:
+            click.echo(f"serial://{port}")
+            click.echo(
+                f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}", err=True
+            )
+
+    chosen = {} if rate is None else {"rate": rate}
+    serve_scheme("sim", config.rig_model(experiment), seed=seed, announce=announce, **chosen)

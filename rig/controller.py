@@ -1,0 +1,171 @@
+"""From an experiment to the numbers of one run: the controller of the loop, and the parameters of the device.
+
+One place turns configured quantities into ticks, counts and quanta: what the host's law works with
+(`for_experiment`) and what the device is told (`device_parameters`) come from the same values.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import numpy as np
+
+from firmware_protocol.parameters import BY_NAME, Value
+from rig import estimators, laws
+from rig.config import Experiment
+from rig.errors import PlanError
+from rig.laws import Law
+from rig.step import CONTROL, Controller, new_memory
+
+LIFETIME_PERIODS = 5
+SHORTEST_LIFETIME_S = 0.003
+I16_MAXIMUM = 32767
+
+
+def resolution(experiment: Experiment) -> float:
+    """Travel for one count (rad or m), negative when counts fall while the position rises."""
+    encoder = experiment.rig.encoder
+    return encoder.sign * encoder.resolution
+
+
+def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
+    """Effort of one current quantum of the device (N·m or N)."""
+    return experiment.rig.amplifier.effort_per_ampere * current_quantum_a
+
+
+def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
+    """Largest whole number of quanta within the effort limit: what guard and device both clip to."""
+    return math.floor(
+        experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
+    )
+
+
+def for_experiment(
+    experiment: Experiment, *, current_quantum_a: float, reference_count: int = 0, law: Law | None = None
+) -> Controller:
+    """Build the controller of one trial.
+
+    Parameters
+    ----------
+    experiment
+        Validated experiment.
+    current_quantum_a
+        What the device declares (A).
+    reference_count
+        Count at position zero.
+    law
+        Stands in for the law that the experiment names.
+
+    Raises
+    ------
+    ConfigError
+        An unknown estimator or law, or settings that cannot be realised at these rates.
+    """
+    rates, wall, homing, trial, limits = (
+        experiment.controller,
+        experiment.wall,
+        experiment.homing,
+        experiment.trial,
+        experiment.rig.limits,
+    )
+    tick_s = 1.0 / rates.position_rate
+    divider = rates.position_rate // rates.velocity_rate
+    delta = resolution(experiment)
+    quantum = effort_quantum(experiment, current_quantum_a)
+    control = np.zeros(1, CONTROL)
+    values = {
+        "resolution": delta,
+        "reference_count": reference_count,
+        "tick_s": tick_s,
+        "velocity_divider": divider,
+        "wall_position": wall.position,
+        "wall_side": wall.side,
+        "effort_limit": current_limit(experiment, current_quantum_a) * quantum,
+        "effort_quantum": quantum,
+        "trial_slew": limits.slew * tick_s,
+        "transition_slew": homing.slew * tick_s,
+        "window_minimum": limits.position_minimum,
+        "window_maximum": limits.position_maximum,
+        "speed_limit": limits.speed,
+        "home_target": trial.start,
+        "home_step": homing.speed * tick_s,
+        "home_stiffness": homing.stiffness,
+        "home_damping": homing.damping,
+        "home_effort": homing.effort,
+        "home_tolerance": homing.tolerance_counts * abs(delta),
+        "settle_ticks": _ticks(homing.settle_s, tick_s),
+        "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
+        "constant_effort": trial.effort,
+        "trial_ticks": _ticks(trial.duration_s, tick_s),
+        "release_ticks": _ticks(trial.release_s, tick_s),
+    }
+    for name, value in values.items():
+        control[name] = value
+    estimator = estimators.get(rates.estimator)
+    return Controller(
+        control=control,
+        memory=new_memory(),
+        estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
+        law=(law or laws.get(wall.law)).prepare(asdict(wall)),
+    )
+
+
+def command_lifetime_s(experiment: Experiment) -> float:
+    """How long a command holds without the next: five ticks, 3 ms at least, unless configured (s)."""
+    configured = experiment.controller.command_lifetime_s
+    if configured is not None:
+        return configured
+    return max(LIFETIME_PERIODS / experiment.controller.position_rate, SHORTEST_LIFETIME_S)
+
+
+def device_parameters(
+    experiment: Experiment, *, current_quantum_a: float, reference_count: int, verified: bool
+) -> dict[str, Value]:
+    """Values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
+
+    Raises
+    ------
+    PlanError
+        A limit that does not fit the wire: more current than a 16-bit command carries, a window beyond 32-bit counts.
+    """
+    rig, rates, wall = experiment.rig, experiment.controller, experiment.wall
+    limits, delta = rig.limits, abs(rig.encoder.resolution)
+    quantum = effort_quantum(experiment, current_quantum_a)
+    edges = sorted(
+        round(position / resolution(experiment)) + reference_count
+        for position in (limits.position_minimum, limits.position_maximum)
+    )
+    values: dict[str, Value] = {
+        "motion": 0 if rig.motion == "rotary" else 1,
+        "position_rate": rates.position_rate,
+        "velocity_divider": rates.position_rate // rates.velocity_rate,
+        "stiffness": wall.stiffness,
+        "damping": wall.damping,
+        "wall_position": wall.position,
+        "wall_side": wall.side,
+        "wall_pull": 1 if wall.pull == "allow" else 0,
+        "reference_count": reference_count,
+        "verified": 1 if verified else 0,
+        "command_lifetime_us": round(command_lifetime_s(experiment) * 1e6),
+        "current_limit": current_limit(experiment, current_quantum_a),
+        "slew_limit": min(65_535, math.ceil(limits.slew / rates.position_rate / quantum) + 1),
+        "speed_limit": math.ceil(limits.speed / delta),
+        "window_minimum": edges[0],
+        "window_maximum": edges[1],
+        "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
+        "thermal_time_constant": limits.thermal_time_constant_s,
+    }
+    for name, value in values.items():
+        if not BY_NAME[name].accepts(value):
+            parameter = BY_NAME[name]
+            raise PlanError(
+                f"{name} = {value:g} {parameter.unit} does not fit the device: it takes "
+                f"{parameter.minimum:g} to {parameter.maximum:g}",
+                remedy="change the limit, the rate or the current quantum behind it",
+            )
+    return values
+
+
+def _ticks(duration_s: float, tick_s: float) -> int:
+    return round(duration_s / tick_s)

@@ -1,0 +1,335 @@
+"""A device on the other end of a link of frames: transactions with retries, arming, and what it says of its faults.
+
+`firmware_protocol.connection` knows what may be said; this file owns the waiting: each transaction is sent
+again after 20, 40 and 80 ms and then given up with a typed error. Streams (COMMAND, STATE) belong to the
+compiled loop while it runs (`rig.loop`), which hands them back through `take_back`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
+from firmware_protocol.faults import Status
+from firmware_protocol.packing import type_id_of, unpack_fault_entries
+from firmware_protocol.parameters import Value, block_crc, decode_block, encode_block
+from firmware_protocol.transfer import PageReader, set_parameters
+from rig.devices.device import Link
+from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
+
+RETRIES_S = (0.02, 0.04, 0.08)
+STOP_FRAMES = 5
+DICTIONARY_LIMIT = 0xFFFF
+BLOCK_LIMIT = 0xFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """What the device has put in force: every parameter, its fingerprint, and the tick from which it counts."""
+
+    values: dict[str, Value]
+    crc: int
+    sample_index: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """Host clock minus device clock at one moment (ns), with the uncertainty of half a round trip."""
+
+    offset_ns: int
+    uncertainty_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class FaultReport:
+    """The latched fault in words, when it happened (device clock), and the device's last ticks, oldest first."""
+
+    code: int
+    name: str
+    text: str
+    remedy: str
+    later: int
+    device_time_ns: int
+    entries: list[dict[str, int]]
+
+
+class FramedDevice:
+    """The host's end of a rig.
+
+    Parameters
+    ----------
+    link
+        Open link; this object closes it.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.connection = Connection(m.Role.HOST)
+        self._nonce = link.clock.now_ns() // 1_000_000 % 0xFFFF
+        self._dictionary: dictionaries.Dictionary | None = None
+        self._dictionary_hash = 0
+        self._crc = 0
+
+    # ------------------------------------------------------------------ who is there
+
+    @property
+    def dictionary(self) -> dictionaries.Dictionary:
+        """What the device says of itself; asked once."""
+        if self._dictionary is None:
+            self._dictionary = self.identify()
+        return self._dictionary
+
+    def identify(self) -> dictionaries.Dictionary:
+        """Read the device's dictionary.
+
+        Raises
+        ------
+        LinkLostError
+            Nobody answers.
+        IncompatibleDeviceError
+            Somebody answers, in another major version or with nonsense.
+        """
+        reader = PageReader(DICTIONARY_LIMIT)
+        while not reader.complete:
+            reply = self._ask(m.Identify(self._next_nonce(), reader.offset), m.Identity)
+            self._dictionary_hash = reply.dictionary_hash
+            with self._understood():
+                reader.add(
+                    total=reply.total, fingerprint=reply.dictionary_hash, offset=reply.offset, data=reply.data
+                )
+        with self._understood():
+            if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
+                raise RemoteProtocolError("the dictionary does not have the hash that the device announced")
+            return dictionaries.decode(reader.content)
+
+    # ------------------------------------------------------------------ configuring
+
+    def configure(self, values: Mapping[str, Value]) -> Echo:
+        """Put parameters in force, all of them or none, and read back what is in force.
+
+        Raises
+        ------
+        DeviceRefusedError
+            A value that the device does not take; nothing has changed then.
+        """
+        self._make_configurable()
+        for message in set_parameters(encode_block(values), self._next_nonce()):
+            ack = self._command(message)
+        block = self._read_parameters()
+        self._crc = block_crc(block)
+        if ack.crc != self._crc:
+            raise DeviceRefusedError(
+                "the parameters in force are not those that were sent",
+                remedy="report it: the device is inconsistent",
+            )
+        return Echo(decode_block(block), self._crc, ack.sample_index)
+
+    def _make_configurable(self) -> None:
+        """Bring an unknown, faulty or still armed device (a host died) into a state that takes parameters."""
+        self.dictionary  # noqa: B018  (asks who is there, which leaves BOOT and tells the state)
+        if self.connection.state >= State.ARMED:
+            self.disarm(clear_fault=True)
+
+    def _read_parameters(self) -> bytes:
+        reader = PageReader(BLOCK_LIMIT)
+        while not reader.complete:
+            reply = self._ask(m.GetParameters(self._next_nonce(), reader.offset), m.Parameters)
+            with self._understood():
+                reader.add(total=reply.total, fingerprint=reply.crc, offset=reply.offset, data=reply.data)
+        return reader.content
+
+    # ------------------------------------------------------------------ running
+
+    def arm(self) -> int:
+        """Open a session and return its number; the device streams STATE from now on, with zero effort.
+
+        Raises `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
+        """
+        session = 1 + self._next_nonce() % 0xFF
+        message = m.Arm(self._next_nonce(), self._dictionary_hash, self._crc)
+        try:
+            self._command(message, session=session)
+        except DeviceRefusedError as error:
+            if error.status != Status.STALE_SESSION:
+                raise
+            session = 1 + session % 0xFF
+            self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc), session=session)
+        return session
+
+    def take_back(self, *, next_command: int, newest_state: int, state: int) -> None:
+        """Take the streams back from the compiled loop (see `Connection.resume`)."""
+        self.connection.resume(next_command=next_command, newest_state=newest_state, state=State(state))
+
+    def stop(self) -> None:
+        """Zero effort, now, several times. Cannot raise: what happens afterwards is somebody else's error."""
+        for _ in range(STOP_FRAMES):
+            with suppress(LinkLostError, LocalProtocolError):
+                self.link.write(self.connection.send(m.Command(0, 1000, int(m.Mode.STOP), 0, 0)))
+
+    def disarm(self, *, clear_fault: bool = False) -> None:
+        """End the session: zero effort, amplifier off."""
+        flags = int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0
+        self._command(m.Disarm(self._next_nonce(), flags))
+
+    # ------------------------------------------------------------------ asking
+
+    def clock_offset(self, exchanges: int = 8) -> ClockOffset:
+        """Host clock minus device clock, from the exchange with the shortest round trip of several."""
+        best: ClockOffset | None = None
+        tick_ns = self.dictionary.time_unit_ns
+        for _ in range(exchanges):
+            sent = self.link.clock.now_ns()
+            reply = self._ask(m.GetTime(self._next_nonce(), sent), m.Time)
+            received = self.link.clock.now_ns()
+            on_device = round((reply.device_sent - reply.device_received) * tick_ns)
+            middle = round((reply.device_received + reply.device_sent) / 2 * tick_ns)
+            sample = ClockOffset((sent + received) // 2 - middle, max(0, received - sent - on_device) // 2)
+            if best is None or sample.uncertainty_ns < best.uncertainty_ns:
+                best = sample
+        assert best is not None
+        return best
+
+    def explain_fault(self, code: int) -> FaultReport:
+        """Say in words what a fault code means, without asking the device."""
+        info = self.dictionary.explain_fault(code)
+        return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
+
+    def fault_report(self) -> FaultReport:
+        """Read the latched fault and the device's ring of ticks before it."""
+        entries: list[dict[str, int]] = []
+        while True:
+            reply = self._ask(m.GetFaultLog(self._next_nonce(), len(entries)), m.FaultLog)
+            page = [asdict(entry) for entry in unpack_fault_entries(reply.data)]
+            entries += page
+            if not page or len(entries) >= reply.total:
+                break
+        time_ns = round(reply.device_time * self.dictionary.time_unit_ns)
+        said = self.explain_fault(reply.fault)
+        return replace(said, later=reply.later, device_time_ns=time_ns, entries=entries)
+
+    def close(self) -> None:
+        """Disarm if a session is open, and release the link; never raises."""
+        if self.connection.session:
+            self.stop()
+            with suppress(Exception):
+                self.disarm(clear_fault=True)
+        self.link.close()
+
+    def __enter__(self) -> FramedDevice:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    # ------------------------------------------------------------------ transactions
+
+    def _next_nonce(self) -> int:
+        self._nonce = (self._nonce + 1) % 0x10000
+        return self._nonce
+
+    def _ask(self, question: m.Message, reply: type[Any]) -> Any:
+        """Send a question and return its reply; a refusal is a `DeviceRefusedError`."""
+        event = self._transact(question, None)
+        if isinstance(event.message, reply):
+            return event.message
+        raise self._refusal(event.message)
+
+    def _command(self, request: m.Message, *, session: int | None = None) -> m.Ack:
+        event = self._transact(request, session)
+        if isinstance(event.message, m.Ack) and event.message.status == Status.OK:
+            return event.message
+        raise self._refusal(event.message)
+
+    def _transact(self, request: m.Message, session: int | None) -> Received:
+        for patience_s in (*RETRIES_S, RETRIES_S[-1]):
+            self.link.write(self.connection.send(request, session=session))
+            for event in self._events(patience_s):
+                if _answers(event.message, request):
+                    return event
+        raise LinkLostError(
+            f"the device at {self.link.url.text} does not answer {type(request).__name__}",
+            remedy="check that the right firmware runs there, that the port is the right one, and the baud rate",
+            statistics=self.connection.statistics,
+        )
+
+    def _events(self, timeout_s: float) -> Iterator[Received]:
+        """Yield what the device says until the time is over."""
+        deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
+        while (remaining := deadline - self.link.clock.now_ns()) > 0:
+            self.connection.receive_data(self.link.read(remaining * 1e-9))
+            while True:
+                with self._understood():
+                    event = self.connection.next_event()
+                if event is None:
+                    break
+                if isinstance(event, Received):
+                    yield event
+
+    def _refusal(self, message: m.Message) -> DeviceRefusedError:
+        if not isinstance(message, m.Ack):
+            return DeviceRefusedError(f"the device answered {type(message).__name__} instead")
+        if self._dictionary is not None:
+            info = self._dictionary.explain_status(message.status)
+            text, remedy = info.text, info.remedy
+        else:
+            text, remedy = Status(message.status).text, Status(message.status).remedy
+        request = (
+            m.MESSAGES[message.request].__name__ if message.request in m.MESSAGES else str(message.request)
+        )
+        return DeviceRefusedError(
+            f"the device refused {request}: {text.replace(' (detail)', '')}{self._detail(message)}",
+            remedy=remedy,
+            status=message.status,
+        )
+
+    def _detail(self, ack: m.Ack) -> str:
+        """What the detail of a refusal names: a parameter with its range, or a state."""
+        if ack.status == Status.BAD_STATE:
+            return f" ({State(ack.detail).name})"
+        if self._dictionary is not None and ack.detail:
+            for info in self._dictionary.parameters:
+                if info.id == ack.detail:
+                    return f" ({info.name}, allowed {info.minimum:g} … {info.maximum:g})"
+        return ""
+
+    def _understood(self) -> _Translated:
+        return _Translated(self.link.url.text)
+
+
+def _answers(message: m.Message, request: m.Message) -> bool:
+    """Whether a message is the answer to this very request, and not a late one to an earlier step of the same nonce."""
+    if isinstance(message, m.State | m.Batch) or message.nonce != request.nonce:  # type: ignore[attr-defined]
+        return False
+    if not isinstance(message, m.Ack):
+        return True
+    same_step = not isinstance(request, m.SetChunk) or message.detail == request.offset
+    return message.request == type_id_of(type(request)) and (same_step or message.status != Status.OK)
+
+
+class _Translated:
+    """Turn what the device said wrongly into an error for the user."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, IncompatibleMajorError):
+            raise IncompatibleDeviceError(
+                f"the device at {self._url} speaks protocol {error.theirs}, this package speaks {error.ours}",
+                remedy="flash the firmware that belongs to this version, or install the version of that firmware",
+            ) from error
+        if isinstance(error, RemoteProtocolError):
+            raise IncompatibleDeviceError(
+                f"the device at {self._url} does not make sense: {error}",
+                remedy="check that it runs the firmware of this project",
+            ) from error

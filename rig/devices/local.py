@@ -1,0 +1,84 @@
+"""A simulated device as a process of its own, for a run in real time on this machine.
+
+The process speaks through a pseudo-terminal, so that everything from pyserial upwards is what a real rig
+meets.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from typing import Any
+
+from rig.devices.device import DeviceUrl
+from rig.errors import ConfigError, DeviceNotFoundError
+from rig.model import RigModel
+
+SERVERS = {"sim": "sim_backend.pty:serve"}
+START_TIMEOUT_S = 60.0  # the first start compiles the plant
+STOP_TIMEOUT_S = 5.0
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def serve(scheme: str, model: RigModel, **options: Any) -> None:
+    """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
+
+    Raises `ConfigError` when no backend serves this scheme, `DeviceNotFoundError` when it does not load.
+    """
+    if scheme not in SERVERS:
+        raise ConfigError(f"{scheme}:// cannot be served", remedy=f"known: {', '.join(SERVERS)}")
+    module, _, function = SERVERS[scheme].partition(":")
+    try:
+        server = getattr(import_module(module), function)
+    except ImportError as error:
+        raise DeviceNotFoundError(
+            f"{SERVERS[scheme]} does not load: {error}", remedy="reinstall it"
+        ) from error
+    server(model, **options)
+
+
+def _child(scheme: str, model: RigModel, seed: int, pipe: Any) -> None:
+    _die_with_parent()
+    serve(scheme, model, seed=seed, announce=pipe.send)
+
+
+def _die_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the parent dies, also of kill -9: no device process is left behind."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@contextmanager
+def serve_locally(url: str, model: RigModel, *, seed: int = 0) -> Iterator[str]:
+    """Start a device process and yield the URL of its port; the process ends with the context.
+
+    Raises `DeviceNotFoundError` when the process does not come up.
+    """
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(
+        target=_child, args=(DeviceUrl.parse(url).scheme, model, seed, sender), name="rig-device", daemon=True
+    )
+    process.start()
+    sender.close()
+    try:
+        yield f"serial://{_announced(receiver, url)}"
+    finally:
+        process.terminate()
+        process.join(STOP_TIMEOUT_S)
+        if process.is_alive():
+            process.kill()
+            process.join(STOP_TIMEOUT_S)
+
+
+def _announced(receiver: Any, url: str) -> str:
+    with suppress(EOFError):
+        if receiver.poll(START_TIMEOUT_S):
+            return str(receiver.recv())
+    raise DeviceNotFoundError(
+        f"the device process for {url} did not start", remedy="start it by hand to see why: rig sim serve"
+    )

@@ -1,0 +1,88 @@
+"""Why a run ended, as the error that a user reads: what happened, and what to do next."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.devices.framed import FaultReport
+from rig.errors import DeviceFaultError, GuardError, LawError, LinkLostError, RigError, StoppedError
+from rig.loop.host import EndReason
+from rig.loop.run import LoopEnd
+
+# Reason → error, what happened, what to do. In braces: url, why (errno), fault, fault_remedy, cause (an
+# exception).
+ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
+    EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
+    EndReason.STOPPED: (StoppedError, "stopped; the effort is zero", ""),
+    EndReason.HEARTBEAT_MISSED: (
+        StoppedError,
+        "the supervising program fell silent, so the loop stopped; the effort is zero",
+        "look for what blocked it",
+    ),
+    EndReason.LINK_CLOSED: (
+        LinkLostError,
+        "the link to {url} broke during the run ({why}); the device cuts the effort by itself",
+        "check cable and power, then start again",
+    ),
+    EndReason.LINK_SILENT: (
+        LinkLostError,
+        "the device at {url} fell silent during the run; it cuts the effort by itself",
+        "check cable, power and the load of this computer, or lower the rate",
+    ),
+    EndReason.DEVICE_FAULT: (DeviceFaultError, "device fault: {fault}", "{fault_remedy}"),
+    EndReason.NONFINITE: (
+        LawError,
+        "the law gave a value that is not finite; the effort went to zero",
+        "check the law, the estimator and their parameters",
+    ),
+    EndReason.LAW_RAISED: (
+        LawError,
+        "the law raised {cause}; the effort went to zero",
+        "mend the law: a kernel raises nothing",
+    ),
+    EndReason.OUT_OF_WINDOW: (
+        GuardError,
+        "the handle left the position window or exceeded the speed limit; the effort went to zero",
+        "check the wall, the signs of motor and encoder, and rig.limits",
+    ),
+    EndReason.HOMING_FAILED: (
+        GuardError,
+        "the start was not reached in time; the effort went to zero",
+        "free the handle, or raise homing.effort, homing.tolerance_counts or homing.timeout_s",
+    ),
+}
+
+
+def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np.void]) -> RigError | None:
+    """Return the error of an ending, None when the run finished.
+
+    Parameters
+    ----------
+    end
+        How the loop ended.
+    url
+        Of the device.
+    fault
+        What the device said of its fault, if it was asked and answered.
+    rows
+        The last rows of the ring, which the error carries.
+    """
+    if end.reason == EndReason.FINISHED:
+        return None
+    kind, message, remedy = ENDINGS[end.reason]
+    errno = end.counters["errno"]
+    words = {
+        "url": url,
+        "why": os.strerror(errno) if errno else "no error number",
+        "fault": fault.text if fault else "it did not say which",
+        "fault_remedy": fault.remedy if fault else "read its fault log",
+        "cause": repr(end.error),
+    }
+    error = kind(message.format(**words), remedy=remedy.format(**words))
+    if isinstance(error, LinkLostError):
+        error.statistics = end.counters
+        error.rows = rows
+    return error

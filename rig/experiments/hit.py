@@ -1,0 +1,213 @@
+"""The main job: an automated wall hit with a constant effort, on a rig or on its simulation, recorded and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.devices.framed import FramedDevice
+from rig.devices.local import serve_locally
+from rig.errors import ConfigError, PlanError
+from rig.experiments.judgement import as_trailer, judge
+from rig.experiments.plan import Check, Outcome, link_checks, make_plan
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.laws import Law
+from rig.recording.data import Recording
+from rig.verdict import Verdict
+
+RATES = ("controller.position_rate", "controller.velocity_rate")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HitRequest:
+    """What to hit, where, and how.
+
+    Attributes
+    ----------
+    experiment
+        Validated experiment, before `changes`.
+    url
+        Of the device; None simulates the experiment's rig in this process.
+    changes
+        Keys that the user set by hand, dotted; they win over everything else.
+    realtime
+        Run in real time: a simulated rig then is a process behind a pseudo-terminal. A real device always is.
+    verified
+        The user vouches that encoder and motor signs of a real rig were checked.
+    output
+        Directory of the recordings.
+    law
+        A law of the caller's own instead of the named one.
+    """
+
+    experiment: Experiment
+    url: str | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    realtime: bool = False
+    verified: bool = False
+    output: Path = Path("recordings")
+    law: Law | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HitResult:
+    """One hit: its recording, and the verdicts: the recorded one and, in simulation, the true one."""
+
+    recording: Path
+    experiment: Experiment
+    verdict: Verdict
+    verdict_true: Verdict | None
+    counters: dict[str, int]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "recording": str(self.recording),
+            "rig": self.experiment.rig.name,
+            "stiffness": self.experiment.wall.stiffness,
+            "damping": self.experiment.wall.damping,
+            "position_rate": self.experiment.controller.position_rate,
+            "velocity_rate": self.experiment.controller.velocity_rate,
+            "estimator": self.experiment.controller.estimator,
+            "resolution": self.experiment.rig.encoder.resolution,
+            **as_trailer(self.verdict, self.verdict_true),
+            "counters": self.counters,
+        }
+
+
+Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
+
+
+def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
+    """Run the hits of a request, one after another, and yield each result as it comes.
+
+    Parameters
+    ----------
+    request
+        What to do.
+    watch
+        Called before each repeat with its number and the experiment in effect; may return a function that
+        is told (ticks, phase) while the trial runs.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run: nothing has moved.
+    RigError
+        Whatever ended a trial early (see `rig.experiments.trial.run_trial`); the effort is zero.
+    """
+    with _opened(request) as device:
+        experiment = _experiment_for(request, device)
+        config.check_plugins(experiment, experiment.rig.name)
+        _refuse(make_plan(experiment).checks)
+        _refuse(
+            link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
+        )
+        _check_verified(request, device)
+        request.output.mkdir(parents=True, exist_ok=True)
+        stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
+        for repeat in range(experiment.trial.repeats):
+            progress = watch(repeat, experiment) if watch else None
+            yield _one(
+                device, experiment, request, _free_name(request.output, f"{stem}-{repeat + 1}"), progress
+            )
+
+
+def _one(
+    device: FramedDevice,
+    experiment: Experiment,
+    request: HitRequest,
+    path: Path,
+    progress: Callable[[int, int], None] | None,
+) -> HitResult:
+    verdicts: list[tuple[Verdict, Verdict | None]] = []
+
+    def judged(recording: Recording) -> dict[str, Any]:
+        verdicts.append(judge(recording))
+        return as_trailer(*verdicts[-1])
+
+    end = run_trial(
+        device,
+        TrialRequest(
+            experiment=experiment,
+            recording=path,
+            verified=request.verified or device.dictionary.simulated,
+            seed=experiment.trial.seed,
+            law=request.law,
+            progress=progress,
+            judge=judged,
+        ),
+    )
+    recorded, true = verdicts[0]
+    return HitResult(
+        recording=end.recording,
+        experiment=experiment,
+        verdict=recorded,
+        verdict_true=true,
+        counters=end.counters,
+    )
+
+
+@contextmanager
+def _opened(request: HitRequest) -> Iterator[FramedDevice]:
+    """Open the device of a request; a simulated one in real time becomes a process of its own."""
+    url = request.url or "sim://"
+    if not url.startswith("sim:"):
+        with devices.open_device(url) as device:
+            yield device
+        return
+    experiment = config.with_realtime(request.experiment) if request.realtime else request.experiment
+    model = config.rig_model(config.override(experiment, request.changes))
+    if request.realtime:
+        with (
+            serve_locally(url, model, seed=request.experiment.trial.seed) as port,
+            devices.open_device(port) as device,
+        ):
+            yield device
+    else:
+        with devices.open_device(url, model) as device:
+            yield device
+
+
+def _experiment_for(request: HitRequest, device: FramedDevice) -> Experiment:
+    """The experiment in effect on this device: in real time its gentler variant at the device's own rate."""
+    if device.link.clock.virtual:
+        return config.override(request.experiment, request.changes)
+    changes: dict[str, Any] = dict(request.experiment.realtime)
+    if not any(key in request.changes for key in RATES):
+        changes.update(dict.fromkeys(RATES, device.dictionary.position_rate_default))
+    return config.override(request.experiment, {**changes, **request.changes}, "real time and command line")
+
+
+def _refuse(checks: list[Check] | tuple[Check, ...]) -> None:
+    refused = [check for check in checks if check.outcome == Outcome.REFUSED]
+    if refused:
+        raise PlanError(
+            "; ".join(f"{check.name}: {check.text}" for check in refused),
+            remedy="; ".join(check.remedy for check in refused),
+        )
+
+
+def _check_verified(request: HitRequest, device: FramedDevice) -> None:
+    if device.dictionary.simulated or request.verified:
+        return
+    raise ConfigError(
+        f"nobody vouches for the signs of motor and encoder on {device.dictionary.device}",
+        remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
+        "move it the same way), put the handle at position zero, and say --verified",
+    )
+
+
+def _free_name(directory: Path, stem: str) -> Path:
+    """First capture name of this stem that no recording has."""
+    for number in range(1, 10_000):
+        name = stem if number == 1 else f"{stem}-{number}"
+        if not any((directory / f"{name}{suffix}").exists() for suffix in (".rigcap", ".parquet", ".png")):
+            return directory / f"{name}.rigcap"
+    raise ConfigError(f"{directory} is full of recordings named {stem}", remedy="choose another --output")

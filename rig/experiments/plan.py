@@ -1,0 +1,216 @@
+"""What an experiment will do, and whether it may: listed and checked before anybody touches the handle.
+
+No device is touched here. The predictions are those of one rigid mass without damping, which errs on the hard
+side: a real hit is slower and softer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from rig import controller
+from rig.config import Experiment
+from rig.sample import unit_of
+
+# Encoded frames of the host loop at most, with header, CRC, stuffing and delimiter.
+STATE_BYTES = 48
+COMMAND_BYTES = 24
+LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
+
+
+class Outcome(StrEnum):
+    """What a check says."""
+
+    OK = "ok"
+    WARNING = "warning"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing that will happen, and how long it may take (s)."""
+
+    name: str
+    text: str
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One comparison with a limit; `remedy` says what to do unless it is ok."""
+
+    name: str
+    outcome: Outcome
+    text: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The steps of one trial, how often it runs, and the checks."""
+
+    rig: str
+    repeats: int
+    steps: tuple[Step, ...]
+    checks: tuple[Check, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Longest time that everything may take (s)."""
+        return self.repeats * sum(step.duration_s for step in self.steps)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is refused."""
+        return all(check.outcome != Outcome.REFUSED for check in self.checks)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "duration_s": self.duration_s, "ok": self.ok}
+
+
+def make_plan(experiment: Experiment) -> Plan:
+    """List and check an experiment.
+
+    Raises
+    ------
+    ConfigError
+        Settings of the estimator or the law that cannot be realised.
+    PlanError
+        A limit that does not fit the wire.
+    """
+    quantum = experiment.rig.amplifier.current_quantum_a
+    controller.for_experiment(experiment, current_quantum_a=quantum)
+    controller.device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
+    checks = (*_wall_checks(experiment), *_heat_checks(experiment))
+    return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks)
+
+
+def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
+    """Whether a device and its link carry the loop at the asked rate."""
+    rate = experiment.controller.position_rate
+    checks = [
+        Check(
+            "device rate",
+            Outcome.OK if rate <= rate_maximum else Outcome.REFUSED,
+            f"{rate} Hz asked, the device does {rate_maximum} Hz at most",
+            f"choose --rate {rate_maximum} or less",
+        )
+    ]
+    if bytes_per_second is not None:
+        needed, usable = rate * STATE_BYTES, LINK_SHARE * bytes_per_second
+        possible = int(usable // STATE_BYTES)
+        checks.append(
+            Check(
+                "link capacity",
+                Outcome.OK if needed <= usable else Outcome.REFUSED,
+                f"{needed / 1e3:.1f} kB/s of samples at {rate} Hz, the link carries {usable / 1e3:.1f} kB/s",
+                f"choose --rate {possible} or less, or a faster link",
+            )
+        )
+    return checks
+
+
+@dataclass(frozen=True, slots=True)
+class Impact:
+    """Hit of a rigid, undamped mass: velocity at the wall, deepest penetration, effort of the spring there."""
+
+    velocity: float
+    peak_penetration: float
+    peak_effort: float
+
+
+def predict_impact(experiment: Experiment) -> Impact:
+    """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all."""
+    mechanics, trial, wall = experiment.rig.mechanics, experiment.trial, experiment.wall
+    inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
+    push = max(0.0, wall.side * trial.effort)
+    net = max(0.0, push - mechanics.motor_coulomb - mechanics.link_coulomb)
+    velocity = math.sqrt(2.0 * net * abs(wall.position - trial.start) / inertia)
+    if wall.stiffness == 0.0:
+        return Impact(velocity, math.inf, 0.0)
+    rest = push / wall.stiffness
+    peak = rest + math.sqrt(rest**2 + inertia * velocity**2 / wall.stiffness)
+    return Impact(velocity, peak, wall.stiffness * peak)
+
+
+def _steps(x: Experiment) -> tuple[Step, ...]:
+    position, effort, velocity = (unit_of(q, x.rig.motion) for q in ("position", "effort", "velocity"))
+    c, t, h, w = x.controller, x.trial, x.homing, x.wall
+    scheme = "uniform" if c.position_rate == c.velocity_rate else "dual-rate"
+    wall = f"{w.stiffness:g} {unit_of('stiffness', x.rig.motion)}, {w.damping:g} {unit_of('damping', x.rig.motion)}"
+    return (
+        Step(
+            "configure",
+            f"{scheme}: position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}",
+            0.0,
+        ),
+        Step(
+            "home",
+            f"to {t.start:g} {position} at {h.speed:g} {velocity}, at most {h.effort:g} {effort}",
+            h.timeout_s,
+        ),
+        Step(
+            "push", f"{t.effort:g} {effort} into a wall of {wall} at {w.position:g} {position}", t.duration_s
+        ),
+        Step("release", "ramp the effort to zero", t.release_s),
+        Step("judge", f"on the last {x.verdict.tail_s:g} s of the push; disarm and seal the recording", 0.0),
+    )
+
+
+def _wall_checks(x: Experiment) -> list[Check]:
+    limits, motion, delta = x.rig.limits, x.rig.motion, x.rig.encoder.resolution
+    position, effort, velocity = (unit_of(q, motion) for q in ("position", "effort", "velocity"))
+    hit = predict_impact(x)
+    end = x.wall.position + x.wall.side * hit.peak_penetration
+    inside = limits.position_minimum <= end <= limits.position_maximum
+    checks = [
+        Check(
+            "impact velocity",
+            Outcome.OK if hit.velocity <= limits.speed else Outcome.REFUSED,
+            f"up to {hit.velocity:.3g} {velocity}, limit {limits.speed:g}",
+            "push less or start closer to the wall",
+        ),
+        Check(
+            "peak penetration",
+            Outcome.OK if inside else Outcome.REFUSED,
+            f"up to {hit.peak_penetration:.3g} {position} ({hit.peak_penetration / delta:.1f} counts), "
+            f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
+            "raise wall.stiffness, push less, or widen the window",
+        ),
+        Check(
+            "peak effort",
+            Outcome.OK if hit.peak_effort <= limits.effort else Outcome.WARNING,
+            f"spring up to {hit.peak_effort:.3g} {effort}, limit {limits.effort:g}",
+            "the hit will saturate; push less or start closer",
+        ),
+    ]
+    if x.wall.stiffness > 0.0:
+        rest = abs(x.trial.effort) / x.wall.stiffness
+        enough = rest / delta >= x.trial.minimum_rest_counts
+        checks.append(
+            Check(
+                "resting penetration",
+                Outcome.OK if enough else Outcome.REFUSED,
+                f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {x.trial.minimum_rest_counts:g} counts",
+                "push more, or lower wall.stiffness",
+            )
+        )
+    return checks
+
+
+def _heat_checks(x: Experiment) -> list[Check]:
+    limits, trial = x.rig.limits, x.trial
+    load = abs(trial.effort) / limits.nominal_effort
+    budget = load**2 * -math.expm1(-trial.duration_s * trial.repeats / limits.thermal_time_constant_s)
+    return [
+        Check(
+            "motor heat",
+            Outcome.OK if budget <= 1.0 else Outcome.REFUSED,
+            f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort",
+            "push less, shorten trial.duration_s, or let the motor cool between repeats",
+        )
+    ]

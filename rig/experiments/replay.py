@@ -1,0 +1,179 @@
+"""The same inputs through the same law again, or through another: what would it have commanded.
+
+Replay is open loop: the handle moved as it moved, whatever the other law would have done to it. With the
+recorded settings it is bit-exact, also over gaps, because the rows and the header hold every input of
+`rig.step`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol.kernel import kernel
+from rig import config, controller
+from rig.errors import RecordingError
+from rig.experiments.judgement import experiment_of
+from rig.laws import Law
+from rig.loop.host import ROWS_TYPE
+from rig.plugs import ESTIMATOR, LAW
+from rig.recording.data import Recording
+from rig.sample import COLUMNS, ROW, RowFlag
+from rig.step import CONTROL_TYPE, MEMORY_TYPE, Controller, step
+
+# What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
+COMPUTED = (
+    "phase",
+    "position",
+    "velocity",
+    "penetration",
+    "effort_wall",
+    "effort_wanted",
+    "effort_sent",
+    "current_sent",
+)
+_TIMING = int(RowFlag.LATE | RowFlag.GAP)  # noticed by the loop, not by the law
+
+
+_FLOATS, _INTS = types.float64[::1], types.int64[::1]
+
+
+@kernel(
+    types.void(
+        ESTIMATOR, LAW, ROWS_TYPE, ROWS_TYPE, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS
+    )
+)  # fmt: skip
+def replay_rows(
+    estimator: Any, law: Any, recorded: Any, replayed: Any, control: Any, memory: Any,
+    estimator_f: Any, estimator_i: Any, estimator_parameters: Any, law_state: Any, law_parameters: Any,
+) -> None:  # fmt: skip
+    """Run `step` over the samples of `recorded` and write what it computes into `replayed`."""
+    m = memory[0]
+    for i in range(len(recorded)):
+        source, row = recorded[i], replayed[i]
+        step(
+            estimator, law, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"], control, memory,
+            estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
+        )  # fmt: skip
+        row["phase"] = m["phase"]
+        row["position"] = m["position"]
+        row["velocity"] = m["velocity"]
+        row["penetration"] = m["penetration"]
+        row["effort_wall"] = m["effort_wall"]
+        row["effort_wanted"] = m["effort_wanted"]
+        row["effort_sent"] = m["effort_sent"]
+        row["current_sent"] = m["current_sent"]
+        row["flags"] = m["flags"] | (source["flags"] & _TIMING)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """Replayed rows beside the recorded ones (equal length, `rig.sample.ROW`), and how far they are apart.
+
+    `exact` says that every computed column is equal to the last bit; the differences are rms over the rows,
+    in the units of the rig.
+    """
+
+    recorded: NDArray[np.void]
+    rows: NDArray[np.void]
+    estimator: str
+    law: str
+    exact: bool
+    velocity_difference: float
+    effort_difference: float
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the summary without the rows, for JSON."""
+        names = ("estimator", "law", "exact", "velocity_difference", "effort_difference")
+        return {"ticks": len(self.rows), **{name: getattr(self, name) for name in names}}
+
+
+def replay(
+    recording: Recording, changes: Mapping[str, Any] | None = None, *, law: Law | None = None
+) -> ReplayResult:
+    """Replay a recording.
+
+    Parameters
+    ----------
+    recording
+        Complete or not: its rows from the first on.
+    changes
+        Keys of the experiment to change, dotted, like ``{"controller.estimator": "fdm"}``; none: the same
+        law again.
+    law
+        A law of the caller's own instead of the named one.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks its beginning or a column that the law needs.
+    ConfigError
+        The changes cannot be meant, or the law of the recording is not installed here.
+    """
+    recorded = _rows(recording)
+    replayed = recorded.copy()
+    bundle = _controller(recording, changes, law)
+    replay_rows(
+        bundle.estimator.estimator.update, bundle.law.law.function, recorded, replayed, *bundle.arguments()
+    )
+    if len(recorded):
+        _as_the_loop_ended(recorded, replayed)
+    return ReplayResult(
+        recorded,
+        replayed,
+        bundle.estimator.estimator.name,
+        bundle.law.law.name,
+        exact=all(replayed[name].tobytes() == recorded[name].tobytes() for name in (*COMPUTED, "flags")),
+        velocity_difference=_rms(replayed["velocity"] - recorded["velocity"]),
+        effort_difference=_rms(replayed["effort_sent"] - recorded["effort_sent"]),
+    )
+
+
+def _rows(recording: Recording) -> NDArray[np.void]:
+    missing = [c.name for c in COLUMNS if c.name not in recording.names]
+    if missing:
+        raise RecordingError(
+            f"the recording has no column {missing[0]}", remedy="replay it with the version that recorded it"
+        )
+    if len(recording.rows) and recording.rows["tick"][0] != 0:
+        raise RecordingError(
+            f"the recording begins at tick {recording.rows['tick'][0]}",
+            remedy="its first block is lost: it has no replay",
+        )
+    if not np.array_equal(recording.rows["tick"], np.arange(len(recording.rows))):
+        raise RecordingError(
+            "ticks are missing in the middle of the recording", remedy="it has no exact replay"
+        )
+    rows = np.zeros(len(recording.rows), dtype=ROW)
+    for column in COLUMNS:
+        rows[column.name] = recording.rows[column.name]
+    return rows
+
+
+def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> Controller:
+    initial = recording.header["initial_state"]
+    if not changes:
+        return Controller.from_mapping(initial, law=law)
+    experiment = config.override(experiment_of(recording), changes, "replay")
+    return controller.for_experiment(
+        experiment,
+        current_quantum_a=recording.header["identity"]["current_quantum_a"],
+        reference_count=initial["control"]["reference_count"],
+        law=law,
+    )
+
+
+def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
+    """The loop sends zero in the tick that ends it, whatever the law said: a device fault is no input of the law."""
+    if recorded["fault"][-1] != 0:
+        replayed["effort_sent"][-1] = 0.0
+        replayed["current_sent"][-1] = 0
+
+
+def _rms(difference: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(difference)))) if len(difference) else 0.0

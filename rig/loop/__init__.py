@@ -1,0 +1,1 @@
+"""The loop of a rig: compiled text (`host`) and the threads around it (`run`)."""

@@ -1,0 +1,71 @@
+"""The way over the wire changes nothing: frames, splitter, codec, ring and recorder are transparent to the law."""
+
+import numpy as np
+import pytest
+
+from rig import config, controller, presets
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import FramedDevice
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.recording.header import repeatable
+from rig.recording.reader import open_recording
+from rig.sample import Phase
+from sim_backend import trial as bare
+from sim_backend.link import open_link
+from sim_backend.plant import DiscretePlant
+
+SHORT = {"trial.duration_s": 0.15, "trial.release_s": 0.02, "verdict.tail_s": 0.05, "homing.settle_s": 0.02}
+FAST = {"controller.position_rate": 20000, "controller.velocity_rate": 20000}
+
+
+def over_the_wire(experiment, path, url="sim://"):
+    link = open_link(DeviceUrl.parse(url), config.rig_model(experiment))
+    with FramedDevice(link) as device:
+        request = TrialRequest(
+            experiment=experiment, recording=path, verified=True, seed=experiment.trial.seed
+        )
+        return open_recording(run_trial(device, request).recording)
+
+
+@pytest.mark.parametrize("name", presets.names())
+@pytest.mark.parametrize("changes", [{}, {"controller.estimator": "fdm"}], ids=["filtered", "raw"])
+def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(name, changes, tmp_path):
+    experiment = config.override(presets.load(name), {**SHORT, **changes})
+    recording = over_the_wire(experiment, tmp_path / "hit.rigcap")
+    rows = recording.rows
+
+    quantum = experiment.rig.amplifier.current_quantum_a
+    law = controller.for_experiment(experiment, current_quantum_a=quantum)
+    plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
+    start = int(rows["device_time"][0] * 16 // 1000)
+    trace = bare.run_trial(law, plant, 0.0, most_ticks=len(rows) + 10, start_units=start)
+
+    assert len(trace) == len(rows)
+    assert set(trace.phases) >= {Phase.TRIAL, Phase.RELEASE, Phase.DONE}
+    np.testing.assert_array_equal(trace.counts, rows["count"])
+    np.testing.assert_array_equal(trace.currents, rows["current_sent"])
+    np.testing.assert_array_equal(trace.phases, rows["phase"])
+    np.testing.assert_array_equal(trace.flags, rows["flags"])
+    for column, index in (
+        ("position_true", plant.sensed_position),
+        ("velocity_true", plant.sensed_position + 1),
+        ("effort_true", plant.effort),
+        ("handle_position_true", plant.handle_position),
+    ):
+        assert trace.states[:, index].tobytes() == rows[column].tobytes(), column
+
+
+def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path):
+    experiment = config.override(
+        presets.load("koul-compliant"), {**SHORT, "rig.amplifier.current_noise_a": 0.01}
+    )
+    first, second = (over_the_wire(experiment, tmp_path / f"{n}.rigcap", "sim://?seed=7") for n in (1, 2))
+    other = over_the_wire(experiment, tmp_path / "3.rigcap", "sim://?seed=8")
+
+    assert first.rows.tobytes() == second.rows.tobytes()
+    assert repeatable(first.header) == repeatable(second.header)
+    assert first.trailer == second.trailer
+    assert first.rows["current_measured"].tobytes() != other.rows["current_measured"].tobytes()
+    assert first.rows["count"].tobytes() == other.rows["count"].tobytes(), (
+        "sensor noise of the current is not felt"
+    )

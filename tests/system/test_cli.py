@@ -1,0 +1,336 @@
+"""The commands as a person meets them: what they print, what they leave on disk, and how they refuse."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import rig.cli
+from rig.recording.reader import open_recording
+
+QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
+
+
+@pytest.fixture
+def run(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture
+def recording(run):
+    code, out, _ = run("hit", "--json", "--no-plot", *QUICK)
+    assert code == 0
+    return json.loads(out)[0]["recording"]
+
+
+def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run, tmp_path):
+    code, out, err = run("hit", *QUICK)
+    assert code == 0, err
+    for words in (
+        "koul-compliant",
+        "K = 300 N·m/rad",
+        "verdict",
+        "peak penetration",
+        "counts",
+        "settling",
+        "late",
+    ):
+        assert words in out
+    (parquet,) = (tmp_path / "recordings").glob("*.parquet")
+    (picture,) = (tmp_path / "recordings").glob("*.png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert open_recording(parquet).complete
+    assert str(parquet.name) in out
+    assert not list((tmp_path / "recordings").glob("*.rigcap"))
+
+
+def test_hit_gives_the_numbers_as_json(run):
+    code, out, _ = run(
+        "hit", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--rate", "20k/2k", "--repeats", "2", *QUICK
+    )
+    assert code == 0
+    first, second = json.loads(out)
+    assert first["verdict"]["kind"] == first["verdict_true"]["kind"] == "stable"
+    assert first["stiffness"] == 200.0
+    assert (first["position_rate"], first["velocity_rate"]) == (20000, 2000)
+    assert first["recording"] != second["recording"]
+    assert first["verdict"]["peak_penetration"] == pytest.approx(
+        second["verdict"]["peak_penetration"], rel=0.2
+    )
+
+
+def test_the_default_hit_is_the_one_of_the_reference_study(run):
+    """Peak 17 to 18 counts, rest 3 to 4, effort up to 1.2 N·m, no saturation, stable."""
+    code, out, _ = run("hit", "--json", "--no-plot")
+    assert code == 0
+    (hit,) = json.loads(out)
+    verdict, count = hit["verdict"], hit["resolution"]
+    assert verdict["kind"] == hit["verdict_true"]["kind"] == "stable"
+    assert 17.0 <= verdict["peak_penetration"] / count <= 18.0
+    assert 3.0 <= verdict["resting_penetration"] / count <= 4.0
+    assert verdict["peak_effort"] <= 1.2
+    assert verdict["saturated_fraction"] == 0.0
+    assert verdict["ticks"] == 20000
+
+
+def test_a_wall_of_three_times_the_limit_is_not_stable(run):
+    code, out, _ = run(
+        "hit", "--json", "--no-plot", "-K", "1500", "-B", "0", "--set", "trial.minimum_rest_counts=0"
+    )
+    assert code == 0
+    (hit,) = json.loads(out)
+    assert hit["verdict"]["kind"] == "unstable"
+    assert hit["verdict_true"]["kind"] == "unstable"
+
+
+def test_show_says_what_a_recording_holds(run, recording, tmp_path):
+    code, out, _ = run("show", recording, "--plot", tmp_path / "again.png")
+    assert code == 0
+    assert "finished" in out
+    assert "position_true" in out
+    assert "rad/s" in out
+    assert (tmp_path / "again.png").stat().st_size > 10_000
+    code, out, _ = run("show", recording, "--json")
+    facts = json.loads(out)
+    assert facts["header"]["experiment"]["wall"]["stiffness"] == 300.0
+    assert facts["columns"]["velocity"] == "rad/s"
+    assert facts["complete"]
+
+
+def test_replay_with_the_same_settings_is_bit_exact(run, recording):
+    code, out, _ = run("replay", recording, "--json")
+    assert code == 0
+    result = json.loads(out)
+    assert result["exact"]
+    assert result["velocity_difference"] == result["effort_difference"] == 0.0
+
+
+def test_replay_through_another_estimator_shows_the_difference(run, recording, tmp_path):
+    code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "--plot", tmp_path / "replay.png")
+    assert code == 0
+    result = json.loads(out)
+    assert result["estimator"] == "fdm"
+    assert not result["exact"]
+    assert result["velocity_difference"] > 0.01
+    assert (tmp_path / "replay.png").exists()
+    code, out, _ = run("replay", recording, "-K", "100", "--json")
+    assert json.loads(out)["effort_difference"] > 0.01
+
+
+@pytest.mark.parametrize("ending", ["csv", "mat", "parquet"])
+def test_export_writes_the_formats_that_people_open(run, recording, ending):
+    code, out, _ = run("export", recording, f"hit.{ending}")
+    assert code == 0
+    assert out.strip() == f"hit.{ending}"
+    code, _, err = run("export", recording, f"hit.{ending}")
+    assert code != 0
+    assert "exists" in err
+    assert run("export", recording, f"hit.{ending}", "--overwrite")[0] == 0
+
+
+def test_plan_lists_steps_and_checks_and_touches_nothing(run, tmp_path):
+    code, out, _ = run("plan", "--rig", "chawda-linear")
+    assert code == 0
+    for words in ("home", "push", "release", "impact velocity", "N/m", "motor heat"):
+        assert words in out
+    assert not list(tmp_path.iterdir())
+    code, out, _ = run("plan", "--json")
+    assert json.loads(out)["ok"]
+
+
+def test_a_preset_prints_as_a_file_that_runs(run, tmp_path):
+    code, out, _ = run("preset", "koul-rigid")
+    assert code == 0
+    (tmp_path / "mine.toml").write_text(out, encoding="utf-8")
+    assert run("plan", "mine.toml")[0] == 0
+    code, out, _ = run("preset")
+    assert "koul-compliant" in out
+
+
+def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run):
+    code, out, _ = run("devices")
+    assert code == 0
+    assert "sim://" in out
+    assert "serial://" in out
+    code, out, _ = run("devices", "sim://chawda-linear", "--json")
+    facts = json.loads(out)
+    assert facts["device"] == "chawda-linear"
+    assert facts["simulated"]
+
+
+WRONG = {
+    "unknown key": ("[wall]\nstifness = 3.0", ["mine.toml", "stifness", "stiffness"]),
+    "out of range": ("[wall]\nstiffness = -5.0", ["mine.toml", "wall.stiffness", "-5", "≥ 0", "N·m/rad"]),
+    "wrong type": ('[wall]\nstiffness = "hard"', ["mine.toml", "wall.stiffness", "hard", "number"]),
+    "rates": ("[controller]\nvelocity_rate = 3000", ["mine.toml", "velocity_rate", "3000", "2500"]),
+    "no toml": ("[wall\n", ["mine.toml", "line 2"]),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_is_refused_with_file_key_value_range_and_remedy(run, tmp_path, case):
+    text, words = WRONG[case]
+    (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{text}\n', encoding="utf-8")
+    for command in (["plan"], ["hit", "--no-plot"]):
+        code, out, err = run(*command, "mine.toml")
+        assert code == 2
+        assert out == ""
+        for word in words:
+            assert word in err, (word, err)
+
+
+REFUSED = [
+    (["hit", "nothere.toml"], 2, "nothere.toml"),
+    (["hit", "--rig", "koul-complaint"], 2, "koul-compliant"),
+    (["hit", "--url", "serial:///dev/nothere"], 3, "no port /dev/nothere"),
+    (["hit", "--url", "serial://"], 2, "no port"),
+    (["hit", "--url", "usb://1:2"], 2, "no backend for usb://"),
+    (["hit", "--url", "sim://?colour=blue"], 2, "colour"),
+    (["hit", "--url", "nonsense"], 2, "no scheme"),
+    (["hit", "--estimator", "fdm-butterwort"], 2, "fdm-butterworth"),
+    (["hit", "--rate", "20k/3k"], 2, "velocity_rate"),
+    (["hit", "--rate", "fast"], 2, "--rate fast"),
+    (["hit", "--rate", "100k"], 2, "50 to 50000"),
+    (["hit", "--effort", "0.03"], 2, "counts"),
+    (["hit", "--set", "wall.stiffness"], 2, "key=value"),
+    (["hit", "--set", "controller.parameters.cutoff_hz=1500"], 2, "1000 Hz"),
+    (["show", "nothere.parquet"], 9, "nothere.parquet"),
+    (["replay", "nothere.parquet"], 9, "nothere.parquet"),
+    (["export", "nothere.parquet", "x.csv"], 9, "nothere.parquet"),
+    (["devices", "serial:///dev/null"], 3, "/dev/null"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    REFUSED,
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_meant_is_refused_in_words(run, tmp_path, arguments, code, words):
+    got, _, err = run(*arguments, *(["--no-plot"] if arguments[0] == "hit" else []))
+    assert got == code, err
+    assert words in err
+    assert err.startswith("rig: ")
+    assert not list(tmp_path.rglob("*.rigcap"))
+
+
+def test_an_error_is_json_too_when_json_was_asked_for(run):
+    code, out, err = run("hit", "--json", "--effort", "0.03")
+    facts = json.loads(out)
+    assert facts["exit_code"] == code == 2
+    assert "counts" in facts["error"]
+    assert err.startswith("rig: ")
+
+
+def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run):
+    _, _, err = run("plan", "--effort", "0.05")
+    assert "1.1 counts" in err
+
+
+def test_a_file_that_is_no_recording_is_refused(run, tmp_path):
+    (tmp_path / "x.parquet").write_bytes(b"PAR1 but not really")
+    assert run("show", "x.parquet")[0] == 9
+    (tmp_path / "y.rigcap").write_bytes(np.random.default_rng(1).bytes(1000))
+    assert run("replay", "y.rigcap")[0] == 9
+
+
+def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(run, tmp_path):
+    (tmp_path / "recordings").write_text("a file in the way", encoding="utf-8")
+    code, _, err = run("hit", "--no-plot")
+    assert code != 0
+    assert "recordings" in err
+
+
+def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "rig",
+        "hit",
+        "--duration",
+        "3000",
+        "--no-plot",
+        "--output",
+        str(tmp_path / "out"),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 100.0
+    while process.poll() is None and time.monotonic() < deadline:
+        captures = list((tmp_path / "out").glob("*.rigcap"))
+        if captures and captures[0].stat().st_size > 1_000_000:
+            break
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert "stopped" in err
+    (parquet,) = (tmp_path / "out").glob("*.parquet")
+    recording = open_recording(parquet)
+    assert recording.complete
+    assert recording.trailer["reason"] == "stopped"
+    assert recording.rows["current_sent"][-1] is not None
+
+
+HIDE_THE_SIMULATION = """
+import sys
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "sim_backend":
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Hidden())
+import rig.cli
+sys.exit(rig.cli.run(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"), [(["--help"], 0), (["plan"], 0), (["devices"], 0), (["hit"], 3)]
+)
+def test_without_the_simulation_the_rest_still_works(arguments, code, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", HIDE_THE_SIMULATION, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        cwd=tmp_path,
+        env={**os.environ},
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_without_the_simulation_a_recording_still_shows(recording, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", HIDE_THE_SIMULATION, "show", recording],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_rig_or_the_protocol_loads_nothing_heavy():
+    code = (
+        "import sys, rig, firmware_protocol, rig.cli; "
+        "heavy = set('numpy numba scipy matplotlib pyarrow pydantic serial rich'.split()) & set(sys.modules); "
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
