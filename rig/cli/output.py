@@ -75,10 +75,16 @@ def verdict_pairs(experiment: Experiment, verdict: Verdict, true: Verdict | None
     def depth(value: float) -> str:
         return f"{value:.4g} {position} ({value / count:.1f} counts)"
 
-    def felt(v: Verdict) -> str:
-        shown = "not measurable" if v.felt is None else f"{v.felt:.3g}"
-        return f"{shown} {velocity} rms, limit {limits.felt_velocity:.3g}"
+    def against(value: float, limit: float, unit: str) -> str:
+        return f"{_shown(value, limit)} {unit}, limit {limit:.3g}"
 
+    def felt(v: Verdict) -> str:
+        return "not measurable" if v.felt is None else _shown(v.felt, limits.felt_velocity)
+
+    floor = f"the encoder's floor is {verdict.felt_floor:.2g} {velocity}, limit {limits.felt_velocity:.3g}"
+    felt_line = (
+        f"not measurable: {floor}" if verdict.felt is None else f"{felt(verdict)} {velocity} rms; {floor}"
+    )
     pairs = [("verdict", beside(coloured(verdict.kind), lambda v: coloured(v.kind)))]
     pairs += [("", reason) for reason in verdict.reasons]
     if verdict.contact_s is not None and verdict.impact_velocity is not None:
@@ -95,23 +101,32 @@ def verdict_pairs(experiment: Experiment, verdict: Verdict, true: Verdict | None
         ),
         ("settling time", settling),
         ("peak effort", f"{verdict.peak_effort:.3g} {effort}, limit {experiment.rig.limits.effort:g}"),
-        ("felt", beside(f"{felt(verdict)}, floor {verdict.felt_floor:.2g}", lambda v: f"{v.felt:.3g}")),
+        (
+            "felt",
+            beside(felt_line, felt),
+        ),
         (
             "heard",
             beside(
-                f"{verdict.heard:.3g} {effort} rms, limit {limits.heard_effort:.3g}",
-                lambda v: f"{v.heard:.3g}",
+                against(verdict.heard, limits.heard_effort, f"{effort} rms"),
+                lambda v: _shown(v.heard, limits.heard_effort),
             ),
         ),
         (
             "moved",
             beside(
-                f"{verdict.moved:.3g} {position} p-p, limit {limits.moved:.3g}", lambda v: f"{v.moved:.3g}"
+                against(verdict.moved, limits.moved, f"{position} p-p"),
+                lambda v: _shown(v.moved, limits.moved),
             ),
         ),
         ("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
         ("late, gaps", f"{verdict.late_ticks} late ticks, {verdict.gaps} gaps in {verdict.ticks}"),
     ]
+
+
+def _shown(value: float, limit: float) -> str:
+    """Three digits; what is nothing against its limit is 0, not the rounding of a filter."""
+    return "0" if abs(value) < 1e-6 * limit else f"{value:.3g}"
 
 
 @contextmanager

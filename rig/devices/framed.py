@@ -15,7 +15,7 @@ from typing import Any
 
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
-from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, State
 from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
 from firmware_protocol.faults import Status
 from firmware_protocol.packing import type_id_of, unpack_fault_entries
@@ -24,7 +24,6 @@ from firmware_protocol.transfer import PageReader, set_parameters
 from rig.devices.device import Link
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 
-RETRIES_S = (0.02, 0.04, 0.08)
 STOP_FRAMES = 5
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
@@ -248,7 +247,7 @@ class FramedDevice:
         raise self._refusal(event.message)
 
     def _transact(self, request: m.Message, session: int | None) -> Received:
-        for patience_s in (*RETRIES_S, RETRIES_S[-1]):
+        for patience_s in (*RETRY_AFTER_S, RETRY_AFTER_S[-1]):
             self.link.write(self.connection.send(request, session=session))
             for event in self._events(patience_s):
                 if _answers(event.message, request):

@@ -70,6 +70,7 @@ class HitResult:
         return {
             "recording": str(self.recording),
             "rig": self.experiment.rig.name,
+            "motion": self.experiment.rig.motion,
             "stiffness": self.experiment.wall.stiffness,
             "damping": self.experiment.wall.damping,
             "position_rate": self.experiment.controller.position_rate,
