@@ -10,14 +10,33 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_LAZY: dict[str, str] = {}
+# Name → module that has it.
+_LAZY: dict[str, str] = {
+    "HitRequest": "rig.experiments.hit",
+    "HitResult": "rig.experiments.hit",
+    "Law": "rig.laws",
+    "Plan": "rig.experiments.plan",
+    "Recording": "rig.recording.data",
+    "RigError": "rig.errors",
+    "Verdict": "rig.verdict",
+    "export": "rig.recording.export",
+    "hit": "rig.experiments.hit",
+    "load_experiment": "rig.config",
+    "load_preset": "rig.presets",
+    "make_plan": "rig.experiments.plan",
+    "open_device": "rig.devices",
+    "open_recording": "rig.recording.reader",
+    "override": "rig.config",
+    "replay": "rig.experiments.replay",
+}
+_RENAMED = {"load_preset": "load"}
 
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
+        return getattr(import_module(_LAZY[name]), _RENAMED.get(name, name))
     raise AttributeError(f"module 'rig' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_LAZY])
+    return sorted({*globals(), *_LAZY})
