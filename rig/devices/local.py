@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import multiprocessing
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -42,6 +43,7 @@ def serve(scheme: str, model: RigModel, **options: Any) -> None:
 
 
 def _child(scheme: str, model: RigModel, seed: int, pipe: Any) -> None:
+    os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
     _die_with_parent()
     serve(scheme, model, seed=seed, announce=pipe.send)
 

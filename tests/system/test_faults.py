@@ -5,6 +5,7 @@ some forty ticks long; with identification and configuration it is about 130 fra
 them is struck once by each kind of fault.
 """
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -321,3 +322,31 @@ def test_kill_minus_nine_of_the_host_leaves_a_device_at_zero_and_a_readable_reco
         else:
             assert b"LinkLostError" in complaint or b"DeviceFaultError" in complaint
     assert os.path.exists(path) or os.path.exists(path.with_suffix(".parquet"))
+
+
+def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path):
+    """The device process is killed: the pseudo-terminal hangs up, as a pulled USB plug does."""
+    from rig.devices import open_device  # noqa: PLC0415
+    from rig.devices.local import serve_locally  # noqa: PLC0415
+
+    long = config.override(SHORT, {"trial.duration_s": 30.0, "verdict.tail_s": 0.4})
+    path = tmp_path / "unplugged.rigcap"
+    with serve_locally("sim://", config.rig_model(long)) as url, open_device(url) as device:
+        (process,) = multiprocessing.active_children()
+
+        def pull_the_plug(ticks, phase):
+            if ticks > 200:
+                process.kill()
+
+        request = TrialRequest(
+            experiment=long, recording=path, verified=True, seed=0, progress=pull_the_plug, sealed=False
+        )
+        with pytest.raises(LinkLostError) as caught:
+            run_trial(device, request)
+    assert caught.value.remedy
+    assert caught.value.statistics["ticks"] > 200
+    assert len(caught.value.rows) == 100
+    recording = open_recording(path)
+    assert recording.complete
+    assert recording.trailer["reason"] in {"link_closed", "link_silent"}
+    assert len(recording.rows) == caught.value.statistics["ticks"]
