@@ -88,6 +88,9 @@ COLUMNS: tuple[Column, ...] = (
     Column("edge_age", "<i8", "ns", "age of the last encoder edge at the sample"),
     Column("position", "<f8", "position", "measured position: count times resolution, from the reference"),
     Column("velocity", "<f8", "velocity", "estimated velocity, held between velocity samples"),
+    Column(
+        "estimator_window", "<i8", "1", "velocity periods that the last estimate spans: its effective window"
+    ),
     Column("penetration", "<f8", "position", "depth inside the wall; negative outside"),
     Column("effort_wall", "<f8", "effort", "reaction of the wall alone"),
     Column("effort_wanted", "<f8", "effort", "sum of all sources before the guard"),

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from firmware_protocol.kernel import kernel
 from rig import estimators, guard, laws, sources
 from rig.errors import ConfigError
-from rig.estimators.estimator import Prepared
+from rig.estimators.estimator import WINDOW, Prepared
 from rig.estimators.fdm import count_difference
 from rig.laws import Law, PreparedLaw
 from rig.plugs import ESTIMATOR, LAW, LAW_CLAMPED
@@ -46,6 +46,9 @@ CONTROL = np.dtype(
         ("reference_count", "<i8"),  # count at position zero
         ("tick_s", "<f8"),  # T1
         ("velocity_divider", "<i8"),  # N = T2/T1
+        ("extrapolate", "<i8"),  # 1: first-order prediction between velocity samples, 0: hold
+        ("slow_multiple", "<i8"),  # velocity periods between samples of a slow handle; 1: always every period
+        ("slow_speed", "<f8"),  # what slow means
         ("wall_position", "<f8"),
         ("wall_side", "<f8"),  # +1: the wall is entered with rising position
         ("effort_limit", "<f8"),
@@ -78,7 +81,14 @@ MEMORY = np.dtype(
         ("phase_ticks", "<i8"),  # ticks in this phase
         ("rest_ticks", "<i8"),  # ticks within the homing tolerance
         ("setpoint", "<f8"),  # of the homing servo
-        ("velocity", "<f8"),  # held since the last velocity sample
+        (
+            "velocity",
+            "<f8",
+        ),  # what the law sees: held since the last velocity sample, or extrapolated from it
+        ("velocity_sampled", "<f8"),  # the estimate itself
+        ("velocity_slope", "<f8"),  # its change per tick between the last two samples
+        ("velocity_ticks", "<i8"),  # ticks since the last velocity sample
+        ("window", "<i8"),  # velocity periods that the estimate spans
         ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
         # what the row shows of this tick
         ("position", "<f8"),
@@ -340,14 +350,22 @@ def step(
     if m["penetration"] > 0.0:
         m["flags"] |= INSIDE
 
-    period = m["index"] // c["velocity_divider"]
-    if period != m["velocity_period"]:
-        elapsed_periods = period - m["velocity_period"]
-        m["velocity_period"] = period
-        m["velocity"] = estimator(
+    m["velocity_ticks"] += elapsed_ticks
+    elapsed_periods = m["index"] // c["velocity_divider"] - m["velocity_period"]
+    slow = abs(m["velocity_sampled"]) < c["slow_speed"] and m["velocity_period"] >= 0
+    if elapsed_periods >= (c["slow_multiple"] if slow else 1):
+        m["velocity_period"] += elapsed_periods
+        sampled = estimator(
             count, edge_age_s, elapsed_periods, estimator_f, estimator_i, estimator_parameters
         )
+        m["velocity_slope"] = (sampled - m["velocity_sampled"]) / m["velocity_ticks"]
+        m["velocity_sampled"] = sampled
+        m["velocity_ticks"] = 0
+        m["window"] = estimator_i[WINDOW]
         m["flags"] |= VELOCITY_UPDATED
+    m["velocity"] = m["velocity_sampled"]
+    if c["extrapolate"] != 0:
+        m["velocity"] += m["velocity_slope"] * m["velocity_ticks"]
 
     advance_phase(control, memory, elapsed_ticks)
     m["effort_wall"] = 0.0

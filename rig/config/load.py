@@ -172,6 +172,8 @@ def _problem_of(error: ErrorDetails, table: Table, motion: Motion | None) -> Pro
     path = [str(part) for part in error["loc"]]
     if path[:1] == ["realtime"]:
         path = path[:2]  # what follows names an arm of the union
+    if path[:2] == FREE.split("."):
+        path = path[:3]
     key, section, leaf = ".".join(path), ".".join(path[:-1]), path[-1] if path else ""
     value = _value_at(table, path)
     if error["type"] == "unexpected_keyword_argument":
@@ -179,7 +181,7 @@ def _problem_of(error: ErrorDetails, table: Table, motion: Motion | None) -> Pro
     parameter = parameters().get(key)
     if section in (FREE, "realtime"):
         must = (
-            "must be a finite number"
+            "must be a finite number or text"
             if section == FREE
             else "must be a finite number, text, or true or false"
         )

@@ -39,16 +39,15 @@ def rates(x: Experiment) -> Iterator[Problem]:
     )
 
 
-def cutoff(x: Experiment) -> Iterator[Problem]:
-    """A low pass on the velocity cannot cut at or above the Nyquist frequency of its samples."""
-    cutoff_hz = x.controller.parameters.get("cutoff_hz")
-    nyquist_hz = x.controller.velocity_rate / 2
-    if cutoff_hz is not None and not 0 < cutoff_hz < nyquist_hz:
-        yield Problem(
-            "controller.parameters.cutoff_hz",
-            shown(cutoff_hz),
-            f"must be above 0 and below half of controller.velocity_rate, {nyquist_hz:g} Hz",
-            f"usual is a tenth of the rate, {nyquist_hz / 5:g} Hz; or raise controller.velocity_rate",
+def slow_rate(x: Experiment) -> Iterator[Problem]:
+    """An adaptive velocity rate samples every so many velocity periods."""
+    slow, rate = x.controller.slow_velocity_rate, x.controller.velocity_rate
+    if slow is not None and (slow > rate or rate % slow):
+        yield _problem(
+            x,
+            "controller.slow_velocity_rate",
+            f"must divide controller.velocity_rate = {rate} Hz",
+            f"for example {rate // 2 if rate % 2 == 0 else 1} Hz",
         )
 
 
@@ -218,7 +217,7 @@ def times(x: Experiment) -> Iterator[Problem]:
 
 RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     rates,
-    cutoff,
+    slow_rate,
     encoder,
     handle,
     current,

@@ -92,9 +92,22 @@ class Controller:
         Quantity("Hz", "velocity estimates per second, 1/T2; uniform when equal to position_rate"),
     ]
     estimator: Annotated[str, MinLen(1), Quantity("", "name of the velocity estimator")]
-    parameters: Annotated[Mapping[str, float], Quantity("", "settings of the estimator")] = field(
+    parameters: Annotated[Mapping[str, float | str], Quantity("", "settings of the estimator")] = field(
         default_factory=dict
     )
+    prediction: Annotated[
+        Literal["hold", "extrapolate"],
+        Quantity("", "velocity between its samples: held, or extrapolated to first order"),
+    ] = "hold"
+    slow_velocity_rate: Annotated[
+        int | None,
+        Ge(1),
+        Le(200_000),
+        Quantity("Hz", "velocity rate while the handle is slower than slow_below; left out: velocity_rate"),
+    ] = None
+    slow_below: Annotated[
+        float, Ge(0), Quantity("velocity", "speed below which slow_velocity_rate holds; 0: never")
+    ] = 0.0
     loop: Annotated[Literal["host"], Quantity("", "where the law runs")] = "host"
     command_lifetime_s: Annotated[
         float | None,

@@ -19,7 +19,7 @@ from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, St
 from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
 from firmware_protocol.faults import Status
 from firmware_protocol.packing import type_id_of, unpack_fault_entries
-from firmware_protocol.parameters import Value, block_crc, decode_block, encode_block
+from firmware_protocol.parameters import ParameterError, Value, block_crc, decode_block, encode_block
 from firmware_protocol.transfer import PageReader, set_parameters
 from rig.devices.device import Link
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
@@ -75,6 +75,7 @@ class FramedDevice:
         self._dictionary: dictionaries.Dictionary | None = None
         self._dictionary_hash = 0
         self._crc = 0
+        self._session = 0  # used last
 
     # ------------------------------------------------------------------ who is there
 
@@ -122,17 +123,21 @@ class FramedDevice:
         for message in set_parameters(encode_block(values), self._next_nonce()):
             ack = self._command(message)
         block = self._read_parameters()
+        with self._understood():
+            in_force = decode_block(block)
         self._crc = block_crc(block)
         if ack.crc != self._crc:
             raise DeviceRefusedError(
                 "the parameters in force are not those that were sent",
                 remedy="report it: the device is inconsistent",
             )
-        return Echo(decode_block(block), self._crc, ack.sample_index)
+        return Echo(in_force, self._crc, ack.sample_index)
 
     def _make_configurable(self) -> None:
-        """Bring an unknown, faulty or still armed device (a host died) into a state that takes parameters."""
-        self.dictionary  # noqa: B018  (asks who is there, which leaves BOOT and tells the state)
+        """Bring a faulty, restarted or still armed device (a host died) into a state that takes parameters."""
+        about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # tells the state, and leaves BOOT
+        if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
+            self._dictionary = self.identify()
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
 
@@ -151,25 +156,38 @@ class FramedDevice:
 
         Raises `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
         """
-        session = 1 + self._next_nonce() % 0xFF
-        message = m.Arm(self._next_nonce(), self._dictionary_hash, self._crc)
+        session = self._other_than(self._next_nonce() % 0xFF, self._session)
         try:
-            self._command(message, session=session)
+            self._arm(session)
         except DeviceRefusedError as error:
             if error.status != Status.STALE_SESSION:
                 raise
-            session = 1 + session % 0xFF
-            self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc), session=session)
+            session = self._other_than(session, self._session)
+            self._arm(session)
+        self._session = session
         return session
 
+    def _arm(self, session: int) -> None:
+        self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc), session=session)
+
+    @staticmethod
+    def _other_than(previous: int, used: int) -> int:
+        """Session number behind `previous` on the circle 1 … 255 that is not `used`."""
+        session = 1 + previous % 0xFF
+        return session if session != used else 1 + session % 0xFF
+
     def take_back(self, *, next_command: int, newest_state: int, state: int) -> None:
-        """Take the streams back from the compiled loop (see `Connection.resume`)."""
-        self.connection.resume(next_command=next_command, newest_state=newest_state, state=State(state))
+        """Take the streams back from the compiled loop (see `Connection.resume`).
+
+        A `state` that nobody knows counts as RUNNING: it must not keep the host from stopping.
+        """
+        known = State(state) if state in set(State) else State.RUNNING
+        self.connection.resume(next_command=next_command, newest_state=newest_state, state=known)
 
     def stop(self) -> None:
         """Zero effort, now, several times. Cannot raise: what happens afterwards is somebody else's error."""
         for _ in range(STOP_FRAMES):
-            with suppress(LinkLostError, LocalProtocolError):
+            with suppress(Exception):
                 self.link.write(self.connection.send(m.Command(0, 1000, int(m.Mode.STOP), 0, 0)))
 
     def disarm(self, *, clear_fault: bool = False) -> None:
@@ -205,7 +223,8 @@ class FramedDevice:
         entries: list[dict[str, int]] = []
         while True:
             reply = self._ask(m.GetFaultLog(self._next_nonce(), len(entries)), m.FaultLog)
-            page = [asdict(entry) for entry in unpack_fault_entries(reply.data)]
+            with self._understood():
+                page = [asdict(entry) for entry in unpack_fault_entries(reply.data)]
             entries += page
             if not page or len(entries) >= reply.total:
                 break
@@ -248,7 +267,9 @@ class FramedDevice:
 
     def _transact(self, request: m.Message, session: int | None) -> Received:
         for patience_s in (*RETRY_AFTER_S, RETRY_AFTER_S[-1]):
-            self.link.write(self.connection.send(request, session=session))
+            with self._understood():
+                frame = self.connection.send(request, session=session)
+            self.link.write(frame)
             for event in self._events(patience_s):
                 if _answers(event.message, request):
                     return event
@@ -313,7 +334,7 @@ def _answers(message: m.Message, request: m.Message) -> bool:
 
 
 class _Translated:
-    """Turn what the device said wrongly into an error for the user."""
+    """Turn an error of the protocol, the device's or one of order, into an error for the user."""
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -327,7 +348,13 @@ class _Translated:
                 f"the device at {self._url} speaks protocol {error.theirs}, this package speaks {error.ours}",
                 remedy="flash the firmware that belongs to this version, or install the version of that firmware",
             ) from error
-        if isinstance(error, RemoteProtocolError):
+        if isinstance(error, LocalProtocolError):  # nothing was sent: the device's state forbids it
+            raise DeviceRefusedError(
+                f"the device at {self._url} does not take this now: {error}",
+                remedy="configure it again, which also clears a fault",
+                status=Status.BAD_STATE,
+            ) from error
+        if isinstance(error, RemoteProtocolError | ParameterError):
             raise IncompatibleDeviceError(
                 f"the device at {self._url} does not make sense: {error}",
                 remedy="check that it runs the firmware of this project",

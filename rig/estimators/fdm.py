@@ -7,10 +7,11 @@ nobody renders damping from it at a high rate. Source: Chawda et al., equation (
 from __future__ import annotations
 
 from firmware_protocol.kernel import kernel
-from rig.estimators.estimator import PERIOD, RESOLUTION, Estimator, Floats, Ints
+from rig.estimators.estimator import OWN_INTS, PERIOD, RESOLUTION, WINDOW, Estimator, Floats, Ints
 from rig.plugs import ESTIMATOR_SIGNATURE
 
-PREVIOUS, STARTED = 0, 1  # state_i
+PREVIOUS, STARTED = OWN_INTS, OWN_INTS + 1  # state_i
+INTS = OWN_INTS + 2
 WRAP = 1 << 32
 
 
@@ -31,6 +32,7 @@ def update(
         return 0.0
     moved = count_difference(count, state_i[PREVIOUS])
     state_i[PREVIOUS] = count
+    state_i[WINDOW] = elapsed_ticks
     return float(moved * parameters[RESOLUTION] / (elapsed_ticks * parameters[PERIOD]))
 
 
@@ -40,5 +42,5 @@ ESTIMATOR = Estimator(
     source="Chawda et al., equation (1)",
     update=update,
     floats=0,
-    ints=2,
+    ints=INTS,
 )

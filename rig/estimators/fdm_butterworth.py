@@ -9,6 +9,7 @@ al., section III (f_c = 200 Hz at T2 = 2 kHz); Chawda et al., section II.A.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from firmware_protocol.kernel import kernel
 from rig.errors import ConfigError
@@ -37,7 +38,7 @@ def update(
     return float(out)
 
 
-def design(settings: Mapping[str, float], resolution: float, period_s: float) -> list[float]:
+def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
     """Coefficients b0, b1, b2, a1, a2 of the biquad; `ConfigError` for a cut-off at or above Nyquist."""
     from scipy.signal import butter  # noqa: PLC0415  (slow to import, and only needed here)
 
@@ -65,7 +66,7 @@ ESTIMATOR = Estimator(
     source="Koul et al., section III; Chawda et al., section II.A",
     update=update,
     floats=3,
-    ints=2,
+    ints=fdm.INTS,
     settings=(Setting("cutoff_hz", 200.0, 0.1, 1e6, "Hz", "-3 dB frequency of the low pass"),),
     design=design,
 )

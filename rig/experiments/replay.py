@@ -31,6 +31,7 @@ COMPUTED = (
     "phase",
     "position",
     "velocity",
+    "estimator_window",
     "penetration",
     "effort_wall",
     "effort_wanted",
@@ -63,6 +64,7 @@ def replay_rows(
         row["phase"] = m["phase"]
         row["position"] = m["position"]
         row["velocity"] = m["velocity"]
+        row["estimator_window"] = m["window"]
         row["penetration"] = m["penetration"]
         row["effort_wall"] = m["effort_wall"]
         row["effort_wanted"] = m["effort_wanted"]

@@ -285,6 +285,7 @@ def _fill_row(
     r["edge_age"] = _edge_age_ns(progress, state, settings)
     r["position"] = m["position"]
     r["velocity"] = m["velocity"]
+    r["estimator_window"] = m["window"]
     r["penetration"] = m["penetration"]
     r["effort_wall"] = m["effort_wall"]
     r["effort_wanted"] = m["effort_wanted"]

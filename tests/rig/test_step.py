@@ -639,3 +639,35 @@ def test_compiled_and_plain_python_give_the_same_bits():
     phases_seen = {line.split()[2] for line in compiled.splitlines()}
     assert phases_seen >= {str(int(p)) for p in (Phase.HOMING, Phase.TRIAL, Phase.RELEASE, Phase.DONE)}
     assert done.stdout.strip() == compiled
+
+
+def test_between_velocity_samples_the_velocity_is_held_or_extrapolated_to_first_order():
+    """A uniformly accelerated handle: FDM rises linearly from sample to sample, and so does the prediction."""
+    counts = [k * k for k in range(41)]
+    for extrapolate in (0, 1):
+        tick = Tick(velocity_divider=10, extrapolate=extrapolate)
+        seen = []
+        for count in counts:
+            tick(count)
+            seen.append((tick.velocity, tick.velocity_sampled))
+        for k in range(20, 40):
+            sample, since = seen[k - k % 10][1], k % 10
+            before = seen[k - k % 10 - 10][1]
+            slope = (sample - before) / 10
+            assert seen[k][0] == pytest.approx(sample + extrapolate * slope * since, rel=1e-12)
+
+
+def test_a_slow_handle_is_sampled_more_rarely_and_a_fast_one_at_the_velocity_rate():
+    tick = Tick(velocity_divider=2, slow_multiple=5, slow_speed=2.5 * DELTA / TICK_S)
+    updated = []
+    for k in range(100):
+        tick(4 * k)  # 4 counts a tick: fast
+        updated.append(tick.has(RowFlag.VELOCITY_UPDATED))
+    assert updated[20:] == [k % 2 == 0 for k in range(20, 100)]
+    updated = []
+    for k in range(100):
+        tick(400 + k)  # 1 count a tick: slow
+        updated.append(tick.has(RowFlag.VELOCITY_UPDATED))
+    assert np.diff(np.flatnonzero(updated)[3:]).tolist() == [10] * (len(np.flatnonzero(updated)) - 4)
+    assert tick.velocity == pytest.approx(DELTA / TICK_S), "the slope is over the whole slow period"
+    assert tick.window == 5
