@@ -120,7 +120,9 @@ def mark_warm() -> None:
         _MARK.touch()
 
 
-def kernel(signature: Any, *, cache: bool = True, inline: bool = False) -> Callable[[F], F]:
+def kernel(
+    signature: Any, *, cache: bool = True, inline: bool = False, borrow: bool = False
+) -> Callable[[F], F]:
     """Compile a plain function for the loop: no GIL, cached on disk, one signature, numpy's error model.
 
     Parameters
@@ -133,6 +135,10 @@ def kernel(signature: Any, *, cache: bool = True, inline: bool = False) -> Calla
         their sources are not part of the key.
     inline
         Ask LLVM to inline small helpers always.
+    borrow
+        Count no references to array arguments, which the caller holds anyway. numba counts them atomically
+        and removes that only from simple control flow; elsewhere it costs some 20 ns a call. Such a kernel
+        cannot make or return an array, `carray` included.
 
     Notes
     -----
@@ -142,6 +148,8 @@ def kernel(signature: Any, *, cache: bool = True, inline: bool = False) -> Calla
     options: dict[str, Any] = {"nogil": True, "cache": cache, "error_model": "numpy", "fastmath": False}
     if inline:
         options["forceinline"] = True
+    if borrow:
+        options["_nrt"] = False
 
     def decorate(function: F) -> F:
         return numba.njit(signature, **options)(function)  # type: ignore[no-any-return]

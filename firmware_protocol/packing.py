@@ -11,6 +11,8 @@ from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES, RAW_LIMIT, SHORT_
 from firmware_protocol.messages import MAJOR, MESSAGES, Delivery, FaultEntry, Message, delivery_of, sender_of
 from firmware_protocol.wire import Wire, field_getter, fixed_fields, record_struct, wire_fields
 
+STUFFING_BYTES = 1  # COBS adds one byte up to 254
+
 
 class Header(NamedTuple):
     """The bytes before every payload."""
@@ -85,6 +87,11 @@ def type_id_of(cls: type[Message]) -> int:
 def data_limit(cls: type[Message]) -> int:
     """Longest `data` that a message of this class can carry, in bytes."""
     return LAYOUT_OF[cls].data_limit
+
+
+def encoded_bytes(cls: type[Message]) -> int:
+    """Bytes of a message of fixed size on the wire: header, fields, CRC, stuffing and delimiter."""
+    return HEADER_BYTES + LAYOUT_OF[cls].size + CRC_BYTES + STUFFING_BYTES + 1
 
 
 def pack(message: Message, *, session: int = 0, sequence: int = 0) -> bytes:

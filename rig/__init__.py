@@ -8,8 +8,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.1.0"
-
 # Name → module that has it.
 _LAZY: dict[str, str] = {
     "HitRequest": "rig.experiments.hit",
@@ -33,6 +31,8 @@ _RENAMED = {"load_preset": "load"}
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("haptic-rig")
     if name in _LAZY:
         return getattr(import_module(_LAZY[name]), _RENAMED.get(name, name))
     raise AttributeError(f"module 'rig' has no attribute {name!r}")

@@ -87,7 +87,7 @@ def for_experiment(
         "effort_limit": current_limit(experiment, current_quantum_a) * quantum,
         "effort_quantum": quantum,
         "trial_slew": limits.slew * tick_s,
-        "transition_slew": homing.slew * tick_s,
+        "homing_slew": homing.slew * tick_s,
         "window_minimum": limits.position_minimum,
         "window_maximum": limits.position_maximum,
         "speed_limit": limits.speed,

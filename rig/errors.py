@@ -14,6 +14,7 @@ class RigError(Exception):
     """Root of all errors that a user can meet. `recording` is the file that a run left before it failed."""
 
     exit_code = 1
+    told = False  # whether a command has already put it into its JSON
 
     def __init__(self, message: str, *, remedy: str = "") -> None:
         super().__init__(message)

@@ -53,8 +53,8 @@ CONTROL = np.dtype(
         ("wall_side", "<f8"),  # +1: the wall is entered with rising position
         ("effort_limit", "<f8"),
         ("effort_quantum", "<f8"),  # effort of one current quantum
-        ("trial_slew", "<f8"),  # effort per tick in a trial: binding spoils the trial
-        ("transition_slew", "<f8"),  # effort per tick while homing and releasing
+        ("trial_slew", "<f8"),  # effort per tick in trial and release: binding spoils the trial
+        ("homing_slew", "<f8"),  # effort per tick while homing
         ("window_minimum", "<f8"),
         ("window_maximum", "<f8"),
         ("speed_limit", "<f8"),
@@ -275,7 +275,7 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
     effort = guard.limited(wanted, c["effort_limit"])
     if effort != wanted:
         m["flags"] |= SATURATED
-    slew = c["trial_slew"] if m["phase"] == TRIAL else c["transition_slew"]
+    slew = c["homing_slew"] if m["phase"] in (HOMING, SETTLE) else c["trial_slew"]
     allowed = guard.slewed(effort, m["limited_effort"], slew * elapsed_ticks)
     if allowed != effort:
         m["flags"] |= SLEW_BOUND

@@ -189,11 +189,23 @@ def judge(signals: Signals, limits: Limits) -> Verdict:
         exceeded.append(f"heard {heard:.3g} above {limits.heard_effort:.3g}")
     if moved > limits.moved:
         exceeded.append(f"moved {moved:.3g} above {limits.moved:.3g}")
+    contact = int(np.argmax(inside)) if inside.any() else None
+    resting = float(np.median(signals.penetration[tail]))
+    peak = float(signals.penetration.max())
+    settling_s = _settling(signals, contact, tail, resting, peak)
+
     saturates = saturated_in_tail > limits.saturated_fraction
     invalid = _why_invalid(signals, limits, inside, tail, saturates and not exceeded)
+    if contact is not None and settling_s is not None and (exits_in_tail or exceeded):
+        settled = contact + round(settling_s / signals.tick_s)
+        if settled > tail.start:
+            invalid.append(
+                f"still settling when the tail began, {(settled - tail.start) * signals.tick_s:.3g} s too early: "
+                "lengthen the trial"
+            )
     unstable = []
     if exits_in_tail:
-        unstable.append(f"left the wall {exits_in_tail} times in the tail")
+        unstable.append(f"left the wall {_times(exits_in_tail, 'time')} in the tail")
     if growth > limits.growth and exceeded:
         unstable.append(f"ripple grows {growth:.3g}-fold over the tail")
     if saturates and exceeded:
@@ -207,9 +219,6 @@ def judge(signals: Signals, limits: Limits) -> Verdict:
     else:
         kind, reasons = Kind.STABLE, []
 
-    contact = int(np.argmax(inside)) if inside.any() else None
-    resting = float(np.median(signals.penetration[tail]))
-    peak = float(signals.penetration.max())
     return Verdict(
         kind=kind,
         reasons=tuple(reasons),
@@ -224,7 +233,7 @@ def judge(signals: Signals, limits: Limits) -> Verdict:
         impact_velocity=None if contact is None else _impact_velocity(signals, contact),
         peak_penetration=peak,
         resting_penetration=resting,
-        settling_s=_settling(signals, contact, tail, resting, peak),
+        settling_s=settling_s,
         peak_effort=float(np.abs(signals.effort).max()),
         saturated_fraction=float(np.mean(signals.saturated)),
         saturated_fraction_in_tail=saturated_in_tail,
@@ -234,9 +243,13 @@ def judge(signals: Signals, limits: Limits) -> Verdict:
     )
 
 
-def spoiled(verdict: Verdict, reason: str) -> Verdict:
-    """Return the same numbers as invalid, for a reason that the signals do not show."""
-    return replace(verdict, kind=Kind.INVALID, reasons=(reason, *verdict.reasons))
+def _times(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
+    """Return the same numbers with another outcome, for a reason that the signals do not show."""
+    return replace(verdict, kind=kind, reasons=(reason, *verdict.reasons))
 
 
 def _why_invalid(
@@ -251,13 +264,15 @@ def _why_invalid(
         reasons.append("the first contact lies in the tail")
     gaps, late = int(np.count_nonzero(signals.gap)), float(np.mean(signals.late))
     if gaps:
-        reasons.append(f"{gaps} gaps in the samples")
+        reasons.append(f"{_times(gaps, 'gap')} in the samples: the link or this computer was late")
     if late >= limits.late_fraction:
-        reasons.append(f"{100 * late:.2g} % late ticks")
+        reasons.append(f"{100 * late:.2g} % late ticks: close other programs, or lower the rate")
     if signals.slew_bound.any():
-        reasons.append(f"the slew limit bound in {int(np.count_nonzero(signals.slew_bound))} ticks")
+        reasons.append(f"the slew limit bound in {_times(int(np.count_nonzero(signals.slew_bound)), 'tick')}")
     if signals.overruled.any():
-        reasons.append(f"the device overruled the law in {int(np.count_nonzero(signals.overruled))} ticks")
+        reasons.append(
+            f"the device overruled the law in {_times(int(np.count_nonzero(signals.overruled)), 'tick')}"
+        )
     if idle_saturation:
         reasons.append("saturated in the tail without ripple or motion")
     return reasons

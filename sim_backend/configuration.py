@@ -26,7 +26,10 @@ FIRMWARE = "simulated 1"
 def describe(model: RigModel, name: str, rate_default: int, rate_maximum: int) -> dictionaries.Dictionary:
     """Dictionary of a simulated device: narrower than the parameter table by its motion and its amplifier's peak."""
     motion = 0 if model.motion == "rotary" else 1
-    peak = int(min(model.amplifier.effort_limit / model.amplifier.effort_quantum, CURRENT_QUANTA_LIMIT))
+    whole = (
+        model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
+    )  # 11 quanta, not 10.999…
+    peak = int(min(whole, CURRENT_QUANTA_LIMIT))
     return dictionaries.build(
         device=name,
         firmware=FIRMWARE,

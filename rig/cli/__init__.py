@@ -6,7 +6,6 @@ see where an unexpected one comes from.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -69,7 +68,7 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def run(arguments: list[str]) -> int:
+def run(arguments: list[str]) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
     """Run a command line and return its exit code; prints errors, raises nothing."""
     try:
         result = rig.main(args=arguments, prog_name="rig", standalone_mode=False)
@@ -86,6 +85,9 @@ def run(arguments: list[str]) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # whoever read us has gone: nothing to complain about
         return 0
+    except OSError as error:
+        click.echo(f"rig: {error.strerror or error}: what was printed may be incomplete", err=True)
+        return 74
     except Exception as error:
         if os.environ.get("RIG_DEBUG"):
             raise
@@ -97,15 +99,10 @@ def run(arguments: list[str]) -> int:
 
 
 def _report(error: RigError, arguments: list[str]) -> None:
-    if "--json" in arguments:
-        facts = {
-            "error": error.message,
-            "kind": type(error).__name__,
-            "remedy": error.remedy,
-            "recording": None if error.recording is None else str(error.recording),
-            "exit_code": error.exit_code,
-        }
-        click.echo(json.dumps(facts, ensure_ascii=False))
+    if "--json" in arguments and not error.told:
+        from rig.cli.output import error_facts, print_json  # noqa: PLC0415
+
+        print_json({"error": error_facts(error)})
     click.echo(f"rig: {error}", err=True)
     if error.recording is not None:
         click.echo(f"rig: what was recorded until then: {error.recording}", err=True)

@@ -49,6 +49,7 @@ def _ask(url: str) -> dict[str, Any]:
         from rig.devices import open_device  # noqa: PLC0415
     with open_device(url) as device:
         dictionary, offset = device.dictionary, device.clock_offset()
+        fault = device.fault_report() if device.connection.state.name == "FAULT" else None
         return {
             "url": url,
             "device": dictionary.device,
@@ -56,6 +57,7 @@ def _ask(url: str) -> dict[str, Any]:
             "simulated": dictionary.simulated,
             "protocol": f"{dictionary.major}.{dictionary.minor}",
             "state": device.connection.state.name,
+            "fault": None if fault is None else f"{fault.text}; {fault.remedy}",
             "current_quantum_a": dictionary.current_quantum_a,
             "position_rate_default": dictionary.position_rate_default,
             "position_rate_maximum": dictionary.position_rate_maximum,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
 from rig.cli import options, output
+from rig.errors import RigError
 
 
 @click.command()
@@ -45,7 +49,7 @@ def hit(
     effort and a valid recording.
     """
     changes = options.changes(**changed)
-    experiment = options.chosen_experiment(file, preset)
+    experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     with output.compiling():
         from rig.devices import load_backend  # noqa: PLC0415  (imports compile)
         from rig.experiments import hit as hits  # noqa: PLC0415
@@ -59,32 +63,102 @@ def hit(
         verified=verified,
         output=directory,
     )
-    done = []
-    with output.progress_bars(quiet=as_json) as watch:
-        for result in hits.hit(request, watch):
-            picture = _draw(result.recording) if plot else None
-            done.append({**result.as_mapping(), "picture": picture})
-            if not as_json:
-                _print(result, picture)
+    done: list[dict[str, Any]] = []
+    failure: RigError | None = None
+    with Artist(plot) as artist, output.ProgressBars(quiet=as_json) as bars:
+        try:
+            for result in hits.hit(request, bars.watch):
+                bars.stop()
+                picture = artist.draw(result.recording)
+                done.append({**result.as_mapping(), "picture": picture})
+                if not as_json:
+                    _print_result(result, picture, output.differences(experiment, result.experiment, changes))
+        except RigError as error:
+            bars.stop()
+            failure = error
+            if error.recording is not None:
+                _show_what_was_recorded(error.recording, artist, quiet=as_json)
     if as_json:
-        output.print_json(done)
+        output.print_json({"hits": done, "error": None if failure is None else output.error_facts(failure)})
+    if failure is not None:
+        failure.told = as_json
+        raise failure
 
 
-def _draw(recording: Path) -> str | None:
-    """Draw the picture; one that fails is reported and takes nothing with it, since the recording is on disk."""
-    from rig.plots.hit import draw_hit  # noqa: PLC0415
+class Artist:
+    """A process of its own that draws pictures: it imports its libraries while the trial runs.
 
-    try:
-        return str(draw_hit(recording))
-    except Exception as error:
-        click.echo(f"rig: no picture: {error}", err=True)
-        return None
+    A picture that fails is reported and takes nothing with it, since the recording is on disk.
+    """
+
+    def __init__(self, wanted: bool) -> None:
+        self._wanted = wanted
+        self._process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> Artist:
+        if self._wanted:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "rig.plots.hit"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
+                start_new_session=True,  # Ctrl-C is for the trial
+            )
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+
+    def draw(self, recording: Path) -> str | None:
+        """Draw a recording; return the picture's path, or None when none was wanted or could be drawn."""
+        process = self._process
+        if process is None or process.stdin is None or process.stdout is None:
+            return None
+        try:
+            process.stdin.write(json.dumps(str(recording)) + "\n")
+            process.stdin.flush()
+            answer: dict[str, str] = json.loads(process.stdout.readline())
+        except (OSError, ValueError):
+            answer = {"error": "the process that draws ended"}
+        if "picture" not in answer:
+            click.echo(f"rig: no picture: {answer['error']}", err=True)
+        return answer.get("picture")
 
 
-def _print(result: Any, picture: str | None) -> None:
+def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
+    if result.cleared_fault:
+        click.echo(f"rig: the device had a fault latched, now cleared: {result.cleared_fault}", err=True)
     click.echo(output.headline(result.experiment))
+    if changed:
+        click.echo(f"  for real time: {', '.join(changed)}")
     pairs = output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
-    pairs.append(("recording", str(result.recording)))
+    _print_pairs(pairs, result.recording, picture)
+
+
+def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> None:
+    """Judge and draw a run that ended early, as far as it got."""
+    from rig.experiments.judgement import experiment_of, judge  # noqa: PLC0415
+    from rig.recording.reader import open_recording  # noqa: PLC0415
+
+    picture = artist.draw(recording)
+    if quiet:
+        return
+    try:
+        opened = open_recording(recording)
+        experiment, verdicts = experiment_of(opened), judge(opened)
+    except RigError as error:
+        click.echo(f"rig: {error}", err=True)
+        return
+    click.echo(output.headline(experiment))
+    _print_pairs(output.verdict_pairs(experiment, *verdicts), recording, picture)
+
+
+def _print_pairs(pairs: list[tuple[str, str]], recording: Path, picture: str | None) -> None:
+    pairs.append(("recording", str(recording)))
     if picture is not None:
         pairs.append(("picture", picture))
     output.print_pairs(pairs)

@@ -50,7 +50,7 @@ def experiment_options(command: F) -> F:
         click.option("--start", type=float, help="Where the handle is released (rad or m)."),
         click.option("--duration", type=float, help="Length of the push (s)."),
         click.option("--repeats", type=int, help="How many hits."),
-        click.option("--seed", type=int, help="Seed of everything random in the simulation."),
+        click.option("--seed", type=int, help="Seed of the simulation's sensor noise."),
         click.option(
             "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set wall.pull=allow."
         ),
@@ -71,6 +71,13 @@ def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
     if file is not None:
         return config.load_experiment(file)
     return presets.load(preset or DEFAULT_PRESET)
+
+
+def preset_of(url: str | None, file: Path | None) -> str | None:
+    """Return the preset that a ``sim://name`` names, when no file says what the experiment is."""
+    if url is None or file is not None or not url.startswith("sim://"):
+        return None
+    return url.removeprefix("sim://").partition("?")[0] or None
 
 
 def changes(rate: str | None, sets: tuple[str, ...], **named: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from rig.sample import Phase, unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
+    from rig.errors import RigError
     from rig.verdict import Verdict
 
 _COLOURS = {"stable": "green", "limit cycle": "yellow", "unstable": "red", "invalid": "magenta"}
@@ -85,8 +86,12 @@ def verdict_pairs(experiment: Experiment, verdict: Verdict, true: Verdict | None
     felt_line = (
         f"not measurable: {floor}" if verdict.felt is None else f"{felt(verdict)} {velocity} rms; {floor}"
     )
+    if verdict.felt_floor == 0.0 and not verdict.felt:
+        felt_line = "no count changed in the tail; motion below one count is not seen"
     pairs = [("verdict", beside(coloured(verdict.kind), lambda v: coloured(v.kind)))]
     pairs += [("", reason) for reason in verdict.reasons]
+    if true is not None and true.kind != verdict.kind:
+        pairs += [("", f"true: {reason}") for reason in true.reasons]
     if verdict.contact_s is not None and verdict.impact_velocity is not None:
         pairs.append(
             ("first contact", f"{verdict.contact_s:.4g} s at {verdict.impact_velocity:.3g} {velocity}")
@@ -151,7 +156,7 @@ def compiling() -> Iterator[None]:
 def _signs_of_life(done: threading.Event) -> None:
     started = time.monotonic()
     text = "compiling the loop, once for this version and machine (half a minute)"
-    if not sys.stderr.isatty():
+    if not _on_terminal():
         click.echo(f"{text} …", err=True)
         while not done.wait(5.0):
             click.echo(f"  still compiling, {time.monotonic() - started:.0f} s", err=True)
@@ -161,31 +166,71 @@ def _signs_of_life(done: threading.Event) -> None:
     click.echo(f"\r{text}: done in {time.monotonic() - started:.0f} s", err=True)
 
 
-@contextmanager
-def progress_bars(quiet: bool) -> Iterator[Callable[[int, Experiment], Callable[[int, int], None] | None]]:
-    """Yield a `rig.experiments.hit.Watch` that draws one bar for each hit, on a terminal only."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda repeat, experiment: None
-        return
-    from rich.console import Console  # noqa: PLC0415
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+class ProgressBars:
+    """One bar for each hit, on a terminal only. `watch` is a `rig.experiments.hit.Watch`; `stop` clears the bar."""
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[phase]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet or not _on_terminal()
+        self._bars: Any = None
 
-        def watch(repeat: int, experiment: Experiment) -> Callable[[int, int], None]:
-            trial, rate = experiment.trial, experiment.controller.position_rate
-            least_s = experiment.homing.settle_s + trial.duration_s + trial.release_s
-            task = bars.add_task(f"hit {repeat + 1}/{trial.repeats}", total=round(least_s * rate), phase="")
+    def __enter__(self) -> ProgressBars:
+        return self
 
-            def told(ticks: int, phase: int) -> None:
-                bars.update(task, completed=ticks, phase=Phase(phase).name.lower())
+    def __exit__(self, *error: object) -> None:
+        self.stop()
 
-            return told
+    def stop(self) -> None:
+        """Take the bar away, so that what is printed next stands alone."""
+        if self._bars is not None:
+            self._bars.stop()
+            self._bars = None
 
-        yield watch
+    def watch(self, repeat: int, experiment: Experiment) -> Callable[[int, int], None] | None:
+        """Show a bar for this repeat."""
+        if self._quiet:
+            return None
+        from rich.console import Console  # noqa: PLC0415
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+
+        phase = TextColumn("{task.fields[phase]:<8}")
+        columns = (TextColumn("{task.description}"), BarColumn(), phase, TimeRemainingColumn())
+        bars = self._bars = Progress(*columns, console=Console(stderr=True), transient=True)
+        trial, rate = experiment.trial, experiment.controller.position_rate
+        least_s = experiment.homing.settle_s + trial.duration_s + trial.release_s
+        task = bars.add_task(f"hit {repeat + 1}/{trial.repeats}", total=round(least_s * rate), phase="")
+        bars.start()
+
+        def told(ticks: int, phase_now: int) -> None:
+            bars.update(task, completed=ticks, phase=Phase(phase_now).name.lower())
+
+        return told
+
+
+def _on_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def differences(asked: Experiment, effective: Experiment, meant: Collection[str]) -> list[str]:
+    """Keys whose value in effect is not the asked one, ``wall.stiffness = 60.0 instead of 300.0``, but for `meant`."""
+    from rig.config import describe  # noqa: PLC0415
+
+    before = {line.key: line.value for line in describe(asked)}
+    return [
+        f"{line.key} = {line.value} instead of {before[line.key]}"
+        for line in describe(effective)
+        if line.key not in meant
+        and not line.key.startswith("realtime")
+        and line.key in before
+        and before[line.key] != line.value
+    ]
+
+
+def error_facts(error: RigError) -> dict[str, Any]:
+    """Return an error for a machine."""
+    return {
+        "error": error.message,
+        "kind": type(error).__name__,
+        "remedy": error.remedy,
+        "recording": None if error.recording is None else str(error.recording),
+        "exit_code": error.exit_code,
+    }

@@ -15,8 +15,9 @@ _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", 
 
 @click.command()
 @options.experiment_options
+@click.option("--realtime", is_flag=True, help="Plan what runs in real time: the [realtime] variant.")
 @options.json_option
-def plan(file: Path | None, preset: str | None, as_json: bool, **changed: Any) -> None:
+def plan(file: Path | None, preset: str | None, realtime: bool, as_json: bool, **changed: Any) -> None:
     """List what an experiment will do and check it against its limits; no device is touched.
 
     Exits with an error when something is refused.
@@ -24,6 +25,8 @@ def plan(file: Path | None, preset: str | None, as_json: bool, **changed: Any) -
     from rig import config  # noqa: PLC0415
 
     experiment = options.chosen_experiment(file, preset)
+    if realtime:
+        experiment = config.with_realtime(experiment)
     changes = options.changes(**changed)
     if changes:
         experiment = config.override(experiment, changes)

@@ -18,8 +18,8 @@ def sim() -> None:
 @click.option(
     "--rig", "preset", default=options.DEFAULT_PRESET, show_default=True, help="Built-in rig or TOML file."
 )
-@click.option("--rate", type=int, default=None, help="Rate that the device advertises (Hz).")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--rate", type=int, default=None, help="Rate that the device advertises, 50 to 4000 Hz. [1000]")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sensor noise.")
 @click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
 def serve(preset: str, rate: int | None, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""

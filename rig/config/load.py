@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
     from pydantic_core import ErrorDetails
 
+DEFAULT_PRESET = "koul-compliant"
 FREE = "controller.parameters"  # the one table whose keys belong to somebody else: the estimator
 
 _WRITE = {
@@ -100,11 +101,17 @@ def _preset(name: Any, source: str) -> Table:
 
 
 def _stack(base: Table, top: Table) -> Table:
-    """Lay one experiment over another; their ``[realtime]`` tables are flattened first, so that keys meet."""
+    """Lay one experiment over another; their ``[realtime]`` tables are flattened first, so that keys meet.
+
+    A key that the upper one sets is meant in real time too: it takes the lower one's ``[realtime]`` value away.
+    """
     merged = overlay(base, top)
     layers = [layer["realtime"] for layer in (base, top) if "realtime" in layer]
     if layers and all(isinstance(layer, dict) for layer in layers):
-        merged["realtime"] = {key: value for layer in layers for key, value in flatten(layer)}
+        meant = {key for key, _ in flatten({name: part for name, part in top.items() if name != "realtime"})}
+        below = base.get("realtime", {})
+        kept = {key: value for key, value in flatten(below) if key not in meant}
+        merged["realtime"] = {**kept, **dict(flatten(top.get("realtime", {})))}
     return merged
 
 
@@ -190,9 +197,7 @@ def _problem_of(error: ErrorDetails, table: Table, motion: Motion | None) -> Pro
         return _wrong_section(error, key, value)
     must = f"{parameter.expected(motion)} ({parameter.meaning})"
     if error["type"] == "missing":
-        remedy = (
-            f"add {leaf} under [{section}], or start from a preset with preset = {shown(preset_names()[0])}"
-        )
+        remedy = f"add {leaf} under [{section}], or start from a preset with preset = {shown(DEFAULT_PRESET)}"
         return Problem(key, "", f"is missing: {must}", remedy)
     return Problem(key, shown(value), f"must be {must}", _better(value, parameter.kind, parameter.choices))
 
@@ -201,7 +206,7 @@ def _wrong_section(error: ErrorDetails, key: str, value: Any) -> Problem:
     name = f"[{key}]" if key else "the experiment"
     contents = ", ".join(sections().get(key, ())) or "numbers by name"
     if error["type"] == "missing":
-        remedy = f"add it, or start from a preset with preset = {shown(preset_names()[0])}"
+        remedy = f"add it, or start from a preset with preset = {shown(DEFAULT_PRESET)}"
         return Problem(name, "", f"is missing: a table with {contents}", remedy)
     if error["type"] == "value_error":  # a dataclass that checks its own keys against each other
         message = str(error["ctx"]["error"])

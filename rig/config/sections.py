@@ -150,7 +150,7 @@ class Homing:
     stiffness: Annotated[float, Gt(0), Quantity("stiffness", "spring to the set point")]
     damping: Annotated[float, Ge(0), Quantity("damping", "damping to rest")]
     effort: Annotated[float, Gt(0), Quantity("effort", "most effort of the servo")]
-    slew: Annotated[float, Gt(0), Quantity("effort/s", "fastest change of effort in homing and ramps")]
+    slew: Annotated[float, Gt(0), Quantity("effort/s", "fastest change of effort while homing")]
     tolerance_counts: Annotated[
         float, Gt(0), Le(1e6), Quantity("count", "home when no farther than this from the start")
     ]

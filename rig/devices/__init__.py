@@ -56,7 +56,7 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     module, _, function = found.target.partition(":")
     try:
         opener = getattr(import_module(module), function)
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # somebody else's module may raise anything
         raise DeviceNotFoundError(
             f"the backend for {scheme}:// ({found.target}) does not load: {error}",
             remedy=f"reinstall {found.distribution}",
@@ -83,9 +83,14 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
         No such port, no permission, or somebody else has it.
     """
     parsed = DeviceUrl.parse(url)
-    if parsed.scheme == "sim" and parsed.place:
-        model = config.rig_model(presets.load(parsed.place))
-    return load_backend(url)(parsed, model)
+    return load_backend(url)(parsed, simulated_model(parsed, model))
+
+
+def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
+    """Physics behind a URL: those of the preset that a ``sim://`` names, else `model`."""
+    if url.scheme == "sim" and url.place:
+        return config.rig_model(presets.load(url.place))
+    return model
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:

@@ -31,7 +31,12 @@ class DeviceUrl:
     @classmethod
     def parse(cls, text: str) -> DeviceUrl:
         """Split a URL; raises `ConfigError` when it has no scheme or an option twice."""
-        parts = urlsplit(text)
+        try:
+            parts = urlsplit(text)
+        except ValueError as error:
+            raise ConfigError(
+                f"device URL {text!r}: {error}", remedy="write it like sim://koul-compliant"
+            ) from None
         if "://" not in text or not parts.scheme:
             raise ConfigError(
                 f"device URL {text!r} has no scheme",

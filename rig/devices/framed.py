@@ -25,6 +25,7 @@ from rig.devices.device import Link
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 
 STOP_FRAMES = 5
+COUNT_TIMEOUT_S = 0.5
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
 
@@ -75,6 +76,7 @@ class FramedDevice:
         self._dictionary: dictionaries.Dictionary | None = None
         self._dictionary_hash = 0
         self._crc = 0
+        self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self._session = 0  # used last
 
     # ------------------------------------------------------------------ who is there
@@ -138,8 +140,21 @@ class FramedDevice:
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # tells the state, and leaves BOOT
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
             self._dictionary = self.identify()
+        if self.connection.state == State.FAULT:
+            self.cleared_fault = self.fault_report()
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
+
+    def count(self) -> int:
+        """Encoder count now, from the STATE frames that an unarmed device sends on its own.
+
+        Raises `DeviceRefusedError` when it sends none for `COUNT_TIMEOUT_S`.
+        """
+        self.dictionary  # noqa: B018  (a device in BOOT says nothing)
+        for event in self._events(COUNT_TIMEOUT_S):
+            if isinstance(event.message, m.State):
+                return event.message.count
+        raise DeviceRefusedError("the device does not show its encoder count", remedy="update its firmware")
 
     def _read_parameters(self) -> bytes:
         reader = PageReader(BLOCK_LIMIT)

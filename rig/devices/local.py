@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any
 
+from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl
 from rig.errors import ConfigError, DeviceNotFoundError
 from rig.model import RigModel
@@ -30,8 +31,7 @@ def serve(scheme: str, model: RigModel, **options: Any) -> None:
 
     Raises `ConfigError` when no backend serves this scheme, `DeviceNotFoundError` when it does not load.
     """
-    if scheme not in SERVERS:
-        raise ConfigError(f"{scheme}:// cannot be served", remedy=f"known: {', '.join(SERVERS)}")
+    _check_served(scheme)
     module, _, function = SERVERS[scheme].partition(":")
     try:
         server = getattr(import_module(module), function)
@@ -40,6 +40,11 @@ def serve(scheme: str, model: RigModel, **options: Any) -> None:
             f"{SERVERS[scheme]} does not load: {error}", remedy="reinstall it"
         ) from error
     server(model, **options)
+
+
+def _check_served(scheme: str) -> None:
+    if scheme not in SERVERS:
+        raise ConfigError(f"{scheme}:// cannot be served", remedy=f"known: {', '.join(SERVERS)}")
 
 
 def _child(scheme: str, model: RigModel, seed: int, pipe: Any) -> None:
@@ -58,12 +63,27 @@ def _die_with_parent() -> None:
 def serve_locally(url: str, model: RigModel, *, seed: int = 0) -> Iterator[str]:
     """Start a device process and yield the URL of its port; the process ends with the context.
 
-    Raises `DeviceNotFoundError` when the process does not come up.
+    A name in the URL wins over `model`, as in virtual time.
+
+    Raises
+    ------
+    ConfigError
+        A scheme that cannot be served, an unknown name, or an option: those belong to virtual time.
+    DeviceNotFoundError
+        The process does not come up.
     """
+    parsed = DeviceUrl.parse(url)
+    _check_served(parsed.scheme)
+    if parsed.options:
+        raise ConfigError(
+            f"{url}: {next(iter(parsed.options))} has no effect in real time",
+            remedy="leave it out, or run in virtual time",
+        )
+    described = simulated_model(parsed, model)
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(
-        target=_child, args=(DeviceUrl.parse(url).scheme, model, seed, sender), name="rig-device", daemon=True
+        target=_child, args=(parsed.scheme, described, seed, sender), name="rig-device", daemon=True
     )
     process.start()
     sender.close()

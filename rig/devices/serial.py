@@ -41,13 +41,18 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
             remedy=f"known options: {', '.join(OPTIONS)}",
         )
     text = url.options.get("baud", str(DEFAULT_BAUD))
-    if not text.isdigit() or not 300 <= int(text) <= 20_000_000:
+    if not text.isdecimal() or not 300 <= int(text) <= 20_000_000:
         raise ConfigError(
             f"{url.text}: baud = {text!r} is not a rate", remedy="give bits per second, 300 to 20000000"
         )
     if not url.place:
         raise ConfigError(f"{url.text}: no port", remedy=f"name one, like serial:///dev/ttyACM0. {_ports()}")
-    return SerialLink(url, _open(url.place, int(text)))
+    port = _open(url.place, int(text))
+    try:
+        return SerialLink(url, port)
+    except termios.error as error:
+        port.close()
+        raise DeviceNotFoundError(f"{url.place} vanished: {error}", remedy=_ports()) from None
 
 
 def _open(port: str, baud: int) -> serial.Serial:
@@ -122,7 +127,7 @@ class SerialLink:
                 view = view[os.write(self._descriptor, view) :]
             except BlockingIOError:
                 if time.monotonic() > deadline:
-                    raise self._lost(None) from None
+                    raise self._lost(TimeoutError("it takes no more bytes")) from None
                 select.select([], [self._descriptor], [], 0.01)
             except (OSError, ValueError) as error:
                 raise self._lost(error) from error

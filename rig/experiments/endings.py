@@ -13,7 +13,7 @@ from rig.loop.host import EndReason
 from rig.loop.run import LoopEnd
 
 # Reason → error, what happened, what to do. In braces: url, why (errno), fault, fault_remedy, cause (an
-# exception).
+# exception), position and velocity of the last row.
 ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
     EndReason.STOPPED: (StoppedError, "stopped; the effort is zero", ""),
@@ -45,7 +45,8 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     ),
     EndReason.OUT_OF_WINDOW: (
         GuardError,
-        "the handle left the position window or exceeded the speed limit; the effort went to zero",
+        "the handle left the position window or exceeded the speed limit, at position {position} with velocity "
+        "{velocity}; the effort went to zero",
         "check the wall, the signs of motor and encoder, and rig.limits",
     ),
     EndReason.HOMING_FAILED: (
@@ -80,6 +81,8 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "fault": fault.text if fault else "it did not say which",
         "fault_remedy": fault.remedy if fault else "read its fault log",
         "cause": repr(end.error),
+        "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
+        "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",
     }
     error = kind(message.format(**words), remedy=remedy.format(**words))
     if isinstance(error, LinkLostError):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rig.experiments.plan import Check, Outcome, link_checks, make_plan
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.laws import Law
 from rig.recording.data import Recording
+from rig.recording.files import plain_errors
 from rig.verdict import Verdict
 
 RATES = ("controller.position_rate", "controller.velocity_rate")
@@ -39,7 +41,8 @@ class HitRequest:
     realtime
         Run in real time: a simulated rig then is a process behind a pseudo-terminal. A real device always is.
     verified
-        The user vouches that encoder and motor signs of a real rig were checked.
+        The user vouches that encoder and motor signs of a real rig were checked, and that its handle is at position
+        zero now.
     output
         Directory of the recordings.
     law
@@ -64,6 +67,7 @@ class HitResult:
     verdict: Verdict
     verdict_true: Verdict | None
     counters: dict[str, int]
+    cleared_fault: str | None  # what an earlier run had left latched on the device
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -77,8 +81,13 @@ class HitResult:
             "velocity_rate": self.experiment.controller.velocity_rate,
             "estimator": self.experiment.controller.estimator,
             "resolution": self.experiment.rig.encoder.resolution,
+            "effort": self.experiment.trial.effort,
+            "start": self.experiment.trial.start,
+            "seed": self.experiment.trial.seed,
             **as_trailer(self.verdict, self.verdict_true),
+            "thresholds": asdict(config.verdict_limits(self.experiment)),
             "counters": self.counters,
+            "cleared_fault": self.cleared_fault,
         }
 
 
@@ -110,48 +119,50 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         _refuse(
             link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
         )
+        _check_same_rig(experiment, device)
         _check_verified(request, device)
-        request.output.mkdir(parents=True, exist_ok=True)
-        stem = f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
+        if request.law is not None:
+            experiment = replace(experiment, wall=replace(experiment.wall, law=request.law.name))
+        with plain_errors("make", request.output):
+            request.output.mkdir(parents=True, exist_ok=True)
+        stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
+        trial = TrialRequest(
+            experiment=experiment,
+            recording=request.output,
+            verified=request.verified or device.dictionary.simulated,
+            reference_count=0 if device.dictionary.simulated else device.count(),
+            seed=experiment.trial.seed,
+            law=request.law,
+        )
         for repeat in range(experiment.trial.repeats):
-            progress = watch(repeat, experiment) if watch else None
             yield _one(
-                device, experiment, request, _free_name(request.output, f"{stem}-{repeat + 1}"), progress
+                device,
+                replace(
+                    trial,
+                    recording=_free_name(request.output, f"{stem}-{repeat + 1}"),
+                    progress=watch(repeat, experiment) if watch else None,
+                    extra={"repeat": repeat + 1},
+                ),
             )
 
 
-def _one(
-    device: FramedDevice,
-    experiment: Experiment,
-    request: HitRequest,
-    path: Path,
-    progress: Callable[[int, int], None] | None,
-) -> HitResult:
+def _one(device: FramedDevice, trial: TrialRequest) -> HitResult:
     verdicts: list[tuple[Verdict, Verdict | None]] = []
 
     def judged(recording: Recording) -> dict[str, Any]:
         verdicts.append(judge(recording))
         return as_trailer(*verdicts[-1])
 
-    end = run_trial(
-        device,
-        TrialRequest(
-            experiment=experiment,
-            recording=path,
-            verified=request.verified or device.dictionary.simulated,
-            seed=experiment.trial.seed,
-            law=request.law,
-            progress=progress,
-            judge=judged,
-        ),
-    )
+    end = run_trial(device, replace(trial, judge=judged))
+    fault, device.cleared_fault = device.cleared_fault, None
     recorded, true = verdicts[0]
     return HitResult(
         recording=end.recording,
-        experiment=experiment,
+        experiment=trial.experiment,
         verdict=recorded,
         verdict_true=true,
         counters=end.counters,
+        cleared_fault=None if fault is None else fault.text,
     )
 
 
@@ -195,13 +206,28 @@ def _refuse(checks: list[Check] | tuple[Check, ...]) -> None:
         )
 
 
+def _check_same_rig(experiment: Experiment, device: FramedDevice) -> None:
+    """A simulated rig knows its name: a recording must not carry another one."""
+    theirs = device.dictionary.device
+    if device.dictionary.simulated and theirs != experiment.rig.name:
+        raise ConfigError(
+            f"the device simulates {theirs}, the experiment is about {experiment.rig.name}",
+            remedy=f"say --rig {theirs}, or open another device",
+        )
+
+
+def _file_name(name: str) -> str:
+    """Keep what is harmless in a file name."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip(".-") or "rig"
+
+
 def _check_verified(request: HitRequest, device: FramedDevice) -> None:
     if device.dictionary.simulated or request.verified:
         return
     raise ConfigError(
         f"nobody vouches for the signs of motor and encoder on {device.dictionary.device}",
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
-        "move it the same way), put the handle at position zero, and say --verified",
+        "move it the same way), put the handle at position zero, and say --verified: the count there becomes zero",
     )
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from firmware_protocol.faults import Fault
 from rig import verdict
 from rig.config import Experiment, experiment_from_mapping, verdict_limits
 from rig.recording.data import Recording
-from rig.verdict import Verdict
+from rig.sample import Phase
+from rig.verdict import Kind, Verdict
 
 FINISHED = "finished"  # what the trailer of a whole run says
+THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 
 
 def experiment_of(recording: Recording) -> Experiment:
@@ -20,7 +23,7 @@ def experiment_of(recording: Recording) -> Experiment:
 def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
     """Return the verdict from what was recorded, and the one from the truth where there is one.
 
-    A run that did not finish is invalid, whatever it showed until then.
+    A push that did not last is invalid, unless the wall threw the handle out: then it is unstable.
     """
     experiment = experiment_of(recording)
     limits = verdict_limits(experiment)
@@ -31,11 +34,24 @@ def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
     if recording.has_truth:
         wall = experiment.wall
         true = verdict.judge(verdict.true_signals(recording.rows, tick_s, wall.position, wall.side), limits)
-    ending = (recording.trailer or {}).get("reason", "the writer died")
-    if ending != FINISHED:
-        reason = f"the run ended early: {ending}"
-        return verdict.spoiled(recorded, reason), None if true is None else verdict.spoiled(true, reason)
-    return recorded, true
+    early = _ended_early(recording)
+    if early is None:
+        return recorded, true
+    return verdict.overruled(recorded, *early), None if true is None else verdict.overruled(true, *early)
+
+
+def _ended_early(recording: Recording) -> tuple[Kind, str] | None:
+    """What an early end makes of the verdict: nothing once the push was over, else invalid, or unstable if thrown out."""
+    reason = (recording.trailer or {}).get("reason", "the recording breaks off")
+    phases = recording.rows["phase"]
+    if reason == FINISHED or (phases == Phase.RELEASE).any():
+        return None
+    fault = ((recording.trailer or {}).get("fault") or {}).get("name", "")
+    thrown = reason == "out_of_window" or fault in THROWN_OUT
+    touched = bool((recording.rows["penetration"][phases == Phase.TRIAL] > 0.0).any())
+    if thrown and touched:
+        return Kind.UNSTABLE, "the wall threw the handle out of its window or beyond the speed limit"
+    return Kind.INVALID, f"the run ended early: {reason.replace('_', ' ')}"
 
 
 def as_trailer(recorded: Verdict, true: Verdict | None) -> dict[str, Any]:

@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+from firmware_protocol import messages
+from firmware_protocol.packing import encoded_bytes
 from rig import controller
 from rig.config import Experiment
 from rig.sample import unit_of
 
-# Encoded frames of the host loop at most, with header, CRC, stuffing and delimiter.
-STATE_BYTES = 48
-COMMAND_BYTES = 24
+STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
 
 
@@ -164,6 +164,15 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
 def _wall_checks(x: Experiment) -> list[Check]:
     limits, motion, delta = x.rig.limits, x.rig.motion, x.rig.encoder.resolution
     position, effort, velocity = (unit_of(q, motion) for q in ("position", "effort", "velocity"))
+    if x.wall.stiffness == 0.0:
+        return [
+            Check(
+                "stiffness",
+                Outcome.REFUSED,
+                "0: nothing would stop the handle",
+                "choose wall.stiffness above 0",
+            )
+        ]
     hit = predict_impact(x)
     end = x.wall.position + x.wall.side * hit.peak_penetration
     inside = limits.position_minimum <= end <= limits.position_maximum
@@ -188,18 +197,17 @@ def _wall_checks(x: Experiment) -> list[Check]:
             "the hit will saturate; push less or start closer",
         ),
     ]
-    if x.wall.stiffness > 0.0:
-        rest = abs(x.trial.effort) / x.wall.stiffness
-        enough = rest / delta >= x.trial.minimum_rest_counts
-        checks.append(
-            Check(
-                "resting penetration",
-                Outcome.OK if enough else Outcome.REFUSED,
-                f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {x.trial.minimum_rest_counts:g} counts",
-                "push more, or lower wall.stiffness",
-            )
-        )
-    return checks
+    rest = abs(x.trial.effort) / x.wall.stiffness
+    enough = rest / delta >= x.trial.minimum_rest_counts
+    return [
+        *checks,
+        Check(
+            "resting penetration",
+            Outcome.OK if enough else Outcome.REFUSED,
+            f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {x.trial.minimum_rest_counts:g} counts",
+            "push more, or lower wall.stiffness",
+        ),
+    ]
 
 
 def _heat_checks(x: Experiment) -> list[Check]:

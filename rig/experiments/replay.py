@@ -15,16 +15,17 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from firmware_protocol.connection import State
 from firmware_protocol.kernel import kernel
 from rig import config, controller
-from rig.errors import RecordingError
+from rig.errors import LawError, RecordingError
 from rig.experiments.judgement import experiment_of
 from rig.laws import Law
 from rig.loop.host import ROWS_TYPE
 from rig.plugs import ESTIMATOR, LAW
 from rig.recording.data import Recording
 from rig.sample import COLUMNS, ROW, RowFlag
-from rig.step import CONTROL_TYPE, MEMORY_TYPE, Controller, step
+from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
 
 # What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
 COMPUTED = (
@@ -116,13 +117,24 @@ def replay(
         The recording lacks its beginning or a column that the law needs.
     ConfigError
         The changes cannot be meant, or the law of the recording is not installed here.
+    LawError
+        The law or the estimator raised an exception.
     """
     recorded = _rows(recording)
     replayed = recorded.copy()
     bundle = _controller(recording, changes, law)
-    replay_rows(
-        bundle.estimator.estimator.update, bundle.law.law.function, recorded, replayed, *bundle.arguments()
-    )
+    try:
+        replay_rows(
+            bundle.estimator.estimator.update,
+            bundle.law.law.function,
+            recorded,
+            replayed,
+            *bundle.arguments(),
+        )
+    except Exception as error:
+        raise LawError(
+            f"the law or the estimator raised {error!r}", remedy="mend it: a kernel raises nothing"
+        ) from error
     if len(recorded):
         _as_the_loop_ended(recorded, replayed)
     return ReplayResult(
@@ -171,8 +183,10 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
 
 
 def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
-    """The loop sends zero in the tick that ends it, whatever the law said: a device fault is no input of the law."""
-    if recorded["fault"][-1] != 0:
+    """The loop sends zero in the tick that ends it, though the effort was on its way down or the device failed."""
+    last = recorded[-1]
+    faulty = last["fault"] != 0 or last["device_state"] == State.FAULT
+    if faulty or replayed["phase"][-1] == DONE:
         replayed["effort_sent"][-1] = 0.0
         replayed["current_sent"][-1] = 0
 

@@ -7,6 +7,7 @@ depends on what went wrong before it.
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -20,7 +21,7 @@ from firmware_protocol.messages import MAJOR, MINOR
 from rig import controller as controllers
 from rig.config import Experiment, as_mapping
 from rig.devices.framed import Echo, FaultReport, FramedDevice
-from rig.errors import RigError
+from rig.errors import RigError, StoppedError
 from rig.experiments.endings import error_of
 from rig.laws import Law
 from rig.loop.host import EndReason
@@ -30,7 +31,7 @@ from rig.recording.header import make_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
 from rig.recording.seal import seal, with_truth
-from rig.ring import Ring
+from rig.ring import STOP, Ring
 from rig.step import Controller
 
 BLACK_BOX_ROWS = 100
@@ -50,6 +51,7 @@ class TrialRequest:
     recording: Path
     verified: bool
     seed: int
+    reference_count: int = 0  # count at position zero
     law: Law | None = None
     progress: Progress | None = None
     judge: Callable[[Recording], dict[str, Any]] | None = None  # what to add to the recording's trailer
@@ -79,32 +81,36 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     """
     experiment = request.experiment
     quantum = device.dictionary.current_quantum_a
-    controller = controllers.for_experiment(experiment, current_quantum_a=quantum, law=request.law)
+    controller = controllers.for_experiment(
+        experiment, current_quantum_a=quantum, reference_count=request.reference_count, law=request.law
+    )
     parameters = controllers.device_parameters(
-        experiment, current_quantum_a=quantum, reference_count=0, verified=request.verified
+        experiment,
+        current_quantum_a=quantum,
+        reference_count=request.reference_count,
+        verified=request.verified,
     )
     echo = device.configure(parameters)
     header = _header(device, request, controller, echo)
     ring = Ring.allocate(max(RING_ROWS_MINIMUM, round(RING_SECONDS * experiment.controller.position_rate)))
     virtual = device.link.clock.virtual
-    with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
-        try:
-            loop = _arm(device, experiment, controller, ring)
-        except RigError:
-            request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
-            raise
-        try:
-            loop.start()
-            loop.wait(request.progress)
-        except KeyboardInterrupt:
-            pass  # the reason of the loop's end says it
-        finally:
-            with _undisturbed():
+    with _signals_stop(ring) as signals:
+        with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
+            try:
+                loop = _arm(device, experiment, controller, ring)
+            except BaseException:
+                request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
+                raise
+            try:
+                loop.start()
+                loop.wait(request.progress)
+            finally:
                 _bring_to_rest(device, loop)
-        with _undisturbed():
             end = loop.end()
             error = _conclude(device, end, ring, recorder)
-    path = _seal(request, device.link.truth())
+        path = _seal(request, device.link.truth(), error)
+    if error is None and signals:
+        error = StoppedError("stopped after the trial had finished; the effort is zero")
     if error is not None:
         error.recording = path
         raise error from end.error
@@ -134,22 +140,31 @@ def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
     device.stop()
 
 
-def _seal(request: TrialRequest, truth: NDArray[np.void] | None) -> Path:
-    """Seal the capture, with what the caller's judge says of it."""
+def _seal(request: TrialRequest, truth: NDArray[np.void] | None, error: RigError | None) -> Path:
+    """Seal the capture, with what the caller's judge says of it. A failure here never hides the `error` of the run."""
     if not request.sealed:
         return request.recording
-    more = None
-    if request.judge is not None:
-        recording = open_recording(request.recording)
-        more = request.judge(recording if truth is None else with_truth(recording, truth))
-    return seal(request.recording, truth, extra_trailer=more)
+    try:
+        more = None
+        if request.judge is not None:
+            recording = open_recording(request.recording)
+            more = request.judge(recording if truth is None else with_truth(recording, truth))
+        return seal(request.recording, truth, extra_trailer=more)
+    except RigError as own:
+        if error is None:
+            own.recording = request.recording
+            raise
+        error.add_note(f"the recording was not sealed: {own}")
+        return request.recording
 
 
 def _conclude(device: FramedDevice, end: LoopEnd, ring: Ring, recorder: Recorder) -> RigError | None:
     """Hear the device's side, disarm it, close the recording; return the error that the ending means, if any."""
     rows = ring.last_rows(BLACK_BOX_ROWS)
     fault: FaultReport | None = None
-    with suppress(RigError):
+    with suppress(
+        Exception
+    ):  # the far end may be gone, or the simulation broken: what ended the run is known
         if end.reason == EndReason.DEVICE_FAULT:
             fault = device.explain_fault(
                 int(rows["fault"][-1])
@@ -162,13 +177,29 @@ def _conclude(device: FramedDevice, end: LoopEnd, ring: Ring, recorder: Recorder
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Hold back Ctrl-C and SIGTERM: a second one must not cut short what the first one began."""
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+def _signals_stop(ring: Ring) -> Iterator[list[int]]:
+    """Let Ctrl-C and SIGTERM stop the loop instead of raising here, as often as they come; yields those that came.
+
+    An exception in between, from the first or from a second signal, could cut short what brings the rig to rest.
+    Only the main thread gets signals; ignored ones stay ignored.
+    """
+    seen: list[int] = []
+
+    def stop(number: int, frame: object) -> None:
+        seen.append(number)
+        ring.put(STOP, 1)
+
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    taken = [number for number, handler in before.items() if handler not in (None, signal.SIG_IGN)]
     try:
-        yield
+        for number in taken:
+            signal.signal(number, stop)
+        yield seen
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        for number in taken:
+            signal.signal(number, before[number])
 
 
 def _header(

@@ -226,6 +226,8 @@ def _send(
     command[COMMAND.current] = current
     size = codec.encode_command(settings[0]["session"], p["sequence"], command, transmit)
     p["sequence"] = (p["sequence"] + 1) % 65536
+    if size < 0:  # a value that no field of the wire holds: nothing leaves
+        return 0
     sent = write(link, np.int64(transmit.ctypes.data), size)
     if sent < 0:
         return int(sent)
@@ -457,8 +459,7 @@ def run(
         if taken < 0:
             store_word(words + _WORD * ring.END_ERRNO, -taken)
             reason = _CLOSED
-    if reason != _CLOSED:
-        for _ in range(STOP_FRAMES):
-            _send(write, link, settings, progress, command, transmit, _MODE_STOP, 0)
+    for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
+        _send(write, link, settings, progress, command, transmit, _MODE_STOP, 0)
     store_word(words + _WORD * ring.END_REASON, reason)
     return int(reason)

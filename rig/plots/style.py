@@ -8,11 +8,15 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from rig.errors import RecordingError
+
 MEASURED = "#0072b2"
 TRUE = "#e69f00"
 SENT = "#d55e00"
 OTHER = "#009e73"
 WALL = "#999999"
+BAD = "#b00020"
+KINDS = {"stable": "#00703c", "limit cycle": "#b35900", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
 
 
@@ -26,11 +30,22 @@ def new_figure(width: float = 9.0, height: float = 7.0) -> Figure:
 def tidy(axes: Any, ylabel: str) -> None:
     """Label and lighten one panel."""
     axes.set_ylabel(ylabel)
+    lighten(axes)
+
+
+def lighten(axes: Any) -> None:
+    """Quiet grid, no box."""
     axes.grid(True, color="#e6e6e6", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG; the same picture gives the same bytes."""
-    figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    """Write a PNG; the same picture gives the same bytes. `RecordingError` when it cannot be written."""
+    try:
+        figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
+    except OSError as error:
+        raise RecordingError(
+            f"cannot write the picture {path}: {error.strerror or error}",
+            remedy="choose another place for it",
+        ) from error
     return path

@@ -37,7 +37,7 @@ PLAIN = {
     "effort_limit": 100.0,
     "effort_quantum": 0.01,
     "trial_slew": WIDE,
-    "transition_slew": WIDE,
+    "homing_slew": WIDE,
     "window_minimum": -1.0,
     "window_maximum": 1.0,
     "speed_limit": WIDE,
@@ -489,8 +489,8 @@ def test_a_start_that_is_not_reached_in_time_ends_the_run_at_zero_effort():
     assert tick.current_sent == 0
 
 
-def test_homing_efforts_rise_no_faster_than_the_transition_slew():
-    tick = Tick(**HOME, transition_slew=0.05)
+def test_homing_efforts_rise_no_faster_than_the_homing_slew():
+    tick = Tick(**HOME, homing_slew=0.05)
     efforts = [0.0]
     for _ in range(40):
         tick(-500)
@@ -571,7 +571,7 @@ DUAL = {
     "home_step": 3e-7,
     "home_tolerance": 1e-3,
     "trial_slew": 0.5,
-    "transition_slew": 0.01,
+    "homing_slew": 0.01,
     "tick_s": 1e-4,
     "release_ticks": 100,
 }

@@ -143,7 +143,7 @@ def test_one_gap_spoils_a_trial():
     assert judge(signals(REST, gap=first(1)), LIMITS).kind is Kind.INVALID
     verdict = judge(signals(REST, gap=first(3)), LIMITS)
     assert verdict.gaps == 3
-    assert verdict.reasons == ("3 gaps in the samples",)
+    assert verdict.reasons == ("3 gaps in the samples: the link or this computer was late",)
 
 
 @pytest.mark.parametrize(("late", "kind"), [(199, Kind.STABLE), (200, Kind.INVALID)])

@@ -34,7 +34,7 @@ def run(capfd, tmp_path, monkeypatch):
 def recording(run):
     code, out, _ = run("hit", "--json", "--no-plot", *QUICK)
     assert code == 0
-    return json.loads(out)[0]["recording"]
+    return json.loads(out)["hits"][0]["recording"]
 
 
 def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run, tmp_path):
@@ -63,7 +63,7 @@ def test_hit_gives_the_numbers_as_json(run):
         "hit", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--rate", "20k/2k", "--repeats", "2", *QUICK
     )
     assert code == 0
-    first, second = json.loads(out)
+    first, second = json.loads(out)["hits"]
     assert first["verdict"]["kind"] == first["verdict_true"]["kind"] == "stable"
     assert first["stiffness"] == 200.0
     assert (first["position_rate"], first["velocity_rate"]) == (20000, 2000)
@@ -77,7 +77,7 @@ def test_the_default_hit_is_the_one_of_the_reference_study(run):
     """Peak 17 to 18 counts, rest 3 to 4, effort up to 1.2 N·m, no saturation, stable."""
     code, out, _ = run("hit", "--json", "--no-plot")
     assert code == 0
-    (hit,) = json.loads(out)
+    (hit,) = json.loads(out)["hits"]
     verdict, count = hit["verdict"], hit["resolution"]
     assert verdict["kind"] == hit["verdict_true"]["kind"] == "stable"
     assert 17.0 <= verdict["peak_penetration"] / count <= 18.0
@@ -92,7 +92,7 @@ def test_a_wall_of_three_times_the_limit_is_not_stable(run):
         "hit", "--json", "--no-plot", "-K", "1500", "-B", "0", "--set", "trial.minimum_rest_counts=0"
     )
     assert code == 0
-    (hit,) = json.loads(out)
+    (hit,) = json.loads(out)["hits"]
     assert hit["verdict"]["kind"] == "unstable"
     assert hit["verdict_true"]["kind"] == "unstable"
 
@@ -228,9 +228,55 @@ def test_what_cannot_be_meant_is_refused_in_words(run, tmp_path, arguments, code
     assert not list(tmp_path.rglob("*.rigcap"))
 
 
+def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_it(run, tmp_path):
+    throwing = [
+        "-K",
+        "1500",
+        "-B",
+        "0",
+        "--effort",
+        "0.5",
+        "--set",
+        "rig.limits.position_maximum=0.005",
+        *QUICK,
+    ]
+    code, out, err = run("hit", *throwing)
+    assert code == 10
+    assert "unstable" in out
+    assert "threw the handle out" in out
+    assert "position 0.005" in err
+    assert list((tmp_path / "recordings").glob("*.png"))
+    code, out, _ = run("hit", "--json", *throwing)
+    told = json.loads(out)
+    assert told["hits"] == []
+    assert told["error"]["exit_code"] == code == 10
+    assert open_recording(told["error"]["recording"]).trailer["verdict"]["kind"] == "unstable"
+
+
+def test_another_simulated_rig_than_the_experiments_is_refused(run):
+    code, _, err = run("hit", "--rig", "koul-rigid", "--url", "sim://koul-compliant")
+    assert code == 2
+    assert "--rig koul-compliant" in err
+    code, out, _ = run("hit", "--url", "sim://koul-rigid", "--no-plot", "--json", *QUICK)
+    assert json.loads(out)["hits"][0]["rig"] == "koul-rigid"
+
+
+def test_what_a_file_says_is_meant_in_real_time_too(tmp_path):
+    from rig import config  # noqa: PLC0415
+
+    (tmp_path / "soft.toml").write_text(
+        'preset = "koul-compliant"\n[wall]\nstiffness = 100.0\n[trial]\neffort = 0.2\n', encoding="utf-8"
+    )
+    experiment = config.with_realtime(config.load_experiment(tmp_path / "soft.toml"))
+    assert experiment.wall.stiffness == 100.0
+    assert experiment.trial.effort == 0.2
+    assert experiment.wall.damping == 0.2, "what the file leaves open is the preset's gentler value"
+    assert experiment.controller.position_rate == 1000
+
+
 def test_an_error_is_json_too_when_json_was_asked_for(run):
     code, out, err = run("hit", "--json", "--effort", "0.03")
-    facts = json.loads(out)
+    facts = json.loads(out)["error"]
     assert facts["exit_code"] == code == 2
     assert "counts" in facts["error"]
     assert err.startswith("rig: ")
