@@ -182,13 +182,15 @@ def judge(signals: Signals, limits: Limits) -> Verdict:
     exits_in_tail = int(np.count_nonzero(exits[max(0, tail.start - 1) :]))
     saturated_in_tail = float(np.mean(signals.saturated[tail]))
 
-    exceeded = []
-    if felt is not None and felt > limits.felt_velocity:
-        exceeded.append(f"felt {felt:.3g} above {limits.felt_velocity:.3g}")
-    if heard > limits.heard_effort:
-        exceeded.append(f"heard {heard:.3g} above {limits.heard_effort:.3g}")
-    if moved > limits.moved:
-        exceeded.append(f"moved {moved:.3g} above {limits.moved:.3g}")
+    exceeded = [
+        f"{name} {value:.3g} above {limit:.3g}"
+        for name, value, limit in (
+            ("felt", felt, limits.felt_velocity),
+            ("heard", heard, limits.heard_effort),
+            ("moved", moved, limits.moved),
+        )
+        if value is not None and value > limit
+    ]
     contact = int(np.argmax(inside)) if inside.any() else None
     resting = float(np.median(signals.penetration[tail]))
     peak = float(signals.penetration.max())

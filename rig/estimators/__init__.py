@@ -1,23 +1,37 @@
 """The family of velocity estimators, by name.
 
 A third party adds one by the entry-point group ``rig.estimators``: a name and the ``module:attribute`` of an
-`rig.estimators.estimator.Estimator`.
+`rig.estimators.estimator.Estimator`. `estimate` runs any of them over an array of counts, `quantise` makes counts.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from rig.errors import ConfigError
 
 if TYPE_CHECKING:
+    from rig.estimators.arrays import estimate, estimate_with_window, quantise
     from rig.estimators.estimator import Estimator
+
+__all__ = ["BUILT_IN", "estimate", "estimate_with_window", "get", "names", "quantise"]
+
+_ON_ARRAYS = ("estimate", "estimate_with_window", "quantise")  # of `arrays`, imported on first use
 
 BUILT_IN = {
     "fdm": "rig.estimators.fdm",
     "fdm-butterworth": "rig.estimators.fdm_butterworth",
+    "fdm-butterworth-fixed": "rig.estimators.fdm_butterworth_fixed",
+    "period": "rig.estimators.period",
+    "period-frequency": "rig.estimators.period_frequency",
+    "foaw-end": "rig.estimators.foaw_end",
+    "foaw-best": "rig.estimators.foaw_best",
+    "kalman": "rig.estimators.kalman",
+    "levant": "rig.estimators.levant",
+    "foaw-levant": "rig.estimators.hybrid",
+    "optimal": "rig.estimators.optimal",
 }
 
 
@@ -40,3 +54,9 @@ def get(name: str) -> Estimator:
                 remedy="mend or remove that package",
             ) from error
     raise ConfigError(f"there is no estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ON_ARRAYS:
+        return getattr(import_module("rig.estimators.arrays"), name)
+    raise AttributeError(f"module 'rig.estimators' has no attribute {name!r}")

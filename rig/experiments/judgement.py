@@ -41,7 +41,7 @@ def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
 
 
 def _ended_early(recording: Recording) -> tuple[Kind, str] | None:
-    """What an early end makes of the verdict: nothing once the push was over, else invalid, or unstable if thrown out."""
+    """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
     phases = recording.rows["phase"]
     if reason == FINISHED or (phases == Phase.RELEASE).any():

@@ -215,3 +215,25 @@ def test_a_kernel_keeps_its_name_and_documentation():
 def test_importing_the_protocol_does_not_load_the_compiler():
     script = "import sys, firmware_protocol, rig; assert not {'numba', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
+@compiled
+def test_a_borrowing_kernel_writes_into_its_arrays_and_cannot_make_one():
+    """No references are counted: the arrays stay the caller's, and an allocation is refused by the compiler."""
+
+    @kernel("f8(f8[::1])", cache=False, borrow=True)
+    def double_first(values):
+        values[0] *= 2.0
+        return values[0]
+
+    values = np.array([3.0])
+    holders = sys.getrefcount(values)
+    assert double_first(values) == 6.0
+    assert values[0] == 6.0
+    assert sys.getrefcount(values) == holders
+
+    def allocate(size):
+        return np.zeros(size)[0]
+
+    with pytest.raises(numba.core.errors.NumbaError):
+        kernel("f8(i8)", cache=False, borrow=True)(allocate)

@@ -18,7 +18,7 @@ from rig import estimators
 from rig.errors import ConfigError
 from rig.estimators.estimator import Prepared, Setting
 from rig.estimators.fdm import count_difference
-from tests.conformance.estimator import check_estimator, velocities
+from tests.conformance.estimator import KNOWN_LIMITS, check_estimator, velocities
 
 ROOT = Path(__file__).parents[2]
 RESOLUTION, PERIOD = 1e-5, 5e-4  # 10 µrad or µm; 2 kHz
@@ -43,7 +43,10 @@ def butterworth(
 
 @pytest.mark.parametrize("name", estimators.names())
 def test_every_estimator_keeps_the_promises_of_the_family(name):
-    check_estimator(lambda resolution, period_s: estimators.get(name).prepare({}, resolution, period_s))
+    check_estimator(
+        lambda resolution, period_s: estimators.get(name).prepare({}, resolution, period_s),
+        **KNOWN_LIMITS.get(name, {}),
+    )
 
 
 def test_every_estimator_keeps_them_as_plain_python_too():
@@ -52,9 +55,9 @@ def test_every_estimator_keeps_them_as_plain_python_too():
         "import numba\n"
         "assert numba.config.DISABLE_JIT\n"
         "from rig import estimators\n"
-        "from tests.conformance.estimator import check_estimator\n"
+        "from tests.conformance.estimator import KNOWN_LIMITS, check_estimator\n"
         "for name in estimators.names():\n"
-        "    check_estimator(lambda r, p: estimators.get(name).prepare({}, r, p))\n"
+        "    check_estimator(lambda r, p: estimators.get(name).prepare({}, r, p), **KNOWN_LIMITS.get(name, {}))\n"
         "    print(name)\n"
     )
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}

@@ -1,0 +1,35 @@
+"""``rig plot``: pictures of theory, which need no recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rig.cli import options, output
+
+
+@click.group()
+def plot() -> None:
+    """Draw what the theory says; pictures of recordings come from `rig show` and `rig replay`."""
+
+
+@plot.command("levant-regions")
+@click.option(
+    "-o", "--output", "picture", type=click.Path(path_type=Path), default=Path("levant-regions.png"),
+    show_default=True, help="PNG to write.",
+)  # fmt: skip
+@options.json_option
+def levant_regions(picture: Path, as_json: bool) -> None:
+    """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
+    from rig.estimators.levant_regions import crossing  # noqa: PLC0415
+    from rig.plots.levant import draw_levant_regions  # noqa: PLC0415
+    from rig.plots.levant import levant_regions as compute  # noqa: PLC0415
+
+    computed = compute()
+    path = draw_levant_regions(computed, picture)
+    if as_json:
+        output.print_json({"picture": str(path), **computed.as_mapping()})
+        return
+    mu1, mu2 = crossing()
+    click.echo(f"{path}: HBA and LFBA cross at mu1 = {mu1:.4f}, mu2 = {mu2:.4f}")

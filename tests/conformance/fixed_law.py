@@ -1,0 +1,156 @@
+"""The fixed-point law in exact arithmetic, and golden vectors made by it: counts in, current quanta out.
+
+Nothing here is shared with the compiled law but the integers that the host designed: sums are Python's integers,
+divisions are fractions, rounding is `math.floor`, so that no word length can hide a mistake. A firmware that gives the
+quanta of `golden_vectors` for several seeds renders the wall of this project, to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from random import Random
+
+from rig.estimators import get
+from rig.estimators.fdm_butterworth_fixed import biquad
+from rig.fixed_point import ROUNDINGS, Biquad
+from rig.fixed_wall import DEPTH, FixedWall, design_wall
+
+
+def rounded(value: Fraction, rounding: int) -> int:
+    """Return the integer that the named rounding makes of an exact value."""
+    name = ROUNDINGS[rounding]
+    if name == "floor":
+        return math.floor(value)
+    return int(value) if name == "zero" else math.floor(value + Fraction(1, 2))
+
+
+def clipped(value: int, word_bits: int) -> int:
+    """Return the nearest integer of a two's complement word."""
+    return sorted((-(2 ** (word_bits - 1)), value, 2 ** (word_bits - 1) - 1))[1]
+
+
+def difference(newer: int, older: int) -> int:
+    """Difference of two counts of a 32-bit counter, the shorter way round."""
+    d = (newer - older) % 2**32
+    return d - 2**32 if d >= 2**31 else d
+
+
+class ExactFilter:
+    """Finite difference and biquad, one call for each velocity sample."""
+
+    def __init__(self, filter_: Biquad) -> None:
+        self.filter = filter_
+        self.count: int | None = None
+        self.inputs, self.outputs = [0, 0], [0, 0]
+
+    def velocity(self, count: int, elapsed: int = 1) -> int:
+        """Counts per period in LSB of the state."""
+        f = self.filter
+        moved = 0 if self.count is None else difference(count, self.count)
+        self.count = count
+        word, scale = f.state.word_bits, 2**f.state.fraction_bits
+        x = clipped(rounded(Fraction(moved * scale, elapsed), f.rounding), word)
+        for _ in range(min(elapsed, 1000)):
+            terms = zip((f.b0, f.b1, f.b2, -f.a1, -f.a2), (x, *self.inputs, *self.outputs), strict=True)
+            total = Fraction(sum(c * s for c, s in terms), 2**f.coefficient_bits)
+            self.inputs = [x, self.inputs[0]]
+            self.outputs = [clipped(rounded(total, f.rounding), word), self.outputs[0]]
+        return self.outputs[0]
+
+
+def exact_quanta(count: int, velocity: int, wall: FixedWall) -> int:
+    """Current of wall and constant effort, guarded (quanta)."""
+    depth = wall.direction * difference(count, wall.reference) * 2**DEPTH.fraction_bits - wall.surface
+    depth = clipped(depth, DEPTH.word_bits)
+    reaction = 0
+    if depth > 0:
+        inwards = wall.direction * velocity
+        if wall.entry_only:
+            inwards = max(inwards, 0)
+        reaction = wall.stiffness * depth + wall.damping * inwards
+        if not wall.may_pull:
+            reaction = max(reaction, 0)
+    total = Fraction(wall.constant - wall.side * reaction, 2**wall.shift)
+    return sorted((-wall.limit, math.floor(total + Fraction(1, 2)), wall.limit))[1]
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenVectors:
+    """One trial of a device: its integers, the count of each tick, and what it must answer."""
+
+    filter: Biquad
+    wall: FixedWall
+    velocity_divider: int
+    counts: tuple[int, ...]
+    velocities: tuple[int, ...]  # held in each tick, LSB of the filter's state
+    quanta: tuple[int, ...]
+
+
+def golden_vectors(seed: int, ticks: int = 400) -> GoldenVectors:
+    """Make the vectors of a seed; the same for ever, for they rest on `Random.random` alone, which Python promises.
+
+    The seed draws rates, filter, wall and options; the handle hits the wall, rings, jumps now and then, and in every
+    fourth seed crosses the wrap of the counter.
+    """
+    random = Random(seed)
+
+    def between(low: float, high: float) -> float:
+        return low + (high - low) * random.random()
+
+    def one_of(*values: float) -> float:
+        return values[int(random.random() * len(values))]
+
+    divider = int(one_of(1, 1, 2, 5, 10))
+    period_s = divider / one_of(1000, 10_000, 20_000)
+    settings: dict[str, float | str] = {
+        "cutoff_hz": one_of(0.05, 0.1, 0.2) / period_s,
+        "coefficient_bits": one_of(12, 14, 24),
+        "state_bits": one_of(2, 4, 8, 16),
+        "word_bits": 32,
+        "rounding": ROUNDINGS[int(random.random() * 3)],
+        "numerator": "unit-gain" if random.random() < 0.5 else "nearest",
+    }
+    get("fdm-butterworth-fixed").prepare(settings, 1.0, period_s)  # refuses what cannot be meant
+    filter_ = biquad(settings, period_s)
+    sign, side = one_of(-1, 1), int(one_of(-1, 1))
+    delta, quantum = 1.5707963e-4, 2.34e-4
+    reference = 2**31 - 40 if seed % 4 == 0 else int(between(-1000, 1000))
+    wall = design_wall(
+        stiffness=between(1, 100) * quantum / delta,
+        damping=between(1, 300) * quantum * period_s / delta,
+        resolution=sign * delta,
+        period_s=period_s,
+        velocity=filter_.state,
+        effort_quantum=quantum,
+        effort_limit=1.3,
+        wall_position=between(-0.002, 0.002),
+        side=side,
+        constant_effort=side * between(0, 0.3),
+        reference_count=reference,
+        may_pull=random.random() < 0.5,
+        entry_only=random.random() < 0.5,
+    )
+    counts = []
+    for k in range(ticks):
+        ring = 8 - 60 * math.exp(-k / 80) * math.sin((60 - k) * 0.07)
+        place = k - 52 if k < 60 else ring + between(-1, 1)
+        jump = between(-5000, 5000) if random.random() < 0.02 else 0.0
+        counts.append(difference(reference + wall.direction * round(place + jump), 0))
+    return GoldenVectors(filter_, wall, divider, tuple(counts), *answers(filter_, wall, divider, counts))
+
+
+def answers(
+    filter_: Biquad, wall: FixedWall, velocity_divider: int, counts: Sequence[int]
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Velocity held and current for each count, one count a tick."""
+    exact, held = ExactFilter(filter_), 0
+    velocities, quanta = [], []
+    for tick, count in enumerate(counts):
+        if tick % velocity_divider == 0:
+            held = exact.velocity(count)
+        velocities.append(held)
+        quanta.append(exact_quanta(count, held, wall))
+    return tuple(velocities), tuple(quanta)
