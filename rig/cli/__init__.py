@@ -24,6 +24,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
     "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
     "plot": ("rig.cli.plot:plot", "Draw what the theory says: levant-regions."),
+    "estimators": (
+        "rig.cli.estimators:estimators",
+        "List, compare and tune velocity estimators on known motions and recordings.",
+    ),
     "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
     "preset": ("rig.cli.preset:preset", "List the built-in rigs, or print one as a file to start from."),
     "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),

@@ -1,0 +1,311 @@
+"""``rig estimators``: what there is, how good each is on which motion, and which settings suit a motion."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options, output
+from rig.errors import ConfigError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.experiments.cases import Case
+    from rig.experiments.estimators import Comparison, Score, Variant
+    from rig.experiments.tuning import Tuning
+
+DEFAULT_SIGNAL = "wall-bounce"
+DEFAULT_RESOLUTION = 1e-6
+DEFAULT_RATES = "1k,2k,10k,20k,50k"
+DEFAULT_RATE = "2k"
+VARIANT_HELP = "NAME, or NAME:setting=value,setting=value."
+
+signal_option = click.option(
+    "--signal", "signals", multiple=True, help=f"Reference signal. [{DEFAULT_SIGNAL}]"
+)
+
+
+@click.group()
+def estimators() -> None:
+    """List the velocity estimators, compare them on motions that are known, tune one to a motion."""
+
+
+@estimators.command("list")
+@click.argument("names", nargs=-1)
+@click.option(
+    "--rate", default=DEFAULT_RATE, show_default=True, help="Velocity rate at which the delay is stated."
+)
+@options.json_option
+def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
+    """Show the estimators (or NAMES): parameters with range, unit and meaning, delay, source."""
+    _announce()
+    from rig import estimators as family  # noqa: PLC0415
+    from rig.experiments.cases import signal_case  # noqa: PLC0415
+    from rig.experiments.estimators import Variant, score  # noqa: PLC0415
+    from rig.signals import SIGNALS  # noqa: PLC0415
+
+    hertz = _rate(rate)
+    case = signal_case(SIGNALS["sine"], hertz, DEFAULT_RESOLUTION)
+    facts: list[dict[str, Any]] = []
+    for name in names or family.names():
+        each, scored = family.get(name), score(case, Variant(name))
+        facts.append(
+            {
+                "name": name,
+                "summary": each.summary,
+                "source": each.source,
+                "delay_s": scored.delay_s,
+                "delay_at": f"{hertz} Hz, 5 Hz sine, {DEFAULT_RESOLUTION:g} m a count, default settings",
+                "refused": scored.refused,
+                "parameters": [_setting(s) for s in each.settings],
+            }
+        )
+    if as_json:
+        output.print_json(facts)
+        return
+    for fact in facts:
+        click.echo(f"{click.style(fact['name'], bold=True)}: {fact['summary']}")
+        late = fact["refused"] or f"{1e3 * fact['delay_s']:.3f} ms at {fact['delay_at']}"
+        pairs = [("delay", late), ("source", str(fact["source"]))]
+        output.print_pairs([*pairs, *((p["name"], _said(p)) for p in fact["parameters"])])
+
+
+@estimators.command()
+@click.argument("recordings", nargs=-1, type=click.Path(path_type=Path))
+@signal_option
+@click.option("--rate", "rates", help=f"Velocity rates. [{DEFAULT_RATES}; of a recording: its own]")
+@click.option(
+    "--resolution", "resolutions", multiple=True, type=float, help=f"m a count. [{DEFAULT_RESOLUTION:g}]"
+)
+@click.option("--estimator", "chosen", multiple=True, help=f"{VARIANT_HELP} [all]")
+@click.option("--time/--no-time", "timed", default=True, help="Also measure ns a sample.")
+@click.option("--plot", type=click.Path(path_type=Path), default=Path("estimators.png"), show_default=True)
+@click.option("--no-plot", is_flag=True, help="Draw nothing.")
+@options.json_option
+def compare(
+    recordings: tuple[Path, ...],
+    signals: tuple[str, ...],
+    rates: str | None,
+    resolutions: tuple[float, ...],
+    chosen: tuple[str, ...],
+    timed: bool,
+    plot: Path,
+    no_plot: bool,
+    as_json: bool,
+) -> None:
+    """Score estimators on reference signals and RECORDINGS: raw error, delay, error without delay, noise at rest, cost.
+
+    All errors are rms. "at rest" is the velocity read after a motion has ended, "toggling" the same while the count
+    falls at random on one of two neighbours.
+    """
+    _announce()
+    from rig.experiments import estimators as experiment  # noqa: PLC0415
+
+    cases = [
+        _signal_case(name, rate, resolution)
+        for name in signals or (() if recordings else (DEFAULT_SIGNAL,))
+        for resolution in resolutions or (DEFAULT_RESOLUTION,)
+        for rate in _rates(rates or DEFAULT_RATES)
+    ]
+    for path in recordings:
+        cases += [_recording_case(path, rate) for rate in (_rates(rates) if rates else (None,))]
+    variants = [_variant(text) for text in chosen] or list(experiment.default_variants())
+    comparison = experiment.compare(cases, variants, timed=timed)
+    picture = None if no_plot else _draw(comparison, plot)
+    if as_json:
+        output.print_json({**comparison.as_mapping(), "picture": picture})
+        return
+    for i, case in enumerate(cases):
+        click.echo(_headline(case))
+        _print_table(case, comparison.scores[i * len(variants) : (i + 1) * len(variants)], variants)
+    if picture:
+        output.print_pairs([("picture", picture)])
+
+
+@estimators.command()
+@click.argument("estimator")
+@click.argument("recording", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--signal", default=DEFAULT_SIGNAL, show_default=True, help="Reference signal, without RECORDING."
+)
+@click.option("--rate", help=f"Velocity rate. [{DEFAULT_RATE}; of a recording: its own]")
+@click.option("--resolution", type=float, default=DEFAULT_RESOLUTION, show_default=True, help="m a count.")
+@click.option(
+    "--objective",
+    default="rms",
+    show_default=True,
+    help="rms, delay-corrected-rms or rms+delay: see the guide.",
+)
+@click.option("--free", multiple=True, help="Number to tune. [all that have an effect]")
+@click.option(
+    "-o", "--output", "target", type=click.Path(path_type=Path), help="TOML to write. [NAME-tuned.toml]"
+)
+@click.option("--overwrite", is_flag=True, help="Replace that file.")
+@options.json_option
+def tune(
+    estimator: str,
+    recording: Path | None,
+    signal: str,
+    rate: str | None,
+    resolution: float,
+    objective: str,
+    free: tuple[str, ...],
+    target: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Find the settings of ESTIMATOR that suit RECORDING or a signal, say how much they matter, and write them as TOML.
+
+    ESTIMATOR is a name, or name:setting=value,… to fix choices and start elsewhere. The file is a fragment of an
+    experiment: put `preset = "…"` above it and run `rig hit` with it.
+    """
+    variant = _variant(estimator)
+    path = target or Path(f"{variant.estimator}-tuned.toml")
+    if path.exists() and not overwrite:
+        raise ConfigError(f"{path} exists", remedy="choose another with -o, or say --overwrite")
+    _announce()
+    from rig.experiments.tuning import tune as run  # noqa: PLC0415
+
+    if recording is None:
+        case = _signal_case(signal, _rate(rate or DEFAULT_RATE), resolution)
+    else:
+        case = _recording_case(recording, None if rate is None else _rate(rate))
+    tuning = run(variant.estimator, case, objective=objective, settings=variant.settings, free=free or None)
+    path.write_text(tuning.toml(), encoding="utf-8")
+    if as_json:
+        output.print_json({**tuning.as_mapping(), "toml": str(path)})
+        return
+    click.echo(_headline(case))
+    _print_tuning(tuning, case)
+    output.print_pairs([("written", str(path))])
+
+
+def _print_tuning(tuning: Tuning, case: Case) -> None:
+    from rig.experiments.tuning import shown_range  # noqa: PLC0415
+
+    click.echo(f"{tuning.estimator}, least {tuning.objective}, {tuning.evaluations} evaluations")
+    output.print_pairs(
+        [
+            (
+                "objective",
+                f"{tuning.objective_start:.4g} at the start, {tuning.objective_best:.4g} at the optimum",
+            ),
+            *((r.setting, f"{r.value:.4g}   (within 10 %: {shown_range(r)})") for r in tuning.ranges),
+        ]
+    )
+    _print_table(case, [tuning.before, tuning.after], ["before", "after"])
+
+
+def _announce() -> None:
+    """Say why nothing is seen for a while, the first time."""
+    from firmware_protocol.kernel import is_cold  # noqa: PLC0415
+
+    if is_cold():
+        click.echo("rig: compiling the estimators, once for this version and machine (seconds)", err=True)
+
+
+def _setting(setting: Any) -> dict[str, Any]:
+    names = ("name", "default", "minimum", "maximum", "unit", "choices", "meaning")
+    return {name: getattr(setting, name) for name in names if hasattr(setting, name)}
+
+
+def _said(p: dict[str, Any]) -> str:
+    if "choices" in p:
+        return f"{p['default']}   ({' | '.join(p['choices'])}) {p['meaning']}"
+    default = "must be given" if p["default"] is None else f"{p['default']:g}"
+    unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    return f"{default}{unit}   ({p['minimum']:g} to {p['maximum']:g}) {p['meaning']}"
+
+
+def _headline(case: Case) -> str:
+    position, velocity = (unit_of(q, case.motion) for q in ("position", "velocity"))
+    return (
+        f"{click.style(case.name, bold=True)} at {case.rate_hz:g} Hz, {abs(case.resolution):.4g} {position} a count; "
+        f"truth: {case.reference}, {case.speed_rms:.3g} {velocity} rms"
+    )
+
+
+def _print_table(case: Case, scores: Any, variants: list[Variant] | list[str]) -> None:
+    names = [v if isinstance(v, str) else v.label for v in variants]
+    width, unit = max(len(name) for name in names), unit_of("velocity", case.motion)
+    columns = ("error", "delay", "without", "at rest", "toggling", "cost")
+    units = (unit, "ms", "delay", unit, unit, "ns")
+    for line in (columns, units):
+        click.echo(f"  {'':<{width}}" + "".join(f"{text:>10}" for text in line))
+    for name, each in zip(names, scores, strict=True):
+        click.echo(f"  {name:<{width}}{_cells(each)}")
+
+
+def _cells(score: Score) -> str:
+    if score.refused is not None:
+        return f"  {score.refused}"
+    numbers = (
+        f"{score.rms:.3g}",
+        f"{1e3 * score.delay_s:.3f}",
+        f"{score.rms_without_delay:.3g}",
+        f"{score.rest_rms:.3g}",
+        f"{score.toggling_rms:.3g}",
+        f"{score.ns_per_sample:.1f}",
+    )
+    return "".join(f"{'–' if text == 'nan' else text:>10}" for text in numbers)
+
+
+def _draw(comparison: Comparison, plot: Path) -> str | None:
+    """Draw; a picture that fails is reported and takes nothing with it."""
+    from rig.plots.estimators import draw_comparison  # noqa: PLC0415
+
+    try:
+        return str(draw_comparison(comparison, plot))
+    except Exception as error:
+        click.echo(f"rig: no picture: {error}", err=True)
+        return None
+
+
+def _rate(text: str) -> int:
+    rates = _rates(text)
+    if len(rates) != 1:
+        raise ConfigError(f"--rate {text}: one rate is needed", remedy="write 2k or 2000")
+    return rates[0]
+
+
+def _rates(text: str) -> list[int]:
+    return [options.parse_rate(part)[-1] for part in text.split(",")]
+
+
+def _signal_case(name: str, rate_hz: int, resolution: float) -> Case:
+    from rig.experiments.cases import signal_case  # noqa: PLC0415
+    from rig.signals import SIGNALS  # noqa: PLC0415
+
+    if name not in SIGNALS:
+        raise ConfigError(f"there is no signal {name!r}", remedy=f"choose one of: {', '.join(SIGNALS)}")
+    if not (math.isfinite(resolution) and resolution > 0.0):
+        raise ConfigError(f"--resolution {resolution:g}: not above zero", remedy="give m a count, like 1e-6")
+    return signal_case(SIGNALS[name], rate_hz, resolution)
+
+
+def _recording_case(path: Path, rate_hz: int | None) -> Case:
+    from rig.experiments.cases import recording_case  # noqa: PLC0415
+    from rig.recording.reader import open_recording  # noqa: PLC0415
+
+    return recording_case(open_recording(path), rate_hz, name=path.stem)
+
+
+def _variant(text: str) -> Variant:
+    from rig.experiments.estimators import Variant  # noqa: PLC0415
+
+    name, _, rest = text.partition(":")
+    settings: dict[str, float | str] = {}
+    for part in filter(None, rest.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals:
+            raise ConfigError(
+                f"{text}: {part!r} has no value", remedy="write NAME:setting=value,setting=value"
+            )
+        try:
+            settings[key.strip()] = float(value)
+        except ValueError:
+            settings[key.strip()] = value.strip()
+    return Variant(name, settings)

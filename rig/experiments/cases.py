@@ -1,0 +1,207 @@
+"""What an estimator is judged on: counts, one for each velocity sample, and the velocity that they come from.
+
+A case is a reference signal (`rig.signals`) as an ideal encoder sees it, or a recording with the simulation's truth, or
+one of a real rig with a reference that looks into the future.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import ConfigError
+from rig.estimators.arrays import inputs, quantise
+from rig.estimators.estimator import Floats, Ints
+from rig.experiments.judgement import experiment_of
+from rig.recording.data import Recording
+from rig.sample import Motion, Phase
+from rig.signals import Signal, edge_times
+
+EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # where a delay is looked for
+DELAY_SAMPLES = 8192  # that many samples tell it
+REFERENCE_HZ = 200.0  # cut-off of the zero-phase reference of a real recording
+REFERENCE_END_S = 5.0 / REFERENCE_HZ
+
+
+@dataclass(frozen=True)
+class Case:
+    """Counts, one for each velocity sample, and the velocity that they come from.
+
+    Attributes
+    ----------
+    name
+        Of the signal or recording.
+    motion
+        Decides the units.
+    dt
+        Velocity period (s).
+    resolution
+        Travel for one count (rad or m), signed.
+    time_s
+        When each sample was taken (s), shape (n,).
+    counts, edge_time, elapsed
+        As `rig.estimators.estimate` takes them, shape (n,).
+    judged
+        Which samples count for the score, shape (n,).
+    truth
+        True velocity as a function of time (s).
+    reference
+        Where the truth comes from, in words.
+    """
+
+    name: str
+    motion: Motion
+    dt: float
+    resolution: float
+    time_s: Floats
+    counts: Ints
+    edge_time: Floats
+    elapsed: Ints
+    judged: NDArray[np.bool_]
+    truth: Callable[[Floats], Floats]
+    reference: str
+
+    @property
+    def rate_hz(self) -> float:
+        """Velocity samples per second."""
+        return round(1.0 / self.dt, 6)
+
+    @cached_property
+    def judged_time_s(self) -> Floats:
+        """Times of the judged samples (s)."""
+        return self.time_s[self.judged]
+
+    @cached_property
+    def true_velocity(self) -> Floats:
+        """True velocity at the judged samples."""
+        return self.truth(self.judged_time_s)
+
+    @cached_property
+    def speed_rms(self) -> float:
+        """Root mean square of the true velocity over the judged samples."""
+        return float(np.sqrt(np.mean(np.square(self.true_velocity))))
+
+    @cached_property
+    def arrays(self) -> tuple[Ints, Floats, Ints]:
+        """Counts, edge ages and elapsed periods, checked."""
+        return inputs(self.counts, self.dt, self.edge_time, self.elapsed)
+
+    @cached_property
+    def delayed_truths(self) -> tuple[slice, Floats, Floats]:
+        """Which judged samples tell the delay, the delays to try (s), and the truth at each, one row a delay."""
+        chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
+        delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
+        return chosen, delays, self.truth(self.judged_time_s[chosen] - delays[:, None])
+
+
+def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: float = 0.5) -> Case:
+    """Return a reference signal as an ideal encoder sees it, sampled from time 0 on, with true edge times.
+
+    Parameters
+    ----------
+    signal
+        Of `rig.signals`.
+    rate_hz
+        Velocity samples per second.
+    resolution
+        Travel for one count (m).
+    offset
+        Where position zero lies in its cell (count).
+    """
+    dt = 1.0 / rate_hz
+    time_s = dt * np.arange(round(signal.end_s * rate_hz), dtype=np.float64)
+    return Case(
+        name=signal.name,
+        motion="linear",
+        dt=dt,
+        resolution=resolution,
+        time_s=time_s,
+        counts=quantise(signal(time_s).position, resolution, offset=offset),
+        edge_time=edge_times(signal, time_s, resolution, offset=offset),
+        elapsed=np.ones(len(time_s), np.int64),
+        judged=time_s >= signal.start_s,
+        truth=lambda t: signal(t).velocity,
+        reference="closed form",
+    )
+
+
+def recording_case(recording: Recording, rate_hz: float | None = None, *, name: str = "recording") -> Case:
+    """Return a recording's counts, with the simulation's truth, or else with a zero-phase reference.
+
+    Parameters
+    ----------
+    recording
+        Of any rig; the trial is judged, what precedes it lets the estimators settle.
+    rate_hz
+        Velocity samples per second, a whole fraction of the recording's position rate; the recording's own if None.
+    name
+        For tables.
+
+    Raises
+    ------
+    ConfigError
+        A rate that does not divide the position rate, or a recording without samples.
+
+    Notes
+    -----
+    A real rig knows no true velocity. Its reference is the derivative of the recorded position through a Butterworth
+    filter of order 4 at `REFERENCE_HZ`, run forwards and backwards: no delay, but nothing above that frequency either,
+    so that errors against it are comparable, not absolute.
+    """
+    from rig.controller import resolution as signed  # noqa: PLC0415  (compiles the loop, which signals do not need)
+
+    experiment = experiment_of(recording)
+    resolution = signed(experiment)
+    position_rate = experiment.controller.position_rate
+    rate = rate_hz or experiment.controller.velocity_rate
+    divider = round(position_rate / rate)
+    if divider < 1 or abs(divider * rate - position_rate) > 1e-6 * position_rate:
+        raise ConfigError(
+            f"{rate:g} Hz is no whole fraction of the recording's {position_rate} Hz",
+            remedy=f"choose {position_rate / max(1, divider):g} Hz",
+        )
+    if len(recording) < 2:
+        raise ConfigError("the recording has no samples", remedy="choose another one")
+    index = recording.column("sample_index") - recording.column("sample_index")[0]
+    period = index // divider
+    first = np.flatnonzero(np.diff(period, prepend=-1) > 0)  # the samples that enter a new velocity period
+    elapsed = np.diff(period[first], prepend=period[first[0]] - 1)
+    dt, time_s = divider / position_rate, index / position_rate
+    truth, reference = _truth(recording, time_s, resolution)
+    trial = recording.column("phase") == Phase.TRIAL
+    judged = trial if trial.any() else np.ones_like(trial)
+    if not recording.has_truth:  # the ends of a filter that runs both ways are guesses
+        judged = judged & (time_s >= time_s[0] + REFERENCE_END_S) & (time_s <= time_s[-1] - REFERENCE_END_S)
+    return Case(
+        name=name,
+        motion=experiment.rig.motion,
+        dt=dt,
+        resolution=resolution,
+        time_s=time_s[first],
+        counts=recording.column("count")[first],
+        edge_time=dt * (period[first] - period[first[0]]) - 1e-9 * recording.column("edge_age")[first],
+        elapsed=elapsed,
+        judged=judged[first],
+        truth=truth,
+        reference=reference,
+    )
+
+
+def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:
+    """Velocity as a function of time, and where it comes from."""
+    if recording.has_truth:
+        true = recording.column("velocity_true")
+        known = np.isfinite(true)
+        return lambda t: np.interp(t, time_s[known], true[known]), "the simulation's truth"
+    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415  (only here)
+
+    tick_s = np.min(np.diff(time_s))
+    grid = np.arange(time_s[0], time_s[-1] + 0.5 * tick_s, tick_s)
+    position = np.interp(grid, time_s, resolution * np.unwrap(recording.column("count"), period=2**32))
+    cutoff_hz = min(REFERENCE_HZ, 0.2 / tick_s)
+    smooth = np.gradient(sosfiltfilt(butter(4, cutoff_hz, fs=1.0 / tick_s, output="sos"), position), tick_s)
+    return lambda t: np.interp(t, grid, smooth), f"zero-phase Butterworth of order 4 at {cutoff_hz:g} Hz"

@@ -1,0 +1,221 @@
+"""Velocity estimators side by side, on motions whose velocity is known: how wrong, how late, how noisy at rest.
+
+A *case* is a row of counts with the velocity behind it (`rig.experiments.cases`), a *variant* an estimator with its
+settings. `compare` scores every variant on every case.
+
+Raw error alone ranks the least delayed estimator first whatever its noise; a corrected error alone ranks the slowest
+filter first. Hence three numbers: raw rms error, delay (by which the truth must be shifted for the least rms error),
+and the rms error that is left then.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rig import estimators
+from rig.errors import ConfigError
+from rig.estimators.arrays import inputs, run
+from rig.estimators.estimator import Floats
+from rig.experiments.cases import DELAY_STEP_S, Case
+
+APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in
+APPROACH_PERIOD_COUNTS = 0.1 * math.pi  # speed before the rest (counts in a period): no whole number
+SILENCE_COUNTS = 1e-6  # velocity (counts in a period) that is none
+TIMED_SAMPLES = 50_000
+TIMED_RUNS = 9
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An estimator with settings; those left out take their default."""
+
+    estimator: str
+    settings: Mapping[str, float | str] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name and settings, for tables and legends."""
+        said = (f"{k}={v:g}" if isinstance(v, int | float) else f"{k}={v}" for k, v in self.settings.items())
+        return " ".join((self.estimator, *said))
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How one variant did on one case. Velocities in rad/s or m/s; NaN where a number does not apply.
+
+    Attributes
+    ----------
+    rms
+        Raw error, rms.
+    delay_s
+        Shift of the truth that leaves the least error: below zero for an estimate ahead of time; NaN when it cannot be
+        told (see `delay`).
+    rms_without_delay
+        The error that is left then.
+    rest_rms, toggling_rms
+        Velocity read at rest after a motion: with the count at rest, and with the count falling at random on one of
+        two neighbours at each sample.
+    ns_per_sample
+        Cost of one update through the plug type, on this machine; NaN if not timed.
+    refused
+        Why the estimator cannot be realised at this rate; everything else is NaN then.
+    """
+
+    case: str
+    rate_hz: float
+    resolution: float
+    estimator: str
+    settings: Mapping[str, float | str]
+    rms: float = math.nan
+    delay_s: float = math.nan
+    rms_without_delay: float = math.nan
+    rest_rms: float = math.nan
+    toggling_rms: float = math.nan
+    ns_per_sample: float = math.nan
+    refused: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Every variant on every case, case by case."""
+
+    cases: tuple[Case, ...]
+    variants: tuple[Variant, ...]
+    scores: tuple[Score, ...]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "cases": [
+                {
+                    "case": case.name,
+                    "rate_hz": case.rate_hz,
+                    "resolution": abs(case.resolution),
+                    "motion": case.motion,
+                    "reference": case.reference,
+                    "speed_rms": case.speed_rms,
+                }
+                for case in self.cases
+            ],
+            "scores": [{**asdict(score), "settings": dict(score.settings)} for score in self.scores],
+        }
+
+
+def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
+    """Return the named estimators (all, if None) with their default settings."""
+    return tuple(Variant(name) for name in (estimators.names() if names is None else names))
+
+
+def compare(cases: Sequence[Case], variants: Sequence[Variant], *, timed: bool = False) -> Comparison:
+    """Score every variant on every case; `timed` also measures the cost of a sample.
+
+    Raises `ConfigError` for an unknown estimator; settings that cannot be realised at the rate of a case are reported
+    in its `Score.refused`.
+    """
+    for variant in variants:
+        estimators.get(variant.estimator)
+    scores = tuple(score(case, variant, timed=timed) for case in cases for variant in variants)
+    return Comparison(tuple(cases), tuple(variants), scores)
+
+
+def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
+    """Score one variant on one case."""
+    named = (case.name, case.rate_hz, abs(case.resolution), variant.estimator, variant.settings)
+    try:
+        velocity = estimates(case, variant)
+    except ConfigError as error:
+        return Score(*named, refused=str(error))
+    rms, delay_s, rms_without_delay = errors(case, velocity)
+    return Score(
+        *named,
+        rms,
+        delay_s,
+        rms_without_delay,
+        *rest_noise(variant, case.dt, case.resolution),
+        cost_ns(case, variant) if timed else math.nan,
+    )
+
+
+def estimates(case: Case, variant: Variant) -> Floats:
+    """Velocity that a variant gives at each sample of a case, shape (n,); raises `ConfigError` as `prepare` does."""
+    prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
+    return run(prepared, *case.arrays)[0]
+
+
+def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
+    """Raw rms error of velocities of shape (n,), delay (s), and rms error without that delay."""
+    judged = velocity[case.judged]
+    raw = _rms(judged - case.true_velocity)
+    delay_s = delay(case, velocity)
+    if math.isnan(delay_s):
+        return raw, delay_s, raw
+    return raw, delay_s, _rms(judged - case.truth(case.judged_time_s - delay_s))
+
+
+def delay(case: Case, velocity: Floats) -> float:
+    """Shift of the truth (s) that leaves the least squared error; NaN when it cannot be told.
+
+    Looked for on the grid of `rig.experiments.cases`, and between its points on the parabola through the best one
+    and its neighbours: the error is smooth over many steps of the grid, which leaves microseconds. It cannot be told
+    when the true velocity is constant, when the best shift is an end of the grid, or when the estimate is so noisy that
+    the standard error of the shift exceeds one step.
+    """
+    if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
+        return math.nan
+    chosen, delays, truths = case.delayed_truths
+    estimate = velocity[case.judged][chosen]
+    squares = np.sum(np.square(truths), axis=1) - 2.0 * truths @ estimate + np.sum(np.square(estimate))
+    best = int(np.argmin(squares))
+    if not 0 < best < len(delays) - 1:
+        return math.nan
+    before, least, after = squares[best - 1 : best + 2]
+    bend = before - 2.0 * least + after
+    if bend <= 2.0 * least / len(estimate):  # least squares: variance of the shift = 2·step²·least / (n·bend)
+        return math.nan
+    return float(delays[best] + 0.5 * DELAY_STEP_S * (before - after) / bend)
+
+
+def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, float]:
+    """Rms of the velocity read at rest, after a steady approach: with a resting count, and with a toggling one.
+
+    The toggling count falls on either of two neighbours with equal chance at each sample: a handle at rest on the
+    boundary of a cell.
+    """
+    approach, rest = round(APPROACH_S / dt), round(REST_S / dt)
+    path = APPROACH_PERIOD_COUNTS * np.minimum(np.arange(approach + rest), approach)
+    counts = np.floor(path).astype(np.int64)
+    toggle = np.where(
+        np.arange(len(counts)) > approach, np.random.default_rng(1).integers(0, 2, len(counts)), 0
+    )
+    listened = slice(-round(LISTENED_S / dt), None)
+    found: list[float] = []
+    for each in (counts, counts + toggle):
+        prepared = estimators.get(variant.estimator).prepare(variant.settings, resolution, dt)
+        found.append(_rms(run(prepared, *inputs(each, dt))[0][listened]))
+    silence = SILENCE_COUNTS * abs(resolution) / dt  # the tail of a filter that decays
+    resting, toggling = (0.0 if rms < silence else rms for rms in found)
+    return resting, toggling
+
+
+def cost_ns(case: Case, variant: Variant) -> float:
+    """Shortest time of an update (ns) in a compiled loop through the plug type, over the case to and fro."""
+    times = math.ceil(TIMED_SAMPLES / len(case.counts))
+    counts = np.concatenate([case.counts if i % 2 == 0 else case.counts[::-1] for i in range(times)])
+    arrays = inputs(counts, case.dt)
+    best = math.inf
+    for _ in range(TIMED_RUNS):
+        prepared = estimators.get(variant.estimator).prepare(variant.settings, case.resolution, case.dt)
+        started = time.perf_counter_ns()
+        run(prepared, *arrays)
+        best = min(best, (time.perf_counter_ns() - started) / len(counts))
+    return best
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan

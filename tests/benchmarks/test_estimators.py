@@ -1,0 +1,187 @@
+"""What a velocity sample costs: beside the same algorithm in C, and beside what one would write with a library.
+
+The C functions are compiled with -O3 in this run and put into the same plug point of the same compiled loop, so that
+one call through a function type is part of either cost. Measured side by side in CPU time of the thread; the median of
+the ratios counts. Also printed: C in a loop of its own. The call, which hands over three arrays by value, costs about
+5 ns, some of it hidden behind the arithmetic.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import statistics
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import estimators
+from rig.estimators import fdm_butterworth, foaw, kalman, levant
+from rig.estimators.arrays import quantise, update_all
+from rig.estimators.estimator import PERIOD, RESOLUTION
+from rig.plugs import ESTIMATOR_SIGNATURE, NativeFunction
+from rig.signals import SIGNALS
+
+SOURCE = Path(__file__).with_name("estimators.c")
+RATE, DELTA = 20_000, 1e-6
+SAMPLES = 100_000
+PAIRS = 15
+PLACES = {
+    "RESOLUTION": RESOLUTION, "PERIOD": PERIOD,
+    **{n: getattr(fdm_butterworth, n) for n in ("B0", "B1", "B2", "A1", "A2")},
+    **{n: getattr(kalman, n) for n in ("R", "Q11", "Q12", "Q13", "Q22", "Q23", "Q33", "PRIOR33", "STEADY")},
+    **{n: getattr(kalman, n) for n in ("GAIN1", "GAIN2", "GAIN3", "PRIOR")},
+    **{n: getattr(levant, n) for n in ("ALPHA", "LAMBDA", "SCHEME", "OUTPUT")},
+    **{n: getattr(foaw, n) for n in ("BAND", "LIMIT")},
+}  # fmt: skip
+
+# estimator, settings, function in C, most that ours may cost against it
+CASES = [
+    ("fdm", {}, "fdm", 1.6),  # little more than the call, which numba makes with a status and C without
+    ("fdm-butterworth", {}, "fdm_butterworth", 1.3),
+    ("kalman", {"gain": "steady", "bandwidth_hz": 300.0}, "kalman", 1.3),
+    ("kalman", {"bandwidth_hz": 300.0}, "kalman", 1.3),
+    ("levant", {"lipschitz": 20.0}, "levant", 1.3),
+    ("levant", {"lipschitz": 20.0, "discretisation": "explicit"}, "levant", 1.3),
+    ("foaw-end", {"window_limit": 16.0}, "foaw_end", 2.0),
+]
+
+
+@pytest.fixture(scope="module")
+def in_c(tmp_path_factory):
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no gcc")
+    library = tmp_path_factory.mktemp("c") / "estimators.so"
+    places = [f"-D{name}={value}" for name, value in PLACES.items()]
+    options = ["-std=c99", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([compiler, *options, *places, str(SOURCE), "-o", str(library), "-lm"], check=True)
+    return ctypes.CDLL(str(library))
+
+
+@pytest.fixture(scope="module")
+def counts():
+    """Hits to and fro, as an encoder of 1 µm sees them at 20 kHz."""
+    hit = SIGNALS["wall-bounce"]
+    once = quantise(hit(np.arange(0.0, hit.end_s, 1.0 / RATE)).position, DELTA)
+    return np.resize(np.concatenate([once, once[::-1]]), SAMPLES)
+
+
+def in_the_loop(update, state_f, state_i, parameters, counts, out):
+    """A run from a fresh memory through the plug type, as a function without arguments."""
+    ages, elapsed, windows = (
+        np.zeros(len(counts)),
+        np.ones(len(counts), np.int64),
+        np.zeros(len(counts), np.int64),
+    )
+
+    def go():
+        state_f[:] = 0.0
+        state_i[:] = 0
+        update_all(update, counts, ages, elapsed, state_f, state_i, parameters, out, windows)
+
+    return go
+
+
+def ours(prepared, counts, out):
+    """Our estimator in the loop."""
+    p = prepared
+    return in_the_loop(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
+
+
+def theirs(library, function, parameters, counts, out):
+    """The C function in the same loop, and in one of its own."""
+    f, i = np.zeros(16), np.zeros(512, np.int64)
+    address = ctypes.cast(getattr(library, f"plug_{function}"), ctypes.c_void_p).value
+    plugged = NativeFunction(address, ESTIMATOR_SIGNATURE, keep=library)
+    pointers = [ctypes.c_void_p(a.ctypes.data) for a in (f, i, parameters, out)]
+
+    def alone():
+        f[:] = 0.0
+        i[:] = 0
+        library.run(
+            getattr(library, function),
+            ctypes.c_void_p(counts.ctypes.data),
+            ctypes.c_int64(len(counts)),
+            *pointers,
+        )
+
+    return in_the_loop(plugged, f, i, parameters, counts, out), alone
+
+
+def cpu_ns(function):
+    started = time.thread_time_ns()
+    function()
+    return time.thread_time_ns() - started
+
+
+@pytest.mark.parametrize(("name", "settings", "function", "most"), CASES)
+def test_an_estimator_costs_about_what_it_costs_in_c(in_c, counts, name, settings, function, most):
+    prepared = estimators.get(name).prepare(settings, DELTA, 1.0 / RATE)
+    mine, c = np.zeros(len(counts)), np.zeros(len(counts))
+    run_mine = ours(prepared, counts, mine)
+    run_c, run_c_alone = theirs(in_c, function, prepared.parameters, counts, c)
+    run_mine()
+    for go in (run_c_alone, run_c):
+        go()
+        assert np.abs(mine - c).max() < 1e-9 * DELTA * RATE, "not the same algorithm"
+    pairs = [(cpu_ns(run_mine), cpu_ns(run_c), cpu_ns(run_c_alone)) for _ in range(PAIRS)]
+    ratio = statistics.median(a / b for a, b, _ in pairs)
+    here, there, alone = (min(times) / len(counts) for times in zip(*pairs, strict=True))
+    print(
+        f"\n{name} {settings}: {here:.1f} ns a sample, C -O3 in the same loop {there:.1f} ns (ratio {ratio:.2f}), "
+        f"in its own {alone:.1f} ns"
+    )
+    assert ratio < most
+
+
+def test_a_call_per_sample_into_scipy_could_not_keep_up_with_a_loop(counts):
+    from scipy.signal import butter, sosfilt  # noqa: PLC0415
+
+    prepared = estimators.get("fdm-butterworth").prepare({}, DELTA, 1.0 / RATE)
+    out = np.zeros(len(counts))
+    run_mine = ours(prepared, counts, out)
+    run_mine()
+    sos, slopes = (
+        butter(2, 200.0, fs=RATE, output="sos"),
+        np.diff(counts[:2000], prepend=counts[0]) * DELTA * RATE,
+    )
+    state = np.zeros((1, 2))
+    started = time.thread_time_ns()
+    for slope in slopes:
+        filtered, state = sosfilt(sos, [slope], zi=state)
+    per_call = (time.thread_time_ns() - started) / len(slopes)
+    assert filtered[0] == pytest.approx(out[len(slopes) - 1], abs=1e-9)
+    per_sample = min(cpu_ns(run_mine) for _ in range(PAIRS)) / len(counts)
+    print(f"\nfdm-butterworth: {per_sample:.1f} ns, sosfilt for each sample {per_call:.0f} ns")
+    assert per_sample < 0.01 * per_call
+
+
+def test_a_call_per_sample_into_filterpy_could_not_keep_up_with_a_loop(counts):
+    filterpy = pytest.importorskip("filterpy.kalman", reason="filterpy is not installed")
+    prepared = estimators.get("kalman").prepare({"bandwidth_hz": 300.0}, DELTA, 1.0 / RATE)
+    out = np.zeros(len(counts))
+    run_mine = ours(prepared, counts, out)
+    run_mine()
+    p = prepared.parameters
+    matrix = filterpy.KalmanFilter(dim_x=3, dim_z=1)  # in counts and periods
+    matrix.F = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    matrix.H = np.array([[1.0, 0.0, 0.0]])
+    matrix.R = np.array([[p[kalman.R]]])
+    q11, q12, q13, q22, q23, q33 = p[kalman.Q11 : kalman.Q33 + 1]
+    matrix.Q = np.array([[q11, q12, q13], [q12, q22, q23], [q13, q23, q33]])
+    matrix.P = np.diag([p[kalman.R], kalman.PRIOR, p[kalman.PRIOR33]])
+    matrix.x = np.array([[float(counts[0])], [0.0], [0.0]])
+    shown = counts[1:1001]
+    started = time.thread_time_ns()
+    for count in shown:
+        matrix.predict()
+        matrix.update(float(count))
+    per_call = (time.thread_time_ns() - started) / len(shown)
+    assert matrix.x[1, 0] * DELTA * RATE == pytest.approx(out[len(shown)], rel=1e-6)
+    per_sample = min(cpu_ns(run_mine) for _ in range(PAIRS)) / len(counts)
+    print(f"\nkalman: {per_sample:.1f} ns, filterpy for each sample {per_call:.0f} ns")
+    assert per_sample < 0.01 * per_call

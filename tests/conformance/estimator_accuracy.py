@@ -1,0 +1,293 @@
+"""The accuracy table: how well each estimator does on reference motions, as data that a test and the guide read.
+
+    python -m tests.conformance.estimator_accuracy            # measure, tune anew, write table and guide (minutes)
+    python -m tests.conformance.estimator_accuracy --check    # does the guide show the table that is committed?
+
+`tests/rig/test_estimator_accuracy.py` scores every row again and fails when one has become worse. Rows with
+``tuned`` carry the settings that `rig estimators tune` found for them; the others run with default settings.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import re
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from rig import estimators
+from rig.errors import ConfigError
+from rig.experiments.cases import Case, signal_case
+from rig.experiments.estimators import Score, Variant, cost_ns, score
+from rig.experiments.tuning import tune
+from rig.signals import SIGNALS
+
+ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "tests" / "rig" / "data" / "estimator_accuracy.json"
+GUIDE = ROOT / "rig" / "estimators" / "README.md"
+REGENERATE = "python -m tests.conformance.estimator_accuracy"
+
+FINE, COARSE = 1e-6, 2e-5  # Chawda et al.'s linear encoder, and a handle behind a 1000-line rotary one
+RESOLUTIONS = (FINE, COARSE)
+RATES = (1000, 2000, 10_000, 20_000, 50_000)
+HIT = "wall-bounce"
+OBJECTIVE = "rms"
+COST_RATE = 20_000
+NUMBERS = ("rms", "delay_s", "rms_without_delay", "rest_rms", "toggling_rms")
+DIGITS = 4
+NOTHING = 1e-7  # m/s, in the guide
+
+Row = dict[str, Any]
+_SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+@cache
+def case_of(signal: str, rate_hz: float, resolution: float) -> Case:
+    """Return a case, made once."""
+    return signal_case(SIGNALS[signal], rate_hz, resolution)
+
+
+def grid() -> list[tuple[str, int, float]]:
+    """Signal, rate and resolution of the cases: the hit everywhere, the other motions at two rates."""
+    hits = [(HIT, rate, resolution) for resolution in RESOLUTIONS for rate in RATES]
+    others = [(s, r, d) for s in SIGNALS if s != HIT for d in RESOLUTIONS for r in (2000, 20_000)]
+    return hits + others
+
+
+def row_of(found: Score, tuned: str | None) -> Row:
+    """Return a score as a row of the table."""
+    row: Row = {
+        "estimator": found.estimator,
+        "case": found.case,
+        "rate_hz": found.rate_hz,
+        "resolution": found.resolution,
+        "tuned": tuned,
+        "settings": dict(found.settings),
+    }
+    if found.refused is not None:
+        return {**row, "refused": True}
+    return {**row, **{n: _rounded(getattr(found, n)) for n in NUMBERS}}
+
+
+def measure(name: str) -> list[Row]:
+    """Rows of one estimator: with default settings on every case, and tuned to each hit."""
+    rows = []
+    for key in grid():
+        case = case_of(*key)
+        rows.append(row_of(score(case, Variant(name)), None))
+        if key[0] != HIT:
+            continue
+        try:
+            tuning = tune(name, case, objective=OBJECTIVE)
+        except ConfigError:  # nothing to tune, or not realisable: the row above says it
+            continue
+        rows.append(row_of(tuning.after, OBJECTIVE))
+    return rows
+
+
+def make_table(names: Sequence[str]) -> dict[str, Any]:
+    """Measure everything anew."""
+    case = case_of(HIT, COST_RATE, FINE)
+    rows = []
+    for name in names:
+        print(f"{name} …", file=sys.stderr)
+        rows += measure(name)
+    return {
+        "made_by": REGENERATE,
+        "cost": {
+            "machine": f"{platform.machine()}, {_processor()}",
+            "ns_per_sample": {name: round(cost_ns(case, Variant(name)), 1) for name in names},
+        },
+        "rows": rows,
+    }
+
+
+def read_table() -> dict[str, Any]:
+    """Return the committed table."""
+    return dict(json.loads(TABLE.read_text(encoding="utf-8")))
+
+
+def write_table(table: dict[str, Any]) -> None:
+    """Write the table, one row a line, so that a change reads well in a diff."""
+    head = {key: value for key, value in table.items() if key != "rows"}
+    rows = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in table["rows"])
+    text = json.dumps({**head, "rows": []}, ensure_ascii=False, indent=1)
+    TABLE.parent.mkdir(parents=True, exist_ok=True)
+    TABLE.write_text(text.replace('"rows": []', f'"rows": [\n{rows}\n ]') + "\n", encoding="utf-8")
+
+
+# --- the guide's sections ---------------------------------------------------------------------------------
+
+
+def tuned_hits(resolution: float) -> str:
+    """Least rms error on the hit, each estimator tuned to it at each rate, and the settings at 20 kHz."""
+    table = read_table()
+    lines = ["estimator", *(f"{rate // 1000} kHz" for rate in RATES), "settings at 2 kHz", "at 20 kHz"]
+    rows = []
+    for name in _names(table):
+        found = {r["rate_hz"]: r for r in _select(table, name, HIT, resolution) if _best(table, r)}
+        cells = [_millimetres(found.get(rate), "rms") for rate in RATES]
+        rows.append([f"`{name}`", *cells, _settings(found.get(2000)), _settings(found.get(20_000))])
+    return _markdown(lines, rows)
+
+
+def noise_and_delay() -> str:
+    """What the tuned estimators of the section before cost in delay, and read at rest, at 2 and 20 kHz."""
+    table = read_table()
+    columns = ("delay", "error without it", "toggling count")
+    lines = ["estimator", *(f"{text}, {rate} kHz" for rate in (2, 20) for text in columns)]
+    rows = []
+    for name in _names(table):
+        found = {r["rate_hz"]: r for r in _select(table, name, HIT, COARSE) if _best(table, r)}
+        cells = []
+        for rate in (2000, 20_000):
+            row = found.get(rate)
+            cells += [
+                _milliseconds(row),
+                _millimetres(row, "rms_without_delay"),
+                _millimetres(row, "toggling_rms"),
+            ]
+        rows.append([f"`{name}`", *cells])
+    return _markdown(lines, rows)
+
+
+def default_motions() -> str:
+    """Raw rms error with default settings at 2 kHz on every reference motion."""
+    table = read_table()
+    motions = list(SIGNALS)
+    lines = ["estimator", *(f"{m}, {_micrometres(d)}" for d in RESOLUTIONS for m in motions)]
+    rows = []
+    for name in _names(table):
+        cells = []
+        for resolution in RESOLUTIONS:
+            for motion in motions:
+                chosen = _select(table, name, motion, resolution)
+                row = next((r for r in chosen if r["rate_hz"] == 2000 and r["tuned"] is None), None)
+                cells.append(_millimetres(row, "rms"))
+        rows.append([f"`{name}`", *cells])
+    return _markdown(lines, rows)
+
+
+def cost() -> str:
+    """Cost of one update with default settings."""
+    table = read_table()
+    found = table["cost"]
+    rows = [[f"`{name}`", f"{ns:.0f}"] for name, ns in found["ns_per_sample"].items()]
+    return f"On {found['machine']}:\n\n" + _markdown(["estimator", "ns a sample"], rows)
+
+
+SECTIONS: dict[str, Callable[[], str]] = {
+    "hits_fine": lambda: tuned_hits(FINE),
+    "hits_coarse": lambda: tuned_hits(COARSE),
+    "noise_and_delay": noise_and_delay,
+    "default_motions": default_motions,
+    "cost": cost,
+}
+
+
+def render(text: str) -> str:
+    """Return the guide with every section between markers made anew; raises KeyError for an unknown section."""
+    return _SECTION.sub(
+        lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and write table and guide; ``--guide`` writes the guide alone, ``--check`` only looks at it.
+
+    Names of estimators after the options measure these alone and keep the other rows.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    options = {word for word in words if word.startswith("--")}
+    chosen = [word for word in words if word not in options]
+    if not options & {"--check", "--guide"}:
+        fresh = make_table(chosen or estimators.names())
+        write_table(_merged(fresh) if chosen else fresh)
+    old = GUIDE.read_text(encoding="utf-8")
+    new = render(old)
+    if "--check" in options:
+        if new != old:
+            print(f"{GUIDE.name} is stale: run {REGENERATE} --guide", file=sys.stderr)
+        return int(new != old)
+    GUIDE.write_text(new, encoding="utf-8")
+    return 0
+
+
+def _merged(fresh: dict[str, Any]) -> dict[str, Any]:
+    """The committed table with the rows of `fresh` in the place of older ones, in the order of the family."""
+    if not TABLE.exists():
+        return fresh
+    old = read_table()
+    measured = set(fresh["cost"]["ns_per_sample"])
+    rows = [r for r in old["rows"] if r["estimator"] not in measured] + fresh["rows"]
+    costs = {**old["cost"]["ns_per_sample"], **fresh["cost"]["ns_per_sample"]}
+    names = [name for name in estimators.names() if name in costs]
+    return {
+        **fresh,
+        "cost": {**fresh["cost"], "ns_per_sample": {name: costs[name] for name in names}},
+        "rows": [r for name in names for r in rows if r["estimator"] == name],
+    }
+
+
+def _names(table: dict[str, Any]) -> list[str]:
+    return list(dict.fromkeys(row["estimator"] for row in table["rows"]))
+
+
+def _select(table: dict[str, Any], name: str, case: str, resolution: float) -> list[Row]:
+    return [
+        r for r in table["rows"] if (r["estimator"], r["case"], r["resolution"]) == (name, case, resolution)
+    ]
+
+
+def _best(table: dict[str, Any], row: Row) -> bool:
+    """Whether a row is the tuned one of its case, or the only one."""
+    if row.get("refused"):
+        return False
+    if row["tuned"]:
+        return True
+    keys = ("estimator", "case", "rate_hz", "resolution")
+    return not any(r["tuned"] and all(r[k] == row[k] for k in keys) for r in table["rows"])
+
+
+def _settings(row: Row | None) -> str:
+    if row is None or not row["settings"]:
+        return "–"
+    return ", ".join(f"{key} {float(f'{value:.3g}'):g}" for key, value in row["settings"].items())
+
+
+def _millimetres(row: Row | None, number: str) -> str:
+    if row is None or row.get("refused"):
+        return "–"
+    return f"{float(f'{1e3 * row[number]:.2g}'):g}" if row[number] > NOTHING else "0"
+
+
+def _milliseconds(row: Row | None) -> str:
+    return "–" if row is None or row["delay_s"] is None else f"{1e3 * row['delay_s']:.2f}"
+
+
+def _micrometres(resolution: float) -> str:
+    return f"{1e6 * resolution:g} µm"
+
+
+def _markdown(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else float(f"{value:.{DIGITS}g}")
+
+
+def _processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return "unknown processor"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,161 @@
+"""`rig estimators` as a person meets it: the list, a comparison with its picture, a tuned fragment that runs."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+import rig.cli
+from rig import config, estimators
+from rig.experiments.tuning import OBJECTIVES
+from rig.signals import SIGNALS
+
+HIT = [
+    "--duration",
+    "0.25",
+    "--set",
+    "verdict.tail_s=0.1",
+    "--set",
+    "trial.release_s=0.02",
+    "--no-plot",
+    "--json",
+]
+
+
+@pytest.fixture
+def run(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture
+def recording(run, tmp_path):
+    code, _, _ = run("hit", *HIT)
+    assert code == 0
+    (path,) = tmp_path.glob("recordings/*.parquet")
+    return path
+
+
+def test_list_shows_every_estimator_with_its_parameters_delay_and_source(run):
+    code, out, _ = run("estimators", "list")
+    assert code == 0
+    for name in estimators.names():
+        each = estimators.get(name)
+        assert f"{name}: {each.summary}" in out
+        assert each.source in out
+        for setting in each.settings:
+            assert setting.name in out
+            assert setting.meaning in out
+    assert "200 Hz   (0.1 to 1e+06) -3 dB frequency" in out
+    assert "1.338 ms at 2000 Hz" in out
+
+
+def test_list_as_json_has_defaults_ranges_units_and_choices(run):
+    code, out, _ = run("estimators", "list", "--json", "--rate", "20k", "fdm", "fdm-butterworth")
+    assert code == 0
+    fdm, filtered = json.loads(out)
+    assert fdm["delay_s"] == pytest.approx(0.25e-4, abs=2e-6)
+    assert fdm["parameters"] == []
+    (cutoff,) = (p for p in filtered["parameters"] if p["name"] == "cutoff_hz")
+    assert cutoff["default"] == 200.0
+    assert (cutoff["minimum"], cutoff["maximum"], cutoff["unit"]) == (0.1, 1e6, "Hz")
+
+
+def test_compare_prints_a_table_and_draws_a_picture(run, tmp_path):
+    code, out, _ = run("estimators", "compare", "--rate", "2k,20k", "--resolution", "2e-5", "--no-time")
+    assert code == 0
+    assert out.count("wall-bounce at") == 2
+    assert "2e-05 m a count; truth: closed form" in out
+    for name in estimators.names():
+        assert out.count(f"  {name} ") == 2
+    assert (tmp_path / "estimators.png").stat().st_size > 20_000
+    rows = [line.split() for line in out.splitlines() if line.split()[:1] == ["fdm"]]
+    assert [float(row[2]) for row in rows] == pytest.approx([0.25, 0.025], abs=0.01), "delay in ms"
+
+
+def test_compare_takes_variants_signals_and_json(run, tmp_path):
+    code, out, _ = run(
+        "estimators", "compare", "--json", "--signal", "sine", "--signal", "slow-reversal", "--rate", "2k",
+        "--estimator", "fdm-butterworth:cutoff_hz=100,order=1", "--estimator", "fdm", "--plot", "sines.png",
+    )  # fmt: skip
+    assert code == 0
+    facts = json.loads(out)
+    assert [(s["case"], s["estimator"]) for s in facts["scores"]] == [
+        (signal, name) for signal in ("sine", "slow-reversal") for name in ("fdm-butterworth", "fdm")
+    ]
+    assert facts["scores"][0]["settings"] == {"cutoff_hz": 100.0, "order": 1.0}
+    assert facts["scores"][0]["ns_per_sample"] > 0.0
+    assert (tmp_path / facts["picture"]).stat().st_size > 20_000
+
+
+def test_compare_judges_a_recording_against_its_truth(run, recording, tmp_path):
+    code, out, _ = run("estimators", "compare", recording, "--json", "--no-plot", "--no-time")
+    assert code == 0
+    facts = json.loads(out)
+    (case,) = facts["cases"]
+    assert case["reference"] == "the simulation's truth"
+    assert (case["motion"], case["rate_hz"]) == ("rotary", 2000.0)
+    scores = {s["estimator"]: s for s in facts["scores"]}
+    assert scores["fdm-butterworth"]["delay_s"] == pytest.approx(1.3e-3, rel=0.25)
+    assert not list(tmp_path.glob("*.png"))
+    code, out, _ = run(
+        "estimators", "compare", recording, "--rate", "20k", "--estimator", "fdm", "--plot", "one.png"
+    )
+    assert code == 0
+    assert "rad/s" in out
+    assert (tmp_path / "one.png").exists()
+
+
+def test_tune_writes_a_fragment_that_an_experiment_can_use(run, recording, tmp_path):
+    code, out, _ = run("estimators", "tune", "fdm-butterworth", recording, "--objective", "rms+delay")
+    assert code == 0
+    for words in ("within 10 %", "before", "after", "fdm-butterworth-tuned.toml"):
+        assert words in out
+    text = (tmp_path / "fdm-butterworth-tuned.toml").read_text(encoding="utf-8")
+    tuned = tomllib.loads(text)["controller"]["parameters"]
+    (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{text}', encoding="utf-8")
+    assert config.load_experiment(tmp_path / "mine.toml").controller.parameters == tuned
+    code, _, err = run("estimators", "tune", "fdm-butterworth", recording)
+    assert code == 2
+    assert "exists" in err
+    code, out, _ = run(
+        "estimators", "tune", "fdm-butterworth", "--overwrite", "--json", "--free", "cutoff_hz"
+    )
+    found = json.loads(out)
+    assert code == 0
+    assert found["case"] == "wall-bounce"
+    (within,) = found["ranges"]
+    assert within["low"] <= within["value"] == found["settings"]["cutoff_hz"] <= within["high"]
+    assert np.isfinite(found["objective_best"])
+    assert found["objective_best"] <= found["objective_start"]
+
+
+WRONG = [
+    (["list", "fmd"], "no estimator 'fmd'"),
+    (["compare", "--signal", "square"], f"no signal 'square'. choose one of: {', '.join(SIGNALS)}"),
+    (["compare", "--rate", "2q"], "not a whole number of Hz"),
+    (["compare", "--resolution", "-1"], "not above zero"),
+    (["compare", "--estimator", "fdm:cutoff"], "has no value"),
+    (["compare", "nothere.parquet"], "nothere.parquet"),
+    (["tune", "fdm"], "nothing to tune"),
+    (["tune", "fdm-butterworth", "--rate", "1k,2k"], "one rate is needed"),
+    (["tune", "fdm-butterworth", "--objective", "beauty"], f"choose one of: {', '.join(OBJECTIVES)}"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "text"), WRONG)
+def test_what_cannot_be_meant_is_refused_in_one_line(run, tmp_path, arguments, text):
+    code, out, err = run("estimators", *arguments)
+    assert code != 0
+    assert text in err
+    assert out == ""
+    assert not list(tmp_path.iterdir())
