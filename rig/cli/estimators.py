@@ -309,3 +309,35 @@ def _variant(text: str) -> Variant:
         except ValueError:
             settings[key.strip()] = value.strip()
     return Variant(name, settings)
+
+
+@estimators.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--sines", type=click.IntRange(1, 40), default=6, show_default=True, help="Sines in the fit.")
+@options.json_option
+def lipschitz(recording: Path, sines: int, as_json: bool) -> None:
+    """Identify C, the acceleration bound of Levant's differentiator, from RECORDING of a hit.
+
+    Fits a sum of sines to the position around first contact and takes the largest second derivative of the fit, as
+    Chawda et al. do. Compare a fit with one more sine: where C changes much, a fast mode dominates and C is not known.
+    """
+    from rig.experiments.lipschitz import lipschitz_of  # noqa: PLC0415
+    from rig.recording.reader import open_recording  # noqa: PLC0415
+
+    opened = open_recording(recording)
+    fit, richer = (lipschitz_of(opened, sines=n) for n in (sines, sines + 1))
+    if as_json:
+        output.print_json({**fit.as_mapping(), "lipschitz_with_one_more_sine": richer.lipschitz})
+        return
+    position, acceleration = (unit_of(q, opened.header["motion"]) for q in ("position", "acceleration"))
+    output.print_pairs(
+        [
+            ("C", f"{fit.lipschitz:.4g} {acceleration}   ({richer.lipschitz:.4g} with {sines + 1} sines)"),
+            ("residual", f"{fit.residual_rms:.3g} {position} rms"),
+            ("frequencies", ", ".join(f"{f:.3g}" for f in fit.frequencies_hz) + " Hz"),
+            (
+                "use it",
+                f"rig hit --estimator levant --set controller.parameters.lipschitz={fit.lipschitz:.4g}",
+            ),
+        ]
+    )

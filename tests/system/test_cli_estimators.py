@@ -159,3 +159,17 @@ def test_what_cannot_be_meant_is_refused_in_one_line(run, tmp_path, arguments, t
     assert text in err
     assert out == ""
     assert not list(tmp_path.iterdir())
+
+
+def test_the_lipschitz_constant_of_a_recorded_hit_can_be_put_into_levant(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    quick = ["--duration", "0.3", "--set", "verdict.tail_s=0.1"]
+    assert rig.cli.run(["hit", "--rig", "chawda-linear", "--no-plot", "--json", *quick]) == 0
+    (hit,) = json.loads(capfd.readouterr().out)["hits"]
+    assert rig.cli.run(["estimators", "lipschitz", hit["recording"], "--json"]) == 0
+    fit = json.loads(capfd.readouterr().out)
+    assert 60.0 < fit["lipschitz"] < 100.0, "an impact at 0.4 m/s on 20 kN/m: 80 m/s²"
+    assert fit["lipschitz_with_one_more_sine"] == pytest.approx(fit["lipschitz"], rel=0.1)
+    given = ["--estimator", "levant", "--set", f"controller.parameters.lipschitz={fit['lipschitz']}"]
+    assert rig.cli.run(["replay", hit["recording"], "--json", *given]) == 0
+    assert json.loads(capfd.readouterr().out)["estimator"] == "levant"
