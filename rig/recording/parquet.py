@@ -62,7 +62,11 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
     facts = (recording.header, recording.trailer, recording.complete, lost)
     metadata = {key: canonical_json(fact) for key, fact in zip(KEYS, facts, strict=True)}
     metadata[CHECKSUM_KEY] = _checksum(metadata, columns)
-    arrays = [pa.array(column) for column in columns.values()]
+    # The memory as it is: pa.array would import pandas first, if it is installed, to ask whether this comes from there.
+    arrays = [
+        pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), len(column), [None, pa.py_buffer(column)])
+        for column in columns.values()
+    ]
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=metadata))
     pa.parquet.write_table(table, file, compression="zstd", **_encodings(columns))
 
@@ -101,8 +105,21 @@ def read_parquet(path: Path) -> Recording:
             raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
 
 
+def _to_numpy(column: Any) -> NDArray[Any]:
+    """Values of a column of numbers without nulls, from its memory: pyarrow's own way would import pandas."""
+    if column.null_count:
+        raise ValueError("a column has nulls")
+    dtype = np.dtype(column.type.to_pandas_dtype())
+    chunks = [
+        np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
+        for chunk in column.chunks
+        if len(chunk)
+    ]
+    return np.concatenate(chunks) if chunks else np.empty(0, dtype)
+
+
 def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recording:
-    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    columns = {name: _to_numpy(table.column(name)) for name in table.column_names}
     if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
     header, trailer, complete, lost = (json.loads(metadata[key]) for key in KEYS)
