@@ -27,7 +27,7 @@ def recordings(tmp_path_factory):
 
 
 def test_a_slow_hit_of_the_linear_rig_needs_a_c_of_20_to_33(recordings):
-    """The range of REPRODUCTION; the paper's own 6 m/s² fits its small multisine motion, not a hit."""
+    """A hit needs 20 to 33 m/s²; the paper's own 6 m/s² fits its small multisine motion, not a hit."""
     for recording in recordings:
         fit = lipschitz_of(recording)
         assert 15.0 < fit.lipschitz < 33.0
