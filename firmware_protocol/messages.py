@@ -23,6 +23,12 @@ MINOR = 0
 TIME_UNIT_NS = 62.5  # one unit of every u32 and u64 device time: 1/16 µs; u32 wraps after 268 s
 
 
+NO_COMMAND_YET = 0xFFFF  # STATE.command_age before the first COMMAND of a session
+OLDEST_EDGE = (
+    1 << 31
+) - 1  # age at which edge_time saturates (134 s): the 32-bit time would make it look fresh
+
+
 class Role(IntEnum):
     """Which end of the link."""
 

@@ -30,11 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.faults import LimitFlag
+from firmware_protocol.messages import NO_COMMAND_YET
 from rig.sample import Phase, RowFlag
 
 # Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
 _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
-NO_COMMAND_YET = 0xFFFF  # command_age before the first command of a session
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

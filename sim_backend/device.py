@@ -39,8 +39,6 @@ from sim_backend.hardware import Hardware
 from sim_backend.safety import UNITS_PER_SECOND, UNITS_PER_US, FaultMemory, Limits, Monitor, Thermal, Watchdog
 
 UNARMED_STATES_HZ = 100  # STATE frames a second while nobody has armed the device: enough to home by hand
-NO_COMMAND_YET = 0xFFFF
-OLDEST_EDGE = (1 << 31) - 1  # ages saturate here (134 s): the 32-bit time would make an older edge look fresh
 
 _U32 = 0xFFFFFFFF
 _U16 = 0xFFFF
@@ -236,10 +234,10 @@ class SimulatedDevice:
         return self.sample_index % max(1, self._rate // UNARMED_STATES_HZ) == 0
 
     def _state(self, count: int, current: int, measured: int, flags: int) -> m.State:
-        age = NO_COMMAND_YET
+        age = m.NO_COMMAND_YET
         if self._command_index is not None:
             age = min(self.sample_index - self._command_index, _U16)
-        edge_age = min(self.hardware.edge_age_s * UNITS_PER_SECOND, self.time, OLDEST_EDGE)
+        edge_age = min(self.hardware.edge_age_s * UNITS_PER_SECOND, self.time, m.OLDEST_EDGE)
         return m.State(
             self._command_sequence,
             age,

@@ -18,13 +18,13 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol.kernel import kernel
+from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.plugs import ESTIMATOR, LAW
 from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
 from sim_backend.plant import DiscretePlant, Vector, advance
+from sim_backend.safety import UNITS_PER_SECOND
 
-TIME_UNITS_PER_S = 16_000_000
-OLDEST_EDGE = (1 << 31) - 1  # ages saturate there on the wire
-UNIT_PS = 62_500
+UNIT_PS = round(1000 * TIME_UNIT_NS)
 
 _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 _STATES, _MATRIX = types.float64[:, ::1], types.float64[:, ::1]
@@ -66,7 +66,7 @@ def run_ticks(
     count = advance(state, phi, gamma, plant, 0.0, 0.0)
     for k in range(len(counts)):
         units = min(
-            state[edge_age] * TIME_UNITS_PER_S, float(start_units + k * tick_units), float(OLDEST_EDGE)
+            state[edge_age] * UNITS_PER_SECOND, float(start_units + k * tick_units), float(OLDEST_EDGE)
         )
         edge_age_ns = int(np.rint(units)) * UNIT_PS // 1000
         current = step(
@@ -119,7 +119,7 @@ def run_trial(
         *plant.arrays,
         plant.edge_age,
         start_units,
-        round(plant.tick_s * TIME_UNITS_PER_S),
+        round(plant.tick_s * UNITS_PER_SECOND),
         states,
         counts,
         phases,

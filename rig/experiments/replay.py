@@ -21,7 +21,7 @@ from rig import config, controller
 from rig.errors import LawError, RecordingError
 from rig.experiments.judgement import experiment_of
 from rig.laws import Law
-from rig.loop.host import ROWS_TYPE
+from rig.loop.host import ROWS_TYPE, show_law
 from rig.plugs import ESTIMATOR, LAW
 from rig.recording.data import Recording
 from rig.sample import COLUMNS, ROW, RowFlag
@@ -55,23 +55,14 @@ def replay_rows(
     estimator_f: Any, estimator_i: Any, estimator_parameters: Any, law_state: Any, law_parameters: Any,
 ) -> None:  # fmt: skip
     """Run `step` over the samples of `recorded` and write what it computes into `replayed`."""
-    m = memory[0]
     for i in range(len(recorded)):
-        source, row = recorded[i], replayed[i]
+        source = recorded[i]
         step(
             estimator, law, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"], control, memory,
             estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
         )  # fmt: skip
-        row["phase"] = m["phase"]
-        row["position"] = m["position"]
-        row["velocity"] = m["velocity"]
-        row["estimator_window"] = m["window"]
-        row["penetration"] = m["penetration"]
-        row["effort_wall"] = m["effort_wall"]
-        row["effort_wanted"] = m["effort_wanted"]
-        row["effort_sent"] = m["effort_sent"]
-        row["current_sent"] = m["current_sent"]
-        row["flags"] = m["flags"] | (source["flags"] & _TIMING)
+        show_law(replayed, i, memory)
+        replayed[i]["flags"] |= source["flags"] & _TIMING
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import Mode
 from rig import ring
+from rig.devices.framed import STOP_FRAMES
 from rig.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
 from rig.sample import ROW, RowFlag
 from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, step
@@ -92,7 +93,6 @@ _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF
 _FLAG_LATE, _FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 _WORD = 8
 WRAP = 1 << 32
-STOP_FRAMES = 5
 RECEIVE_BYTES = 4096
 SHORTEST_WAIT_NS = 200_000
 LONGEST_WAIT_NS = 10_000_000
@@ -263,6 +263,22 @@ def _edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
     return int(ticks * settings[0]["device_tick_ps"] // 1000)
 
 
+@kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
+def show_law(rows: Any, slot: int, memory: Any) -> None:
+    """Put what `step` left in its memory into a row: all that a replay computes anew."""
+    r, m = rows[slot], memory[0]
+    r["phase"] = m["phase"]
+    r["position"] = m["position"]
+    r["velocity"] = m["velocity"]
+    r["estimator_window"] = m["window"]
+    r["penetration"] = m["penetration"]
+    r["effort_wall"] = m["effort_wall"]
+    r["effort_wanted"] = m["effort_wanted"]
+    r["effort_sent"] = m["effort_sent"]
+    r["current_sent"] = m["current_sent"]
+    r["flags"] = m["flags"]
+
+
 @kernel(
     types.void(
         ROWS_TYPE, types.int64, types.int64, types.int64, types.int64, types.int64, types.int64,
@@ -274,26 +290,17 @@ def _fill_row(
     state: Any, progress: Any, settings: Any, control: Any, memory: Any, late: int,
 ) -> None:  # fmt: skip
     """One row of `rig.sample.COLUMNS`; the effort in force follows from the current in force."""
-    r, p, s, m = rows[slot], progress[0], settings[0], memory[0]
+    r, p, s = rows[slot], progress[0], settings[0]
     quantum = control[0]["effort_quantum"]
     r["tick"] = tick
     r["sample_index"] = p["sample_index"]
     r["elapsed_ticks"] = elapsed
-    r["phase"] = m["phase"]
     r["host_time"] = received_ns
     r["device_time"] = p["device_time"] * s["device_tick_ps"] // 1000
     r["lateness"] = late
     r["count"] = state[STATE.count]
     r["edge_age"] = _edge_age_ns(progress, state, settings)
-    r["position"] = m["position"]
-    r["velocity"] = m["velocity"]
-    r["estimator_window"] = m["window"]
-    r["penetration"] = m["penetration"]
-    r["effort_wall"] = m["effort_wall"]
-    r["effort_wanted"] = m["effort_wanted"]
-    r["effort_sent"] = m["effort_sent"]
     r["effort_applied"] = state[STATE.current_commanded] * quantum
-    r["current_sent"] = m["current_sent"]
     r["current_applied"] = state[STATE.current_commanded]
     r["current_measured"] = state[STATE.current_measured] * s["current_quantum_a"]
     r["command_age"] = state[STATE.command_age]
@@ -303,7 +310,7 @@ def _fill_row(
     r["inputs"] = state[STATE.inputs]
     r["missed_ticks"] = state[STATE.missed_ticks]
     r["execution_time"] = state[STATE.execution_time] * s["device_tick_ps"] // 1000
-    r["flags"] = m["flags"]
+    show_law(rows, slot, memory)
     r["received_at"] = received_ns
     r["computed_at"] = computed_ns
     r["sent_at"] = sent_ns

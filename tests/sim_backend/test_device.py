@@ -19,7 +19,7 @@ from firmware_protocol.parameters import BY_NAME, Value
 from rig.errors import ConfigError
 from rig.model import RigModel
 from rig.sample import TRUTH
-from sim_backend.device import OLDEST_EDGE, SimulatedDevice
+from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.plant import DiscretePlant, advance
 from sim_backend.safety import IDLE_LIFETIME_S, RING_TICKS, Monitor, Thermal, Watchdog, stall_time
@@ -200,7 +200,7 @@ def test_the_32_bit_edge_time_of_a_handle_at_rest_never_looks_fresh() -> None:
     host.link.elapse(300.0)  # beyond the 268 s after which device times repeat
     host.link.read(0.0)  # what nobody read meanwhile
     state = host.next_state()
-    assert (state.device_time - state.edge_time) & 0xFFFFFFFF == OLDEST_EDGE
+    assert (state.device_time - state.edge_time) & 0xFFFFFFFF == m.OLDEST_EDGE
 
 
 # ---------------------------------------------------------------------- physics
