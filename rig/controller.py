@@ -13,7 +13,7 @@ import numpy as np
 
 from firmware_protocol.parameters import BY_NAME, Value
 from rig import estimators, laws
-from rig.config import Experiment
+from rig.config import Experiment, motor_push
 from rig.errors import PlanError
 from rig.laws import Law
 from rig.step import CONTROL, Controller, new_memory
@@ -99,7 +99,7 @@ def for_experiment(
         "home_tolerance": homing.tolerance_counts * abs(delta),
         "settle_ticks": _ticks(homing.settle_s, tick_s),
         "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
-        "constant_effort": trial.effort,
+        "constant_effort": motor_push(experiment),
         "trial_ticks": _ticks(trial.duration_s, tick_s),
         "release_ticks": _ticks(trial.release_s, tick_s),
     }
@@ -158,6 +158,8 @@ def device_parameters(
         "window_maximum": edges[1],
         "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
         "thermal_time_constant": limits.thermal_time_constant_s,
+        # A person can hold the handle still against any effort: only with this does the device not call that a stall.
+        "hold_to_run": 1 if experiment.trial.kind == "human" else 0,
     }
     for name, value in values.items():
         if not BY_NAME[name].accepts(value):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from firmware_protocol.kernel import kernel
 
 
@@ -25,8 +27,7 @@ def slewed(effort: float, previous: float, step: float) -> float:
     return min(max(effort, previous - step), previous + step)
 
 
-@kernel("i8(f8, f8)", inline=True)
-def current_quanta(effort: float, effort_quantum: float) -> int:
-    """Current command for an effort, in quanta of the wire: nearest, halves towards +∞, within i16."""
-    quanta = math.floor(effort / effort_quantum + 0.5)
-    return int(min(max(quanta, -32767.0), 32767.0))
+@kernel("f8(f8, f8)", inline=True)
+def current_quanta(effort: float, effort_quantum: float) -> float:
+    """Current command for an effort, in whole quanta of the wire: nearest, halves towards +∞, within i16."""
+    return float(np.floor(min(max(effort / effort_quantum + 0.5, -32767.0), 32767.0)))

@@ -8,16 +8,18 @@ State of the continuous model, in this order:
 
 * two-mass: motor position, motor velocity, link position, link velocity, motor effort
 * rigid: position, velocity, motor effort
+* held by a person: hand position and hand velocity after these
 
 Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for
-each mass. Friction enters as an input because its value follows from the velocity in each step, not from a
-matrix; saturation, gravity and computation delay are no part of the matrices either.
+each mass; with a person then the intended position, the intended velocity and the press on the hand. Friction
+enters as an input because its value follows from the velocity in each step, not from a matrix; saturation,
+gravity and computation delay are no part of the matrices either.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -170,8 +172,62 @@ class Simulation:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Operator:
+    """A person who holds the handle: finger pads, a hand behind them, and what the hand does in a trial.
+
+    The pads (a spring and a damper, their mass on the link) join the link to the hand; the hand is pulled by a
+    spring and a damper to where it is meant to be, and presses. All numbers are at the handle, for rotary rigs
+    too: `Mechanics.handle_radius` turns them. `rig.operators` has the grips.
+    """
+
+    grip: Annotated[
+        Literal["relaxed", "normal", "firm"],
+        Quantity("", "how the handle is held; gives every number of the operator that is not set by itself"),
+    ]
+    pads_mass: Annotated[float, Ge(0), Quantity("kg", "finger pads, which move with the handle")]
+    pads_stiffness: Annotated[float, Ge(0), Quantity("N/m", "pads between handle and hand")]
+    pads_damping: Annotated[float, Ge(0), Quantity("N·s/m", "pads between handle and hand")]
+    hand_mass: Annotated[float, Gt(0), Quantity("kg", "hand behind the pads")]
+    hand_stiffness: Annotated[float, Ge(0), Quantity("N/m", "hand to its intended position")]
+    hand_damping: Annotated[float, Ge(0), Quantity("N·s/m", "hand to its intended velocity")]
+    press: Annotated[
+        float, Ge(0), Quantity("N", "press of the hand into the wall; it ramps in with the reach")
+    ]
+    press_modulation: Annotated[
+        float, Ge(0), Lt(1), Quantity("1", "share of the press by which it slowly swells and ebbs")
+    ]
+    tremor: Annotated[
+        float,
+        Ge(0),
+        Le(0.01),
+        Quantity("m", "rms tremor of the intended position; it ramps in with the reach"),
+    ]
+    depth: Annotated[float, Gt(0), Quantity("m", "how far inside the wall the intended position ends")]
+    begin_s: Annotated[
+        float, Ge(0), Le(60), Quantity("s", "pause at the start of the trial before the reach begins")
+    ]
+    reach_s: Annotated[float, Gt(0), Le(60), Quantity("s", "duration of the reach")]
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reach:
+    """Where an operator goes in one session, at the link: along to the start, and on into the wall."""
+
+    start: float  # where the trial begins (rad or m)
+    target: float  # where the intended position ends, inside the wall (rad or m)
+    pace: float  # at which the hand goes along with the homing servo (rad/s or m/s)
+    wait_s: float  # from the arrival at the start to the beginning of the reach
+    seed: int  # of the tremor's phases
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RigModel:
-    """A whole rig, enough to simulate it: see the parts."""
+    """A whole rig, enough to simulate it: see the parts.
+
+    With an `operator` a person holds the handle: still, or on a `reach`.
+    """
 
     name: str
     motion: Motion
@@ -179,6 +235,15 @@ class RigModel:
     amplifier: Amplifier
     encoder: Encoder
     simulation: Simulation = field(default_factory=Simulation)
+    operator: Operator | None = None
+    reach: Reach | None = None
+
+    def held_by(self, operator: Operator | None, reach: Reach | None) -> RigModel:
+        """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""
+        if operator is None:
+            return self
+        bare = replace(self.mechanics, end_mass=0.0)
+        return replace(self, mechanics=bare, operator=operator, reach=reach)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,20 +257,33 @@ class StateSpace:
     effort: int
     friction: tuple[float, ...]  # Coulomb level of each friction input, in input order
     friction_velocity: tuple[int, ...]  # state index of the velocity that each friction input opposes
+    hand_position: int | None = None  # of the operator, if there is one
 
     @property
     def order(self) -> int:
         """Number of states."""
         return int(self.a.shape[0])
 
+    @property
+    def friction_inputs(self) -> slice:
+        """Columns of ``b`` through which friction acts."""
+        return slice(2, 2 + len(self.friction))
 
-def state_space(mechanics: Mechanics, amplifier: Amplifier) -> StateSpace:
+    @property
+    def operator_inputs(self) -> slice:
+        """Columns of ``b`` for intended position, intended velocity and press; empty without an operator."""
+        return slice(2 + len(self.friction), int(self.b.shape[1]))
+
+
+def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator | None = None) -> StateSpace:
     """Continuous matrices of the rig.
 
     Parameters
     ----------
     mechanics, amplifier
         The parts of `RigModel`.
+    operator
+        The person who holds the handle, or None.
 
     Returns
     -------
@@ -218,13 +296,23 @@ def state_space(mechanics: Mechanics, amplifier: Amplifier) -> StateSpace:
     no finite matrix makes it follow its command at once: the command then drives the velocity directly, and
     the effort state stands alone, its rows and column zero (`sim_backend.plant` writes the command into it).
 
+    An operator adds the pads' mass to the link and two states. With k₁, b₁ of the pads and m, k₂, b₂ of the hand,
+    turned to the link, y the handle and h the hand: m h″ = k₁(y − h) + b₁(y′ − h′) + k₂(intended position − h) +
+    b₂(intended velocity − h′) + press, and the link feels k₁(h − y) + b₁(h′ − y′).
+
     Source: Koul et al. 2013, section III (capstan drive 10:1, non-collocated hinge).
     """
-    return (_rigid if mechanics.structure == "rigid" else _two_mass)(mechanics, amplifier)
+    pads = 0.0 if operator is None else operator.pads_mass * mechanics.handle_radius**2
+    link = mechanics.loaded_link_inertia + pads
+    free = (_rigid if mechanics.structure == "rigid" else _two_mass)(mechanics, amplifier, link)
+    if operator is None:
+        return free
+    moved = link + (mechanics.motor_inertia if mechanics.structure == "rigid" else 0.0)
+    return _held(free, operator, mechanics.handle_radius, moved)
 
 
-def _rigid(mechanics: Mechanics, amplifier: Amplifier) -> StateSpace:
-    inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
+def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
+    inertia = mechanics.motor_inertia + link
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
     a, b = np.zeros((3, 3)), np.zeros((3, 3))
     a[0, 1] = 1.0
@@ -236,9 +324,8 @@ def _rigid(mechanics: Mechanics, amplifier: Amplifier) -> StateSpace:
     )
 
 
-def _two_mass(mechanics: Mechanics, amplifier: Amplifier) -> StateSpace:
-    k, c = mechanics.transmission_stiffness, mechanics.transmission_damping
-    motor, link = mechanics.motor_inertia, mechanics.loaded_link_inertia
+def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
+    k, c, motor = mechanics.transmission_stiffness, mechanics.transmission_damping, mechanics.motor_inertia
     a, b = np.zeros((5, 5)), np.zeros((5, 4))
     a[0, 1] = a[2, 3] = 1.0
     a[1, :4] = np.array([-k, -c - _motor_side_damping(mechanics, amplifier), k, c]) / motor
@@ -250,6 +337,24 @@ def _two_mass(mechanics: Mechanics, amplifier: Amplifier) -> StateSpace:
     return StateSpace(
         a, b, sensed_position=0, handle_position=2, effort=4, friction=coulomb, friction_velocity=(1, 3)
     )
+
+
+def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
+    """Join a hand to the handle, whose inertia includes the pads."""
+    rows, columns = free.b.shape
+    y, h = free.handle_position, rows
+    a, b = np.zeros((rows + 2, rows + 2)), np.zeros((rows + 2, columns + 3))
+    a[:rows, :rows], b[:rows, :columns] = free.a, free.b
+    pads = radius**2 * np.array([operator.pads_stiffness, operator.pads_damping])
+    hand = radius**2 * np.array([operator.hand_stiffness, operator.hand_damping])
+    mass = operator.hand_mass * radius**2
+    a[y + 1, y : y + 2] -= pads / handle_inertia
+    a[y + 1, h : h + 2] = pads / handle_inertia
+    a[h, h + 1] = 1.0
+    a[h + 1, y : y + 2] = pads / mass
+    a[h + 1, h : h + 2] = -(pads + hand) / mass
+    b[h + 1, columns:] = [*hand / mass, 1.0 / mass]
+    return replace(free, a=a, b=b, hand_position=h)
 
 
 def _motor_side_damping(mechanics: Mechanics, amplifier: Amplifier) -> float:

@@ -143,6 +143,16 @@ class Controller:
         e, w = self.estimator, self.law
         return (self.control, self.memory, e.state_f, e.state_i, e.parameters, w.state, w.parameters)
 
+    def fresh(self, wall: Mapping[str, Any]) -> Controller:
+        """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
+        e = self.estimator
+        return Controller(
+            control=self.control,
+            memory=self.memory.copy(),
+            estimator=Prepared(e.estimator, e.parameters, e.state_f.copy(), e.state_i.copy()),
+            law=self.law.law.prepare(wall),
+        )
+
     def as_mapping(self) -> dict[str, Any]:
         """Plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""
         return {
@@ -199,13 +209,13 @@ def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     return record
 
 
-@kernel(types.void(MEMORY_TYPE, types.int64))
+@kernel(types.void(MEMORY_TYPE, types.int64), inline=True)
 def _enter(memory: Any, phase: int) -> None:
     memory[0]["phase"] = phase
     memory[0]["phase_ticks"] = 0
 
 
-@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64))
+@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
     """Move through homing, settling, trial and release; on return `phase` is that of this tick."""
     c, m = control[0], memory[0]
@@ -233,7 +243,7 @@ def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
         _enter(memory, DONE)
 
 
-@kernel(types.float64(CONTROL_TYPE, MEMORY_TYPE, types.int64))
+@kernel(types.float64(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
     """Sum of all efforts of this tick, the wall's included, before the guard."""
     c, m = control[0], memory[0]
@@ -255,7 +265,7 @@ def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
     return 0.0
 
 
-@kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64))
+@kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
     """Steps 6 and 7: limit, slew and round the sum; flag what bound, and cut when the run must end."""
     c, m = control[0], memory[0]
@@ -272,18 +282,19 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
         m["effort_sent"] = 0.0
         m["current_sent"] = 0
         return 0
-    effort = guard.limited(wanted, c["effort_limit"])
-    if effort != wanted:
+    effort = wanted
+    if abs(effort) > c["effort_limit"]:  # branches, because a clip that seldom binds would be waited for
+        effort = guard.limited(effort, c["effort_limit"])
         m["flags"] |= SATURATED
-    slew = c["homing_slew"] if m["phase"] in (HOMING, SETTLE) else c["trial_slew"]
-    allowed = guard.slewed(effort, m["limited_effort"], slew * elapsed_ticks)
-    if allowed != effort:
+    slew = elapsed_ticks * (c["homing_slew"] if m["phase"] in (HOMING, SETTLE) else c["trial_slew"])
+    if not m["limited_effort"] - slew <= effort <= m["limited_effort"] + slew:
+        effort = guard.slewed(effort, m["limited_effort"], slew)
         m["flags"] |= SLEW_BOUND
-    m["limited_effort"] = allowed
-    quanta = guard.current_quanta(allowed, c["effort_quantum"])
+    m["limited_effort"] = effort
+    quanta = guard.current_quanta(effort, c["effort_quantum"])
     m["effort_sent"] = quanta * c["effort_quantum"]
-    m["current_sent"] = quanta
-    return quanta
+    m["current_sent"] = int(quanta)
+    return int(quanta)
 
 
 @kernel(
@@ -300,7 +311,9 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
         _FLOATS,
         _FLOATS,
         _FLOATS,
-    )
+    ),
+    inline=True,
+    borrow=True,
 )
 def step(
     estimator: Any,
@@ -351,9 +364,10 @@ def step(
         m["flags"] |= INSIDE
 
     m["velocity_ticks"] += elapsed_ticks
-    elapsed_periods = m["index"] // c["velocity_divider"] - m["velocity_period"]
     slow = abs(m["velocity_sampled"]) < c["slow_speed"] and m["velocity_period"] >= 0
-    if elapsed_periods >= (c["slow_multiple"] if slow else 1):
+    due_period = m["velocity_period"] + (c["slow_multiple"] if slow else 1)
+    if m["index"] >= due_period * c["velocity_divider"]:
+        elapsed_periods = m["index"] // c["velocity_divider"] - m["velocity_period"]
         m["velocity_period"] += elapsed_periods
         sampled = estimator(
             count, edge_age_s, elapsed_periods, estimator_f, estimator_i, estimator_parameters

@@ -15,16 +15,19 @@ saturates while a threshold is exceeded. *Limit cycle*: not unstable, but felt, 
 none of them.
 
 A velocity from counts has a floor: one toggling count of size Δ at f Hz is a square wave whose fundamental
-reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the dominant
-frequency of the tail, and when it exceeds the threshold *felt* is not measurable and does not vote.
+reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
+the count toggles in the tail (`rig.measure`), and when it exceeds the threshold *felt* is not measurable and does not
+vote.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
-from typing import Any
+from enum import IntFlag, StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +36,18 @@ from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
 from rig.sample import Phase, RowFlag
 
+if TYPE_CHECKING:
+    from rig.measure import Meter
+
 # Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
 _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Numbers = NDArray[np.void] | np.void
+
+_WORDS = ("kind", "reasons")
+_MAY_BE_NONE = ("felt", "contact_s", "impact_velocity", "settling_s")
 
 
 class Kind(StrEnum):
@@ -92,7 +102,7 @@ class Verdict:
     kind: Kind
     reasons: tuple[str, ...]
     felt: float | None  # rms velocity in the tail
-    felt_floor: float  # what one toggling count reads at the tail's dominant frequency
+    felt_floor: float  # what one count reads that toggles as often as this one in the tail
     heard: float  # rms ripple of the effort in the tail
     moved: float  # peak-to-peak position in the tail, less one count
     growth: float  # ripple of the second half of the tail over the first; 0 without ripple
@@ -154,99 +164,177 @@ def _shared(trial: NDArray[np.void], tick_s: float, resolution: float) -> dict[s
     }
 
 
+class Finding(IntFlag):
+    """What speaks against a trial, in the order in which it is told."""
+
+    TOO_SHORT = 1
+    NEVER_TOUCHED = 2
+    GONE = 4  # it touched the wall and has left it for the whole tail
+    TOUCHED_LATE = 8
+    GAPS = 16
+    LATE = 32
+    SLEW_BOUND = 64
+    OVERRULED = 128
+    IDLE_SATURATION = 256  # saturated in the tail with no threshold exceeded
+    STILL_SETTLING = 512
+    EXITS = 1024
+    GROWS = 2048
+    SATURATES = 4096  # in the tail, with a threshold exceeded
+    FELT = 8192
+    HEARD = 16384
+    MOVED = 32768
+
+
+EXCEEDED = Finding.FELT | Finding.HEARD | Finding.MOVED
+UNSTABLE = Finding.EXITS | Finding.GROWS | Finding.SATURATES
+INVALID = Finding(Finding.EXITS - 1)  # all before
+KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
+CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
+_EXCEEDED_BY = dict(zip(CRITERIA, (Finding.FELT, Finding.HEARD, EXCEEDED), strict=True))
+
+
 def judge(signals: Signals, limits: Limits) -> Verdict:
     """Judge one trial (see the module's text).
 
     A trial shorter than its tail is judged on what there is; one without samples is invalid.
     """
-    count = len(signals.position)
-    if count < 8:
-        return _nothing(count)
-    tail = slice(max(0, count - round(limits.tail_s / signals.tick_s)), count)
-    inside = signals.penetration > 0.0
-    exits = inside[:-1] & ~inside[1:]
-    ripple = _highpassed(signals.effort, signals.tick_s, limits.highpass_hz)[tail]
-    swing = _highpassed(signals.position, signals.tick_s, limits.highpass_hz)[tail]
-    velocity = (
-        signals.velocity
-        if signals.velocity is not None
-        else _central_difference(signals.position, signals.tick_s)
+    numbers = measured(signals, limits).numbers
+    kind, reasons = decide(numbers, limits)
+    shown = {name: numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS}
+    shown.update({name: None for name in _MAY_BE_NONE if math.isnan(shown[name])})
+    return Verdict(kind=kind, reasons=reasons, **shown)
+
+
+def measured(signals: Signals, limits: Limits, *, thrown_out: bool = False) -> Measured:
+    """Measure one trial: a verdict without its texts."""
+    numbers = meter(limits, signals.tick_s, signals.resolution).recorded(
+        signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
     )
-    band = _band_passed(velocity, signals.tick_s, limits.highpass_hz, limits.lowpass_hz)[tail]
+    return Measured(numbers, limits, thrown_out)
 
-    heard = _rms(ripple)
-    moved = max(0.0, float(np.ptp(swing)) - signals.resolution)
-    floor = _toggling_floor(swing, signals, limits) if np.ptp(signals.position[tail]) else 0.0
-    felt = None if floor > limits.felt_velocity else _rms(band)
-    growth = _growth(ripple)
-    exits_in_tail = int(np.count_nonzero(exits[max(0, tail.start - 1) :]))
-    saturated_in_tail = float(np.mean(signals.saturated[tail]))
 
-    exceeded = [
-        f"{name} {value:.3g} above {limit:.3g}"
-        for name, value, limit in (
-            ("felt", felt, limits.felt_velocity),
-            ("heard", heard, limits.heard_effort),
-            ("moved", moved, limits.moved),
-        )
-        if value is not None and value > limit
-    ]
-    contact = int(np.argmax(inside)) if inside.any() else None
-    resting = float(np.median(signals.penetration[tail]))
-    peak = float(signals.penetration.max())
-    settling_s = _settling(signals, contact, tail, resting, peak)
+def meter(limits: Limits, tick_s: float, resolution: float) -> Meter:
+    """Return what measures trials for `decide`, `kinds` and `Measured`: one for each thread.
 
-    saturates = saturated_in_tail > limits.saturated_fraction
-    invalid = _why_invalid(signals, limits, inside, tail, saturates and not exceeded)
-    if contact is not None and settling_s is not None and (exits_in_tail or exceeded):
-        settled = contact + round(settling_s / signals.tick_s)
-        if settled > tail.start:
-            invalid.append(
-                f"still settling when the tail began, {(settled - tail.start) * signals.tick_s:.3g} s too early: "
-                "lengthen the trial"
-            )
-    unstable = []
-    if exits_in_tail:
-        unstable.append(f"left the wall {_times(exits_in_tail, 'time')} in the tail")
-    if growth > limits.growth and exceeded:
-        unstable.append(f"ripple grows {growth:.3g}-fold over the tail")
-    if saturates and exceeded:
-        unstable.append(f"saturates in {100 * saturated_in_tail:.2g} % of the tail")
-    if invalid:
-        kind, reasons = Kind.INVALID, invalid
-    elif unstable:
-        kind, reasons = Kind.UNSTABLE, unstable + exceeded
-    elif exceeded:
-        kind, reasons = Kind.LIMIT_CYCLE, exceeded
-    else:
-        kind, reasons = Kind.STABLE, []
+    Its `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
+    `rig.measure.NUMBERS`; `resolution` is that of a count in the recorded ones.
+    """
+    from rig.measure import Meter  # noqa: PLC0415  (compiled code: whoever only wants the limits does not wait for it)
 
-    return Verdict(
-        kind=kind,
-        reasons=tuple(reasons),
-        felt=felt,
-        felt_floor=floor,
-        heard=heard,
-        moved=moved,
-        growth=growth,
-        exits_in_tail=exits_in_tail,
-        exits=int(np.count_nonzero(exits)),
-        contact_s=None if contact is None else contact * signals.tick_s,
-        impact_velocity=None if contact is None else _impact_velocity(signals, contact),
-        peak_penetration=peak,
-        resting_penetration=resting,
-        settling_s=settling_s,
-        peak_effort=float(np.abs(signals.effort).max()),
-        saturated_fraction=float(np.mean(signals.saturated)),
-        saturated_fraction_in_tail=saturated_in_tail,
-        late_ticks=int(np.count_nonzero(signals.late)),
-        gaps=int(np.count_nonzero(signals.gap)),
-        ticks=count,
+    return Meter(
+        tick_s=tick_s,
+        resolution=resolution,
+        tail_s=limits.tail_s,
+        highpass_hz=limits.highpass_hz,
+        lowpass_hz=limits.lowpass_hz,
+        felt_velocity=limits.felt_velocity,
     )
 
 
-def _times(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+def findings(numbers: Numbers, limits: Limits) -> Any:
+    """What speaks against trials: bits of `Finding`, for one record of `rig.measure.NUMBERS` or an array of them.
+
+    The thresholds must be those that the numbers were measured with: where the floor hides it, felt is NaN.
+    """
+    n: Any = numbers
+    if isinstance(n, np.void):  # plain numbers are compared ten times as fast as numpy's scalars
+        n = dict(zip(n.dtype.names or (), n.item(), strict=True))
+    touched, stayed = n["contact_s"] >= 0.0, n["inside_ticks_in_tail"] > 0
+    felt = n["felt"] > limits.felt_velocity  # never, when it is not measurable
+    heard, moved = n["heard"] > limits.heard_effort, n["moved"] > limits.moved
+    exceeded = felt | heard | moved
+    exits = n["exits_in_tail"] > 0
+    saturates = n["saturated_fraction_in_tail"] > limits.saturated_fraction
+    measured = n["tail_begins_s"] >= 0.0
+    found = (
+        (Finding.NEVER_TOUCHED, touched ^ True),
+        (Finding.GONE, touched & (stayed ^ True)),
+        (Finding.TOUCHED_LATE, stayed & (n["contact_s"] > n["tail_begins_s"])),
+        (Finding.GAPS, n["gaps"] > 0),
+        (Finding.LATE, n["late_fraction"] >= limits.late_fraction),
+        (Finding.SLEW_BOUND, n["slew_bound_ticks"] > 0),
+        (Finding.OVERRULED, n["overruled_ticks"] > 0),
+        (Finding.IDLE_SATURATION, saturates & (exceeded ^ True)),
+        (Finding.STILL_SETTLING, (n["settling_in_tail_s"] > 0.0) & (exits | exceeded)),
+        (Finding.EXITS, exits),
+        (Finding.GROWS, (n["growth"] > limits.growth) & exceeded),
+        (Finding.SATURATES, saturates & exceeded),
+        (Finding.FELT, felt),
+        (Finding.HEARD, heard),
+        (Finding.MOVED, moved),
+    )
+    bits = sum(finding.value * condition for finding, condition in found)
+    return Finding.TOO_SHORT.value * (measured ^ True) + measured * bits
+
+
+def kinds(numbers: Numbers, limits: Limits) -> NDArray[np.int64]:
+    """Return the place in `KINDS` of each trial: what `decide` says, without its texts."""
+    codes: NDArray[np.int64] = _codes(findings(numbers, limits))
+    return codes
+
+
+def decide(numbers: np.void, limits: Limits) -> tuple[Kind, tuple[str, ...]]:
+    """Return the kind of one trial (a record of `rig.measure.NUMBERS`) and the reasons for it."""
+    found = Finding(int(findings(numbers, limits)))
+    kind = KINDS[int(_codes(int(found)))]
+    told = {Kind.INVALID: INVALID, Kind.UNSTABLE: UNSTABLE | EXCEEDED}.get(kind, EXCEEDED)
+    return kind, tuple(_TEXTS[finding](numbers, limits) for finding in found & told)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A trial as numbers, with what follows from them: a verdict without its texts.
+
+    Attributes
+    ----------
+    numbers
+        One record of `rig.measure.NUMBERS`.
+    limits
+        Those that it was measured with.
+    thrown_out
+        Whether a guard ended the push because the handle left its window or went too fast, which the signals before
+        do not show. After contact that is unstable, without it invalid.
+    """
+
+    numbers: np.void
+    limits: Limits
+    thrown_out: bool = False
+
+    @cached_property
+    def found(self) -> Finding:
+        """Everything that speaks against the trial."""
+        return Finding(int(findings(self.numbers, self.limits)))
+
+    @property
+    def kind(self) -> Kind:
+        """How the hit ended."""
+        if self.thrown_out:
+            return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
+        return KINDS[int(_codes(int(self.found)))]
+
+    def passes(self, criterion: str) -> bool | None:
+        """Whether the wall lies within the Z-width under a criterion; None when the trial says nothing about it.
+
+        Parameters
+        ----------
+        criterion
+            One of `CRITERIA`: ``felt``, ``heard``, or ``any`` (of felt, heard and moved).
+
+        Notes
+        -----
+        A wall fails whose trial is unstable, or exceeds the criterion's own threshold, or touched the wall and was out
+        of it for the whole tail: against a push that lasts, only a wall that gives energy throws a handle that far. A
+        trial that is still settling counts for what its tail shows: it has rung as long as the trial lasts. Every
+        other invalid trial says nothing: never touched, touched only in the tail, too short, gaps, late ticks, a slew
+        limit that bound or a device that overruled the law (then it was another wall), or a push that saturates the
+        motor at rest. Where *felt* is not measurable it exceeds nothing: a Z-width under ``felt`` is one of truths, or
+        of a fine encoder.
+        """
+        if self.thrown_out:
+            return False if self.numbers["contact_s"] >= 0.0 else None
+        if self.found & INVALID & ~(Finding.GONE | Finding.STILL_SETTLING):
+            return None
+        return not self.found & (UNSTABLE | Finding.GONE | _EXCEEDED_BY[criterion])
 
 
 def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
@@ -254,116 +342,55 @@ def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
     return replace(verdict, kind=kind, reasons=(reason, *verdict.reasons))
 
 
-def _why_invalid(
-    signals: Signals, limits: Limits, inside: Bools, tail: slice, idle_saturation: bool
-) -> list[str]:
-    reasons = []
-    if not inside.any():
-        reasons.append("the wall was never touched")
-    elif not inside[tail].any():
-        reasons.append("the wall was not touched in the tail")
-    elif np.argmax(inside) > tail.start:
-        reasons.append("the first contact lies in the tail")
-    gaps, late = int(np.count_nonzero(signals.gap)), float(np.mean(signals.late))
-    if gaps:
-        reasons.append(f"{_times(gaps, 'gap')} in the samples: the link or this computer was late")
-    if late >= limits.late_fraction:
-        reasons.append(f"{100 * late:.2g} % late ticks: close other programs, or lower the rate")
-    if signals.slew_bound.any():
-        reasons.append(f"the slew limit bound in {_times(int(np.count_nonzero(signals.slew_bound)), 'tick')}")
-    if signals.overruled.any():
-        reasons.append(
-            f"the device overruled the law in {_times(int(np.count_nonzero(signals.overruled)), 'tick')}"
-        )
-    if idle_saturation:
-        reasons.append("saturated in the tail without ripple or motion")
-    return reasons
+def _flags(signals: Signals) -> NDArray[np.int64]:
+    """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
+    from rig.measure import OVERRULED  # noqa: PLC0415
+
+    flags = np.zeros(len(signals.position), np.int64)
+    for bit, marked in (
+        (int(RowFlag.SATURATED), signals.saturated),
+        (int(RowFlag.LATE), signals.late),
+        (int(RowFlag.GAP), signals.gap),
+        (int(RowFlag.SLEW_BOUND), signals.slew_bound),
+        (OVERRULED, signals.overruled),
+    ):
+        if marked.any():
+            flags |= bit * marked.astype(np.int64)
+    return flags
 
 
-def _nothing(count: int) -> Verdict:
-    numbers: dict[str, Any] = dict.fromkeys(Verdict.__dataclass_fields__, 0.0)
-    numbers.update(kind=Kind.INVALID, reasons=(f"only {count} ticks of trial",), felt=None, contact_s=None)
-    numbers.update(impact_velocity=None, settling_s=None, ticks=count, exits=0, exits_in_tail=0)
-    numbers.update(late_ticks=0, gaps=0)
-    return Verdict(**numbers)
+def _codes(found: Any) -> Any:
+    """Index into `KINDS`: what makes a trial invalid outweighs what it shows, and instability a limit cycle."""
+    invalid, unstable, exceeded = ((found & int(bits)) != 0 for bits in (INVALID, UNSTABLE, EXCEEDED))
+    shown = 2 * unstable + (unstable ^ True) * exceeded
+    return 3 * invalid + (invalid ^ True) * shown
 
 
-def _rms(signal: Floats) -> float:
-    return float(np.sqrt(np.mean(np.square(signal))))
+def _times(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _growth(ripple: Floats) -> float:
-    half = len(ripple) // 2
-    first, second = _rms(ripple[:half]), _rms(ripple[half:])
-    return second / first if first > 0.0 else 0.0
-
-
-def _highpassed(signal: Floats, tick_s: float, corner_hz: float) -> Floats:
-    """Two-pole high pass, started in steady state at the first sample (one pole would leak a slow press)."""
-    from scipy.signal import butter, sosfilt, sosfilt_zi  # noqa: PLC0415
-
-    sections = butter(2, corner_hz, "highpass", fs=1.0 / tick_s, output="sos")
-    filtered, _ = sosfilt(sections, signal, zi=sosfilt_zi(sections) * signal[0])
-    return np.asarray(filtered)
-
-
-def _band_passed(signal: Floats, tick_s: float, low_hz: float, high_hz: float) -> Floats:
-    """Zero-phase band pass; the upper corner is dropped where it would reach Nyquist."""
-    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415
-
-    rate_hz = 1.0 / tick_s
-    if high_hz < 0.45 * rate_hz:
-        sections = butter(2, [low_hz, high_hz], "bandpass", fs=rate_hz, output="sos")
-    else:
-        sections = butter(2, low_hz, "highpass", fs=rate_hz, output="sos")
-    return np.asarray(
-        sosfiltfilt(sections, signal, padlen=min(len(signal) - 1, round(3.0 * rate_hz / low_hz)))
-    )
-
-
-def _central_difference(position: Floats, tick_s: float) -> Floats:
-    return np.gradient(position, tick_s)
-
-
-def _toggling_floor(swing: Floats, signals: Signals, limits: Limits) -> float:
-    """Velocity rms that one toggling count reads at the dominant frequency of the tail's motion.
-
-    A square wave of height Δ at f Hz has odd harmonics whose velocities all have the rms 2√2·f·Δ; those in
-    the band add up in power.
-    """
-    spectrum = np.abs(np.fft.rfft(swing * np.hanning(len(swing))))
-    dominant_hz = max(1, int(np.argmax(spectrum))) / (len(swing) * signals.tick_s)
-    harmonics_hz = dominant_hz * np.arange(1.0, limits.lowpass_hz / dominant_hz + 1.0, 2.0)
-    in_band = (harmonics_hz >= limits.highpass_hz) & (harmonics_hz <= limits.lowpass_hz)
-    return 2.0 * math.sqrt(2.0 * max(1, int(in_band.sum()))) * dominant_hz * signals.resolution
-
-
-def _impact_velocity(signals: Signals, contact: int) -> float | None:
-    """Velocity at contact (rad/s or m/s): the truth, or the end of a parabola through the last 10 ms of counts.
-
-    A straight line would read the velocity of 5 ms earlier, which a push has raised by a fifth since.
-    """
-    if signals.velocity is not None:
-        return float(signals.velocity[contact])
-    first = max(0, contact - max(4, round(0.010 / signals.tick_s)))
-    if contact - first < 4:
-        return None
-    time_s = (np.arange(first, contact + 1) - contact) * signals.tick_s
-    return float(np.polynomial.polynomial.polyfit(time_s, signals.position[first : contact + 1], 2)[1])
-
-
-def _settling(
-    signals: Signals, contact: int | None, tail: slice, resting: float, peak: float
-) -> float | None:
-    """Time from contact until the penetration stays within 5 % of its peak (at least 2 counts) of its resting value.
-
-    None when it still leaves that band in the second half of the tail.
-    """
-    if contact is None:
-        return None
-    band = max(2.0 * signals.resolution, 0.05 * peak)
-    off = np.flatnonzero(np.abs(signals.penetration[contact:] - resting) > band)
-    settled = contact + (int(off[-1]) + 1 if len(off) else 0)
-    if settled > (tail.start + tail.stop) // 2:
-        return None
-    return (settled - contact) * signals.tick_s
+_TEXTS: dict[Finding, Callable[[np.void, Limits], str]] = {
+    Finding.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks of trial",
+    Finding.NEVER_TOUCHED: lambda _, __: "the wall was never touched",
+    Finding.GONE: lambda _, __: "the wall was not touched in the tail",
+    Finding.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
+    Finding.GAPS: lambda n, _: (
+        f"{_times(n['gaps'], 'gap')} in the samples: the link or this computer was late"
+    ),
+    Finding.LATE: lambda n, _: (
+        f"{100 * n['late_ticks'] / n['ticks']:.2g} % late ticks: close other programs, or lower the rate"
+    ),
+    Finding.SLEW_BOUND: lambda n, _: f"the slew limit bound in {_times(n['slew_bound_ticks'], 'tick')}",
+    Finding.OVERRULED: lambda n, _: f"the device overruled the law in {_times(n['overruled_ticks'], 'tick')}",
+    Finding.IDLE_SATURATION: lambda _, __: "saturated in the tail without ripple or motion",
+    Finding.STILL_SETTLING: lambda n, _: (
+        f"still settling when the tail began, {n['settling_in_tail_s']:.3g} s too early: lengthen the trial"
+    ),
+    Finding.EXITS: lambda n, _: f"left the wall {_times(n['exits_in_tail'], 'time')} in the tail",
+    Finding.GROWS: lambda n, _: f"ripple grows {n['growth']:.3g}-fold over the tail",
+    Finding.SATURATES: lambda n, _: f"saturates in {100 * n['saturated_fraction_in_tail']:.2g} % of the tail",
+    Finding.FELT: lambda n, limits: f"felt {n['felt']:.3g} above {limits.felt_velocity:.3g}",
+    Finding.HEARD: lambda n, limits: f"heard {n['heard']:.3g} above {limits.heard_effort:.3g}",
+    Finding.MOVED: lambda n, limits: f"moved {n['moved']:.3g} above {limits.moved:.3g}",
+}

@@ -106,7 +106,7 @@ class SimulatedDevice:
         self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)
         self.connection = Connection(Role.DEVICE)
         self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
-        self.inputs = 0
+        self.inputs = 0 if model.operator is None else _HELD  # a person at the handle holds the switch too
         self._replies = Replies()
         self._watchdog = Watchdog()
         self._thermal = Thermal()
@@ -335,6 +335,7 @@ class SimulatedDevice:
         if present:
             return Status.FAULT_PRESENT, present
         self._begin_session()
+        self.hardware.begin_session()
         return Status.OK, 0
 
     def _disarm(self) -> tuple[Status, int]:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from rig.model import RigModel
+from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant, advance
 from sim_backend.sensors import current_quanta
 from sim_backend.truth import TruthLog
@@ -19,7 +20,7 @@ _NOISE_BLOCK = 4096
 
 
 class Hardware:
-    """A rig at rest, with its sensors.
+    """A rig at rest, with its sensors; in the hand of a person if the model has one.
 
     Parameters
     ----------
@@ -52,6 +53,8 @@ class Hardware:
         self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
         self._quantum_a = model.amplifier.current_quantum_a
         self._noise = _Noise(model.amplifier.current_noise_a, seed)
+        self._script, self._row = Script.silent(), 0
+        self._sessions = 0
         self.external_effort = 0.0
         self.count = self._plant.count(self._state)
         self.measured = 0
@@ -59,10 +62,21 @@ class Hardware:
     def set_rate(self, rate: int) -> None:
         """Tick at another rate (Hz) from here on; the motion goes on. Raises `ConfigError` and changes nothing."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
+        self._script = Script.silent()  # of other ticks; whoever holds the handle stays as they are
+
+    def begin_session(self) -> None:
+        """Let the person who holds the handle, if there is one, begin: along to the start, and into the wall."""
+        position = self._state.item(self._plant.handle_position)
+        self._script = Script.of(self._model, self._plant.tick_s, position, self._sessions)
+        self._row = 0
+        self._sessions += 1
 
     def advance(self, current: int) -> None:
         """Let one tick pass under a current (quanta), then sample."""
-        plant, state = self._plant, self._state
+        plant, state, script = self._plant, self._state, self._script
+        if len(script.rows):
+            state[plant.intentions] = script.rows[self._row]
+            self._row = self._row + 1 if self._row + 1 < len(script.rows) else script.again
         effort = current * self._effort_quantum
         self.count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, self.external_effort)
         measured_a = state.item(plant.effort) * self._ampere_per_effort + self._noise.next()

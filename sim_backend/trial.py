@@ -21,13 +21,16 @@ from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.plugs import ESTIMATOR, LAW
 from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
-from sim_backend.plant import DiscretePlant, Vector, advance
+from sim_backend.held import INTENTIONS
+from sim_backend.inner import Vector
+from sim_backend.operator import Script
+from sim_backend.plant import DiscretePlant, advance
 from sim_backend.safety import UNITS_PER_SECOND
 
-UNIT_PS = round(1000 * TIME_UNIT_NS)
+NS_NUMERATOR, NS_DENOMINATOR = TIME_UNIT_NS.as_integer_ratio()
 
 _FLOATS, _INTS = types.float64[::1], types.int64[::1]
-_STATES, _MATRIX = types.float64[:, ::1], types.float64[:, ::1]
+_MATRIX = types.float64[:, ::1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,48 +43,80 @@ class Trace:
     currents: NDArray[np.int64]
     flags: NDArray[np.int64]
 
+    @classmethod
+    def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
+        """Room for as many ticks of a plant."""
+        counts, phases, currents, flags = (np.zeros(ticks, np.int64) for _ in range(4))
+        return cls(np.zeros((ticks, len(plant.at_rest(0.0)))), counts, phases, currents, flags)
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """The trace's part of the arguments of `run_ticks`."""
+        return self.states, self.counts, self.phases, self.currents, self.flags
+
+    def first(self, ticks: int) -> Trace:
+        """Return its first ticks."""
+        return Trace(*(array[:ticks] for array in self.arrays))
+
     def __len__(self) -> int:
         return len(self.counts)
 
 
-@kernel(
-    types.int64(
-        ESTIMATOR, LAW, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
-        _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.int64, types.int64, types.int64,
-        _STATES, _INTS, _INTS, _INTS, _INTS,
-    )
+@kernel(types.int64(_FLOATS, types.int64, _MATRIX, types.int64, types.int64), inline=True, borrow=True)
+def _want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
+    """Put a row of the script into the state, before the age of the edge; return the next row. No rows: nothing."""
+    if script.shape[0] == 0:
+        return 0
+    for i in range(INTENTIONS):
+        state[edge_age - INTENTIONS + i] = script[row, i]
+    return row + 1 if row + 1 < script.shape[0] else again
+
+
+TRACE_TYPES = (_MATRIX, _INTS, _INTS, _INTS, _INTS)  # states, counts, phases, currents, flags
+RUN_TYPES = (
+    ESTIMATOR, LAW, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
+    _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.float64, types.int64, types.int64, types.int64,
+    _MATRIX, types.int64, *TRACE_TYPES,
 )  # fmt: skip
+
+
+@kernel(types.int64(*RUN_TYPES), borrow=True)
 def run_ticks(
     estimator: Any, law: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any,
     estimator_parameters: Any, law_state: Any, law_parameters: Any,
-    state: Any, phi: Any, gamma: Any, plant: Any, edge_age: int, start_units: int, tick_units: int,
+    state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
+    edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
     states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
 ) -> int:  # fmt: skip
     """Run until the law is done or the arrays are full; returns the number of ticks.
 
-    `edge_age` is the index of that state; `start_units` and `tick_units` are device time of the first sample and
-    length of a tick (1/16 µs).
+    `external_effort` acts on the link all along; `edge_age` is the index of that state; `start_units` and
+    `tick_units` are device time of the first sample and length of a tick (1/16 µs). `script` has what the hand
+    wants in each tick and goes on at row `again` when it is over; see `sim_backend.operator.Script`.
     """
-    c, m = control[0], memory[0]
-    count = advance(state, phi, gamma, plant, 0.0, 0.0)
+    m = memory[0]
+    row = _want(state, edge_age, script, 0, again)
+    count = advance(state, phi, gamma, plant, 0.0, external_effort)
     for k in range(len(counts)):
         units = min(
             state[edge_age] * UNITS_PER_SECOND, float(start_units + k * tick_units), float(OLDEST_EDGE)
         )
-        edge_age_ns = int(np.rint(units)) * UNIT_PS // 1000
+        edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
         current = step(
             estimator, law, count, edge_age_ns * 1e-9, 1, control, memory,
             estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
         )  # fmt: skip
         ends = m["phase"] == DONE
-        states[k] = state
+        for i in range(len(state)):  # a slice would be an array to count references to
+            states[k, i] = state[i]
         counts[k] = count
         phases[k] = m["phase"]
         currents[k] = 0 if ends else current
         flags[k] = m["flags"]
         if ends:
             return k + 1
-        count = advance(state, phi, gamma, plant, current * c["effort_quantum"], 0.0)
+        row = _want(state, edge_age, script, row, again)
+        count = advance(state, phi, gamma, plant, m["effort_sent"], external_effort)
     return len(counts)
 
 
@@ -92,8 +127,11 @@ def run_trial(
     *,
     most_ticks: int,
     start_units: int = OLDEST_EDGE,
+    initial_velocity: float = 0.0,
+    external_effort: float = 0.0,
+    script: Script | None = None,
 ) -> Trace:
-    """Run one trial from rest.
+    """Run one trial, from rest unless a velocity is given.
 
     Parameters
     ----------
@@ -102,29 +140,51 @@ def run_trial(
     plant
         Discretised at the controller's tick.
     initial_position
-        Of the handle at rest, one tick before the first sample (rad or m).
+        Of the whole rig, one tick before the first sample (rad or m).
     most_ticks
         Where to stop when the law never ends.
     start_units
         Device time of the first sample (1/16 µs): how old an edge that never happened may look.
+    initial_velocity
+        Of all masses, one tick before the first sample (rad/s or m/s).
+    external_effort
+        Effort of the world on the link, all along (N·m or N).
+    script
+        What the hand of a held plant wants, tick by tick; without one it holds still where it is.
     """
-    state: Vector = plant.at_rest(initial_position)
-    states = np.zeros((most_ticks, len(state)))
-    counts, phases, currents, flags = (np.zeros(most_ticks, np.int64) for _ in range(4))
-    arguments: tuple[Any, ...] = (
+    script = script or Script.silent()
+    if len(script.rows) and plant.hand_position is None:
+        raise ValueError("a script needs a plant that is held by a hand")
+    trace = Trace.empty(most_ticks, plant)
+    state = plant.at_rest(initial_position)
+    for position in (plant.sensed_position, plant.handle_position, plant.hand_position):
+        if position is not None:
+            state[position + 1] = initial_velocity
+    ticks = run_ticks(
+        *run_arguments(controller, plant, state, external_effort, start_units, script), *trace.arrays
+    )
+    return trace.first(ticks)
+
+
+def run_arguments(
+    controller: Controller,
+    plant: DiscretePlant,
+    state: Vector,
+    external_effort: float,
+    start_units: int,
+    script: Script,
+) -> tuple[Any, ...]:
+    """Arguments of `run_ticks` before the arrays of the trace, in its order."""
+    return (
         controller.estimator.estimator.update,
         controller.law.law.function,
         *controller.arguments(),
         state,
         *plant.arrays,
+        external_effort,
         plant.edge_age,
         start_units,
         round(plant.tick_s * UNITS_PER_SECOND),
-        states,
-        counts,
-        phases,
-        currents,
-        flags,
+        script.rows,
+        script.again,
     )
-    ticks = run_ticks(*arguments)
-    return Trace(states[:ticks], counts[:ticks], phases[:ticks], currents[:ticks], flags[:ticks])

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.sample import TRUTH
-from sim_backend.plant import DiscretePlant, Vector
+from sim_backend.inner import Vector
+from sim_backend.plant import DiscretePlant
 
 _FIRST_ROWS = 4096
 

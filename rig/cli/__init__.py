@@ -19,10 +19,16 @@ from rig.errors import RigError
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
 COMMANDS: dict[str, tuple[str, str]] = {
     "hit": ("rig.cli.hit:hit", "Hit a virtual wall: run, judge, record and draw one automated trial."),
+    "zwidth": ("rig.cli.zwidth:zwidth", "Map the walls (K, B) that a rig renders stably, scheme by scheme."),
+    "kmax": ("rig.cli.kmax:kmax", "Find the stiffest undamped wall at each sampling rate."),
     "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),
     "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
     "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
+    "theory": (
+        "rig.cli.theory:theory",
+        "Say which walls are stable on a rig by exact linear theory, and what binds.",
+    ),
     "plot": ("rig.cli.plot:plot", "Draw what the theory says: levant-regions."),
     "estimators": (
         "rig.cli.estimators:estimators",

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from rig.cli import compare as comparing
 from rig.cli import options, output
 from rig.errors import RigError
 
@@ -30,6 +31,7 @@ from rig.errors import RigError
     show_default=True,
 )
 @click.option("--plot/--no-plot", default=True, help="Draw a picture beside the recording.")
+@options.compare_options
 @options.json_option
 def hit(
     file: Path | None,
@@ -39,6 +41,9 @@ def hit(
     verified: bool,
     directory: Path,
     plot: bool,
+    compare: bool,
+    schemes: tuple[str, ...],
+    as_in_the_paper: bool,
     as_json: bool,
     **changed: Any,
 ) -> None:
@@ -47,8 +52,20 @@ def hit(
     Without arguments: the dual-rate wall of Koul et al. on the simulated rig koul-compliant, in virtual
     time. FILE is an experiment in TOML (`rig preset koul-compliant` prints one). Ctrl-C ends with zero
     effort and a valid recording.
+
+    With --compare, the same hit is simulated without damping, with uniform and with dual-rate sampling, and nothing is
+    recorded.
     """
     changes = options.changes(**changed)
+    if compare or schemes or as_in_the_paper:
+        comparing.refuse_a_device(url, realtime, verified, changes)
+        comparing.refuse_what_is_fixed(compare, as_in_the_paper, file or preset or url or changes or schemes)
+        if as_in_the_paper:
+            comparing.run_as_in_the_paper(directory, plot=plot, as_json=as_json)
+            return
+        experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
+        comparing.run(experiment, changes, schemes, directory, plot=plot, as_json=as_json)
+        return
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     with output.compiling():
         from rig.devices import load_backend  # noqa: PLC0415  (imports compile)

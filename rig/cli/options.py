@@ -47,12 +47,41 @@ def experiment_options(command: F) -> F:
         ),
         click.option("--estimator", help="Velocity estimator."),
         click.option("--effort", type=float, help="Constant push (N·m or N)."),
+        click.option(
+            "--operator",
+            type=click.Choice(["none", "relaxed", "normal", "firm"]),
+            help="Who pushes: a person's hand with this grip, or none: the motor alone.",
+        ),
         click.option("--start", type=float, help="Where the handle is released (rad or m)."),
         click.option("--duration", type=float, help="Length of the push (s)."),
         click.option("--repeats", type=int, help="How many hits."),
         click.option("--seed", type=int, help="Seed of the simulation's sensor noise."),
         click.option(
             "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set wall.pull=allow."
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def compare_options(command: F) -> F:
+    """Add the options of `rig hit --compare`."""
+    options = [
+        click.option(
+            "--compare", is_flag=True, help="Simulate the same hit under several schemes; records nothing."
+        ),
+        click.option(
+            "--scheme",
+            "schemes",
+            multiple=True,
+            metavar="SCHEME",
+            help="To compare: none, uniform:20k, dual:20k/2k,estimator=kalman … [none, uniform and dual-rate]",
+        ),
+        click.option(
+            "--as-in-the-paper",
+            is_flag=True,
+            help="Compare under the conditions of figures 7 and 8 of Koul et al., in floating and in fixed point.",
         ),
     ]
     for option in reversed(options):
@@ -80,9 +109,15 @@ def preset_of(url: str | None, file: Path | None) -> str | None:
     return url.removeprefix("sim://").partition("?")[0] or None
 
 
-def changes(rate: str | None, sets: tuple[str, ...], **named: Any) -> dict[str, Any]:
+def changes(
+    rate: str | None, sets: tuple[str, ...], operator: str | None = None, **named: Any
+) -> dict[str, Any]:
     """Return what the user set by hand, by dotted key."""
     changed = {_KEYS[name]: value for name, value in named.items() if value is not None}
+    if operator == "none":
+        changed["trial.kind"] = "constant-effort"
+    elif operator is not None:
+        changed |= {"trial.kind": "human", "operator.grip": operator}
     if rate is not None:
         changed["controller.position_rate"], changed["controller.velocity_rate"] = parse_rate(rate)
     for text in sets:

@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +43,25 @@ def print_pairs(pairs: list[tuple[str, str]]) -> None:
     width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
         click.echo(f"  {name:<{width}}  {value}")
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Rows of texts in aligned columns, the first of them left, the others right; the first row is the head."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        first, *others = (
+            cell.ljust(w) if i == 0 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        click.echo("  " + "  ".join([first, *others]).rstrip())
+
+
+def push_text(experiment: Experiment) -> str:
+    """Who pushes, in a few words."""
+    trial = experiment.trial
+    if trial.kind == "human":
+        return f"in a simulated hand ({experiment.operator.grip})"
+    return f"pushed by {trial.effort:g} {unit_of('effort', experiment.rig.motion)}"
 
 
 def headline(experiment: Experiment) -> str:

@@ -10,7 +10,7 @@
 pydantic is imported by the functions that validate, not by this import.
 """
 
-from rig.config.derive import check_plugins, rig_model, verdict_limits
+from rig.config.derive import check_plugins, motor_push, push_at_rest, rig_model, verdict_limits
 from rig.config.load import as_mapping, experiment_from_mapping, load_experiment, override, with_realtime
 from rig.config.sections import Controller, Experiment, Homing, Limits, Rig, Trial, VerdictLimits, Wall
 from rig.config.table import Described, describe, json_schema
@@ -31,7 +31,9 @@ __all__ = [
     "experiment_from_mapping",
     "json_schema",
     "load_experiment",
+    "motor_push",
     "override",
+    "push_at_rest",
     "rig_model",
     "verdict_limits",
     "with_realtime",

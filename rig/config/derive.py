@@ -8,7 +8,7 @@ from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.sections import Experiment, Rig
 from rig.config.table import shown
 from rig.errors import ConfigError
-from rig.model import RigModel
+from rig.model import Reach, RigModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,9 +17,12 @@ if TYPE_CHECKING:
 
 
 def rig_model(described: Experiment | Rig) -> RigModel:
-    """Return the physics of a rig, as simulation and theory want it."""
+    """Return the physics of a rig, as simulation and theory want it.
+
+    Of an experiment with a person also that person's hand and reach; without the end mass then.
+    """
     rig = described.rig if isinstance(described, Experiment) else described
-    return RigModel(
+    model = RigModel(
         name=rig.name,
         motion=rig.motion,
         mechanics=rig.mechanics,
@@ -27,6 +30,38 @@ def rig_model(described: Experiment | Rig) -> RigModel:
         encoder=rig.encoder,
         simulation=rig.simulation,
     )
+    if isinstance(described, Rig) or described.trial.kind != "human":
+        return model
+    return model.held_by(described.operator, _reach(described))
+
+
+def _reach(x: Experiment) -> Reach:
+    depth = x.operator.depth / x.rig.mechanics.handle_radius
+    return Reach(
+        start=x.trial.start,
+        target=x.wall.position + x.wall.side * depth,
+        pace=x.homing.speed,
+        wait_s=x.homing.settle_s + x.operator.begin_s,
+        seed=x.trial.seed,
+    )
+
+
+def motor_push(experiment: Experiment) -> float:
+    """Constant effort of the motor in a trial (N·m or N): none when a person pushes."""
+    return 0.0 if experiment.trial.kind == "human" else experiment.trial.effort
+
+
+def push_at_rest(experiment: Experiment) -> float:
+    """Effort into the wall in the end (N·m or N, not negative): the motor's, or a person's press and spring."""
+    wall = experiment.wall
+    if experiment.trial.kind != "human":
+        return max(0.0, wall.side * experiment.trial.effort)
+    operator, radius = experiment.operator, experiment.rig.mechanics.handle_radius
+    if wall.stiffness == 0.0 or operator.pads_stiffness == 0.0:
+        return 0.0
+    # The hand ends short of its intention by the depth of the handle in the wall and the give of the pads.
+    give = operator.hand_stiffness * (1.0 / operator.pads_stiffness + radius**2 / wall.stiffness)
+    return (operator.press + operator.hand_stiffness * operator.depth) / (1.0 + give) * radius
 
 
 def verdict_limits(experiment: Experiment) -> Limits:

@@ -78,7 +78,7 @@ def overlay(base: Table, top: Table) -> Table:
     """Lay one table over another, key by key; neither is changed.
 
     The settings of an estimator do not outlive it: when `top` names another estimator, those of `base` are
-    dropped.
+    dropped. Nor do the numbers of a grip.
     """
     merged = dict(base)
     for key, value in top.items():
@@ -86,6 +86,8 @@ def overlay(base: Table, top: Table) -> Table:
         merged[key] = overlay(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
     if "estimator" in top and "estimator" in base and top["estimator"] != base["estimator"]:
         merged["parameters"] = top.get("parameters", {})
+    if "grip" in top and "grip" in base and top["grip"] != base["grip"]:
+        return dict(top)
     return merged
 
 

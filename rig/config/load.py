@@ -16,6 +16,7 @@ from rig.config.rules import broken_rules
 from rig.config.sections import Experiment
 from rig.config.table import parameters, sections, shown
 from rig.errors import ConfigError
+from rig.operators import GRIPS
 from rig.sample import UNITS, Motion
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 DEFAULT_PRESET = "koul-compliant"
+DEFAULT_GRIP = "normal"
 FREE = "controller.parameters"  # the one table whose keys belong to somebody else: the estimator
 
 _WRITE = {
@@ -133,10 +135,18 @@ def _validated(table: Table, source: str) -> Experiment:
 
 
 def _with_defaults(table: Table) -> Table:
-    """Fill in what follows from other keys: the effort limit is the nominal effort, safe for people."""
+    """Fill in what follows from other keys.
+
+    The effort limit is the nominal effort, safe for people; the numbers of an operator are those of its grip.
+    """
     limits = _value_at(table, ("rig", "limits"))
     if isinstance(limits, dict) and "nominal_effort" in limits and "effort" not in limits:
         table = overlay(table, nest({"rig.limits.effort": limits["nominal_effort"]}))
+    operator = table.get("operator")
+    if isinstance(operator, dict):
+        grip = operator.get("grip", DEFAULT_GRIP)
+        known = GRIPS.get(grip) if isinstance(grip, str) else None
+        table = {**table, "operator": {**_plain(known or GRIPS[DEFAULT_GRIP]), **operator}}
     if isinstance(table.get("realtime"), dict):
         table = {**table, "realtime": dict(flatten(table["realtime"]))}
     return table

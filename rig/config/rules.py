@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from rig.config.derive import motor_push, push_at_rest
 from rig.config.problems import Problem
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
@@ -102,7 +103,7 @@ def efforts(x: Experiment) -> Iterator[Problem]:
         ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
         ("rig.limits.effort", limits.effort, "rig.amplifier.effort_limit", motor),
         ("homing.effort", x.homing.effort, "rig.limits.effort", limits.effort),
-        ("trial.effort", abs(x.trial.effort), "rig.limits.effort", limits.effort),
+        ("trial.effort", abs(motor_push(x)), "rig.limits.effort", limits.effort),
     ):
         if value > bound:
             yield _problem(
@@ -157,7 +158,7 @@ def approach(x: Experiment) -> Iterator[Problem]:
             f"must be {where} wall.position, {wall:g} {unit}: the free side for wall.side = {side}",
             "start farther out, or turn wall.side",
         )
-    if side * x.trial.effort <= 0:
+    if x.trial.kind == "constant-effort" and side * x.trial.effort <= 0:
         sign = ">" if side > 0 else "<"
         yield _problem(
             x,
@@ -172,18 +173,50 @@ def rest(x: Experiment) -> Iterator[Problem]:
     if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
-    push, needed = abs(x.trial.effort), least * resolution * x.wall.stiffness
+    push, needed = push_at_rest(x), least * resolution * x.wall.stiffness
     if push >= needed or push == 0:
         return
     softest = push / (least * resolution)
+    key, asked = "trial.effort", f"{needed:.3g} {_unit(x, 'effort')}"
+    if x.trial.kind == "human":
+        spring = x.operator.hand_stiffness * x.operator.depth
+        press_needed = (x.operator.press + spring) * needed / push - spring
+        key, asked = "operator.press", f"{press_needed:.3g} N"
     yield _problem(
         x,
-        "trial.effort",
-        f"must be at least {needed:.3g} {_unit(x, 'effort')}: against wall.stiffness = {x.wall.stiffness:g} "
-        f"{_unit(x, 'stiffness')} it rests {least * push / needed:.2g} counts deep, less than "
-        f"trial.minimum_rest_counts = {least:g}",
+        key,
+        f"must be at least {asked}: against wall.stiffness = {x.wall.stiffness:g} {_unit(x, 'stiffness')} it rests "
+        f"{least * push / needed:.2g} counts deep, less than trial.minimum_rest_counts = {least:g}",
         f"push harder, or take a wall.stiffness of at most {softest:.3g} {_unit(x, 'stiffness')}",
     )
+
+
+def press(x: Experiment) -> Iterator[Problem]:
+    """A person must not press harder than the wall may push back."""
+    push, limit = push_at_rest(x), x.rig.limits.effort
+    if x.trial.kind == "human" and push > limit:
+        effort = _unit(x, "effort")
+        yield _problem(
+            x,
+            "operator.press",
+            f"must leave the push, {push:.3g} {effort} at the link with the spring of the hand, at most "
+            f"rig.limits.effort, {limit:g} {effort}",
+            "press less, or raise rig.limits.effort if the motor allows it",
+        )
+
+
+def reach(x: Experiment) -> Iterator[Problem]:
+    """A person's reach is over before the judged tail of the trial begins."""
+    end, tail = x.operator.begin_s + x.operator.reach_s, x.trial.duration_s - x.verdict.tail_s
+    if x.trial.kind == "human" and end > tail > 0:
+        yield _problem(
+            x,
+            "operator.reach_s",
+            f"must end before the judged tail: the reach begins {x.operator.begin_s:g} s into the trial "
+            f"(operator.begin_s) and ends at {end:g} s, the tail begins at {tail:g} s "
+            f"(trial.duration_s = {x.trial.duration_s:g} s less verdict.tail_s = {x.verdict.tail_s:g} s)",
+            "reach faster, or lengthen trial.duration_s",
+        )
 
 
 def speeds(x: Experiment) -> Iterator[Problem]:
@@ -225,6 +258,8 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     window,
     approach,
     rest,
+    press,
+    reach,
     speeds,
     times,
 )

@@ -16,7 +16,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 
-from rig.model import Amplifier, Encoder, Mechanics, Simulation
+from rig.model import Amplifier, Encoder, Mechanics, Operator, Simulation
+from rig.operators import GRIPS
 from rig.quantity import STRICT, Quantity
 from rig.sample import Motion
 
@@ -162,10 +163,13 @@ class Homing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """One automated hit: released at the start, pushed into the wall by a constant effort."""
+    """One hit: from the start into the wall, pushed by a constant effort, or by a person who holds the handle."""
 
     effort: Annotated[
-        float, Quantity("effort", "constant push, inside and outside the wall, signed like position")
+        float,
+        Quantity(
+            "effort", "constant push, inside and outside the wall, signed like position; none when human"
+        ),
     ]
     start: Annotated[
         float, Quantity("position", "where the handle is released, on the free side of the wall")
@@ -179,7 +183,10 @@ class Trial:
     minimum_rest_counts: Annotated[
         float, Ge(0), Quantity("count", "refuse a push that would rest less deep than this; 0: never refuse")
     ] = 2.0
-    kind: Annotated[Literal["constant-effort"], Quantity("", "what drives the handle")] = "constant-effort"
+    kind: Annotated[
+        Literal["constant-effort", "human"],
+        Quantity("", "what drives the handle: the motor, with the end mass on it, or a person"),
+    ] = "constant-effort"
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -231,6 +238,7 @@ class Experiment:
     wall: Wall
     homing: Homing
     trial: Trial
+    operator: Operator = GRIPS["normal"]  # acts when trial.kind is human
     verdict: VerdictLimits = field(default_factory=VerdictLimits)
     realtime: Annotated[
         Mapping[str, Setting], Quantity("", "changes for a loop in real time, by dotted key")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from rig import config, presets
 from rig.devices.device import DeviceUrl, Link
@@ -18,12 +18,14 @@ from rig.errors import ConfigError, DeviceNotFoundError
 
 if TYPE_CHECKING:
     from rig.devices.framed import FramedDevice
+    from rig.devices.simulated import OpenRig
     from rig.model import RigModel
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
     "serial": "rig.devices.serial:open_link",
 }
+SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +55,19 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     if found is None:
         schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
         raise ConfigError(f"no backend for {scheme}:// (in {url!r})", remedy=f"known schemes: {schemes}")
-    module, _, function = found.target.partition(":")
+    opener = _loaded(found.target, scheme, found.distribution)
+    return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
+
+
+def _loaded(target: str, scheme: str, distribution: str) -> Any:
+    module, _, attribute = target.partition(":")
     try:
-        opener = getattr(import_module(module), function)
+        return getattr(import_module(module), attribute)
     except Exception as error:  # somebody else's module may raise anything
         raise DeviceNotFoundError(
-            f"the backend for {scheme}:// ({found.target}) does not load: {error}",
-            remedy=f"reinstall {found.distribution}",
+            f"the backend for {scheme}:// ({target}) does not load: {error}",
+            remedy=f"reinstall {distribution}",
         ) from error
-    return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
 
 
 def open_link(url: str, model: RigModel | None = None) -> Link:
@@ -87,10 +93,26 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
 
 
 def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
-    """Physics behind a URL: those of the preset that a ``sim://`` names, else `model`."""
+    """Physics behind a URL: those of the preset that a ``sim://`` names, else `model`.
+
+    Who holds the handle belongs to the experiment, and so to `model`.
+    """
     if url.scheme == "sim" and url.place:
-        return config.rig_model(presets.load(url.place))
+        named = config.rig_model(presets.load(url.place))
+        return named if model is None else named.held_by(model.operator, model.reach)
     return model
+
+
+def simulated_rig(scheme: str = "sim") -> OpenRig:
+    """Return what makes rigs to hit without bytes (`rig.devices.simulated`).
+
+    Raises `ConfigError` when no backend of that scheme simulates, `DeviceNotFoundError` when it does not load.
+    """
+    if scheme not in SIMULATIONS:
+        raise ConfigError(
+            f"{scheme}:// cannot be hit without bytes", remedy=f"known: {', '.join(SIMULATIONS)}"
+        )
+    return cast("OpenRig", _loaded(SIMULATIONS[scheme], scheme, "haptic-rig"))
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:

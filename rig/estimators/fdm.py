@@ -18,7 +18,7 @@ WRAP = 1 << 32
 @kernel("i8(i8, i8)", inline=True)
 def count_difference(newer: int, older: int) -> int:
     """Difference of two counts of a 32-bit counter that may have wrapped between them."""
-    return (newer - older + WRAP // 2) % WRAP - WRAP // 2
+    return ((newer - older + WRAP // 2) & (WRAP - 1)) - WRAP // 2
 
 
 @kernel(ESTIMATOR_SIGNATURE)

@@ -81,7 +81,9 @@ class HitResult:
             "velocity_rate": self.experiment.controller.velocity_rate,
             "estimator": self.experiment.controller.estimator,
             "resolution": self.experiment.rig.encoder.resolution,
-            "effort": self.experiment.trial.effort,
+            "kind": self.experiment.trial.kind,
+            "grip": self.experiment.operator.grip if self.experiment.trial.kind == "human" else None,
+            "effort": config.motor_push(self.experiment),
             "start": self.experiment.trial.start,
             "seed": self.experiment.trial.seed,
             **as_trailer(self.verdict, self.verdict_true),
@@ -121,6 +123,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         )
         _check_same_rig(experiment, device)
         _check_verified(request, device)
+        _check_person(experiment, device)
         if request.law is not None:
             experiment = replace(experiment, wall=replace(experiment.wall, law=request.law.name))
         with plain_errors("make", request.output):
@@ -229,6 +232,18 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
         "move it the same way), put the handle at position zero, and say --verified: the count there becomes zero",
     )
+
+
+def _check_person(experiment: Experiment, device: FramedDevice) -> None:
+    """Nobody is asked to hold a real handle whose motor may push harder than its nominal effort."""
+    limits = experiment.rig.limits
+    safe = limits.override_stall or limits.effort <= limits.nominal_effort
+    if experiment.trial.kind == "human" and not safe and not device.dictionary.simulated:
+        raise PlanError(
+            f"a person would hold {device.dictionary.device}, whose effort limit {limits.effort:g} is above its "
+            f"nominal effort {limits.nominal_effort:g}",
+            remedy="set rig.limits.human = true and an effort limit within it",
+        )
 
 
 def _free_name(directory: Path, stem: str) -> Path:

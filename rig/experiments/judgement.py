@@ -34,13 +34,13 @@ def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
     if recording.has_truth:
         wall = experiment.wall
         true = verdict.judge(verdict.true_signals(recording.rows, tick_s, wall.position, wall.side), limits)
-    early = _ended_early(recording)
+    early = ended_early(recording)
     if early is None:
         return recorded, true
     return verdict.overruled(recorded, *early), None if true is None else verdict.overruled(true, *early)
 
 
-def _ended_early(recording: Recording) -> tuple[Kind, str] | None:
+def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
     phases = recording.rows["phase"]

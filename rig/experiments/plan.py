@@ -14,7 +14,7 @@ from typing import Any
 from firmware_protocol import messages
 from firmware_protocol.packing import encoded_bytes
 from rig import controller
-from rig.config import Experiment
+from rig.config import Experiment, push_at_rest, rig_model
 from rig.sample import unit_of
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
@@ -124,17 +124,52 @@ class Impact:
 
 
 def predict_impact(experiment: Experiment) -> Impact:
-    """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all."""
-    mechanics, trial, wall = experiment.rig.mechanics, experiment.trial, experiment.wall
+    """Energy balance: the push works along the approach, against Coulomb friction; the spring takes it all.
+
+    A person's hand is taken to follow what it wants without lag, and to be too soft to bring its own mass to bear.
+    """
+    mechanics, wall, push = rig_model(experiment).mechanics, experiment.wall, push_at_rest(experiment)
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
-    push = max(0.0, wall.side * trial.effort)
-    net = max(0.0, push - mechanics.motor_coulomb - mechanics.link_coulomb)
-    velocity = math.sqrt(2.0 * net * abs(wall.position - trial.start) / inertia)
+    distance = abs(wall.position - experiment.trial.start)
+    if experiment.trial.kind == "human":
+        inertia += experiment.operator.pads_mass * mechanics.handle_radius**2
+        velocity = _reach_velocity(experiment, distance)
+    else:
+        net = max(0.0, push - mechanics.motor_coulomb - mechanics.link_coulomb)
+        velocity = math.sqrt(2.0 * net * distance / inertia)
     if wall.stiffness == 0.0:
         return Impact(velocity, math.inf, 0.0)
     rest = push / wall.stiffness
     peak = rest + math.sqrt(rest**2 + inertia * velocity**2 / wall.stiffness)
     return Impact(velocity, peak, wall.stiffness * peak)
+
+
+def _way_of_the_hand(x: Experiment, distance: float) -> float:
+    """How far a hand would go from the start if nothing were in the way, by its spring and its press (rad or m)."""
+    operator = x.operator
+    stretch = math.inf
+    if operator.hand_stiffness > 0.0:
+        stretch = operator.press * (1.0 + operator.press_modulation) / operator.hand_stiffness
+    return distance + (operator.depth + stretch) / x.rig.mechanics.handle_radius
+
+
+def _reach_velocity(x: Experiment, distance: float) -> float:
+    """Velocity of a raised cosine over the way of the hand where it passes the wall."""
+    way = _way_of_the_hand(x, distance)
+    if math.isinf(way):
+        return math.inf
+    share = distance / way
+    return math.pi * way / x.operator.reach_s * math.sqrt(share * (1.0 - share))
+
+
+def _push_text(x: Experiment) -> str:
+    motion, o = x.rig.motion, x.operator
+    if x.trial.kind != "human":
+        return f"{x.trial.effort:g} {unit_of('effort', motion)}"
+    return (
+        f"a person's hand with a {o.grip} grip, no motor: it reaches {o.depth * 1e3:g} mm deep in {o.reach_s:g} s "
+        f"from {o.begin_s:g} s on, and presses {o.press:g} N"
+    )
 
 
 def _steps(x: Experiment) -> tuple[Step, ...]:
@@ -153,9 +188,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
             f"to {t.start:g} {position} at {h.speed:g} {velocity}, at most {h.effort:g} {effort}",
             h.timeout_s,
         ),
-        Step(
-            "push", f"{t.effort:g} {effort} into a wall of {wall} at {w.position:g} {position}", t.duration_s
-        ),
+        Step("push", f"{_push_text(x)} into a wall of {wall} at {w.position:g} {position}", t.duration_s),
         Step("release", "ramp the effort to zero", t.release_s),
         Step("judge", f"on the last {x.verdict.tail_s:g} s of the push; disarm and seal the recording", 0.0),
     )
@@ -197,8 +230,10 @@ def _wall_checks(x: Experiment) -> list[Check]:
             "the hit will saturate; push less or start closer",
         ),
     ]
-    rest = abs(x.trial.effort) / x.wall.stiffness
+    rest = push_at_rest(x) / x.wall.stiffness
     enough = rest / delta >= x.trial.minimum_rest_counts
+    if x.trial.kind == "human":
+        checks.append(_let_go_check(x))
     return [
         *checks,
         Check(
@@ -210,9 +245,24 @@ def _wall_checks(x: Experiment) -> list[Check]:
     ]
 
 
+def _let_go_check(x: Experiment) -> Check:
+    """Where a pressing hand ends when the wall goes away in the release."""
+    limits = x.rig.limits
+    start = x.trial.start
+    end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))
+    inside = limits.position_minimum <= end <= limits.position_maximum
+    return Check(
+        "after the wall",
+        Outcome.OK if inside else Outcome.REFUSED,
+        f"the hand goes on to {end:.3g} {unit_of('position', x.rig.motion)}, "
+        f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
+        "press less, or with a stiffer hand",
+    )
+
+
 def _heat_checks(x: Experiment) -> list[Check]:
     limits, trial = x.rig.limits, x.trial
-    load = abs(trial.effort) / limits.nominal_effort
+    load = push_at_rest(x) / limits.nominal_effort
     budget = load**2 * -math.expm1(-trial.duration_s * trial.repeats / limits.thermal_time_constant_s)
     return [
         Check(

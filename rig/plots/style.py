@@ -16,6 +16,19 @@ SENT = "#d55e00"
 OTHER = "#009e73"
 WALL = "#999999"
 BAD = "#b00020"
+SERIES = (
+    MEASURED,
+    SENT,
+    OTHER,
+    TRUE,
+    "#cc79a7",
+    "#56b4e9",
+    "#7a5195",
+    "#444444",
+    "#b8860b",
+    "#2f4b7c",
+    "#999999",
+)
 KINDS = {"stable": "#00703c", "limit cycle": "#b35900", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
 

@@ -456,6 +456,8 @@ def _numbers_of(experiment: Experiment) -> st.SearchStrategy[dict[str, Any]]:
             "rig.simulation.initial_position": st.none() | st.floats(-0.4, 0.4),
             "rig.description": st.text(st.characters(codec="utf-8")),
             "rig.mechanics.end_mass": positive,
+            "operator.grip": st.sampled_from(["relaxed", "normal", "firm"]),
+            "operator.press": st.floats(0.0, 5.0),
             "realtime.wall.damping": positive | st.integers(0, 10),
         },
     )

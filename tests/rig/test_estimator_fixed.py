@@ -1,11 +1,8 @@
-"""The fixed-point Butterworth: bit for bit exact arithmetic, and what word lengths do to a velocity and to a wall."""
+"""The fixed-point Butterworth: bit for bit exact arithmetic, and what word lengths do to a velocity."""
 
 from __future__ import annotations
 
 import math
-import tomllib
-from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -17,8 +14,6 @@ from rig import estimators
 from rig.errors import ConfigError
 from rig.estimators.fdm_butterworth_fixed import Y1, biquad
 from rig.fixed_point import ROUNDINGS, Biquad
-from rig.model import Amplifier, Encoder, Mechanics, RigModel
-from sim_backend.plant import DiscretePlant, advance
 from tests.conformance.estimator import check_estimator, velocities
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
 
@@ -213,78 +208,3 @@ def test_golden_velocities_are_what_the_compiled_filter_computes():
     for tick in range(0, len(vectors.counts), n):
         velocities(prepared, [vectors.counts[tick]])
         assert prepared.state_i[Y1] == vectors.velocities[tick]
-
-
-# --- the wall of Koul et al., figure 7 --------------------------------------------------------------------
-
-
-def deepest_count(rate_hz: int, velocity_rate_hz: int, damping: float, estimator: str, given, offset: float):
-    """Peak penetration of one hit on koul-rigid (counts): K 40 N·m/rad, 60 mN·m all along, 1.5 rad/s at -2 mrad."""
-    table = tomllib.loads((files("rig.presets") / "koul-rigid.toml").read_text())["rig"]
-    model = RigModel(
-        name="koul-rigid",
-        motion="rotary",
-        mechanics=Mechanics(**table["mechanics"]),
-        amplifier=Amplifier(**table["amplifier"]),
-        encoder=replace(Encoder(**table["encoder"]), offset=offset),
-    )
-    plant = DiscretePlant.build(model, 1.0 / rate_hz)
-    resolution, quantum = model.encoder.resolution, model.amplifier.effort_quantum
-    prepared = estimators.get(estimator).prepare(given, resolution, 1.0 / velocity_rate_hz)
-    memory = (prepared.state_f, prepared.state_i, prepared.parameters)
-    state = plant.at_rest(-2e-3)
-    state[plant.sensed_position + 1] = 1.5
-    count, velocity, deepest = plant.count(state), 0.0, 0
-    for tick in range(rate_hz // 20):
-        if tick % (rate_hz // velocity_rate_hz) == 0:
-            velocity = prepared.estimator.update(count, 0.0, 1, *memory)
-        wanted = max(40.0 * count * resolution + damping * velocity, 0.0) if count > 0 else 0.0
-        count = advance(state, *plant.arrays, -math.floor(wanted / quantum + 0.5) * quantum, 0.06)
-        deepest = max(deepest, count)
-    return deepest
-
-
-def peaks(rate_hz: int, estimator: str, uniform: dict, dual: dict) -> tuple[float, float, float]:
-    """Mean over four encoder offsets: no damping, damping at the uniform rate, damping at 2 kHz."""
-
-    def mean(*arguments) -> float:
-        return float(
-            np.mean([deepest_count(rate_hz, *arguments, offset) for offset in (0.1, 0.4, 0.7, 0.95)])
-        )
-
-    return (
-        mean(rate_hz, 0.0, estimator, uniform),
-        mean(rate_hz, 0.2, estimator, uniform),
-        mean(2000, 0.2, estimator, dual),
-    )
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "state_bits", "ratio", "expected"),
-    [
-        (20_000, 4, 20, (57.0, 57.0, 29.0)),
-        (10_000, 4, 20, (57.0, 39.75, 29.0)),
-        (20_000, 2, 10, (57.0, 57.0, 30.0)),
-        (10_000, 2, 10, (57.0, 38.75, 30.25)),
-    ],
-)
-def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_and_not_from_a_dual_rate_one(
-    rate_hz, state_bits, ratio, expected
-):
-    """Koul et al., figure 7, uniform at cut-off fs/ratio against 200 Hz at 2 kHz: 14 bits, rounding to zero."""
-    words = {"coefficient_bits": 14, "state_bits": state_bits, "rounding": "zero"}
-    seen = peaks(
-        rate_hz,
-        "fdm-butterworth-fixed",
-        words | {"cutoff_hz": rate_hz / ratio},
-        words | {"cutoff_hz": 200.0},
-    )
-    assert seen == pytest.approx(expected, abs=0.5)
-
-
-def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one():
-    """What figure 7 shows is not in the method, but in the word length."""
-    none, uniform, dual = peaks(20_000, "fdm-butterworth", {"cutoff_hz": 1000.0}, {"cutoff_hz": 200.0})
-    assert none == 57.0
-    assert uniform == pytest.approx(dual, abs=2.5)
-    assert uniform < 0.6 * none

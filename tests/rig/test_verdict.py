@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +13,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.measure import NUMBERS
 from rig.sample import ROW, TRUTH_COLUMNS, Phase, RowFlag
-from rig.verdict import Kind, Limits, Signals, judge, recorded_signals, true_signals
+from rig.verdict import (
+    CRITERIA,
+    KINDS,
+    Kind,
+    Limits,
+    Measured,
+    Signals,
+    decide,
+    judge,
+    kinds,
+    meter,
+    recorded_signals,
+    true_signals,
+)
 
 RATE = 20_000
 T = 1.0 / RATE
@@ -451,3 +467,153 @@ def test_a_verdict_is_plain_data():
     assert again == mapping
     assert again["kind"] == "limit cycle"
     assert len(again["reasons"]) == 3
+
+
+# --- from numbers, without texts --------------------------------------------------------------------------
+
+
+@st.composite
+def numbers_of_trials(draw) -> np.ndarray:
+    """Records around every threshold, with everything that can be absent absent now and then."""
+    size = draw(st.integers(1, 6))
+    records = np.zeros(size, NUMBERS)
+    near = {
+        "felt": (0.049, 0.051, math.nan),
+        "heard": (0.09, 0.11),
+        "moved": (1.2e-3, 1.3e-3),
+        "growth": (0.0, 1.19, 1.21),
+        "exits_in_tail": (0, 3),
+        "contact_s": (math.nan, 0.02, 0.7),
+        "inside_ticks_in_tail": (0, 8000),
+        "tail_begins_s": (0.6,),
+        "settling_in_tail_s": (0.0, 0.1),
+        "saturated_fraction_in_tail": (0.0, 0.01, 0.011),
+        "late_fraction": (0.0, 0.0099, 0.01),
+        "gaps": (0, 1),
+        "slew_bound_ticks": (0, 2),
+        "overruled_ticks": (0, 2),
+    }
+    for record in records:
+        record["ticks"] = RATE
+        calm = draw(
+            st.integers(0, 2 ** len(near) - 1)
+        )  # most conditions at their first value: all kinds come up
+        for bit, (name, values) in enumerate(near.items()):
+            record[name] = values[0] if calm >> bit & 1 else draw(st.sampled_from(values))
+        if math.isnan(record["contact_s"]):
+            record["inside_ticks_in_tail"] = 0
+        if draw(st.integers(0, 9)) == 0:
+            record["tail_begins_s"], record["ticks"] = math.nan, 3
+    return records
+
+
+def kind_in_words(n: np.void) -> Kind:
+    """The module's text once more, sentence by sentence."""
+    saturates = n["saturated_fraction_in_tail"] > LIMITS.saturated_fraction
+    exceeded = n["felt"] > 0.05 or n["heard"] > 0.10 or n["moved"] > 1.25e-3
+    if n["ticks"] < 8 or math.isnan(n["contact_s"]) or n["inside_ticks_in_tail"] == 0:
+        return Kind.INVALID
+    if n["contact_s"] > n["tail_begins_s"] or n["gaps"] or n["late_fraction"] >= 0.01:
+        return Kind.INVALID
+    if n["slew_bound_ticks"] or n["overruled_ticks"] or (saturates and not exceeded):
+        return Kind.INVALID
+    if n["settling_in_tail_s"] > 0 and (n["exits_in_tail"] or exceeded):
+        return Kind.INVALID
+    if n["exits_in_tail"] or (exceeded and (n["growth"] > LIMITS.growth or saturates)):
+        return Kind.UNSTABLE
+    return Kind.LIMIT_CYCLE if exceeded else Kind.STABLE
+
+
+@settings(max_examples=200, deadline=None)
+@given(records=numbers_of_trials())
+def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records):
+    expected = [kind_in_words(record) for record in records]
+    assert [KINDS[code] for code in kinds(records, LIMITS)] == expected
+    for record, kind in zip(records, expected, strict=True):
+        decided, reasons = decide(record, LIMITS)
+        assert decided is kind is Measured(record, LIMITS).kind
+        assert bool(reasons) == (kind is not Kind.STABLE)
+
+
+@settings(max_examples=200, deadline=None)
+@given(records=numbers_of_trials())
+def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_trial_says_nothing(records):
+    for record in records:
+        kind = kind_in_words(record)
+        gone = record["contact_s"] >= 0.0 and record["inside_ticks_in_tail"] == 0
+        votes = {"felt": record["felt"] > 0.05, "heard": record["heard"] > 0.10}
+        votes["any"] = any(votes.values()) or record["moved"] > 1.25e-3
+        spoilt = (
+            not record["contact_s"] >= 0.0
+            or (record["inside_ticks_in_tail"] > 0 and record["contact_s"] > record["tail_begins_s"])
+            or math.isnan(record["tail_begins_s"])
+            or record["gaps"] > 0
+            or record["late_fraction"] >= LIMITS.late_fraction
+            or record["slew_bound_ticks"] > 0
+            or record["overruled_ticks"] > 0
+            or (
+                record["saturated_fraction_in_tail"] > LIMITS.saturated_fraction
+                and not (votes["any"] or record["moved"] > LIMITS.moved)
+            )
+        )
+        for criterion in CRITERIA:
+            passes = Measured(record, LIMITS).passes(criterion)
+            if spoilt:
+                assert passes is None
+            elif gone or record["exits_in_tail"] > 0 or kind is Kind.UNSTABLE:
+                assert passes is False
+            elif kind is not Kind.INVALID:
+                assert passes is not bool(votes[criterion])
+
+
+def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wants_a_longer_trial():
+    ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.32) * np.cos(2 * np.pi * 60 * TIME)
+    ringing = measured(ring, effort=900 * ring)
+    assert ringing.kind is Kind.INVALID
+    assert ringing.passes("heard") is False
+
+
+def measured(position, **options) -> Measured:
+    """The numbers of `signals`, as a sweep has them."""
+    s = signals(position, **options)
+    flags = np.where(s.slew_bound, int(RowFlag.SLEW_BOUND), 0)
+    taken = meter(LIMITS, T, s.resolution).recorded(s.position, s.effort, s.penetration, flags, s.velocity)
+    return Measured(taken, LIMITS)
+
+
+def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_gives_no_verdict():
+    gone = measured(np.where(TIME < 0.2, 1e-3, -1e-3))
+    assert gone.kind is Kind.INVALID
+    assert {gone.passes(criterion) for criterion in CRITERIA} == {False}
+    spoilt = measured(np.where(TIME < 0.2, 1e-3, -1e-3), slew_bound=first(2))
+    assert {spoilt.passes(criterion) for criterion in CRITERIA} == {None}
+
+
+def test_a_wall_that_was_never_touched_neither_passes_nor_fails():
+    assert {measured(REST - 2e-3).passes(criterion) for criterion in CRITERIA} == {None}
+
+
+def test_a_buzz_that_is_heard_and_not_felt_fails_the_criteria_that_ask_for_it():
+    buzz = measured(REST, effort=ripple(0.5))
+    assert [buzz.passes(criterion) for criterion in ("felt", "heard", "any")] == [True, False, False]
+
+
+def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_without():
+    thrown, lost = (replace(measured(position), thrown_out=True) for position in (REST, REST - 2e-3))
+    assert (thrown.kind, lost.kind) == (Kind.UNSTABLE, Kind.INVALID)
+    assert [side.passes("any") for side in (thrown, lost)] == [False, None]
+
+
+def test_a_sweep_has_the_numbers_of_the_verdict():
+    position, velocity, _ = hit()
+    effort = PUSH - STIFFNESS * position
+    flags = np.zeros(RATE, np.int64)
+    numbers = meter(LIMITS, T, DELTA).true(position, velocity, effort, position, flags)
+    verdict = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
+    shown = {name: value for name, value in verdict.as_mapping().items() if name not in ("kind", "reasons")}
+    assert shown == {name: numbers[name].item() for name in shown}
+
+
+def test_whoever_wants_only_the_limits_does_not_load_the_compiler():
+    code = "import sys, rig.verdict; assert not {'numba', 'scipy'} & set(sys.modules), sorted(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

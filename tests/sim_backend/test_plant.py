@@ -19,7 +19,9 @@ from scipy.integrate import solve_ivp
 
 from rig.errors import ConfigError
 from rig.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
-from sim_backend.plant import STEP_S, STEPS, DiscretePlant, _rub_both, advance, energy
+from rig.operators import GRIPS
+from sim_backend.inner import STEP_S, STEPS, rub_both
+from sim_backend.plant import DiscretePlant, advance, energy
 
 Trajectory = NDArray[np.float64]
 
@@ -356,7 +358,7 @@ def test_the_friction_pair_obeys_coulombs_law_on_both_masses(
 ) -> None:
     motor, correlation, link = gains
     cross = correlation * math.sqrt(motor * link)
-    *friction, motor_velocity, link_velocity = _rub_both(*free, motor, cross, link, *levels)
+    *friction, motor_velocity, link_velocity = rub_both(*free, motor, cross, link, *levels)
     velocity = np.array([motor_velocity, link_velocity])
     matrix = np.array([[motor, cross], [cross, link]])
     assert velocity == pytest.approx(np.array(free) + matrix @ friction, abs=1e-10)
@@ -540,9 +542,10 @@ def test_a_tick_that_is_no_time_is_refused(tick_s: float) -> None:
 
 
 def fingerprint() -> str:
-    """Bits left by runs that stick, slip, turn, saturate and wait, on both structures."""
+    """Bits left by runs that stick, slip, turn, saturate and wait, on both structures, free and held."""
     bits = []
-    for rig in (with_mechanics(LINEAR, motor_coulomb=0.19), ROTARY):
+    free = (with_mechanics(LINEAR, motor_coulomb=0.19), ROTARY)
+    for rig in (*free, *(rig.held_by(GRIPS["normal"], None) for rig in free)):
         plant = DiscretePlant.build(with_simulation(rig, computation_delay_ticks=2), 2e-4)
         state = plant.at_rest(0.01)
         limit = rig.amplifier.effort_limit

@@ -12,10 +12,16 @@ from rig.recording.reader import open_recording
 from rig.sample import Phase
 from sim_backend import trial as bare
 from sim_backend.link import open_link
+from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
 
 SHORT = {"trial.duration_s": 0.15, "trial.release_s": 0.02, "verdict.tail_s": 0.05, "homing.settle_s": 0.02}
-FAST = {"controller.position_rate": 20000, "controller.velocity_rate": 20000}
+HELD = {
+    "trial.kind": "human",
+    "trial.duration_s": 0.25,
+    "operator.begin_s": 0.06,
+    "operator.reach_s": 0.1,
+}
 
 
 def over_the_wire(experiment, path, url="sim://"):
@@ -28,7 +34,11 @@ def over_the_wire(experiment, path, url="sim://"):
 
 
 @pytest.mark.parametrize("name", presets.names())
-@pytest.mark.parametrize("changes", [{}, {"controller.estimator": "fdm"}], ids=["filtered", "raw"])
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"controller.estimator": "fdm"}, HELD, {**HELD, "operator.grip": "firm", "trial.seed": 3}],
+    ids=["filtered", "raw", "held", "held firmly"],
+)
 def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(name, changes, tmp_path):
     experiment = config.override(presets.load(name), {**SHORT, **changes})
     recording = over_the_wire(experiment, tmp_path / "hit.rigcap")
@@ -36,12 +46,15 @@ def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(name
 
     quantum = experiment.rig.amplifier.current_quantum_a
     law = controller.for_experiment(experiment, current_quantum_a=quantum)
-    plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
+    model, tick_s = config.rig_model(experiment), 1.0 / experiment.controller.position_rate
+    plant, script = DiscretePlant.build(model, tick_s), Script.of(model, tick_s, 0.0)
     start = int(rows["device_time"][0] * 16 // 1000)
-    trace = bare.run_trial(law, plant, 0.0, most_ticks=len(rows) + 10, start_units=start)
+    trace = bare.run_trial(law, plant, 0.0, most_ticks=len(rows) + 10, start_units=start, script=script)
 
     assert len(trace) == len(rows)
     assert set(trace.phases) >= {Phase.TRIAL, Phase.RELEASE, Phase.DONE}
+    if experiment.trial.kind == "human":
+        assert trace.states[:, plant.handle_position].max() > experiment.wall.position, "the hand must hit"
     np.testing.assert_array_equal(trace.counts, rows["count"])
     np.testing.assert_array_equal(trace.currents, rows["current_sent"])
     np.testing.assert_array_equal(trace.phases, rows["phase"])
@@ -69,3 +82,20 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path):
     assert first.rows["count"].tobytes() == other.rows["count"].tobytes(), (
         "sensor noise of the current is not felt"
     )
+
+
+def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_handle(tmp_path):
+    """And trembles differently, so that repeats are repeats; a person who lets go of nothing homes all the same."""
+    experiment = config.override(presets.load("koul-compliant"), {**SHORT, **HELD})
+    link = open_link(DeviceUrl.parse("sim://"), config.rig_model(experiment))
+    counts = []
+    with FramedDevice(link) as device:
+        for repeat in (1, 2):
+            request = TrialRequest(
+                experiment=experiment, recording=tmp_path / f"{repeat}.rigcap", verified=True, seed=0
+            )
+            rows = open_recording(run_trial(device, request).recording).rows
+            pushed = rows["count"][rows["phase"] == Phase.TRIAL]
+            assert pushed[0] < 0 < pushed.max()
+            counts.append(pushed)
+    assert counts[0].tobytes() != counts[1].tobytes()

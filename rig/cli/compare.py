@@ -1,0 +1,212 @@
+"""``rig hit --compare``: the same simulated hit under several schemes, in numbers and as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import output
+from rig.errors import ConfigError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.config import Experiment
+    from rig.experiments.compare import Comparison, Entry
+    from rig.experiments.compare_koul import Panel, Profiles, WordLength
+
+NO_DAMPING = "none"
+UNUSED = ("trial.repeats", "trial.seed")  # a trial without bytes has no noise: every repeat would be the same
+
+
+def refuse_a_device(url: str | None, realtime: bool, verified: bool, changes: Mapping[str, Any]) -> None:
+    """Refuse what would need a link: a comparison is simulated, without bytes and without time."""
+    place, _, options = (url or "sim://").partition("?")
+    if realtime or verified or options or not place.startswith("sim:"):
+        asked = "--realtime" if realtime else "--verified" if verified else f"--url {url}"
+        raise ConfigError(
+            f"--compare and {asked}: schemes are compared in simulation, where every hit starts alike",
+            remedy="leave it out, or run `rig hit --rate …` once for each scheme on the device",
+        )
+    unused = [key for key in UNUSED if key in changes]
+    if unused:
+        raise ConfigError(
+            f"--compare and {unused[0]}: a simulated hit without a link has nothing random in it",
+            remedy="leave it out; the hits differ by the place of the encoder's edges instead",
+        )
+
+
+def refuse_what_is_fixed(compare: bool, as_in_the_paper: bool, chosen: object) -> None:
+    """Refuse options of a comparison without --compare, and choices that the paper's conditions leave no room for."""
+    if not compare:
+        raise ConfigError(
+            "--scheme and --as-in-the-paper belong to --compare", remedy="say --compare as well"
+        )
+    if as_in_the_paper and chosen:
+        raise ConfigError(
+            "--as-in-the-paper has its own rig, wall, start and schemes",
+            remedy="leave the other choices out, or compare them without --as-in-the-paper",
+        )
+
+
+def run(
+    experiment: Experiment,
+    changes: Mapping[str, Any],
+    schemes: Sequence[str],
+    directory: Path,
+    *,
+    plot: bool,
+    as_json: bool,
+) -> None:
+    """Compare the schemes on the experiment under the changes; print and draw."""
+    from rig import config  # noqa: PLC0415
+
+    with output.compiling():
+        from rig.experiments import compare as comparing  # noqa: PLC0415
+
+        changed = config.override(experiment, changes)
+        comparison = comparing.compare(changed, entries(changed, schemes))
+    picture = None
+    if plot:
+        picture = _drawn(directory / f"{changed.rig.name}-compare.png", "draw_comparison", comparison)
+    if as_json:
+        output.print_json({**comparison.as_mapping(), "picture": picture})
+        return
+    motion, wall = changed.rig.motion, changed.wall
+    click.echo(
+        f"{changed.rig.name}: K = {wall.stiffness:g} {unit_of('stiffness', motion)}, "
+        f"B = {wall.damping:g} {unit_of('damping', motion)}, the same hit, "
+        f"mean over {len(comparison.outcomes[0].impacts)} encoder offsets"
+    )
+    _print_table(comparison)
+    if picture is not None:
+        output.print_pairs([("picture", picture)])
+
+
+def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
+    """Figures 7 and 8 of Koul et al.: print and draw."""
+    with output.compiling():
+        from rig.experiments import compare_koul as koul  # noqa: PLC0415
+
+        panels, words, profiles = koul.koul_figure_7(), koul.word_lengths(), koul.koul_figure_8()
+    pictures = {}
+    if plot:
+        pictures = {
+            "figure 7": _drawn(directory / "koul-figure-7.png", "draw_figure_7", panels),
+            "figure 8": _drawn(directory / "koul-figure-8.png", "draw_figure_8", profiles),
+        }
+    if as_json:
+        output.print_json(
+            {
+                "figure_7": [panel.as_mapping() for panel in panels],
+                "word_lengths": [row.as_mapping() for row in words],
+                "figure_8": profiles.as_mapping(),
+                "pictures": pictures,
+            }
+        )
+        return
+    _print_figure_7(panels)
+    _print_word_lengths(words)
+    _print_figure_8(profiles)
+    output.print_pairs([(name, path) for name, path in pictures.items() if path is not None])
+
+
+def entries(experiment: Experiment, schemes: Sequence[str]) -> tuple[Entry, ...]:
+    """Entries of the schemes named on the command line; none, uniform and dual-rate when there are none."""
+    from rig.experiments.compare import Entry, default_entries  # noqa: PLC0415
+    from rig.schemes import Scheme  # noqa: PLC0415
+
+    usual = default_entries(experiment)
+    if not schemes:
+        return usual
+    if len(set(schemes)) < len(schemes):
+        raise ConfigError("a scheme is named twice", remedy="name each once")
+    return tuple(
+        usual[0] if text == NO_DAMPING else Entry(name=text, scheme=Scheme.parse(text)) for text in schemes
+    )
+
+
+def _drawn(path: Path, function: str, what: Any) -> str | None:
+    """Draw; a picture that fails is reported and takes nothing with it."""
+    from rig.plots import compare as pictures  # noqa: PLC0415
+
+    draw: Callable[[Any, Path], Path] = getattr(pictures, function)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return str(draw(what, path))
+    except Exception as error:
+        click.echo(f"rig: no picture: {error}", err=True)
+        return None
+
+
+def _print_table(comparison: Comparison) -> None:
+    velocity = unit_of("velocity", comparison.experiment.rig.motion)
+    labels = [outcome.label for outcome in comparison.outcomes]
+    width = max(map(len, labels))
+    columns = ("impact", "peak", "of offsets", "second", "rest", "bounces", "decay", "settling")
+    units = (velocity, "counts", "counts", "counts", "counts", "", "", "s")
+    for line in (columns, units):
+        click.echo(f"  {'':<{width}}" + "".join(f"{text:>11}" for text in line))
+    for outcome in comparison.outcomes:
+        n, (least, most) = outcome.numbers, outcome.peaks
+        cells = (
+            f"{n.impact_velocity:.3g}",
+            f"{n.peak:.2f}",
+            f"{least:.4g}…{most:.4g}",
+            "none" if n.second_peak is None else f"{n.second_peak:.2f}",
+            f"{n.rest:.2f}",
+            f"{n.bounces:.3g}",
+            f"{n.decay:.2f}",
+            "never" if n.settling_s is None else f"{n.settling_s:.3g}",
+        )
+        ended = "" if all(i.complete for i in outcome.impacts) else "  the guard ended it"
+        click.echo(f"  {outcome.label:<{width}}" + "".join(f"{cell:>11}" for cell in cells) + ended)
+
+
+def _print_figure_7(panels: Sequence[Panel]) -> None:
+    click.echo("figure 7: peak penetration (counts), mean over the encoder offsets (least…largest)")
+    click.echo(f"  {'':<24}" + "".join(f"{name:>18}" for name in ("no damping", "uniform", "dual-rate")))
+    for panel in panels:
+        name = f"{panel.arithmetic}, {panel.position_rate / 1e3:g} kHz"
+        cells = [
+            f"{peak:.2f} ({outcome.peaks[0]:g}…{outcome.peaks[1]:g})"
+            for peak, outcome in zip(panel.peaks, panel.comparison.outcomes, strict=True)
+        ]
+        click.echo(f"  {name:<24}" + "".join(f"{cell:>18}" for cell in cells))
+
+
+def _print_word_lengths(words: Sequence[WordLength]) -> None:
+    click.echo("the same for word lengths: none / uniform / dual-rate; * as in the paper")
+    rates = list(words[0].none)
+    heads = ("state bits", "cut-off", *(f"{rate / 1e3:g} kHz" for rate in rates))
+    click.echo("  " + "".join(f"{head:>{10 if i < 2 else 22}}" for i, head in enumerate(heads)))
+    for row in words:
+        peaks = [f"{row.none[r]:.4g} / {row.uniform[r]:.4g} / {row.dual[r]:.4g}" for r in rates]
+        cells = [
+            f"{row.state_bits:>10}",
+            f"{f'fs/{1 / row.uniform_share:g}':>10}",
+            *(f"{p:>22}" for p in peaks),
+        ]
+        click.echo("  " + "".join(cells) + (" *" if row.as_in_the_paper else ""))
+
+
+def _print_figure_8(profiles: Profiles) -> None:
+    click.echo(
+        f"figure 8: velocity after the impact, early ({profiles.speed_early:.2g} rad/s rms) "
+        f"and late ({profiles.speed_late:.2g} rad/s rms)"
+    )
+    columns = ("delay", "off, early", "off, late", "read, early", "read, late")
+    click.echo(f"  {'':<24}" + "".join(f"{text:>12}" for text in columns))
+    click.echo(f"  {'':<24}" + "".join(f"{text:>12}" for text in ("ms", "rad/s", "rad/s", "%", "%")))
+    for p in profiles.profiles:
+        cells = (
+            "–" if p.delay_s is None else f"{1e3 * p.delay_s:.3f}",
+            f"{p.noise_early:.3g}",
+            f"{p.noise_late:.3g}",
+            f"{100 * p.reading_early:.3g}",
+            f"{100 * p.reading_late:.3g}",
+        )
+        name = f"{p.arithmetic}, {p.velocity_rate / 1e3:g} kHz"
+        click.echo(f"  {name:<24}" + "".join(f"{cell:>12}" for cell in cells))

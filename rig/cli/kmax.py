@@ -1,0 +1,96 @@
+"""``rig kmax``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import maps, output
+from rig.cli.progress import SweepBar
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.experiments.kmax import KMax
+
+SPAN = 500.0  # highest stiffness over the lowest: slow rates hold soft walls only
+DEFAULT_RATES = "100,200,500,1k,2k,5k,10k,20k,50k"
+
+
+@click.command()
+@maps.map_options
+@click.option("--rates", default=DEFAULT_RATES, show_default=True, help="Sampling rates.")
+def kmax(
+    file: Path | None,
+    preset: str | None,
+    stiffness: str | None,
+    way: Any,
+    ratio: float,
+    offsets: str,
+    repeats: int,
+    judged: Any,
+    workers: int | None,
+    scheduler: str | None,
+    directory: Path,
+    plot: bool,
+    as_json: bool,
+    rates: str,
+    **push: Any,
+) -> None:
+    """Find the stiffest undamped wall at each sampling rate.
+
+    Without arguments: Fig. 5 of Koul et al. on the simulated rig koul-compliant in a simulated hand.
+    """
+    from dataclasses import replace  # noqa: PLC0415
+
+    experiment = maps.chosen(file, preset, **push)
+    with output.compiling():
+        from rig.experiments import map_files  # noqa: PLC0415  (imports compile)
+        from rig.experiments.kmax import KMax, kmax_plan  # noqa: PLC0415
+
+        plan = kmax_plan(
+            experiment,
+            maps.search(experiment, stiffness, way, ratio, SPAN),
+            rates=maps.rates(rates),
+            offsets=maps.numbers(offsets, "--offsets"),
+            repeats=repeats,
+        )
+        plan = replace(plan, judged=judged)
+    place = map_files.directory_for(plan, directory, "kmax")
+    with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
+        found = KMax.of(
+            map_files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+        )
+    picture = _draw(found, place / "kmax.png") if plot else None
+    if as_json:
+        output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
+        return
+    _print(found)
+    pairs = [("hits", f"{found.map.hits}, in {place / map_files.TABLE}")]
+    output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
+
+
+def _draw(found: KMax, path: Path) -> str:
+    from rig.experiments.ranges import kmax_theory  # noqa: PLC0415
+    from rig.plots.zwidth import draw_kmax  # noqa: PLC0415
+
+    return str(draw_kmax(found, path, theory=kmax_theory(found)))
+
+
+def _print(found: KMax) -> None:
+    experiment = found.map.plan.experiment
+    unit = unit_of("stiffness", experiment.rig.motion)
+    click.echo(f"{experiment.rig.name}, {output.push_text(experiment)}: largest K at B = 0 ({unit})")
+    curves = {name: found.curve(name) for name in ("felt", "heard", "any")}
+    rows = [("rate (Hz)", *curves)]
+    for number, rate in enumerate(found.rates):
+        row = [curve[number] for curve in curves.values()]
+        rows.append(
+            (f"{rate}", *(f"{'≥ ' if b.capped else ''}{b.stiffness:.4g} ± {b.deviation:.2g}" for b in row))
+        )
+    output.print_table(rows)
+    for name in curves:
+        ratio = found.saturation(name)
+        if ratio is not None:
+            click.echo(f"  {name}: K at {found.rates[-1] / 1e3:g} kHz is {ratio:.2f} of that at 20 kHz")

@@ -1,0 +1,104 @@
+"""How far a sweep is, on standard error: a bar with rate and time left on a terminal, else a line every ten seconds."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from rig.experiments.sweep import Progress
+
+LINE_S = 10.0
+_MINUTE_S, _HOUR_S = 60, 3600
+
+
+class SweepBar:
+    """Shows one sweep while its block lasts; `watch` is for `rig.experiments.sweep.run`.
+
+    Parameters
+    ----------
+    what
+        What is being computed, in a word or two.
+    unit
+        What `units_per_s` counts, like ``trials``.
+    plain
+        Lines even on a terminal, for commands that print JSON.
+    """
+
+    def __init__(self, what: str, *, unit: str = "tasks", plain: bool = False) -> None:
+        self._what = what
+        self._unit = unit
+        self._plain = plain or sys.stderr is None or not sys.stderr.isatty()
+        self._bar: Any = None
+        self._task: Any = None
+        self._said_s = time.monotonic()
+        self._told_damage = False
+
+    def __enter__(self) -> SweepBar:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def watch(self, progress: Progress) -> None:
+        """Show how far it is."""
+        if progress.damaged and not self._told_damage:
+            self._told_damage = True
+            click.echo(
+                f"rig: {progress.damaged} damaged lines in the journal: their tasks run again", err=True
+            )
+        if self._plain:
+            self._say(progress)
+        else:
+            self._draw(progress)
+
+    def _say(self, progress: Progress) -> None:
+        now = time.monotonic()
+        if now - self._said_s >= LINE_S:
+            self._said_s = now
+            click.echo(f"{self._what}: {self.text(progress)}", err=True)
+
+    def _draw(self, progress: Progress) -> None:
+        if self._bar is None:
+            if progress.done == progress.total:
+                return
+            from rich.console import Console  # noqa: PLC0415
+            from rich.progress import BarColumn, TextColumn  # noqa: PLC0415
+            from rich.progress import Progress as Bar  # noqa: PLC0415
+
+            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"))
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(self._what, total=1.0, text="")
+            self._bar.start()
+        self._bar.update(self._task, completed=progress.fraction, text=self.text(progress))
+
+    def text(self, progress: Progress) -> str:
+        """``120 of 510 tasks, 1,240 trials/s, 1 min 20 s left``."""
+        said = [f"{progress.done} of {progress.total} tasks"]
+        if progress.units:
+            said.append(f"{_rate(progress.units_per_s)} {self._unit}/s")
+        if progress.stopping and progress.running:
+            said.append(f"stopping: waiting for {progress.running} more")
+        elif not progress.workers and progress.done < progress.total:
+            said.append("waiting for workers")
+        elif progress.seconds_left:
+            said.append(f"{_time(progress.seconds_left)} left")
+        return ", ".join(said)
+
+
+def _rate(per_s: float) -> str:
+    return f"{per_s:.2g}" if per_s < 10.0 else f"{per_s:,.0f}"
+
+
+def _time(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < _MINUTE_S:
+        return f"{whole} s"
+    if whole < _HOUR_S:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -1,0 +1,146 @@
+"""``rig theory``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rig.cli import options, output
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.theory import AtDamping, DampingLimit, SchemeTheory, Theory
+
+
+@click.command()
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--rig", "preset", metavar="NAME",
+    help=f"Built-in rig, when no FILE is given. [{options.DEFAULT_PRESET}]",
+)  # fmt: skip
+@click.option(
+    "--scheme", "schemes", multiple=True, metavar="SCHEME",
+    help="dual:20k/2k, uniform:20k,cutoff_hz=1000 … [the experiment's and the uniform ones of its rates]",
+)  # fmt: skip
+@click.option(
+    "--operator", metavar="GRIP",
+    help="Hand on the handle: none, relaxed, normal or firm. [the experiment's]",
+)  # fmt: skip
+@click.option("-B", "--damping", type=float, help="Wall damping to look at beside 0 (N·m·s/rad or N·s/m).")
+@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any key of the experiment.")
+@click.option(
+    "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path(), help="Where the picture goes. [.]"
+)  # fmt: skip
+@click.option("--plot/--no-plot", default=True, help="Draw K_max over B into theory-RIG.png.")
+@options.json_option
+def theory(
+    file: Path | None,
+    preset: str | None,
+    schemes: tuple[str, ...],
+    operator: str | None,
+    damping: float | None,
+    sets: tuple[str, ...],
+    directory: Path,
+    plot: bool,
+    as_json: bool,
+) -> None:
+    """Say which walls are stable on a rig by exact linear theory, and which bound binds; nothing is simulated.
+
+    For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
+    stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: Coulomb friction
+    raises K_max by 1.4 to 2 times, the quantum takes 30 to 50 % off the range of B.
+    """
+    from rig import config  # noqa: PLC0415
+
+    experiment = options.chosen_experiment(file, preset)
+    changes = options.changes(rate=None, sets=sets, damping=damping)
+    if changes:
+        experiment = config.override(experiment, changes)
+    with output.compiling():
+        from rig.theory import theory_of  # noqa: PLC0415
+
+    found = theory_of(experiment, schemes or None, operator=operator)
+    picture = _draw(found, directory) if plot else None
+    if as_json:
+        output.print_json({**found.as_mapping(), "picture": None if picture is None else str(picture)})
+        return
+    _print(found)
+    if picture is not None:
+        output.print_pairs([("picture", str(picture))])
+
+
+def _draw(found: Theory, directory: Path) -> Path:
+    from rig.errors import RecordingError  # noqa: PLC0415
+    from rig.plots.theory import draw_theory  # noqa: PLC0415
+
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make {directory}: {error.strerror or error}", remedy="choose another --output"
+        ) from error
+    return draw_theory(found, directory / f"theory-{found.rig}.png")
+
+
+def _print(found: Theory) -> None:
+    damping = unit_of("damping", found.motion)
+    hand = "no hand" if found.operator == "none" else f"{found.operator} hand (which the bounds leave out)"
+    click.echo(
+        f"{found.rig}, {hand}: damping of the rig {found.rig_damping:.4g} {damping}, "
+        f"lag {1e3 * found.lag_s:.3g} ms, delay {1e3 * found.delay_s:.3g} ms; linear theory"
+    )
+    for scheme in found.schemes:
+        click.echo(click.style(scheme.label, bold=True))
+        output.print_pairs(_pairs(found, scheme))
+
+
+def _pairs(found: Theory, scheme: SchemeTheory) -> list[tuple[str, str]]:
+    stiffness, damping = unit_of("stiffness", found.motion), unit_of("damping", found.motion)
+    pairs = [("K_max at B = 0", _limit(scheme.at_zero, stiffness)), *_bounds(scheme.at_zero)]
+    if found.damping != 0.0:
+        pairs += [
+            (f"K_max at B = {found.damping:g}", _limit(scheme.at_wall, stiffness)),
+            *_bounds(scheme.at_wall),
+        ]
+    return [
+        *pairs,
+        ("B_max", _damping_limit(scheme.damping_limit, damping, stiffness, scheme.rigid_rule)),
+        ("β", f"{scheme.at_zero.passivity.beta:.3f}: damping of the rig asked for by each unit of B"),
+    ]
+
+
+def _limit(at: AtDamping, unit: str) -> str:
+    limit = at.limit
+    if limit.capped:
+        return f"above {limit.stiffness:.4g} {unit}, where the scan ended"
+    if limit.stiffness > 0.0:
+        text = f"{limit.stiffness:.4g} {unit}, {limit.frequency_hz:.3g} Hz there"
+    else:
+        text = f"none: the lowest stiffness is unstable at {limit.frequency_hz:.3g} Hz"
+    for island in limit.islands:
+        text += f"; island {island.low:.4g} to {'beyond ' if island.capped else ''}{island.high:.4g}"
+    return text
+
+
+def _bounds(at: AtDamping) -> list[tuple[str, str]]:
+    binding = at.passivity.binding
+    return [
+        (
+            f"{'>' if bound is binding else ' '} {bound.name}",
+            f"{bound.stiffness:.4g}   {bound.formula}, {bound.meaning}{' (binds)' if bound is binding else ''}",
+        )
+        for bound in at.passivity.bounds
+    ]
+
+
+def _damping_limit(limit: DampingLimit, damping: str, stiffness: str, rule: float) -> str:
+    if limit.capped:
+        return f"above {limit.damping:.4g} {damping}, where the scan ended"
+    text = (
+        f"{limit.damping:.4g} {damping}, {limit.frequency_hz:.3g} Hz there (rule for a rigid rig: {rule:.3g})"
+    )
+    if limit.with_islands > limit.damping * (1.0 + 1e-3):
+        text += f"; islands up to {limit.with_islands:.4g}, at K = {limit.island_stiffness:.4g} {stiffness}"
+    return text

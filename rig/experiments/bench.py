@@ -1,0 +1,59 @@
+"""One simulated rig under one scheme, hit again and again without bytes: what maps are made of.
+
+Everything that does not change from hit to hit is prepared once (plant, filters, scratch memory); a hit then costs what
+its ticks cost. The trajectory of a hit is that of the loop over the byte link, to the last bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from rig import config, controller, devices
+from rig.config import Experiment
+from rig.devices.simulated import SimulatedHit
+
+HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start
+
+
+class Bench:
+    """A simulated rig, ready to be hit at any wall.
+
+    Parameters
+    ----------
+    experiment
+        Rig, controller, trial and thresholds; of its wall everything but K and B. Its seed decides where within
+        homing's tolerance the handle starts, and the tremor of a hand.
+    backend
+        Scheme of the URL of a backend that simulates.
+
+    Attributes
+    ----------
+    limits
+        Thresholds of the verdict, in the units of the rig.
+    start
+        Where the handle rests before each hit (rad or m).
+    """
+
+    def __init__(self, experiment: Experiment, backend: str = "sim") -> None:
+        trial, homing = experiment.trial, experiment.homing
+        tick_s = 1.0 / experiment.controller.position_rate
+        longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.duration_s + 2 * tick_s
+        # The push is all that is judged: the ramp down after it costs time and shows nothing.
+        experiment = replace(experiment, trial=replace(trial, release_s=tick_s))
+        self._wall = experiment.wall
+        self._template = controller.for_experiment(
+            experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a
+        )
+        self.limits = config.verdict_limits(experiment)
+        self._rig = devices.simulated_rig(backend)(
+            config.rig_model(experiment), tick_s, self.limits, round(longest_s / tick_s)
+        )
+        spread = homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
+        self.start = trial.start + spread * float(np.random.default_rng(trial.seed).uniform(-1.0, 1.0))
+
+    def hit(self, stiffness: float, damping: float) -> SimulatedHit:
+        """Hit one wall."""
+        wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
+        return self._rig.hit(self._template.fresh(wall), self.start)

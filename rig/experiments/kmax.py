@@ -1,0 +1,73 @@
+"""The stiffest undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
+
+The same climbs as those of a Z-width map, with a uniform scheme for each rate and B = 0, where no estimator matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rig.config import Experiment
+from rig.experiments.ladder import Search
+from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
+from rig.schemes import Scheme
+
+RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the paper's range
+
+
+@dataclass(frozen=True, slots=True)
+class KMax:
+    """The limits at B = 0, one for each rate (Hz)."""
+
+    rates: tuple[int, ...]
+    map: ZWidth
+
+    @classmethod
+    def of(cls, found: ZWidth) -> KMax:
+        """Take a map that `kmax_plan` planned."""
+        return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
+
+    def curve(self, criterion: str) -> list[Boundary]:
+        """Boundaries in the order of the rates."""
+        return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
+
+    def saturation(self, criterion: str) -> float | None:
+        """K_max at the highest rate over K_max at 20 kHz; None without both, or when one is a cap or zero."""
+        if 20_000 not in self.rates or self.rates[-1] <= 20_000:
+            return None
+        curve = self.curve(criterion)
+        reference, last = curve[self.rates.index(20_000)], curve[-1]
+        if reference.stiffness <= 0.0 or reference.capped or last.capped:
+            return None
+        return last.stiffness / reference.stiffness
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        mapping = self.map.as_mapping()
+        for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
+            scheme["rate_hz"] = rate
+        return mapping
+
+
+def kmax_plan(
+    experiment: Experiment,
+    search: Search,
+    *,
+    rates: Sequence[int] = RATES,
+    offsets: Sequence[float] = (0.1, 0.6),
+    repeats: int = 1,
+) -> MapPlan:
+    """Plan the climbs; run them with `rig.experiments.zwidth.zwidth` and wrap the map in `KMax`."""
+    schemes = tuple(
+        Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in sorted(set(rates))
+    )
+    return MapPlan(
+        experiment=experiment,
+        schemes=schemes,
+        dampings=(0.0,),
+        search=search,
+        offsets=tuple(offsets),
+        repeats=repeats,
+    )

@@ -1,0 +1,75 @@
+"""Results of many trials as one Parquet table: a row for each, a unit for each column, the plan in the file's metadata.
+
+Rows are streamed, so that a table may be longer than the memory is wide.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from rig.recording.files import whole_file
+
+BATCH = 4096  # rows
+KEY = b"rig.plan"
+
+
+def write_table(
+    path: Path, rows: Iterable[Mapping[str, Any]], units: Mapping[str, str], plan: Mapping[str, Any]
+) -> int:
+    """Write rows of numbers, texts, truths and None; returns how many.
+
+    Parameters
+    ----------
+    path
+        Of the file; overwritten.
+    rows
+        All with the keys of the first.
+    units
+        By column; the others have none.
+    plan
+        What the table came from, JSON-able.
+
+    Raises
+    ------
+    RecordingError
+        The disk refuses.
+    """
+    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow.parquet  # noqa: PLC0415
+
+    left = iter(rows)
+    first = list(islice(left, BATCH))
+    fields = [
+        pa.field(name, _type(pa, name, first), metadata={"unit": units.get(name, "")})
+        for name in (first[0] if first else {})
+    ]
+    schema = pa.schema(fields, metadata={KEY: json.dumps(plan)})
+    written = 0
+    with (
+        whole_file(path, overwrite=True) as file,
+        pa.parquet.ParquetWriter(file, schema, compression="zstd") as writer,
+    ):
+        for batch in _batches(first, left):
+            writer.write_table(pa.Table.from_pylist(batch, schema=schema))
+            written += len(batch)
+    return written
+
+
+def _batches(first: list[Any], left: Iterator[Any]) -> Iterator[list[Any]]:
+    batch = first
+    while batch:
+        yield batch
+        batch = list(islice(left, BATCH))
+
+
+def _type(pa: Any, name: str, rows: list[Any]) -> Any:
+    """The type of the first value that is not None; a column of nothing but None is taken as truths."""
+    value = next((row[name] for row in rows if row[name] is not None), False)
+    for kind, arrow in ((bool, pa.bool_()), (int, pa.int64()), (float, pa.float64())):
+        if isinstance(value, kind):
+            return arrow
+    return pa.string()

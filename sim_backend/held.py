@@ -1,0 +1,148 @@
+"""A rig in a person's hand, stepped exactly: `sim_backend.plant` with a hand mass and what it wants.
+
+States in order (see `rig.model.state_space`): those of the rig, hand position and velocity, then intended
+position, intended velocity and press. The last three keep their values until a script writes others into them
+(`sim_backend.operator`); so the hand needs no other argument.
+
+A position acts on a body only through its distance from that body: moving all of them alike changes nothing
+else, and where nobody wants anything nothing moves, to the last bit. Friction and edges are those of the other
+plants (`sim_backend.inner`).
+"""
+
+from __future__ import annotations
+
+from numba import types
+
+from firmware_protocol.kernel import kernel
+from rig.model import Matrix
+from sim_backend.inner import (
+    ADVANCE,
+    COULOMB,
+    COULOMB_LINK,
+    OFFSET,
+    RESOLUTION,
+    STEP_S,
+    STEPS,
+    Vector,
+    encoded,
+    rub_both,
+    rub_one,
+)
+from sim_backend.sensors import cell
+
+INTENTIONS = 3  # intended position, intended velocity, press
+RIGID_HELD_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
+
+_FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
+
+
+@kernel(_FLOAT(_MATRIX, _MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, borrow=True)
+def _pushed(
+    phi: Matrix,
+    gamma: Matrix,
+    row: int,
+    command: float,
+    external: float,
+    wanted_velocity: float,
+    press: float,
+) -> float:
+    """What the inputs of a tick, which stay the same over its steps, add to a state in each step."""
+    order = phi.shape[0]
+    hand = phi[row, order - 2] * wanted_velocity + phi[row, order - 1] * press
+    return float(gamma[row, 0] * command + gamma[row, 1] * external + hand)
+
+
+@kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, borrow=True)
+def _carried(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
+    """What the velocities and the effort of a two-mass rig add to a state in a step."""
+    return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
+
+
+@kernel(ADVANCE, inline=True, borrow=True)
+def _advance_rigid(
+    state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
+) -> int:
+    x, v, effort, h, g = state[0], state[1], state[2], state[3], state[4]  # link, motor effort, hand
+    goal, goal_velocity, press, age = state[5], state[6], state[7], state[8]
+    step_s, coulomb = parameters[STEP_S], parameters[COULOMB]
+    resolution, offset = parameters[RESOLUTION], parameters[OFFSET]
+    push_x = _pushed(phi, gamma, 0, command, external, goal_velocity, press)
+    push_v = _pushed(phi, gamma, 1, command, external, goal_velocity, press)
+    push_h = _pushed(phi, gamma, 3, command, external, goal_velocity, press)
+    push_g = _pushed(phi, gamma, 4, command, external, goal_velocity, press)
+    count = cell(x, resolution, offset)
+    for _ in range(int(parameters[STEPS])):
+        grip, wish, want = h - x, goal - x, goal - h
+        free = (
+            phi[1, 1] * v + phi[1, 2] * effort + phi[1, 4] * g + phi[1, 3] * grip + phi[1, 5] * wish + push_v
+        )
+        friction, v_next = rub_one(free, gamma[1, 2], coulomb)
+        x_next = x
+        if v != 0.0 or v_next != 0.0:
+            x_next += phi[0, 1] * v + phi[0, 2] * effort + phi[0, 4] * g + phi[0, 3] * grip + phi[0, 5] * wish
+            x_next += push_x + gamma[0, 2] * friction
+        h_next = phi[3, 1] * v + phi[3, 2] * effort + phi[3, 4] * g - phi[3, 0] * grip + phi[3, 5] * want
+        g_next = phi[4, 1] * v + phi[4, 2] * effort + phi[4, 4] * g - phi[4, 0] * grip + phi[4, 5] * want
+        h += h_next + push_h + gamma[3, 2] * friction
+        g = g_next + push_g + gamma[4, 2] * friction
+        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        effort = phi[2, 2] * effort + gamma[2, 0] * command
+        x, v = x_next, v_next
+    state[0], state[1], state[2], state[3], state[4] = x, v, effort, h, g
+    state[8] = age
+    return count
+
+
+@kernel(ADVANCE, inline=True, borrow=True)
+def _advance_two_mass(
+    state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
+) -> int:
+    x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
+    h, g, goal, goal_velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
+    step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]
+    resolution, offset = parameters[RESOLUTION], parameters[OFFSET]
+    push_x = _pushed(phi, gamma, 0, command, external, goal_velocity, press)
+    push_v = _pushed(phi, gamma, 1, command, external, goal_velocity, press)
+    push_y = _pushed(phi, gamma, 2, command, external, goal_velocity, press)
+    push_w = _pushed(phi, gamma, 3, command, external, goal_velocity, press)
+    push_h = _pushed(phi, gamma, 5, command, external, goal_velocity, press)
+    push_g = _pushed(phi, gamma, 6, command, external, goal_velocity, press)
+    count = cell(x, resolution, offset)
+    for _ in range(int(parameters[STEPS])):
+        stretch, reach, far = y - x, h - x, goal - x  # as seen from the motor
+        grip, wish, want = h - y, goal - y, goal - h  # from the link; from the hand
+        free_v = phi[1, 2] * stretch + phi[1, 5] * reach + phi[1, 7] * far
+        free_v += _carried(phi, 1, v, w, effort, g) + push_v
+        free_w = phi[3, 5] * grip + phi[3, 7] * wish - phi[3, 0] * stretch
+        free_w += _carried(phi, 3, v, w, effort, g) + push_w
+        rub_v, rub_w, v_next, w_next = rub_both(
+            free_v, free_w, gamma[1, 2], gamma[3, 2], gamma[3, 3], coulomb_v, coulomb_w
+        )
+        x_next, y_next = x, y
+        if v != 0.0 or v_next != 0.0:
+            x_next += phi[0, 2] * stretch + phi[0, 5] * reach + phi[0, 7] * far
+            x_next += _carried(phi, 0, v, w, effort, g) + push_x + gamma[0, 2] * rub_v + gamma[0, 3] * rub_w
+        if w != 0.0 or w_next != 0.0:
+            y_next += phi[2, 5] * grip + phi[2, 7] * wish - phi[2, 0] * stretch
+            y_next += _carried(phi, 2, v, w, effort, g) + push_y + gamma[2, 2] * rub_v + gamma[2, 3] * rub_w
+        h_next = phi[5, 7] * want - phi[5, 2] * grip - phi[5, 0] * reach
+        g_next = phi[6, 7] * want - phi[6, 2] * grip - phi[6, 0] * reach
+        h_next += _carried(phi, 5, v, w, effort, g) + push_h + gamma[5, 2] * rub_v + gamma[5, 3] * rub_w
+        g = g_next + _carried(phi, 6, v, w, effort, g) + push_g + gamma[6, 2] * rub_v + gamma[6, 3] * rub_w
+        h += h_next
+        count, age = encoded(count, age, x, x_next, step_s, resolution, offset)
+        effort = phi[4, 4] * effort + gamma[4, 0] * command
+        x, v, y, w = x_next, v_next, y_next, w_next
+    state[0], state[1], state[2], state[3], state[4] = x, v, y, w, effort
+    state[5], state[6], state[10] = h, g, age
+    return count
+
+
+@kernel(ADVANCE, borrow=True)
+def advance_held(
+    state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
+) -> int:
+    """Move a held plant by one tick under an effort in force; see `sim_backend.plant.advance`."""
+    if phi.shape[0] == RIGID_HELD_ORDER:
+        return _advance_rigid(state, phi, gamma, parameters, command, external)
+    return _advance_two_mass(state, phi, gamma, parameters, command, external)

@@ -1,0 +1,129 @@
+"""Hits without bytes, one compiled call each: the trial, and the measuring of what was recorded and what is true.
+
+A map of thousands of walls is made of these calls. They allocate nothing and do not hold the GIL, so a thread for each
+core keeps it busy, and memory does not grow with the number of hits. What comes out is what
+`rig.verdict.judge` says of the recording of the same trial over the byte link.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from firmware_protocol.kernel import kernel
+from firmware_protocol.messages import OLDEST_EDGE
+from rig import verdict
+from rig.devices.simulated import SimulatedHit
+from rig.errors import LawError
+from rig.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
+from rig.model import RigModel
+from rig.sample import RowFlag
+from rig.step import TRIAL, Controller
+from rig.verdict import Limits, Measured
+from sim_backend.operator import Script
+from sim_backend.plant import DiscretePlant
+from sim_backend.trial import RUN_TYPES, Trace, run_arguments, run_ticks
+
+_OUT_OF_WINDOW, _NONFINITE = int(RowFlag.OUT_OF_WINDOW), int(RowFlag.NONFINITE)
+_FLOATS = types.float64[::1]
+
+# Rows of the derived signals.
+POSITION, PENETRATION, EFFORT, PENETRATION_TRUE = range(4)
+SIGNALS = 4
+
+
+@kernel(
+    types.int64(
+        *RUN_TYPES, types.int64, types.int64, types.float64[:, ::1], _FLOATS,
+        SETTINGS_TYPE, SETTINGS_TYPE, SECTIONS_TYPE, _FLOATS, NUMBERS_TYPE, NUMBERS_TYPE,
+    ),
+)  # fmt: skip
+def hit(
+    estimator: Any, law: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any,
+    estimator_parameters: Any, law_state: Any, law_parameters: Any,
+    state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
+    edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
+    states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
+    sensed: int, actuated: int, signals: Any, no_velocity: Any,
+    recorded_settings: Any, true_settings: Any, sections: Any, scratch: Any, recorded: Any, true: Any,
+) -> int:  # fmt: skip
+    """Run one trial and measure its trial phase; returns its number of ticks.
+
+    The arguments of `sim_backend.trial.run_ticks`, then the places of sensed position and motor effort in the state,
+    room for `SIGNALS` signals, an empty array, and those of `rig.measure.measure` for both sides.
+    """
+    ticks = run_ticks(
+        estimator, law, control, memory, estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
+        state, phi, gamma, plant, external_effort, edge_age, start_units, tick_units, script, again,
+        states, counts, phases, currents, flags,
+    )  # fmt: skip
+    c = control[0]
+    first = 0
+    while first < ticks and phases[first] != TRIAL:
+        first += 1
+    last = first
+    while last < ticks and phases[last] == TRIAL:
+        position = c["resolution"] * (counts[last] - c["reference_count"])
+        signals[POSITION, last] = position
+        signals[PENETRATION, last] = c["wall_side"] * (position - c["wall_position"])
+        signals[EFFORT, last] = currents[last] * c["effort_quantum"]
+        signals[PENETRATION_TRUE, last] = c["wall_side"] * (states[last, sensed] - c["wall_position"])
+        last += 1
+    measure(
+        signals[POSITION, first:last], no_velocity, signals[EFFORT, first:last], signals[PENETRATION, first:last],
+        flags[first:last], recorded_settings, sections, scratch, recorded,
+    )  # fmt: skip
+    measure(
+        states[first:last, sensed], states[first:last, sensed + 1], states[first:last, actuated],
+        signals[PENETRATION_TRUE, first:last], flags[first:last], true_settings, sections, scratch, true,
+    )  # fmt: skip
+    return ticks
+
+
+class SimulatedRig:
+    """A rig to hit again and again; see `rig.devices.simulated`."""
+
+    def __init__(self, model: RigModel, tick_s: float, limits: Limits, most_ticks: int) -> None:
+        self._model = model
+        self._limits = limits
+        self._plant = DiscretePlant.build(model, tick_s)
+        self._meter = verdict.meter(limits, tick_s, model.encoder.resolution)
+        self._trace = Trace.empty(most_ticks, self._plant)
+        self._signals = np.zeros((SIGNALS, most_ticks))
+        self._scripts: dict[float, Script] = {}
+
+    def hit(self, controller: Controller, start: float) -> SimulatedHit:
+        """Run one trial from rest at a position and measure it."""
+        plant, meter, trace = self._plant, self._meter, self._trace
+        recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
+        arguments: tuple[Any, ...] = (
+            *run_arguments(
+                controller, plant, plant.at_rest(start), 0.0, OLDEST_EDGE, self._script(start)
+            ),
+            *trace.arrays, plant.sensed_position, plant.effort, self._signals, _NOTHING,
+            *meter.arrays, recorded, true,
+        )  # fmt: skip
+        ticks = hit(*arguments)
+        ended = int(trace.flags[ticks - 1])
+        if ended & _NONFINITE:
+            raise LawError(
+                f"estimator {controller.estimator.estimator.name} or law {controller.law.law.name} gave a value that "
+                f"is not finite, {ticks * plant.tick_s:.4g} s into the hit",
+                remedy="mend it, or check its settings",
+            )
+        thrown_out = bool(ended & _OUT_OF_WINDOW)
+        return SimulatedHit(
+            Measured(recorded[0], self._limits, thrown_out),
+            Measured(true[0], self._limits, thrown_out),
+            ticks,
+        )
+
+    def _script(self, start: float) -> Script:
+        if start not in self._scripts:
+            self._scripts = {start: Script.of(self._model, self._plant.tick_s, start)}
+        return self._scripts[start]
+
+
+_NOTHING = np.zeros(0)

@@ -1,0 +1,100 @@
+"""What every inner step has in common, whoever holds the rig: parameters, Coulomb friction, the date of an edge."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol.kernel import kernel
+from sim_backend.sensors import cell
+
+Vector = NDArray[np.float64]
+
+# Indices of `DiscretePlant.parameters`.
+STEP_S = 0  # inner step (s)
+STEPS = 1  # inner steps in a tick
+EFFORT_LIMIT = 2  # the amplifier's saturation (N·m or N)
+GRAVITY_EFFORT = 3  # weight of the end mass along the motion (N·m or N)
+COULOMB = 4  # Coulomb level of the motor side, or of the whole rigid rig (N·m or N)
+COULOMB_LINK = 5  # Coulomb level of the link side (N·m or N)
+RESOLUTION = 6  # travel for one count (rad or m)
+OFFSET = 7  # where position zero lies in its encoder cell (count)
+SIGN = 8  # direction of counting, ±1
+PARAMETERS = 9
+
+_VECTOR = types.float64[::1]
+_MATRIX = types.float64[:, ::1]
+_FLOAT = types.float64
+_INT = types.int64
+ADVANCE = _INT(_VECTOR, _MATRIX, _MATRIX, _VECTOR, _FLOAT, _FLOAT)
+
+
+@kernel(_FLOAT(_FLOAT, _FLOAT), inline=True)
+def clip(value: float, limit: float) -> float:
+    """Keep a value within ±limit."""
+    return math.copysign(min(abs(value), limit), value)
+
+
+@kernel(types.UniTuple(_FLOAT, 2)(_FLOAT, _FLOAT, _FLOAT), inline=True)
+def rub_one(free: float, gain: float, coulomb: float) -> tuple[float, float]:
+    """Friction effort on one mass, and the velocity it leaves: exactly zero when the mass comes to rest.
+
+    `free` is the velocity at the end of the step without this friction, `gain` what a unit of it adds.
+    """
+    friction = free * (-1.0 / gain)  # the quotient leaves the loop, a division by gain would not
+    if abs(friction) <= coulomb:
+        return friction, 0.0
+    friction = clip(friction, coulomb)
+    return friction, free + gain * friction
+
+
+@kernel(types.UniTuple(_FLOAT, 4)(_FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True)
+def rub_both(
+    free_motor: float,
+    free_link: float,
+    gain_motor: float,
+    gain_cross: float,
+    gain_link: float,
+    coulomb_motor: float,
+    coulomb_link: float,
+) -> tuple[float, float, float, float]:
+    """Friction efforts on motor and link, and the velocities they leave; see `rub_one`.
+
+    The pair solves a box-constrained linear complementarity problem whose matrix of gains is symmetric and
+    positive definite, so there is exactly one. If the pair that stops both masses is admissible, it is that.
+    Else one of the efforts that exceed their level lies at its level, and the other follows as for one mass.
+    """
+    shrink = -1.0 / (gain_motor * gain_link - gain_cross * gain_cross)
+    motor = shrink * (gain_link * free_motor - gain_cross * free_link)
+    link = shrink * (gain_motor * free_link - gain_cross * free_motor)
+    if abs(motor) <= coulomb_motor and abs(link) <= coulomb_link:
+        return motor, link, 0.0, 0.0
+    if abs(motor) > coulomb_motor:
+        rub = clip(motor, coulomb_motor)
+        rub_link, link_velocity = rub_one(free_link + gain_cross * rub, gain_link, coulomb_link)
+        motor_velocity = free_motor + gain_motor * rub + gain_cross * rub_link
+        if rub * motor_velocity <= 0.0:  # it opposes the motion that it leaves
+            return rub, rub_link, motor_velocity, link_velocity
+    rub = clip(link, coulomb_link)
+    rub_motor, motor_velocity = rub_one(free_motor + gain_cross * rub, gain_motor, coulomb_motor)
+    return rub_motor, rub, motor_velocity, free_link + gain_cross * rub_motor + gain_link * rub
+
+
+@kernel(types.Tuple((_INT, _FLOAT))(_INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True)
+def encoded(
+    old: int, age: float, before: float, after: float, step_s: float, resolution: float, offset: float
+) -> tuple[int, float]:
+    """Encoder cell and age of the last edge after a step from position `before`, in cell `old`, to `after`.
+
+    The time of the edge is interpolated at the mean velocity of the step; of several edges the last counts.
+    A step that leaves a cell and comes back to it within itself shows no edge.
+    """
+    new = cell(after, resolution, offset)
+    if new == old:
+        return old, age + step_s  # old: a law that runs on it need not wait for the division behind new
+    edge = new if new > old else new + 1
+    left = (after - (edge - offset) * resolution) / (after - before)
+    return new, min(max(left, 0.0), 1.0) * step_s

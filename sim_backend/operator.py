@@ -1,0 +1,106 @@
+"""What a simulated person wants, tick by tick: the script that moves the hand of `rig.model.Operator`.
+
+The hand goes along with the homing servo to the start, waits there, reaches into the wall on a raised cosine,
+and stays, pressing. Press and tremor arrive with the reach; the press swells and ebbs slowly, because a hand that
+is quite still would hide a buzz behind Coulomb friction. That the tremor arrives with the press is the finding
+that its force grows with the force exerted (Sutton and Sykes 1967).
+
+A script is computed once, before the session, from numbers alone; the simulated device and the trial without bytes play
+the same one, from the tick after arming on. When it ends, its last two seconds repeat, without a seam: a sum of sines
+whose frequencies are multiples of half a hertz. So it lasts for ever and stays small.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model import Operator, Reach, RigModel
+from sim_backend.held import INTENTIONS
+
+Rows = NDArray[np.float64]
+
+PRESS_HZ = 2.0  # slow modulation of the press: the reproduction's; voluntary force hardly goes beyond 10 Hz
+TREMOR_HZ = np.arange(8.0, 12.25, 0.5)  # physiological tremor of the hand, 8 to 12 Hz (PMC3032442)
+REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Script:
+    """For each tick intended position, intended velocity and press on the hand, at the link.
+
+    After the last row it goes on at row `again`. No rows mean that nobody wants anything: the hand, if there is one,
+    holds still.
+    """
+
+    rows: Rows
+    again: int = 0
+
+    @classmethod
+    def silent(cls) -> Script:
+        """Without any row."""
+        return cls(np.zeros((0, INTENTIONS)))
+
+    @classmethod
+    def of(cls, model: RigModel, tick_s: float, position: float, session: int = 0) -> Script:
+        """Write the script of one session.
+
+        Parameters
+        ----------
+        model
+            The rig, with its operator and reach; without both, the script is empty.
+        tick_s
+            Length of a tick (s). Each row is the intention in the middle of its tick, held over it.
+        position
+            Where the handle is when the session begins (rad or m).
+        session
+            How many sessions this person had before: tremor never comes twice alike.
+        """
+        if model.operator is None or model.reach is None:
+            return cls.silent()
+        return _written(model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session)
+
+
+def _written(
+    operator: Operator, reach: Reach, radius: float, tick_s: float, position: float, session: int
+) -> Script:
+    along_s = abs(reach.start - position) / reach.pace
+    begin_s = along_s + reach.wait_s
+    lead = math.ceil((begin_s + operator.reach_s) / tick_s)
+    t: Rows = (np.arange(lead + round(REPEAT_S / tick_s), dtype=np.float64) + 0.5) * tick_s
+
+    left = np.clip(1.0 - t / along_s, 0.0, 1.0) if along_s > 0.0 else np.zeros_like(t)
+    homing = (position - reach.start) * left
+    homing_rate = np.where(left > 0.0, math.copysign(reach.pace, reach.start - position), 0.0)
+    part, part_rate = _raised_cosine((t - begin_s) / operator.reach_s)
+    part_rate = part_rate / operator.reach_s
+    tremor, tremor_rate = _tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
+    swell = 1.0 + operator.press_modulation * np.sin(2.0 * math.pi * PRESS_HZ * (t - begin_s))
+
+    travel = reach.target - reach.start
+    rows = np.empty((len(t), INTENTIONS))
+    rows[:, 0] = reach.start + homing + travel * part + tremor * part
+    rows[:, 1] = homing_rate + travel * part_rate + tremor_rate * part + tremor * part_rate
+    rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
+    return Script(rows, again=lead)
+
+
+def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
+    """Go smoothly from 0 at x = 0 to 1 at x = 1: the value and its derivative."""
+    x = np.clip(x, 0.0, 1.0)
+    return 0.5 - 0.5 * np.cos(math.pi * x), 0.5 * math.pi * np.sin(math.pi * x)
+
+
+def _tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
+    """Band-limited displacement: lines of equal size with random phases, and its rate."""
+    omega = 2.0 * math.pi * TREMOR_HZ
+    phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))
+    line = rms * math.sqrt(2.0 / len(omega))
+    value, rate = np.zeros_like(t), np.zeros_like(t)
+    for w, shift in zip(omega, phase, strict=True):
+        value += line * np.sin(w * t + shift)
+        rate += line * w * np.cos(w * t + shift)
+    return value, rate

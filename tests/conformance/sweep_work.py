@@ -1,0 +1,97 @@
+"""Work for sweeps: each kind of task that a sweep must survive. Imported where the tasks run."""
+
+import math
+import os
+import signal
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.errors import PlanError
+
+Payload = dict[str, Any]
+
+
+def sines(payload: Payload) -> list[dict[str, Any]]:
+    """Floats of all sizes, from a seed, after a while that has nothing to do with the order of the tasks."""
+    seed = payload["seed"]
+    time.sleep(payload.get("wait_s", 0.0) * (seed * 7 % 5) / 4)
+    values = np.random.default_rng(seed).normal(size=5) * 10.0 ** np.arange(-300, 301, 150)
+    return [{"value": value, "trials": 2} for value in values]
+
+
+def odd_values(payload: Payload) -> dict[str, Any]:
+    """What plain JSON does not hold, or holds in another type."""
+    return {
+        "not a number": math.nan,
+        "infinite": [math.inf, -math.inf],
+        "zero": -0.0,
+        "smallest": 5e-324,
+        "tuple": (1, 2),
+        "numpy": np.float32(0.1),
+        "whole": np.int64(2**53 + 1),
+        "array": np.linspace(0.0, 1.0, 4).reshape(2, 2),
+        "text": "µ\u2028\ud800",
+        "given": payload,
+    }
+
+
+def leave_a_mark(payload: Payload) -> str:
+    """Write down that this task was run."""
+    with open(payload["log"], "a") as file:
+        file.write(f"{payload['name']}\n")
+    time.sleep(payload.get("wait_s", 0.0))
+    return str(payload["name"])
+
+
+def raise_when_told(payload: Payload) -> int:
+    """Raise for some tasks, each its own way."""
+    time.sleep(payload.get("wait_s", 0.0))
+    match payload.get("raises"):
+        case "ours":
+            raise PlanError("this wall is out of reach", remedy="lower the stiffness")
+        case "theirs":
+            raise ZeroDivisionError
+        case "exit":
+            raise SystemExit("enough")
+        case "not JSON":
+            return object()  # type: ignore[return-value]
+    return int(payload["number"])
+
+
+def kill_the_worker(payload: Payload) -> list[dict[str, Any]]:
+    """Do as `sines`, but the first process that meets a task with `dies` ends by SIGKILL in the middle of it."""
+    mark = payload.get("dies")
+    if mark is not None:
+        try:
+            Path(mark).open("x").close()
+        except FileExistsError:
+            pass
+        else:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return sines(payload)
+
+
+def always_kill_the_worker(payload: Payload) -> None:
+    """No process survives this."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+GATES: defaultdict[str, threading.Event] = defaultdict(threading.Event)
+
+
+def open_one_and_wait_for_another(payload: Payload) -> str:
+    """Open a gate and wait at another: for tasks that meet in one process."""
+    GATES[payload["opens"]].set()
+    if not GATES[payload["waits_for"]].wait(20.0):
+        raise TimeoutError(f"nobody opened {payload['waits_for']}")
+    return str(payload["opens"])
+
+
+def large(payload: Payload) -> str:
+    """As many letters as wanted."""
+    return "x" * int(payload["letters"])

@@ -1,0 +1,105 @@
+"""`rig hit --compare` as a person meets it: the table, the picture, JSON, and what it refuses."""
+
+import json
+
+import pytest
+
+import rig.cli
+
+QUICK = ["--duration", "0.2", "--set", "verdict.tail_s=0.05"]
+BRIEF = ["--duration", "0.06", "--set", "verdict.tail_s=0.02"]
+
+
+@pytest.fixture
+def run(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run(["hit", *(str(argument) for argument in arguments)])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run, tmp_path):
+    code, out, err = run("--compare", "--rig", "koul-rigid", *QUICK)
+    assert code == 0, err
+    assert "koul-rigid: K = 300 N·m/rad, B = 0.5 N·m·s/rad, the same hit, mean over 4 encoder offsets" in out
+    lines = [line.split() for line in out.splitlines()]
+    assert [line[:2] for line in lines[3:6]] == [["no", "damping"], ["uniform", "20"], ["dual", "20/2"]]
+    (picture,) = (tmp_path / "recordings").iterdir()
+    assert picture.name == "koul-rigid-compare.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_has_every_number_of_every_scheme_and_offset(run, tmp_path):
+    code, out, _ = run(
+        "--compare", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--scheme", "none",
+        "--scheme", "dual:20k/2k", "--scheme", "dual:20k/4k,estimator=fdm", *QUICK,
+    )  # fmt: skip
+    assert code == 0
+    facts = json.loads(out)
+    assert (facts["rig"], facts["stiffness"], facts["damping"]) == ("koul-compliant", 200.0, 0.3)
+    assert facts["start"]["motor_effort"] == 0.15
+    none, dual, raw = facts["schemes"]
+    assert [s["name"] for s in facts["schemes"]] == ["none", "dual:20k/2k", "dual:20k/4k,estimator=fdm"]
+    assert (none["damping"], dual["damping"], raw["damping"]) == (0.0, 0.3, 0.3)
+    assert none["peak"] > dual["peak"]
+    assert len({s["impact_velocity"] for s in facts["schemes"]}) == 1
+    assert len(dual["offsets"]) == 4
+    assert facts["picture"] is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_rig_named_by_its_url_is_compared_too(run):
+    code, out, _ = run("--compare", "--json", "--no-plot", "--url", "sim://chawda-linear", *QUICK)
+    assert code == 0
+    facts = json.loads(out)
+    assert (facts["rig"], facts["motion"]) == ("chawda-linear", "linear")
+
+
+def test_the_conditions_of_the_paper_give_figures_7_and_8(run, tmp_path):
+    code, out, _ = run("--compare", "--as-in-the-paper", "-o", "figures")
+    assert code == 0
+    for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "fs/20", "figure 8"):
+        assert words in out
+    assert sum(line.endswith("*") for line in out.splitlines()) == 2
+    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"koul-figure-7.png", "koul-figure-8.png"}
+    code, out, _ = run("--compare", "--as-in-the-paper", "--json", "--no-plot")
+    facts = json.loads(out)
+    assert code == 0
+    assert [panel["position_rate"] for panel in facts["figure_7"]] == [20000, 10000] * 2
+    assert len(facts["word_lengths"]) == 18
+    assert [p["velocity_rate"] for p in facts["figure_8"]["profiles"]] == [2000, 20000] * 2
+
+
+WRONG = [
+    (["--compare", "--url", "serial:///dev/ttyACM0"], "schemes are compared in simulation"),
+    (["--compare", "--url", "sim://koul-rigid?seed=3"], "schemes are compared in simulation"),
+    (["--compare", "--realtime"], "--compare and --realtime"),
+    (["--compare", "--verified"], "--compare and --verified"),
+    (["--compare", "--repeats", "3"], "nothing random"),
+    (["--scheme", "uniform:20k"], "belong to --compare"),
+    (["--as-in-the-paper"], "belong to --compare"),
+    (["--compare", "--as-in-the-paper", "-K", "100"], "has its own rig, wall, start and schemes"),
+    (["--compare", "--scheme", "triple:20k"], "no such kind of sampling"),
+    (["--compare", "--scheme", "none", "--scheme", "none"], "named twice"),
+    (["--compare", "--scheme", "dual:20k/3k"], "velocity_rate"),
+    (["--compare", "--estimator", "fmd"], "fmd"),
+    (["--compare", "--rig", "nobody"], "nobody"),
+    (["--compare", "--start", "-0.4", *BRIEF], "never reached the wall within 0.06 s"),
+    (["--compare", "--operator", "normal"], "in automated trials, without a hand"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "text"), WRONG)
+def test_what_cannot_be_meant_is_refused_in_one_line(run, tmp_path, arguments, text):
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert err.startswith("rig: ")
+    assert text in err
+    assert out == ""
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,54 @@
+"""A hit without bytes is the hit over the byte link, to the last bit of every number that a map is made of."""
+
+import numpy as np
+import pytest
+
+from rig import config, presets
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import FramedDevice
+from rig.experiments.bench import Bench
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.recording.reader import open_recording
+from rig.verdict import meter, recorded_signals, true_signals
+from sim_backend.link import open_link
+
+SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
+HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("koul-compliant", {}),
+        ("koul-compliant", HELD),
+        ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "fdm"}),
+        ("koul-rigid", HELD | {"rig.encoder.sign": -1, "wall.stiffness": 600.0}),
+        ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),
+    ],
+)
+def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(name, changes, tmp_path):
+    experiment = config.override(presets.load(name), {**SHORT, **changes, "trial.seed": 5})
+    bench = Bench(experiment)
+    without_bytes = bench.hit(experiment.wall.stiffness, experiment.wall.damping)
+
+    placed = config.override(experiment, {"rig.simulation.initial_position": bench.start})
+    with FramedDevice(open_link(DeviceUrl.parse("sim://"), config.rig_model(placed))) as device:
+        request = TrialRequest(
+            experiment=placed, recording=tmp_path / "hit.rigcap", verified=True, seed=placed.trial.seed
+        )
+        rows = open_recording(run_trial(device, request).recording).rows
+
+    tick_s, resolution = 1.0 / placed.controller.position_rate, placed.rig.encoder.resolution
+    measuring = meter(bench.limits, tick_s, resolution)
+    for signals, measured in (
+        (recorded_signals(rows, tick_s, resolution), without_bytes.recorded),
+        (true_signals(rows, tick_s, placed.wall.position, placed.wall.side), without_bytes.true),
+    ):
+        again = measuring.true if signals.velocity is not None else measuring.recorded
+        arrays = [signals.position, signals.effort, signals.penetration]
+        if signals.velocity is not None:
+            arrays.insert(1, signals.velocity)
+        flags = rows["flags"][rows["phase"] == 3].astype(np.int64)
+        numbers = again(*arrays, flags)
+        assert numbers.tobytes() == measured.numbers.tobytes()
+    assert without_bytes.true.numbers["contact_s"] > 0.0
