@@ -16,6 +16,7 @@ _LAZY: dict[str, str] = {
     "Plan": "rig.experiments.plan",
     "Recording": "rig.recording.data",
     "RigError": "rig.errors",
+    "Scheme": "rig.schemes",
     "Verdict": "rig.verdict",
     "export": "rig.recording.export",
     "hit": "rig.experiments.hit",
@@ -26,6 +27,7 @@ _LAZY: dict[str, str] = {
     "open_recording": "rig.recording.reader",
     "override": "rig.config",
     "replay": "rig.experiments.replay",
+    "zwidth": "rig.experiments.zwidth",
 }
 _RENAMED = {"load_preset": "load"}
 

@@ -8,14 +8,27 @@ import rig
 README = Path(__file__).parents[2] / "README.md"
 
 
-def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
-    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    monkeypatch.chdir(tmp_path)
+EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def said_by(example, directory, monkeypatch, capsys):
+    monkeypatch.chdir(directory)
     exec(compile(example, "README.md", "exec"), {})
-    said = capsys.readouterr().out.split()
+    return capsys.readouterr().out.split()
+
+
+def test_the_example_with_a_law_of_ones_own_runs(tmp_path, monkeypatch, capsys):
+    said = said_by(EXAMPLES[0], tmp_path, monkeypatch, capsys)
     assert said[0] in {"stable", "limit"}
     assert "N·m" in said
     assert list(tmp_path.glob("recordings/*.parquet"))
+
+
+def test_the_example_of_the_theory_runs(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n')
+    said = said_by(EXAMPLES[1], tmp_path, monkeypatch, capsys)
+    assert 500.0 < float(said[0]) < 700.0
+    assert 0.9 < float(said[-1]) < 1.1
 
 
 def test_every_public_name_of_rig_is_there():
