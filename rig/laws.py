@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rig.errors import ConfigError
 
@@ -58,19 +60,69 @@ def _spring_damper() -> Law:
     return Law("spring-damper", "unilateral spring and damper", wall.spring_damper, wall.STATE, design)
 
 
-BUILT_IN: dict[str, Callable[[], Law]] = {"spring-damper": _spring_damper}
+def _bilateral() -> Law:
+    from rig import bilateral  # noqa: PLC0415
+
+    return Law("bilateral", "spring and damper on both sides", bilateral.bilateral, 1, bilateral.design)
+
+
+def shaken(efforts: ArrayLike = (0.0,), ramp_ticks: int = 0) -> Law:
+    """Return the bilateral wall with an excitation that the rig's own motor plays.
+
+    Parameters
+    ----------
+    efforts
+        One period at the loop's rate, positive along the position (N·m or N), at least one sample.
+    ramp_ticks
+        Ticks in which the excitation rises.
+    """
+    from rig import bilateral  # noqa: PLC0415
+
+    table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
+
+    def design(section: Mapping[str, Any]) -> list[float]:
+        return bilateral.design_shaken(section, table, ramp_ticks)
+
+    summary = "bilateral, and shaken by the rig's own motor"
+    return Law("shaken", summary, bilateral.shaken, bilateral.SHAKEN_STATE, design)
+
+
+BUILT_IN: dict[str, Callable[[], Law]] = {
+    "spring-damper": _spring_damper,
+    "bilateral": _bilateral,
+    "shaken": shaken,
+}
+
+
+_MOTIONS = {
+    "traced": "traced_law",
+    "nudges": "nudged_law",
+}  # name → function of rig.motions, which stands above this file
+_COMPENSATED = "+friction"  # rig.friction.SUFFIX
 
 
 def names() -> list[str]:
     """Names of all laws, built-in ones first."""
-    plugins = sorted(point.name for point in entry_points(group="rig.laws"))
-    return [*BUILT_IN, *(name for name in plugins if name not in BUILT_IN)]
+    return [*BUILT_IN, *(name for name in _plugins(entry_points) if name not in BUILT_IN)]
+
+
+@cache  # it looks through every installed package, which costs milliseconds
+def _plugins(find: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(sorted(point.name for point in find(group="rig.laws")))
 
 
 def get(name: str) -> Law:
-    """Return the law of that name; `ConfigError` for an unknown one or a broken plug-in."""
+    """Return the law of that name; `ConfigError` for an unknown one or a broken plug-in.
+
+    Laws whose numbers come from an experiment (motions, a wrapper with friction compensation) are found by the names that
+    recordings give them: with the recorded parameters they replay.
+    """
     if name in BUILT_IN:
         return BUILT_IN[name]()
+    if name in _MOTIONS:
+        return cast("Law", getattr(import_module("rig.motions"), _MOTIONS[name])())
+    if name.endswith(_COMPENSATED):
+        return cast("Law", import_module("rig.friction").around(get(name.removesuffix(_COMPENSATED))))
     for point in entry_points(group="rig.laws", name=name):
         try:
             return cast("Law", point.load())

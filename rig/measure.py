@@ -5,8 +5,8 @@ A recording and ten thousand simulated trials are measured by this one function;
 
 Only the tail is filtered, with a lead-in as long as the filters remember to one part in 10⁹. A filter is started as if
 its first sample had lasted for ever: all of them stop a constant, so that is the deviation from the first sample,
-filtered from rest. *Zero phase* means forth and back over an odd extension of both ends, as
-`scipy.signal.sosfiltfilt` has it.
+filtered from rest. *Zero phase* means forth and back over a mirrored extension of both ends, as
+`scipy.signal.sosfiltfilt` has it with ``padtype="even"``: an odd one makes a step of a ripple far above the band.
 
 The encoder's floor is told of the frequency of its toggling: half the rate, over the tail, of the count's changes that
 are no motion in the band. Those are changes against the direction of the one before (a toggling count has two in a
@@ -90,7 +90,7 @@ SETTINGS = np.dtype(
         ("lowpass_hz", "<f8"),
         ("tail_ticks", "<i8"),
         ("lead_ticks", "<i8"),  # filtered before the tail
-        ("pad_ticks", "<i8"),  # odd extension of the ends
+        ("pad_ticks", "<i8"),  # mirrored extension of the ends
         ("impact_ticks", "<i8"),  # counts before contact that tell the velocity at impact
     ],
     align=True,
@@ -307,17 +307,10 @@ def _inner_velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) 
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, borrow=True)
 def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> float:
-    """Velocity at a tick, with odd extension beyond both ends; without a signal of its own the central difference."""
+    """Velocity at a tick, mirrored beyond both ends; without a signal of its own the central difference."""
     last = position.shape[0] - 1
-    if k < 0:
-        return 2.0 * _inner_velocity(position, velocity, rate_hz, 0) - _inner_velocity(
-            position, velocity, rate_hz, -k
-        )
-    if k > last:
-        return 2.0 * _inner_velocity(position, velocity, rate_hz, last) - _inner_velocity(
-            position, velocity, rate_hz, 2 * last - k
-        )
-    return _inner_velocity(position, velocity, rate_hz, k)
+    mirrored = abs(k) if k <= last else 2 * last - k
+    return _inner_velocity(position, velocity, rate_hz, mirrored)
 
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), borrow=True)

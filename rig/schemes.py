@@ -161,7 +161,7 @@ class Scheme:
             if isinstance(cutoff, int | float):
                 settings[_CUTOFF] = cutoff * (self.velocity_rate / own.velocity_rate)
         else:
-            settings = {_CUTOFF: _USUAL_SHARE * self.velocity_rate} if _has_cutoff(self.estimator) else {}
+            settings = usual_settings(self.estimator, self.velocity_rate)
         return {**settings, **self.parameters}
 
 
@@ -172,6 +172,11 @@ def parse_rates(text: str) -> tuple[int, int]:
         raise ConfigError(f"rate {text}: too many rates", remedy="give T1/T2, like 20k/2k")
     rates = [_hertz(part, text) for part in parts]
     return rates[0], rates[-1]
+
+
+def usual_settings(estimator: str, velocity_rate: int) -> dict[str, float | str]:
+    """Settings of an estimator where nothing is said: a filter cuts off at a tenth of the velocity rate."""
+    return {_CUTOFF: _USUAL_SHARE * velocity_rate} if _has_cutoff(estimator) else {}
 
 
 def _hertz(part: str, text: str) -> int:
@@ -233,7 +238,9 @@ def _has_cutoff(estimator: str) -> bool:
 
 
 def _kilo(rate: int) -> str:
-    return f"{rate / 1000:g}k" if rate % 100 == 0 and rate >= 1000 else str(rate)
+    if rate < 1000 or rate % 100:
+        return str(rate)
+    return f"{rate // 1000}.{rate % 1000 // 100}k".replace(".0k", "k")
 
 
 def _number(value: float | str) -> str:

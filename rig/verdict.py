@@ -8,6 +8,8 @@ sampled; the tail is its last `tail_s`.
 * **heard**: rms of the commanded effort above 30 Hz;
 * **moved**: peak-to-peak position above 30 Hz, less one count.
 
+A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
+
 *Invalid* is a trial that says nothing: no contact, a gap, too many late ticks, a binding slew limit,
 a device that overruled the law, or
 saturation without motion. *Unstable*: the wall was left in the tail, or the ripple grows, or the motor
@@ -138,11 +140,15 @@ def recorded_signals(rows: NDArray[np.void], tick_s: float, resolution: float) -
 
 
 def true_signals(rows: NDArray[np.void], tick_s: float, wall_position: float, wall_side: float) -> Signals:
-    """What really happened in a simulated trial: rows that carry `rig.sample.TRUTH_COLUMNS` too."""
+    """What really happened in a simulated trial: rows that carry `rig.sample.TRUTH_COLUMNS` too.
+
+    A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
+    penetration is that of the sensed side. On two masses the capstan lies between them.
+    """
     trial = rows[rows["phase"] == Phase.TRIAL]
     return Signals(
-        position=trial["position_true"].copy(),
-        velocity=trial["velocity_true"].copy(),
+        position=trial["handle_position_true"].copy(),
+        velocity=trial["handle_velocity_true"].copy(),
         effort=trial["effort_true"].copy(),
         penetration=wall_side * (trial["position_true"] - wall_position),
         **_shared(trial, tick_s, 0.0),

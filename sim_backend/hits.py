@@ -7,6 +7,8 @@ core keeps it busy, and memory does not grow with the number of hits. What comes
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from rig.errors import LawError
 from rig.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
 from rig.model import RigModel
 from rig.sample import RowFlag
-from rig.step import TRIAL, Controller
+from rig.step import DONE, TRIAL, Controller
 from rig.verdict import Limits, Measured
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
@@ -36,7 +38,7 @@ SIGNALS = 4
 
 @kernel(
     types.int64(
-        *RUN_TYPES, types.int64, types.int64, types.float64[:, ::1], _FLOATS,
+        *RUN_TYPES, types.int64, types.int64, types.int64, types.float64[:, ::1], _FLOATS,
         SETTINGS_TYPE, SETTINGS_TYPE, SECTIONS_TYPE, _FLOATS, NUMBERS_TYPE, NUMBERS_TYPE,
     ),
 )  # fmt: skip
@@ -46,13 +48,13 @@ def hit(
     state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
     edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
     states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
-    sensed: int, actuated: int, signals: Any, no_velocity: Any,
+    sensed: int, handle: int, actuated: int, signals: Any, no_velocity: Any,
     recorded_settings: Any, true_settings: Any, sections: Any, scratch: Any, recorded: Any, true: Any,
 ) -> int:  # fmt: skip
     """Run one trial and measure its trial phase; returns its number of ticks.
 
-    The arguments of `sim_backend.trial.run_ticks`, then the places of sensed position and motor effort in the state,
-    room for `SIGNALS` signals, an empty array, and those of `rig.measure.measure` for both sides.
+    The arguments of `sim_backend.trial.run_ticks`, then the places of sensed position, handle and motor effort in the
+    state, room for `SIGNALS` signals, an empty array, and those of `rig.measure.measure` for both sides.
     """
     ticks = run_ticks(
         estimator, law, control, memory, estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
@@ -60,7 +62,8 @@ def hit(
         states, counts, phases, currents, flags,
     )  # fmt: skip
     c = control[0]
-    first = 0
+    # A run that filled the arrays was cut off, in homing or later: nothing of it is measured.
+    first = 0 if phases[ticks - 1] == DONE else ticks
     while first < ticks and phases[first] != TRIAL:
         first += 1
     last = first
@@ -76,7 +79,7 @@ def hit(
         flags[first:last], recorded_settings, sections, scratch, recorded,
     )  # fmt: skip
     measure(
-        states[first:last, sensed], states[first:last, sensed + 1], states[first:last, actuated],
+        states[first:last, handle], states[first:last, handle + 1], states[first:last, actuated],
         signals[PENETRATION_TRUE, first:last], flags[first:last], true_settings, sections, scratch, true,
     )  # fmt: skip
     return ticks
@@ -86,13 +89,14 @@ class SimulatedRig:
     """A rig to hit again and again; see `rig.devices.simulated`."""
 
     def __init__(self, model: RigModel, tick_s: float, limits: Limits, most_ticks: int) -> None:
-        self._model = model
+        self._held = replace(
+            model, encoder=replace(model.encoder, offset=0.0)
+        )  # all that a script depends on
         self._limits = limits
-        self._plant = DiscretePlant.build(model, tick_s)
+        self._plant = _plant(model, tick_s)
         self._meter = verdict.meter(limits, tick_s, model.encoder.resolution)
         self._trace = Trace.empty(most_ticks, self._plant)
         self._signals = np.zeros((SIGNALS, most_ticks))
-        self._scripts: dict[float, Script] = {}
 
     def hit(self, controller: Controller, start: float) -> SimulatedHit:
         """Run one trial from rest at a position and measure it."""
@@ -102,7 +106,7 @@ class SimulatedRig:
             *run_arguments(
                 controller, plant, plant.at_rest(start), 0.0, OLDEST_EDGE, self._script(start)
             ),
-            *trace.arrays, plant.sensed_position, plant.effort, self._signals, _NOTHING,
+            *trace.arrays, plant.sensed_position, plant.handle_position, plant.effort, self._signals, _NOTHING,
             *meter.arrays, recorded, true,
         )  # fmt: skip
         ticks = hit(*arguments)
@@ -121,9 +125,13 @@ class SimulatedRig:
         )
 
     def _script(self, start: float) -> Script:
-        if start not in self._scripts:
-            self._scripts = {start: Script.of(self._model, self._plant.tick_s, start)}
-        return self._scripts[start]
+        return _script(self._held, self._plant.tick_s, start)
+
+
+# The rigs of a map differ in little: what they share is made once, and nobody writes into it. (The exponential of a
+# matrix also wakes the threads of a linear algebra library, which then spin for a while on cores that others want.)
+_plant = lru_cache(maxsize=64)(DiscretePlant.build)
+_script = lru_cache(maxsize=8)(Script.of)  # 2 MB each
 
 
 _NOTHING = np.zeros(0)

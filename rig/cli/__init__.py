@@ -21,6 +21,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "hit": ("rig.cli.hit:hit", "Hit a virtual wall: run, judge, record and draw one automated trial."),
     "zwidth": ("rig.cli.zwidth:zwidth", "Map the walls (K, B) that a rig renders stably, scheme by scheme."),
     "kmax": ("rig.cli.kmax:kmax", "Find the stiffest undamped wall at each sampling rate."),
+    "impedance": (
+        "rig.cli.impedance:impedance",
+        "Measure the impedance of a rig and its walls: passive or not, and how faithful.",
+    ),
+    "reproduce": (
+        "rig.cli.reproduce:reproduce",
+        "Reproduce a paper: figures, claims and open ideas, as one report.",
+    ),
     "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),
     "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
@@ -33,6 +41,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estimators": (
         "rig.cli.estimators:estimators",
         "List, compare and tune velocity estimators on known motions and recordings.",
+    ),
+    "identify": (
+        "rig.cli.identify:identify",
+        "Identify a rig: signs, friction, inertia, damping, delay, first mode.",
     ),
     "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
     "preset": ("rig.cli.preset:preset", "List the built-in rigs, or print one as a file to start from."),

@@ -27,7 +27,7 @@ def kmax(
     stiffness: str | None,
     way: Any,
     ratio: float,
-    offsets: str,
+    offsets: str | None,
     repeats: int,
     judged: Any,
     workers: int | None,
@@ -53,16 +53,16 @@ def kmax(
             experiment,
             maps.search(experiment, stiffness, way, ratio, SPAN),
             rates=maps.rates(rates),
-            offsets=maps.numbers(offsets, "--offsets"),
+            offsets=maps.numbers(maps.OFFSETS if offsets is None else offsets, "--offsets"),
             repeats=repeats,
         )
-        plan = replace(plan, judged=judged)
+        plan = replace(plan, judged=judged or "true")
     place = map_files.directory_for(plan, directory, "kmax")
     with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
         found = KMax.of(
             map_files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
         )
-    picture = _draw(found, place / "kmax.png") if plot else None
+    picture = maps.drawn(lambda: _draw(found, place / "kmax.png")) if plot else None
     if as_json:
         output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
         return

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 WAYS = ("ladder", "bisection", "grid")
+OFFSETS = "0.1,0.6"
+MOST = 10_000  # numbers of a range
 
 
 def map_options(command: F) -> F:
@@ -34,7 +36,7 @@ def map_options(command: F) -> F:
             "--operator",
             metavar="GRIP",
             help="Who pushes: relaxed, normal, firm (a simulated hand), or none (the motor, with the end mass). "
-            "[as FILE says; a built-in rig: normal]",
+            "[as FILE says; a built-in rig: normal in simulation, as it says on a device]",
         ),
         click.option("--effort", type=float, help="Constant push, with --operator none (N·m or N)."),
         click.option(
@@ -47,9 +49,7 @@ def map_options(command: F) -> F:
         click.option("--ratio", type=float, default=1.06, show_default=True, help="Between two stiffnesses."),
         click.option(
             "--offsets",
-            default="0.1,0.6",
-            show_default=True,
-            help="Places of zero in its encoder cell (count).",
+            help="Places of zero in its encoder cell (count). [0.1,0.6; a device has one]",
         ),
         click.option(
             "--repeats", type=click.IntRange(1, 10_000), default=1, show_default=True, help="Of each climb."
@@ -59,9 +59,7 @@ def map_options(command: F) -> F:
             "--judge",
             "judged",
             type=click.Choice(["true", "recorded"]),
-            default="true",
-            show_default=True,
-            help="Whose signals decide: the simulation's truth, or what a rig would record.",
+            help="Whose signals decide: the simulation's truth, or what a rig records. [true; on a device: recorded]",
         ),
         click.option(
             "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key of the experiment."
@@ -93,23 +91,49 @@ def chosen(
     effort: float | None,
     seed: int | None,
     sets: tuple[str, ...],
+    *,
+    device: bool = False,
 ) -> Experiment:
-    """The experiment to map: a built-in rig is held by a hand unless something else is said."""
+    """The experiment to map: in simulation a built-in rig is held by a hand unless something else is said."""
     from rig import config  # noqa: PLC0415
 
     experiment = options.chosen_experiment(file, preset)
-    if operator is None and file is None and effort is None:
+    says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
+    if operator is None and file is None and effort is None and not device and not says:
         operator = "normal"
     changes = options.changes(None, sets, operator=operator, effort=effort, seed=seed)
-    return config.override(experiment, changes)
+    experiment = config.override(experiment, changes)
+    if effort is not None and experiment.trial.kind == "human":
+        raise ConfigError(
+            f"--effort {effort:g}: a person pushes here ({experiment.operator.grip}), not the motor",
+            remedy="say --operator none too, or drop --effort",
+        )
+    return experiment
 
 
-def search(experiment: Experiment, stiffness: str | None, way: Any, ratio: float, span: float) -> Search:
+def search(
+    experiment: Experiment,
+    stiffness: str | None,
+    way: Any,
+    ratio: float,
+    span: float,
+    *,
+    device: bool = False,
+) -> Search:
     """The rungs that the options mean."""
     from rig.experiments.ranges import search_for  # noqa: PLC0415
 
     low, high = (None, None) if stiffness is None else _bounds(stiffness)
-    return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span)
+    return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span, on_device=device)
+
+
+def drawn(draw: Callable[[], str]) -> str | None:
+    """Draw a picture; one that fails is reported and takes nothing with it: the map is on disk."""
+    try:
+        return draw()
+    except Exception as error:  # a picture has many ways to fail
+        click.echo(f"rig: no picture: {error}", err=True)
+        return None
 
 
 def numbers(text: str, option: str) -> tuple[float, ...]:
@@ -117,15 +141,17 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
     import numpy as np  # noqa: PLC0415
 
     try:
-        if ":" in text:
-            first, last, count = text.split(":")
+        if ":" not in text:
+            return tuple(float(part) for part in text.split(","))
+        first, last, count = text.split(":")
+        if 1 <= int(count) <= MOST:
             return tuple(np.linspace(float(first), float(last), int(count)).tolist())
-        return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ConfigError(
-            f"{option} {text}: no numbers",
-            remedy="write them as 0,0.5,1 or as first:last:count, like 0:3.6:17",
-        ) from None
+        pass
+    raise ConfigError(
+        f"{option} {text!r}: no numbers",
+        remedy=f"write them as 0,0.5,1 or as first:last:count, like 0:3.6:17, with a count of 1 to {MOST}",
+    )
 
 
 def _bounds(text: str) -> tuple[float, float]:
@@ -142,4 +168,13 @@ def rates(text: str) -> tuple[int, ...]:
     """Rates of ``1k,20k`` in Hz."""
     from rig.schemes import parse_rates  # noqa: PLC0415
 
-    return tuple(parse_rates(part)[0] for part in text.split(","))
+    try:
+        pairs = [parse_rates(part) for part in text.split(",")]
+    except ConfigError as error:
+        raise ConfigError(f"--rates {text!r}: {error.message}", remedy="write them as 1k,20k") from None
+    if any(fast != slow for fast, slow in pairs):
+        raise ConfigError(
+            f"--rates {text!r}: at B = 0 nothing is damped, so there is no second rate",
+            remedy="write them as 1k,20k",
+        )
+    return tuple(fast for fast, _ in pairs)

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from rig.errors import RigError
     from rig.verdict import Verdict
 
+_BRINGS = {
+    "operator.grip": "operator.",
+    "controller.estimator": "controller.parameters",
+}  # key → keys that follow it
 _COLOURS = {"stable": "green", "limit cycle": "yellow", "unstable": "red", "invalid": "magenta"}
 
 
@@ -230,15 +234,19 @@ def _on_terminal() -> bool:
 
 
 def differences(asked: Experiment, effective: Experiment, meant: Collection[str]) -> list[str]:
-    """Keys whose value in effect is not the asked one, ``wall.stiffness = 60.0 instead of 300.0``, but for `meant`."""
+    """Keys whose value in effect is not the asked one, ``wall.stiffness = 60.0 instead of 300.0``, but for `meant`.
+
+    A grip that is meant brings the operator's numbers, an estimator its settings.
+    """
     from rig.config import describe  # noqa: PLC0415
 
+    brought = tuple(prefix for key, prefix in _BRINGS.items() if key in meant)
     before = {line.key: line.value for line in describe(asked)}
     return [
         f"{line.key} = {line.value} instead of {before[line.key]}"
         for line in describe(effective)
         if line.key not in meant
-        and not line.key.startswith("realtime")
+        and not line.key.startswith(("realtime", *brought))
         and line.key in before
         and before[line.key] != line.value
     ]

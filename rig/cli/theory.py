@@ -11,7 +11,9 @@ from rig.cli import options, output
 from rig.sample import unit_of
 
 if TYPE_CHECKING:
-    from rig.theory import AtDamping, DampingLimit, SchemeTheory, Theory
+    from rig.theory import AtDamping, Bound, DampingLimit, InHand, PassivityBound, SchemeTheory, Theory
+
+_MEANINGS = {"exact": "exact (rigid rig)"}
 
 
 @click.command()
@@ -86,14 +88,27 @@ def _draw(found: Theory, directory: Path) -> Path:
 
 def _print(found: Theory) -> None:
     damping = unit_of("damping", found.motion)
-    hand = "no hand" if found.operator == "none" else f"{found.operator} hand (which the bounds leave out)"
+    if found.operator == "none":
+        hand = f"end mass {found.end_mass:g} kg, no hand" if found.end_mass > 0.0 else "no hand"
+    else:
+        hand = f"{found.operator} hand (which the bounds leave out)"
+    ticks = f"{found.delay_ticks} tick{'' if found.delay_ticks == 1 else 's'}"
     click.echo(
         f"{found.rig}, {hand}: damping of the rig {found.rig_damping:.4g} {damping}, "
-        f"lag {1e3 * found.lag_s:.3g} ms, delay {1e3 * found.delay_s:.3g} ms; linear theory"
+        f"lag {1e3 * found.lag_s:.3g} ms, delay {ticks}; linear theory"
     )
+    if found.in_hand is not None:
+        click.echo(_in_hand(found.in_hand, unit_of("stiffness", found.motion)))
     for scheme in found.schemes:
         click.echo(click.style(scheme.label, bold=True))
         output.print_pairs(_pairs(found, scheme))
+    for refused in found.not_linear:
+        click.echo(f"{click.style(refused.label, bold=True)}: not linear: {refused.reason}")
+
+
+def _in_hand(held: InHand, unit: str) -> str:
+    limits = ", ".join(f"{'above ' if limit.capped else ''}{limit.stiffness:.4g}" for limit in held.limits)
+    return f"in a {held.operator} hand: {limits} {unit} at B = 0 (--operator {held.operator})"
 
 
 def _pairs(found: Theory, scheme: SchemeTheory) -> list[tuple[str, str]]:
@@ -107,8 +122,14 @@ def _pairs(found: Theory, scheme: SchemeTheory) -> list[tuple[str, str]]:
     return [
         *pairs,
         ("B_max", _damping_limit(scheme.damping_limit, damping, stiffness, scheme.rigid_rule)),
-        ("β", f"{scheme.at_zero.passivity.beta:.3f}: damping of the rig asked for by each unit of B"),
+        ("β", _beta(scheme.at_zero.passivity)),
     ]
+
+
+def _beta(passivity: PassivityBound) -> str:
+    worst = passivity.rig_damping / passivity.largest_damping if passivity.largest_damping > 0.0 else 0.0
+    late = f" ({worst:.3f} with lag and delay)" if abs(worst - passivity.beta) > 5e-4 and worst > 0.0 else ""
+    return f"{passivity.beta:.3f}{late}: damping of the rig asked for by each unit of B"
 
 
 def _limit(at: AtDamping, unit: str) -> str:
@@ -125,14 +146,20 @@ def _limit(at: AtDamping, unit: str) -> str:
 
 
 def _bounds(at: AtDamping) -> list[tuple[str, str]]:
+    """One line for each number: conditions that ask for the same one share it."""
     binding = at.passivity.binding
-    return [
-        (
-            f"{'>' if bound is binding else ' '} {bound.name}",
-            f"{bound.stiffness:.4g}   {bound.formula}, {bound.meaning}{' (binds)' if bound is binding else ''}",
-        )
-        for bound in at.passivity.bounds
-    ]
+    lines: dict[str, list[Bound]] = {}
+    for bound in at.passivity.bounds:
+        lines.setdefault(f"{bound.stiffness:.4g}", []).append(bound)
+    return [_line(number, bounds, binding) for number, bounds in lines.items()]
+
+
+def _line(number: str, bounds: list[Bound], binding: Bound) -> tuple[str, str]:
+    first, *others = bounds
+    binds = any(bound is binding for bound in bounds)
+    text = f"{number}   {first.formula}, {_MEANINGS.get(first.meaning, first.meaning)}"
+    text += "".join(f"; also {bound.name} ({bound.meaning})" for bound in others)
+    return f"{'>' if binds else ' '} {first.name}", text + (" (binds)" if binds else "")
 
 
 def _damping_limit(limit: DampingLimit, damping: str, stiffness: str, rule: float) -> str:

@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rig.cli import maps, output
+from rig.cli import maps, options, output
 from rig.cli.progress import SweepBar
+from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
+from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
+from rig.errors import ConfigError
 from rig.sample import unit_of
 
 if TYPE_CHECKING:
-    from rig.experiments.zwidth import Width, ZWidth
-
-DEFAULT_SCHEMES = ("dual:20k/2k", "uniform:20k", "uniform:2k")
-CRITERIA = ("felt", "heard", "any")  # rig.verdict.CRITERIA, without its imports
+    from rig.config import Experiment
+    from rig.experiments.zwidth import MapPlan, Width, ZWidth
 
 
 @click.command()
@@ -25,21 +26,36 @@ CRITERIA = ("felt", "heard", "any")  # rig.verdict.CRITERIA, without its imports
     "schemes",
     multiple=True,
     metavar="SCHEME",
-    help=f"dual:20k/2k, uniform:20k,cutoff_hz=1000, dual:20k/2k,estimator=kalman …; repeat it. "
-    f"[{' '.join(DEFAULT_SCHEMES)}]",
+    help="dual:20k/2k, uniform:20k,cutoff_hz=1000, dual:20k/2k,estimator=kalman …; repeat it. "
+    "[the experiment's and the uniform ones of its rates]",
 )
 @click.option(
     "-B",
     "--damping",
     help="Dampings: 0,0.5,1 or first:last:count. [17, to beyond the limit of the linear theory]",
 )
+@click.option(
+    "--url", help="Map a device, hit by hit: serial:///dev/ttyACM0, sim://. [simulates without a link]"
+)
+@click.option("--realtime", is_flag=True, help="A simulated device (sim://) as a process, in real time.")
+@click.option(
+    "--verified",
+    is_flag=True,
+    help="Encoder and motor signs of this real rig were checked, and its handle is at position zero.",
+)
+@click.option(
+    "--confirm",
+    type=click.Choice(CONFIRM),
+    help="Ask a person before hits on a device. [each; no with a simulated device]",
+)
+@frequency_options
 def zwidth(
     file: Path | None,
     preset: str | None,
     stiffness: str | None,
     way: Any,
     ratio: float,
-    offsets: str,
+    offsets: str | None,
     repeats: int,
     judged: Any,
     workers: int | None,
@@ -49,36 +65,65 @@ def zwidth(
     as_json: bool,
     schemes: tuple[str, ...],
     damping: str | None,
+    url: str | None,
+    realtime: bool,
+    verified: bool,
+    confirm: str | None,
+    domain: str,
     **push: Any,
 ) -> None:
-    """Map the walls (K, B) that a rig renders stably, by hitting them.
+    """Map the walls (K, B) that a rig renders stably, by hitting them; or passively, by shaking it.
 
     Without arguments: Fig. 6 of Koul et al. on the simulated rig koul-compliant in a simulated hand. A map that was
     stopped goes on when the same command is given again.
+
+    With --url the walls are hit on a device, one after the other: a person agrees, the handle goes to its start and
+    into the wall, the motor cools. Every hit is recorded.
+
+    With --domain frequency: Figs. 5 to 8 and Table I of Chawda et al. on the simulated rig chawda-linear. Every wall of
+    a grid (-K and -B as first:last:count) is shaken; where its impedance is passive, its fidelity is the colour.
     """
-    from rig.schemes import Scheme  # noqa: PLC0415
-
-    experiment = maps.chosen(file, preset, **push)
+    refuse_of_the_other(domain)
+    shaking = {name: push.pop(name) for name in FREQUENCY_ONLY}
+    if domain == "frequency":
+        map_frequency(
+            file=file, preset=preset, schemes=schemes, stiffness=stiffness, damping=damping, judged=judged,
+            directory=directory, plot=plot, as_json=as_json, workers=workers, scheduler=scheduler,
+            sets=push["sets"], seed=push["seed"], **shaking,
+        )  # fmt: skip
+        return
+    device = url is not None or realtime
+    if device:
+        _refuse_with_device(workers, scheduler)
+        url = url or "sim://"
+    else:
+        refuse_without_device(verified, confirm)
+    experiment = maps.chosen(file, preset or options.preset_of(url, file), **push, device=device)
     with output.compiling():
-        from rig.experiments import map_files, ranges  # noqa: PLC0415  (imports compile)
-        from rig.experiments.zwidth import MapPlan  # noqa: PLC0415
+        from rig.experiments import map_files  # noqa: PLC0415  (imports compile)
 
-        parsed = tuple(Scheme.parse(text) for text in schemes or DEFAULT_SCHEMES)
-        plan = MapPlan(
-            experiment=experiment,
-            schemes=parsed,
-            dampings=(
-                maps.numbers(damping, "--damping") if damping else ranges.dampings_for(experiment, parsed)
-            ),
-            search=maps.search(experiment, stiffness, way, ratio, ranges.SPAN),
-            offsets=maps.numbers(offsets, "--offsets"),
+        if url is not None:
+            load_device(url)
+        if realtime or (url is not None and not url.startswith("sim:")):
+            experiment = _in_real_time(experiment)
+        place_of_zero = f"{experiment.rig.encoder.offset!r}" if device else maps.OFFSETS
+        plan = _plan(
+            experiment,
+            schemes,
+            damping,
+            search=maps.search(experiment, stiffness, way, ratio, _span(), device=device),
+            offsets=maps.numbers(place_of_zero if offsets is None else offsets, "--offsets"),
             repeats=repeats,
-            judged=judged,
+            judged=judged or ("recorded" if device else "true"),
         )
-    place = map_files.directory_for(plan, directory, "zwidth")
-    with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
-        found = map_files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
-    picture = _draw(found, place / "zwidth.png") if plot else None
+    if url is None:
+        place = map_files.directory_for(plan, directory, "zwidth")
+        with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
+            found = map_files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+    else:
+        dialogue = Dialogue(plan, url, realtime=realtime, confirm=confirm)
+        place, found = dialogue.map(directory, verified=verified)
+    picture = maps.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
     if as_json:
         output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
         return
@@ -88,6 +133,36 @@ def zwidth(
         ("summary", str(place / map_files.SUMMARY)),
     ]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
+
+
+def _plan(experiment: Experiment, schemes: tuple[str, ...], damping: str | None, **others: Any) -> MapPlan:
+    from rig import theory  # noqa: PLC0415
+    from rig.experiments.ranges import dampings_for  # noqa: PLC0415
+    from rig.experiments.zwidth import MapPlan  # noqa: PLC0415
+    from rig.schemes import Scheme  # noqa: PLC0415
+
+    parsed = tuple(Scheme.parse(text) for text in schemes) or theory.default_schemes(experiment)
+    dampings = dampings_for(experiment, parsed) if damping is None else maps.numbers(damping, "--damping")
+    return MapPlan(experiment=experiment, schemes=parsed, dampings=dampings, **others)
+
+
+def _span() -> float:
+    from rig.experiments.ranges import SPAN  # noqa: PLC0415
+
+    return SPAN
+
+
+def _in_real_time(experiment: Experiment) -> Experiment:
+    from rig import config  # noqa: PLC0415
+
+    return config.with_realtime(experiment)
+
+
+def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
+    if workers is not None or scheduler is not None:
+        raise ConfigError(
+            "a device is hit by one program at a time", remedy="drop --workers and --scheduler, or --url"
+        )
 
 
 def _draw(found: ZWidth, path: Path) -> str:
@@ -108,29 +183,34 @@ def _print(found: ZWidth) -> None:
             label = scheme.label(experiment) if criterion == CRITERIA[0] else ""
             rows.append((label, criterion, *_cells(width)))
     output.print_table(rows)
+    for note in _notes(found):
+        click.echo(f"  {note}")
+
+
+def _notes(found: ZWidth) -> list[str]:
     notes = []
     if any(b.capped for b in found.boundaries):
         notes.append(
-            "≥: some climbs reached the highest stiffness before the wall failed; the limit lies above"
+            "≥ before K: some climbs reached the highest stiffness before the wall failed; the limit lies above"
         )
+    widths = [found.width(number, name) for number in range(len(found.plan.schemes)) for name in CRITERIA]
+    if any(width.range_capped for width in widths):
+        notes.append("≥ before B: the map ends before the scheme does; the range goes on")
     if any(limit.islands for b in found.boundaries for limit in b.limits):
         notes.append("there are islands: stiffer walls that hold beyond one that fails (see the picture)")
     unknown = sum(b.unknown for b in found.boundaries if b.criterion == "any")
     if unknown:
-        notes.append(
-            f"{unknown} of {found.hits} hits said nothing (invalid; see the column kind of the table)"
-        )
-    for note in notes:
-        click.echo(f"  {note}")
+        why = ", ".join(f"{reason} ({number})" for reason, number in found.silent().items())
+        notes.append(f"{unknown} of {found.hits} hits said nothing: {why}")
+    return notes
 
 
 def _cells(width: Width) -> tuple[str, ...]:
-    least = "≥ " if width.capped else ""
     undamped = "–" if width.stiffness_undamped is None else f"{width.stiffness_undamped:.4g}"
     return (
-        undamped,
-        f"{least}{width.stiffness_peak:.4g}",
+        f"{'≥ ' if width.undamped_capped else ''}{undamped}",
+        f"{'≥ ' if width.capped else ''}{width.stiffness_peak:.4g}",
         f"{width.damping_at_peak:.3g}",
-        f"{width.damping_range:.3g}",
-        f"{width.area:.4g}",
+        f"{'≥ ' if width.range_capped else ''}{width.damping_range:.3g}",
+        f"{'≥ ' if width.capped or width.range_capped else ''}{width.area:.4g}",
     )

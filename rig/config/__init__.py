@@ -10,14 +10,34 @@
 pydantic is imported by the functions that validate, not by this import.
 """
 
-from rig.config.derive import check_plugins, motor_push, push_at_rest, rig_model, verdict_limits
+from rig.config.derive import (
+    check_plugins,
+    excitation_s,
+    excitation_size,
+    motor_push,
+    push_at_rest,
+    rig_model,
+    shaken,
+    verdict_limits,
+)
 from rig.config.load import as_mapping, experiment_from_mapping, load_experiment, override, with_realtime
-from rig.config.sections import Controller, Experiment, Homing, Limits, Rig, Trial, VerdictLimits, Wall
+from rig.config.sections import (
+    Controller,
+    Excitation,
+    Experiment,
+    Homing,
+    Limits,
+    Rig,
+    Trial,
+    VerdictLimits,
+    Wall,
+)
 from rig.config.table import Described, describe, json_schema
 
 __all__ = [
     "Controller",
     "Described",
+    "Excitation",
     "Experiment",
     "Homing",
     "Limits",
@@ -28,6 +48,8 @@ __all__ = [
     "as_mapping",
     "check_plugins",
     "describe",
+    "excitation_s",
+    "excitation_size",
     "experiment_from_mapping",
     "json_schema",
     "load_experiment",
@@ -35,6 +57,7 @@ __all__ = [
     "override",
     "push_at_rest",
     "rig_model",
+    "shaken",
     "verdict_limits",
     "with_realtime",
 ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypedDict
 
 from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.sections import Experiment, Rig
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rig.verdict import Limits
+
+ABOVE_COULOMB = 10.0  # rms of an excitation over the Coulomb friction
+SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
 
 
 def rig_model(described: Experiment | Rig) -> RigModel:
@@ -47,21 +51,61 @@ def _reach(x: Experiment) -> Reach:
 
 
 def motor_push(experiment: Experiment) -> float:
-    """Constant effort of the motor in a trial (N·m or N): none when a person pushes."""
-    return 0.0 if experiment.trial.kind == "human" else experiment.trial.effort
+    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation shakes."""
+    return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
 
 
 def push_at_rest(experiment: Experiment) -> float:
     """Effort into the wall in the end (N·m or N, not negative): the motor's, or a person's press and spring."""
     wall = experiment.wall
     if experiment.trial.kind != "human":
-        return max(0.0, wall.side * experiment.trial.effort)
+        return max(0.0, wall.side * motor_push(experiment))
     operator, radius = experiment.operator, experiment.rig.mechanics.handle_radius
     if wall.stiffness == 0.0 or operator.pads_stiffness == 0.0:
         return 0.0
     # The hand ends short of its intention by the depth of the handle in the wall and the give of the pads.
     give = operator.hand_stiffness * (1.0 / operator.pads_stiffness + radius**2 / wall.stiffness)
     return (operator.press + operator.hand_stiffness * operator.depth) / (1.0 + give) * radius
+
+
+class Size(TypedDict, total=False):
+    """Size of an excitation (N·m or N), by one of both."""
+
+    rms: float
+    peak: float
+
+
+def excitation_size(experiment: Experiment) -> Size:
+    """Size of the excitation (N·m or N): its rms or its peak.
+
+    Ten times the friction, so that friction is a detail of the motion and not the other way round; two per cent of
+    the effort limit where there is hardly any.
+    """
+    given, mechanics = experiment.excitation, experiment.rig.mechanics
+    if given.peak is not None:
+        return {"peak": given.peak}
+    if given.rms is not None:
+        return {"rms": given.rms}
+    coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
+    return {"rms": max(ABOVE_COULOMB * coulomb, SHARE_OF_LIMIT * experiment.rig.limits.effort)}
+
+
+def excitation_s(experiment: Experiment) -> tuple[float, float]:
+    """Length of a shaken run, and of the part before the analysed periods (s)."""
+    given = experiment.excitation
+    return (given.settle_periods + given.periods) * given.period_s, given.settle_periods * given.period_s
+
+
+def shaken(experiment: Experiment) -> Experiment:
+    """Return the experiment as a shaken run: it starts at the wall, nothing pushes, and it lasts as long as it must."""
+    trial = replace(
+        experiment.trial,
+        kind="excitation",
+        effort=0.0,
+        start=experiment.wall.position,
+        duration_s=excitation_s(experiment)[0],
+    )
+    return replace(experiment, trial=trial)
 
 
 def verdict_limits(experiment: Experiment) -> Limits:
@@ -98,10 +142,12 @@ def check_plugins(experiment: Experiment, source: str) -> None:
     from rig import estimators, laws  # noqa: PLC0415
 
     controller = experiment.controller
-    problems = [
-        *_unknown("controller.estimator", controller.estimator, estimators.names()),
-        *_unknown("wall.law", experiment.wall.law, laws.names()),
-    ]
+    problems: list[Problem] = []
+    # To look for plug-ins takes longer than all the rest of it.
+    if controller.estimator not in estimators.BUILT_IN:
+        problems += _unknown("controller.estimator", controller.estimator, estimators.names())
+    if experiment.wall.law not in laws.BUILT_IN:
+        problems += _unknown("wall.law", experiment.wall.law, laws.names())
     if problems:
         raise config_error(problems, source)
     resolution = experiment.rig.encoder.sign * experiment.rig.encoder.resolution

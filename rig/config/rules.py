@@ -5,6 +5,7 @@ They run on an experiment whose every value is already of the right type and in 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -104,6 +105,8 @@ def efforts(x: Experiment) -> Iterator[Problem]:
         ("rig.limits.effort", limits.effort, "rig.amplifier.effort_limit", motor),
         ("homing.effort", x.homing.effort, "rig.limits.effort", limits.effort),
         ("trial.effort", abs(motor_push(x)), "rig.limits.effort", limits.effort),
+        ("excitation.peak", x.excitation.peak or 0.0, "rig.limits.effort", limits.effort),
+        ("excitation.rms", x.excitation.rms or 0.0, "rig.limits.effort", limits.effort),
     ):
         if value > bound:
             yield _problem(
@@ -150,6 +153,8 @@ def window(x: Experiment) -> Iterator[Problem]:
 def approach(x: Experiment) -> Iterator[Problem]:
     """A trial starts on the free side of the wall and pushes towards it."""
     side, wall, unit = x.wall.side, x.wall.position, _unit(x, "position")
+    if x.trial.kind == "excitation":  # it begins inside a wall that has no free side
+        return
     if side * (x.trial.start - wall) >= 0:
         where = "below" if side > 0 else "above"
         yield _problem(
@@ -232,7 +237,7 @@ def speeds(x: Experiment) -> Iterator[Problem]:
 
 def times(x: Experiment) -> Iterator[Problem]:
     """The judged tail is a part of the push, and its band has a width."""
-    if x.verdict.tail_s >= x.trial.duration_s:
+    if x.trial.kind != "excitation" and x.verdict.tail_s >= x.trial.duration_s:
         yield _problem(
             x,
             "verdict.tail_s",
@@ -245,6 +250,50 @@ def times(x: Experiment) -> Iterator[Problem]:
             "verdict.highpass_hz",
             f"must be below verdict.lowpass_hz, {x.verdict.lowpass_hz:g} Hz",
             "swap the two",
+        )
+
+
+def excitation(x: Experiment) -> Iterator[Problem]:
+    """A multisine has lines, which the loop can play, and one size; Schroeder's phases are always the same."""
+    e, rate = x.excitation, x.controller.position_rate
+    if e.low_hz > e.high_hz:
+        yield _problem(
+            x, "excitation.low_hz", f"must be at most excitation.high_hz, {e.high_hz:g} Hz", "swap the two"
+        )
+    elif math.ceil(e.low_hz * e.period_s - 1e-6) > math.floor(e.high_hz * e.period_s + 1e-6):
+        yield _problem(
+            x,
+            "excitation.period_s",
+            f"must have a line between {e.low_hz:g} and {e.high_hz:g} Hz: they stand {1.0 / e.period_s:g} Hz apart",
+            "lengthen the period or widen the band",
+        )
+    if e.rms is not None and e.peak is not None:
+        yield _problem(
+            x, "excitation.peak", "must be left out where excitation.rms is given", "drop one of the two"
+        )
+    if e.kind == "schroeder" and e.realisations > 1:
+        yield _problem(
+            x,
+            "excitation.realisations",
+            'must be 1 with excitation.kind = "schroeder", whose phases are always the same',
+            'set it to 1, or excitation.kind = "random"',
+        )
+    if x.trial.kind != "excitation":
+        return
+    if e.high_hz >= 0.5 * rate:
+        yield _problem(
+            x,
+            "excitation.high_hz",
+            f"must be below {0.5 * rate:g} Hz, half of controller.position_rate",
+            "end the band lower, or run the loop faster",
+        )
+    ticks = e.period_s * rate
+    if abs(ticks - round(ticks)) > 1e-6:
+        yield _problem(
+            x,
+            "excitation.period_s",
+            f"must be a whole number of ticks of 1/{rate} s",
+            f"nearest allowed: {max(1, round(ticks)) / rate:.9g} s",
         )
 
 
@@ -262,6 +311,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     reach,
     speeds,
     times,
+    excitation,
 )
 
 

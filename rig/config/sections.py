@@ -184,9 +184,61 @@ class Trial:
         float, Ge(0), Quantity("count", "refuse a push that would rest less deep than this; 0: never refuse")
     ] = 2.0
     kind: Annotated[
-        Literal["constant-effort", "human"],
-        Quantity("", "what drives the handle: the motor, with the end mass on it, or a person"),
+        Literal["constant-effort", "human", "excitation"],
+        Quantity(
+            "",
+            "what drives the handle: the motor, with the end mass on it; a person; or [excitation], about the wall",
+        ),
     ] = "constant-effort"
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Excitation:
+    """What shakes the handle when an impedance is measured: a multisine, whole periods of it.
+
+    Its lines are all multiples of 1/period_s in the band. The wall is bilateral meanwhile, about wall.position.
+    """
+
+    kind: Annotated[
+        Literal["schroeder", "random"],
+        Quantity("", "phases: Schroeder's, for a small peak; or random ones, others in each realisation"),
+    ] = "random"
+    low_hz: Annotated[float, Gt(0), Le(100_000), Quantity("Hz", "lowest line")] = 1.0
+    high_hz: Annotated[float, Gt(0), Le(100_000), Quantity("Hz", "highest line")] = 250.0
+    period_s: Annotated[
+        float, Gt(0), Le(1000), Quantity("s", "period; its inverse is the spacing of the lines")
+    ] = 1.0
+    settle_periods: Annotated[
+        int,
+        Ge(0),
+        Le(10_000),
+        Quantity("", "periods before those that are analysed; it rises in the first half of them"),
+    ] = 2
+    periods: Annotated[int, Ge(1), Le(10_000), Quantity("", "periods that are analysed")] = 4
+    realisations: Annotated[
+        int,
+        Ge(1),
+        Le(10_000),
+        Quantity("", "runs, each with other phases: friction's distortion averages over them only"),
+    ] = 4
+    rms: Annotated[
+        float | None,
+        Gt(0),
+        Quantity(
+            "effort",
+            "rms effort; left out, with peak: 10 × Coulomb friction, at least 2 % of rig.limits.effort",
+        ),
+    ] = None
+    peak: Annotated[float | None, Gt(0), Quantity("effort", "peak effort, in place of rms")] = None
+    channel: Annotated[
+        Literal["external", "motor"],
+        Quantity(
+            "", "who shakes: a second actuator (in simulation), or the rig's own motor on top of the wall"
+        ),
+    ] = "external"
+    seed: Annotated[int, Ge(0), Le(2**63 - 1), Quantity("", "seed of random phases")] = 0
 
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
@@ -240,6 +292,7 @@ class Experiment:
     trial: Trial
     operator: Operator = GRIPS["normal"]  # acts when trial.kind is human
     verdict: VerdictLimits = field(default_factory=VerdictLimits)
+    excitation: Excitation = field(default_factory=Excitation)  # acts when trial.kind is excitation
     realtime: Annotated[
         Mapping[str, Setting], Quantity("", "changes for a loop in real time, by dotted key")
     ] = field(default_factory=dict)

@@ -18,7 +18,7 @@ from rig.errors import ConfigError, DeviceNotFoundError
 
 if TYPE_CHECKING:
     from rig.devices.framed import FramedDevice
-    from rig.devices.simulated import OpenRig
+    from rig.devices.simulated import OpenRig, OpenShaker
     from rig.model import RigModel
 
 BUILT_IN = {
@@ -26,6 +26,7 @@ BUILT_IN = {
     "serial": "rig.devices.serial:open_link",
 }
 SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
+SHAKERS = {"sim": "sim_backend.shaken:Shaker"}  # and shaken
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +114,15 @@ def simulated_rig(scheme: str = "sim") -> OpenRig:
             f"{scheme}:// cannot be hit without bytes", remedy=f"known: {', '.join(SIMULATIONS)}"
         )
     return cast("OpenRig", _loaded(SIMULATIONS[scheme], scheme, "haptic-rig"))
+
+
+def simulated_shaker(scheme: str = "sim") -> OpenShaker:
+    """Return what makes rigs to shake without bytes (`rig.devices.simulated`); errors as `simulated_rig`."""
+    if scheme not in SHAKERS:
+        raise ConfigError(
+            f"{scheme}:// cannot be shaken without bytes", remedy=f"known: {', '.join(SHAKERS)}"
+        )
+    return cast("OpenShaker", _loaded(SHAKERS[scheme], scheme, "haptic-rig"))
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 if TYPE_CHECKING:
     from rig.model import RigModel
     from rig.step import Controller
@@ -36,4 +39,72 @@ class OpenRig(Protocol):
 
     def __call__(self, model: RigModel, tick_s: float, limits: Limits, most_ticks: int) -> SimulatedRig:
         """Prepare a rig; trials longer than `most_ticks` are cut off. Raises `ConfigError` for an impossible tick."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedShake:
+    """What came of shaking a rig: positions, velocities and counts, and what the guard took off the effort.
+
+    Attributes
+    ----------
+    counts, position, velocity
+        Encoder count, and true position and velocity of the handle (rad or m), `acquisition_s` apart; the first
+        are those of the law's first sample.
+    withheld
+        Effort sent less effort wanted in each tick of the law (N·m or N): rounding to the current quantum, clipping.
+    saturated
+        Ticks in which the guard clipped or slewed the effort.
+    ticks
+        Ticks of the law that ran: fewer than asked when the guard ended the run.
+    acquisition_s
+        Time between two positions (s).
+    """
+
+    counts: NDArray[np.int64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    withheld: NDArray[np.float64]
+    saturated: int
+    ticks: int
+    acquisition_s: float
+
+
+class SimulatedShaker(Protocol):
+    """A rig that a second actuator shakes about a point, run after run. One for each thread."""
+
+    def shake(
+        self,
+        controller: Controller,
+        position: float,
+        excitation: NDArray[np.float64],
+        ramp_s: float,
+        ticks: int,
+    ) -> SimulatedShake:
+        """Run the law for so many ticks, from rest at a position (rad or m).
+
+        The controller is fresh, and used up. `excitation` is one period of the second actuator's effort on the link
+        (N·m or N), a value for each inner step, in force during that step; it rises in `ramp_s` from zero.
+
+        Raises `rig.errors.LawError` when estimator or law give something that is not finite.
+        """
+        ...
+
+    @property
+    def inner_rate_hz(self) -> float:
+        """Inner steps of the plant in a second (Hz)."""
+        ...
+
+
+class OpenShaker(Protocol):
+    """The function behind a backend's name: makes a rig to shake."""
+
+    def __call__(
+        self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int
+    ) -> SimulatedShaker:
+        """Prepare a rig whose law runs every `tick_s`, for runs of at most so many ticks.
+
+        Positions are kept `acquisition_hz` times a second, or as near above that as the inner step allows. Raises
+        `ConfigError` for an impossible tick.
+        """
         ...

@@ -6,6 +6,8 @@ A third party adds one by the entry-point group ``rig.estimators``: a name and t
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, cast
@@ -37,8 +39,12 @@ BUILT_IN = {
 
 def names() -> list[str]:
     """Names of all estimators, built-in ones first."""
-    plugins = sorted(point.name for point in entry_points(group="rig.estimators"))
-    return [*BUILT_IN, *(name for name in plugins if name not in BUILT_IN)]
+    return [*BUILT_IN, *(name for name in _plugins(entry_points) if name not in BUILT_IN)]
+
+
+@cache  # it looks through every installed package, which costs milliseconds, for each scheme and each check
+def _plugins(find: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(sorted(point.name for point in find(group="rig.estimators")))
 
 
 def get(name: str) -> Estimator:

@@ -47,6 +47,10 @@ class HitRequest:
         Directory of the recordings.
     law
         A law of the caller's own instead of the named one.
+    device
+        Open device to use instead of `url`; it stays open.
+    reference_count
+        Count at position zero of a real rig. None: its handle is at zero now.
     """
 
     experiment: Experiment
@@ -56,6 +60,8 @@ class HitRequest:
     verified: bool = False
     output: Path = Path("recordings")
     law: Law | None = None
+    device: FramedDevice | None = None
+    reference_count: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,7 +139,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
             experiment=experiment,
             recording=request.output,
             verified=request.verified or device.dictionary.simulated,
-            reference_count=0 if device.dictionary.simulated else device.count(),
+            reference_count=_reference_count(request, device),
             seed=experiment.trial.seed,
             law=request.law,
         )
@@ -172,6 +178,9 @@ def _one(device: FramedDevice, trial: TrialRequest) -> HitResult:
 @contextmanager
 def _opened(request: HitRequest) -> Iterator[FramedDevice]:
     """Open the device of a request; a simulated one in real time becomes a process of its own."""
+    if request.device is not None:
+        yield request.device
+        return
     url = request.url or "sim://"
     if not url.startswith("sim:"):
         with devices.open_device(url) as device:
@@ -198,6 +207,12 @@ def _experiment_for(request: HitRequest, device: FramedDevice) -> Experiment:
     if not any(key in request.changes for key in RATES):
         changes.update(dict.fromkeys(RATES, device.dictionary.position_rate_default))
     return config.override(request.experiment, {**changes, **request.changes}, "real time and command line")
+
+
+def _reference_count(request: HitRequest, device: FramedDevice) -> int:
+    if device.dictionary.simulated:
+        return 0
+    return device.count() if request.reference_count is None else request.reference_count
 
 
 def _refuse(checks: list[Check] | tuple[Check, ...]) -> None:

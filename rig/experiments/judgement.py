@@ -35,6 +35,8 @@ def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
         wall = experiment.wall
         true = verdict.judge(verdict.true_signals(recording.rows, tick_s, wall.position, wall.side), limits)
     early = ended_early(recording)
+    if early is None and experiment.trial.kind == "excitation":
+        early = Kind.INVALID, "the rig was shaken about its wall, not driven into it: see rig impedance"
     if early is None:
         return recorded, true
     return verdict.overruled(recorded, *early), None if true is None else verdict.overruled(true, *early)

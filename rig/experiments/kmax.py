@@ -13,6 +13,7 @@ from rig.config import Experiment
 from rig.experiments.ladder import Search
 from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
 from rig.schemes import Scheme
+from rig.verdict import CRITERIA
 
 RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the paper's range
 
@@ -48,7 +49,7 @@ class KMax:
         mapping = self.map.as_mapping()
         for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
             scheme["rate_hz"] = rate
-        return mapping
+        return {**mapping, "saturation": {name: self.saturation(name) for name in CRITERIA}}
 
 
 def kmax_plan(

@@ -96,8 +96,8 @@ class Limit:
 
     @property
     def capped(self) -> bool:
-        """Whether the search ended before the wall did."""
-        return self.failed_at is None
+        """Whether the search ended before the wall did: some wall held and none failed."""
+        return self.failed_at is None and self.stiffness > 0.0
 
 
 def limit_of(tried: Mapping[float, Passes]) -> Limit:

@@ -85,6 +85,10 @@ def make_plan(experiment: Experiment) -> Plan:
     quantum = experiment.rig.amplifier.current_quantum_a
     controller.for_experiment(experiment, current_quantum_a=quantum)
     controller.device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
+    if experiment.trial.kind == "excitation":
+        from rig.experiments.shaking_plan import shaking_plan  # noqa: PLC0415  (it needs the linear theory)
+
+        return shaking_plan(experiment)
     checks = (*_wall_checks(experiment), *_heat_checks(experiment))
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -13,6 +14,7 @@ from rig.config import Experiment, push_at_rest
 from rig.errors import ConfigError, PlanError
 from rig.experiments.kmax import KMax
 from rig.experiments.ladder import Search, Way
+from rig.experiments.plan import Outcome, make_plan
 from rig.experiments.zwidth import MapPlan
 from rig.schemes import Scheme
 
@@ -21,6 +23,7 @@ COLUMNS = 17  # dampings
 BEYOND = 1.1  # of the largest damping that the linear theory allows any of the schemes
 _LINEAR = "fdm-butterworth"  # stands in for an estimator that the theory cannot take
 _BISECTIONS = 50
+_COARSE_BISECTIONS = 12  # to 0.1 % of a hundredfold range
 CURVE_POINTS = 60  # of a theoretical curve
 
 
@@ -53,8 +56,9 @@ def search_for(
     lowest: float | None = None,
     highest: float | None = None,
     span: float = SPAN,
+    on_device: bool = False,
 ) -> Search:
-    """Rungs up to what the push can show, unless bounds are given.
+    """Rungs up to what the push can show, unless bounds are given; on a device from the softest wall it may hit.
 
     Raises
     ------
@@ -64,15 +68,38 @@ def search_for(
     possible = highest_stiffness(experiment)
     if highest is not None and highest > possible * (1.0 + 1e-9):
         raise PlanError(
-            f"a stiffness of {highest:g}: in walls above {possible:.4g} the push rests less than "
-            f"{experiment.trial.minimum_rest_counts:g} counts deep",
-            remedy="push harder (--effort), or lower trial.minimum_rest_counts: the handle may then leave the wall",
+            f"a stiffness of {highest:g} (--stiffness): in walls above {possible:.4g} the push rests less than "
+            f"{max(1.0, experiment.trial.minimum_rest_counts):g} counts deep",
+            remedy=f"at most {possible:.4g}; or push harder (--effort, --operator firm), or lower "
+            "trial.minimum_rest_counts: the handle may then leave the wall",
         )
-    top = highest or possible
+    top = possible if highest is None else highest
+    if lowest is None:
+        lowest = top / span
+        if on_device:
+            lowest = max(lowest, _softest(experiment, lowest, top))
     try:
-        return Search(way=way, lowest=lowest or top / span, highest=top, ratio=ratio)
+        return Search(way=way, lowest=lowest, highest=top, ratio=ratio)
     except ValueError as error:
-        raise PlanError(str(error), remedy="choose bounds and a ratio that make some rungs") from None
+        raise PlanError(
+            f"{error} (--stiffness, --ratio)", remedy="choose bounds and a ratio that make some rungs"
+        ) from None
+
+
+def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
+    """Softest wall that a trial may hit: in a softer one the handle would go beyond its window."""
+
+    def may(stiffness: float) -> bool:
+        walled = replace(experiment, wall=replace(experiment.wall, stiffness=stiffness))
+        return all(check.outcome is not Outcome.REFUSED for check in make_plan(walled).checks)
+
+    if may(lowest) or not may(highest):
+        return lowest
+    low, high = math.log(lowest), math.log(highest)
+    for _ in range(_COARSE_BISECTIONS):
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if may(math.exp(middle)) else (middle, high)
+    return math.exp(high)
 
 
 def dampings_for(

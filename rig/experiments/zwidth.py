@@ -13,8 +13,11 @@ Source: Koul et al. 2013, section III (K raised until unstable, five repeats ave
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,14 +25,17 @@ import numpy as np
 
 from rig import config
 from rig.config import Experiment
+from rig.errors import PlanError
 from rig.experiments import sweep
 from rig.experiments.bench import Bench
 from rig.experiments.ladder import Limit, Outcomes, Search, limit_of
+from rig.measure import NUMBERS
 from rig.schemes import Scheme
-from rig.verdict import CRITERIA, Measured
+from rig.verdict import CRITERIA, INVALID, Finding, Measured, findings
 
 Judged = Literal["true", "recorded"]
 TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
+_BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not show
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,14 @@ class MapPlan:
     repeats: int = 1
     judged: Judged = "true"
 
+    def __post_init__(self) -> None:
+        """Raise `PlanError` for a map without climbs, or with the same one twice."""
+        _check_values("schemes", [scheme.text for scheme in self.schemes], "--scheme")
+        _check_values("dampings", self.dampings, "--damping", 0.0, math.inf)
+        _check_values("offsets", self.offsets, "--offsets", 0.0, 1.0)
+        if self.repeats < 1:
+            raise PlanError(f"{self.repeats} repeats (--repeats)", remedy="give 1 or more")
+
     def climbs(self) -> list[Climb]:
         """Every climb, in the order of schemes, dampings, offsets, repeats."""
         return [
@@ -88,7 +102,7 @@ class MapPlan:
         ]
 
     def experiment_of(self, climb: Climb, under: Experiment | None = None) -> Experiment:
-        """The experiment of a climb, each of whose hits has another stiffness; `under` its scheme if already applied."""
+        """The experiment of a climb but for its stiffness; `under` is what its scheme makes of the plan's, if known."""
         changes = {
             "rig.encoder.offset": climb.offset,
             "trial.seed": self.experiment.trial.seed + climb.repeat,
@@ -114,6 +128,23 @@ class MapPlan:
         ]
 
 
+def _check_values(
+    name: str, values: Sequence[Any], option: str, least: float = 0.0, below: float = math.inf
+) -> None:
+    """Some values, none twice, and numbers within least ≤ value < below."""
+    if not values:
+        raise PlanError(f"no {name} ({option}): nothing to map", remedy="give at least one")
+    twice = next((value for value, times in Counter(values).items() if times > 1), None)
+    if twice is not None:
+        raise PlanError(f"{name} ({option}): {twice} stands there twice", remedy="give each once")
+    wrong = [value for value in values if isinstance(value, int | float) and not least <= value < below]
+    if wrong:
+        raise PlanError(
+            f"{name} ({option}): {wrong[0]:g} is out of range",
+            remedy=f"choose at least {least:g}" + ("" if below == math.inf else f" and less than {below:g}"),
+        )
+
+
 def run_climb(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Run one climb in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
     experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
@@ -123,8 +154,7 @@ def run_climb(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     def hit(stiffness: float) -> Outcomes:
         done = bench.hit(stiffness, experiment.wall.damping)
         rows.append({"stiffness": stiffness} | row_of(done.recorded, "") | row_of(done.true, TRUE))
-        judged = done.recorded if payload["judged"] == "recorded" else done.true
-        return {criterion: judged.passes(criterion) for criterion in CRITERIA}
+        return outcomes_of(rows[-1], payload["judged"])
 
     hit_all(Search(**payload["search"]), hit)
     return rows
@@ -197,7 +227,9 @@ class Width:
     damping_at_peak: float
     damping_range: float  # largest damping up to which every column holds some wall
     area: float  # under the curve, up to damping_range
-    capped: bool
+    capped: bool  # the peak is only a lower bound: somewhere the search ended before the wall did
+    undamped_capped: bool = False  # so is the value at B = 0
+    range_capped: bool = False  # so is the range: it reaches to the last column
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +275,21 @@ class ZWidth:
             damping_range=holds[-1].damping if holds else 0.0,
             area=float(area),
             capped=any(b.capped for b in curve),
+            undamped_capped=curve[0].damping == 0.0 and curve[0].capped > 0,
+            range_capped=len(holds) == len(curve),
         )
+
+    def silent(self) -> dict[str, int]:
+        """Why hits said nothing, with how many each, the most common reason first."""
+        limits, why = config.verdict_limits(self.plan.experiment), Counter[str]()
+        suffix, column = TRUE if self.plan.judged == "true" else "", _passes("any", self.plan.judged)
+        for rows in self.climbs:
+            for row in rows:
+                if row[column] is None:
+                    numbers: Any = {name: row[name + suffix] for name in NUMBERS.names or ()}
+                    found = Finding(int(findings(numbers, limits))) & INVALID
+                    why.update([str(reason.name).lower().replace("_", " ") for reason in found] or [_BEFORE])
+        return dict(why.most_common())
 
     def table(self) -> Iterator[dict[str, Any]]:
         """Every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""
@@ -276,6 +322,8 @@ class ZWidth:
             "repeats": plan.repeats,
             "judged": plan.judged,
             "hits": self.hits,
+            "silent": self.silent(),
+            "experiment": config.as_mapping(plan.experiment),
         }
 
 
@@ -319,16 +367,27 @@ def zwidth(
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
     """Columns of one side of a hit: kind, what passes, and every number."""
-    names = measured.numbers.dtype.names or ()
-    return (
-        {f"kind{suffix}": str(measured.kind)}
-        | {f"passes_{criterion}{suffix}": measured.passes(criterion) for criterion in CRITERIA}
-        | {f"{name}{suffix}": measured.numbers[name].item() for name in names}
-    )
+    passes = (measured.passes(criterion) for criterion in CRITERIA)
+    return dict(zip(_columns(suffix), (str(measured.kind), *passes, *measured.numbers.item()), strict=True))
+
+
+def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
+    """What a row says under each criterion, by the signals that decide."""
+    return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
+
+
+@cache
+def _columns(suffix: str) -> tuple[str, ...]:
+    names = ("kind", *(f"passes_{criterion}" for criterion in CRITERIA), *(NUMBERS.names or ()))
+    return tuple(name + suffix for name in names)
+
+
+def _passes(criterion: str, judged: Judged) -> str:
+    return f"passes_{criterion}" + (TRUE if judged == "true" else "")
 
 
 def _tried(rows: Iterable[Mapping[str, Any]], criterion: str, judged: Judged) -> dict[float, bool | None]:
-    column = f"passes_{criterion}" + (TRUE if judged == "true" else "")
+    column = _passes(criterion, judged)
     return {row["stiffness"]: row[column] for row in rows}
 
 

@@ -1,32 +1,38 @@
 """The same map on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
 
 A hit is an ordinary one of `rig.experiments.hit`, with its checks, its recording and its verdict; a map is what their
-recordings say. A hit that says nothing is repeated; when it still does, or when the rig itself gives up, the session
-ends. Climbs that were finished stay in the journal, and the same command goes on after them.
+recordings say. A real device stays open all along, so that position zero stays where it was when the session began; a
+simulated one is a fresh one for each hit. A hit that says nothing is repeated; when it still does, or when the rig
+itself gives up, the session ends. Climbs that were finished stay in the journal, and the same command goes on after
+them.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rig import config
+from rig import config, devices
 from rig.config import Experiment
-from rig.errors import PlanError, RigError, StoppedError
+from rig.devices.framed import FramedDevice
+from rig.devices.local import serve_locally
+from rig.errors import DeviceFaultError, GuardError, PlanError, RigError, StoppedError
 from rig.experiments import sweep
 from rig.experiments.hit import HitRequest, hit
-from rig.experiments.judgement import ended_early, experiment_of
+from rig.experiments.judgement import THROWN_OUT, ended_early, experiment_of
 from rig.experiments.ladder import Outcomes, Search
-from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, row_of
+from rig.experiments.plan import Outcome, link_checks, make_plan
+from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.sample import Phase
-from rig.verdict import CRITERIA, Kind, Measured, measured, recorded_signals, true_signals
+from rig.verdict import Kind, Measured, decide, measured, recorded_signals, true_signals
 
 ATTEMPTS = 3  # at a hit that says nothing
 CALM_S = 0.5  # pause between hits, whatever the motor's heat
@@ -42,6 +48,8 @@ class Next:
     number: int  # of this climb's hits, from 1
     climb: int  # from 1
     climbs: int
+    attempt: int = 1  # more when the last one said nothing
+    thrown_out: bool = False  # whether the last hit left the handle out of its window
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,20 +58,24 @@ class Session:
 
     Attributes
     ----------
-    url, verified
-        As in `rig.experiments.hit.HitRequest`.
+    url, realtime, verified
+        As in `rig.experiments.hit.HitRequest`; a real handle is at position zero when the session begins.
     recordings
         Directory for the recordings of all hits.
     agrees
         Asked before every hit; False ends the session.
+    tells
+        Told after every hit what came of it.
     pause
-        Waits for a number of seconds, longer when the motor has to cool.
+        Waits between two hits for a number of seconds, longer when the motor has to cool.
     """
 
     url: str
     recordings: Path
     agrees: Callable[[Next], bool]
+    realtime: bool = False
     verified: bool = False
+    tells: Callable[[Next, Measured], None] = field(default=lambda asked, done: None)
     pause: Callable[[float], None] = field(default=time.sleep)
 
 
@@ -73,38 +85,94 @@ def zwidth_on_rig(plan: MapPlan, session: Session, *, journal: Path | None = Non
     Raises
     ------
     PlanError
-        A plan for a simulation: judged by truth, or with several encoder offsets, which a device does not have.
+        A plan for a simulation: judged by truth, or with several encoder offsets, which a device does not have; or a
+        scheme or a wall that this device or its link must not or cannot run. Nothing has moved then.
     StoppedError
         The person did not agree, or Ctrl-C; finished climbs stay in the journal.
     RigError
-        Whatever ended a hit early, but for a wall that throws the handle out.
+        Whatever ended a hit early, but for a wall that throws the handle out; or a hit that says nothing every time.
     """
     _check(plan)
-    climbs = plan.climbs()
-    tasks = plan.tasks()
+    climbs, tasks = plan.climbs(), plan.tasks()
     numbers = {task.key: number for number, task in enumerate(tasks)}
 
-    def perform(task: sweep.Task) -> list[dict[str, Any]]:
-        climb = climbs[numbers[task.key]]
-        experiment = plan.experiment_of(climb)
-        rows: list[dict[str, Any]] = []
+    with _opened(plan, session) as device:
+        _check_hits(plan, device)
+        simulated = session.url.startswith("sim:")
+        zero = device.count() if session.verified and not simulated else 0
+        bench = _Bench(session, None if simulated else device, zero)
 
-        def one(stiffness: float) -> Outcomes:
-            asked = Next(
+        def perform(task: sweep.Task) -> list[dict[str, Any]]:
+            climb = climbs[numbers[task.key]]
+            first = Next(
                 scheme=plan.schemes[climb.scheme].label(plan.experiment),
-                stiffness=stiffness,
+                stiffness=plan.search.lowest,
                 damping=climb.damping,
-                number=len(rows) + 1,
+                number=1,
                 climb=numbers[task.key] + 1,
                 climbs=len(tasks),
             )
-            done = _measured_hit(experiment, stiffness, asked, session, rows)
-            return {criterion: done.passes(criterion) for criterion in CRITERIA}
+            try:
+                return _climb(bench, plan.experiment_of(climb), Search(**task.payload["search"]), first)
+            except (KeyboardInterrupt, StoppedError) as stop:
+                raise _stopped(stop, first, journal) from stop
 
-        hit_all(Search(**task.payload["search"]), one)
-        return rows
+        return ZWidth.of(
+            plan, sweep.run_here(work_of(session.url, session.realtime), perform, tasks, journal=journal)
+        )
 
-    return ZWidth.of(plan, sweep.run_here(session.url, perform, tasks, journal=journal))
+
+def work_of(url: str, realtime: bool) -> str:
+    """What a journal calls the work on a device: hits of one are no hits of another."""
+    return f"{url} in real time" if realtime else url
+
+
+@dataclass(slots=True)
+class _Bench:
+    """An open device, where its position zero is, and whether its handle is where the last hit should have left it."""
+
+    session: Session
+    device: FramedDevice | None  # None: a fresh simulated one for each hit
+    reference_count: int
+    thrown_out: bool = False
+
+
+@contextmanager
+def _opened(plan: MapPlan, session: Session) -> Iterator[FramedDevice]:
+    """Open the device of a session."""
+    model = config.rig_model(plan.experiment)
+    if session.realtime and session.url.startswith("sim:"):
+        with (
+            serve_locally(session.url, model, seed=plan.experiment.trial.seed) as port,
+            devices.open_device(port) as device,
+        ):
+            yield device
+    else:
+        with devices.open_device(session.url, model) as device:
+            yield device
+
+
+def _climb(bench: _Bench, experiment: Experiment, search: Search, first: Next) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+
+    def one(stiffness: float) -> Outcomes:
+        asked = replace(first, stiffness=stiffness, number=len(rows) + 1)
+        rows.append(_row(bench, experiment, asked))
+        return outcomes_of(rows[-1], "recorded")
+
+    hit_all(search, one)
+    return rows
+
+
+def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
+    """Say how far a session came; climbs are done in their order."""
+    said = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
+    kept = f"{where.climb - 1} of {where.climbs} climbs are done" + (
+        f" and kept in {journal}" if journal else ""
+    )
+    error = StoppedError(f"{said}; {kept}", remedy="the same command goes on from there" if journal else "")
+    error.recording = getattr(stop, "recording", None)
+    return error
 
 
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
@@ -122,45 +190,79 @@ def _check(plan: MapPlan) -> None:
         )
 
 
-def _measured_hit(
-    experiment: Experiment, stiffness: float, asked: Next, session: Session, rows: list[dict[str, Any]]
-) -> Measured:
-    """Hit one wall until it says something, and keep a row for each attempt that did."""
-    for _ in range(ATTEMPTS):
+def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
+    """Refuse what could not be hit, before anybody waits hours for it: the ends of the search under every scheme."""
+    rungs = plan.search.rungs
+    for number, scheme in enumerate(plan.schemes):
+        climb = next(climb for climb in plan.climbs() if climb.scheme == number)
+        under = plan.experiment_of(climb)
+        checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
+        for stiffness in (rungs[0], rungs[-1]):
+            checks += make_plan(config.override(under, _changes(under, stiffness), "the map")).checks
+        refused = {check.name: check for check in checks if check.outcome is Outcome.REFUSED}.values()
+        if refused:
+            raise PlanError(
+                f"scheme {scheme.text}, K from {rungs[0]:.4g} to {rungs[-1]:.4g}: "
+                + "; ".join(f"{check.name}: {check.text}" for check in refused),
+                remedy="; ".join(check.remedy for check in refused),
+            )
+
+
+def _row(bench: _Bench, experiment: Experiment, asked: Next) -> dict[str, Any]:
+    """Hit one wall until it says something, and return what it said."""
+    session = bench.session
+    for attempt in range(1, ATTEMPTS + 1):
+        asked = replace(asked, attempt=attempt, thrown_out=bench.thrown_out and bench.device is not None)
         if not session.agrees(asked):
-            raise StoppedError("the session was ended between two hits; the effort is zero")
-        recording = _recorded_hit(experiment, stiffness, session)
-        session.pause(CALM_S + _cooling_of(recording, experiment))
+            raise StoppedError("ended between two hits; the effort is zero")
+        recording, path = _recorded_hit(bench, experiment, asked.stiffness)
         recorded, true = _measured(recording)
-        if recorded.passes("any") is None:
-            continue
-        row = {"stiffness": stiffness} | row_of(recorded, "")
-        rows.append(row if true is None else row | row_of(true, TRUE))
-        return recorded
-    raise StoppedError(
-        f"{ATTEMPTS} hits at K = {stiffness:.4g} said nothing about the wall ({recorded.kind}); the effort is zero",
-        remedy="rig show the last recording; then the same command goes on",
+        session.tells(asked, recorded)
+        session.pause(CALM_S + _cooling_of(recording, experiment))
+        if recorded.passes("any") is not None:
+            row = {"stiffness": asked.stiffness} | row_of(recorded, "")
+            return row if true is None else row | row_of(true, TRUE)
+    _, reasons = decide(recorded.numbers, recorded.limits)
+    error = RigError(
+        f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} said nothing about the wall: "
+        f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
+        remedy="mend that; the same command goes on after the last whole climb",
     )
+    error.recording = path
+    raise error
 
 
-def _recorded_hit(experiment: Experiment, stiffness: float, session: Session) -> Recording:
+def _recorded_hit(bench: _Bench, experiment: Experiment, stiffness: float) -> tuple[Recording, Path]:
+    """Run one hit. One that the wall ended by throwing the handle out is a hit like others; other ends raise."""
     request = HitRequest(
         experiment=experiment,
-        url=session.url,
+        url=bench.session.url,
+        realtime=bench.session.realtime,
+        device=bench.device,
+        reference_count=bench.reference_count,
         changes=_changes(experiment, stiffness),
-        verified=session.verified,
-        output=session.recordings,
+        verified=bench.session.verified,
+        output=bench.session.recordings,
     )
+    bench.thrown_out = False
     try:
         (result,) = hit(request)
-    except RigError as error:
-        if error.recording is None:
+        path = result.recording
+    except (GuardError, DeviceFaultError) as error:
+        if error.recording is None or not _thrown_out(open_recording(error.recording)):
             raise
-        recording = open_recording(error.recording)
-        if (ended_early(recording) or (Kind.INVALID,))[0] is not Kind.UNSTABLE:
-            raise
-        return recording
-    return open_recording(result.recording)
+        path, bench.thrown_out = error.recording, True
+    return open_recording(path), path
+
+
+def _thrown_out(recording: Recording) -> bool:
+    """Whether the wall threw the handle out: in the push, or in the release, which leaves the verdict of the push."""
+    early = ended_early(recording)
+    if early is not None:
+        return early[0] is Kind.UNSTABLE
+    trailer = recording.trailer or {}
+    fault = (trailer.get("fault") or {}).get("name")
+    return trailer.get("reason") == "out_of_window" or fault in THROWN_OUT
 
 
 def _changes(experiment: Experiment, stiffness: float) -> Mapping[str, Any]:

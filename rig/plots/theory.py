@@ -13,6 +13,7 @@ from rig.theory import SchemeTheory, Theory
 
 COLOURS = (style.MEASURED, style.SENT, style.OTHER, style.TRUE, "#cc79a7", "#56b4e9")
 HEADROOM = 1.15  # above the highest curve
+PASSIVE = ("passive below the dashed line", "passive below the dashed line, and only there")
 CORNER = 1.5  # width and height of the right panel, in what passivity allows
 
 
@@ -20,7 +21,8 @@ def draw_theory(theory: Theory, picture: str | Path) -> Path:
     """Draw a result of `rig.theory.theory_of` into a PNG; returns its path.
 
     Solid lines are K_max of the linear loop, connected from the lowest stiffness; islands beyond are shaded. The right
-    panel shows the corner in which the wall can be passive: below the dashed lines, lag and delay counted.
+    panel shows the corner in which the wall can be passive: below the dashed lines it is, lag and delay counted, and on
+    a rigid rig above them it is not.
     """
     figure = style.new_figure(12.0, 6.0)
     whole, corner = figure.subplots(1, 2, width_ratios=(2, 1))
@@ -34,15 +36,15 @@ def draw_theory(theory: Theory, picture: str | Path) -> Path:
         whole.axvline(theory.damping, color=style.WALL, linewidth=1.0, label="B of the experiment")
     whole.set_xlim(left=0.0)
     whole.set_ylim(0.0, HEADROOM * _highest(theory))
-    corner.set_xlim(0.0, CORNER * max((_passive_damping(s) for s in theory.schemes), default=1.0))
-    corner.set_ylim(0.0, CORNER * max((_passive_stiffness(s) for s in theory.schemes), default=1.0))
+    corner.set_xlim(0.0, CORNER * max((_passive_damping(s) for s in theory.schemes), default=1.0) or 1.0)
+    corner.set_ylim(0.0, CORNER * max((_passive_stiffness(s) for s in theory.schemes), default=1.0) or 1.0)
     for axes in (whole, corner):
         axes.set_xlabel(f"damping B of the wall ({unit_of('damping', theory.motion)})")
         style.lighten(axes)
     style.tidy(whole, f"stiffness K of the wall ({unit_of('stiffness', theory.motion)})")
     hand = "no hand" if theory.operator == "none" else f"{theory.operator} hand"
     whole.set_title(f"{theory.rig}, {hand}: linear theory, no friction, no quantum", fontsize=11)
-    corner.set_title("dashed: above it no passive wall", fontsize=11)
+    corner.set_title(PASSIVE[theory.structure == "rigid"], fontsize=11)
     whole.legend(loc="upper right", fontsize=8)
     return style.save(figure, Path(picture))
 
@@ -70,17 +72,15 @@ def _draw_islands(axes: Any, scheme: SchemeTheory, colour: str) -> None:
 
 
 def _draw_passivity(axes: Any, scheme: SchemeTheory, colour: str) -> None:
-    ends = [_passive_damping(scheme), 0.0], [0.0, _passive_stiffness(scheme)]
-    axes.plot(*ends, "--", color=colour, linewidth=1.0)
+    axes.plot(*np.array(scheme.passive).T, "--", color=colour, linewidth=1.0)
 
 
 def _passive_stiffness(scheme: SchemeTheory) -> float:
-    return scheme.at_zero.passivity.stiffness_with_lag
+    return max(stiffness for _, stiffness in scheme.passive)
 
 
 def _passive_damping(scheme: SchemeTheory) -> float:
-    passive = scheme.at_zero.passivity
-    return passive.rig_damping / max(passive.beta, 1e-3)
+    return scheme.passive[-1][0]
 
 
 def _highest(theory: Theory) -> float:

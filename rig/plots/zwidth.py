@@ -43,6 +43,10 @@ def draw_zwidth(
         axes.set_xlim(left=0.0)
         style.lighten(axes)
     panels[0].set_ylabel(f"stiffness K ({unit_of('stiffness', experiment.rig.motion)})")
+    if theory:
+        panels[0].plot(
+            [], [], color="#333333", linewidth=0.8, linestyle="--", label="linear theory, no friction"
+        )
     panels[0].legend(fontsize=8, loc="upper right")
     figure.suptitle(f"Z-width of {experiment.rig.name}, {_how(found)}", fontsize=11)
     return style.save(figure, Path(picture))

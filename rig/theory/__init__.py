@@ -14,6 +14,7 @@ in `rig.theory.loop`, with what that is worth.
 * `loop`: rig and scheme as matrices
 * `lifted`: the loop over one velocity period and its spectral radius
 * `limits`: K_max, B_max, islands, maps
+* `dissipation`: the work that a wall gives back, exactly
 * `passivity`: the multi-rate bound and the conditions of the literature
 * `summary`: all of it for a rig, as `rig theory` prints and draws it
 """
@@ -30,20 +31,23 @@ from rig.theory.limits import (
     k_max_curve,
     stability_map,
 )
-from rig.theory.linear import Realisation, realise
+from rig.theory.linear import NotLinearError, Realisation, realise
 from rig.theory.loop import LinearLoop, Subject, linear_loop, resolve
 from rig.theory.passivity import Bound, Diolaiti, PassivityBound, beta, diolaiti, passivity_bound, rigid_b_max
-from rig.theory.summary import AtDamping, SchemeTheory, Theory, default_schemes, theory_of
+from rig.theory.summary import AtDamping, InHand, NotLinear, SchemeTheory, Theory, default_schemes, theory_of
 
 __all__ = [
     "AtDamping",
     "Bound",
     "DampingLimit",
     "Diolaiti",
+    "InHand",
     "Island",
     "Lifted",
     "Limit",
     "LinearLoop",
+    "NotLinear",
+    "NotLinearError",
     "PassivityBound",
     "Realisation",
     "SchemeTheory",

@@ -41,6 +41,14 @@ LARGEST_ORDER = 40
 HANKEL = 96  # rows and columns at most
 
 
+class NotLinearError(ConfigError):
+    """What linear theory is asked about is not linear; `reason` says why."""
+
+    def __init__(self, message: str, *, reason: str, remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy)
+        self.reason = reason
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Realisation:
     """x ← A x + B p, v = C x + D p once each velocity period: p position, v velocity, both SI.
@@ -83,15 +91,18 @@ def realise(
     Raises
     ------
     ConfigError
-        Unknown estimator, settings that cannot be realised, or an estimator that is not linear.
+        Unknown estimator, or settings that cannot be realised.
+    NotLinearError
+        An estimator that is not linear.
     """
     probe = _Probe(name, settings, period_s, resolution)
     rest, h = _settled_response(probe)
     reason = _nonlinearity(probe, rest, h)
     if reason:
         said = ", ".join(f"{key} = {value}" for key, value in settings.items())
-        raise ConfigError(
+        raise NotLinearError(
             f"estimator {name}{f' ({said})' if said else ''} is not linear: {reason}",
+            reason=reason,
             remedy="linear theory takes fdm, fdm-butterworth, kalman without fading, and whatever else is linear; "
             "simulate the others",
         )

@@ -20,15 +20,14 @@ from rig.config import Controller, Experiment
 from rig.errors import ConfigError
 from rig.model import Matrix, Operator, RigModel, StateSpace, state_space
 from rig.operators import GRIPS
-from rig.schemes import Scheme
-from rig.theory.linear import Realisation, realise
+from rig.schemes import Scheme, usual_settings
+from rig.theory.linear import NotLinearError, Realisation, realise
 
 RigLike = str | Path | Experiment | RigModel
 SchemeLike = str | Scheme
 Vector = NDArray[np.float64]
 
 NO_OPERATOR = "none"
-USUAL_SHARE = 0.1  # of the velocity rate: the cut-off where neither scheme nor experiment says one
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +132,9 @@ def linear_loop(
     Raises
     ------
     ConfigError
-        As `resolve`; a scheme that cannot be; an estimator that is not linear; a velocity rate that adapts to speed.
+        As `resolve`; a scheme that cannot be.
+    NotLinearError
+        An estimator that is not linear, or a velocity rate that adapts to speed.
     """
     subject = rig if isinstance(rig, Subject) else resolve(rig, operator)
     controller = _controller(subject, Scheme.parse(scheme) if isinstance(scheme, str) else scheme)
@@ -194,12 +195,11 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
             remedy="choose rates that divide",
         )
     estimator = scheme.estimator or "fdm-butterworth"
-    usual = {"cutoff_hz": USUAL_SHARE * scheme.velocity_rate} if estimator == "fdm-butterworth" else {}
     return Controller(
         position_rate=scheme.position_rate,
         velocity_rate=scheme.velocity_rate,
         estimator=estimator,
-        parameters={**usual, **scheme.parameters},
+        parameters={**usual_settings(estimator, scheme.velocity_rate), **scheme.parameters},
         prediction=scheme.prediction or "hold",
         slow_velocity_rate=scheme.slow_velocity_rate,
         slow_below=scheme.slow_below or 0.0,
@@ -209,8 +209,9 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
 def _check_fixed_rates(controller: Controller) -> None:
     slow = controller.slow_velocity_rate
     if controller.slow_below > 0.0 and slow is not None and slow != controller.velocity_rate:
-        raise ConfigError(
+        raise NotLinearError(
             f"a velocity rate of {slow} Hz below {controller.slow_below:g} rad/s or m/s is not linear",
+            reason=f"its velocity rate is {slow} Hz below {controller.slow_below:g} rad/s or m/s",
             remedy=f"ask for both rates by themselves: {controller.velocity_rate} and {slow} Hz; or simulate",
         )
 

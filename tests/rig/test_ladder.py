@@ -110,3 +110,8 @@ def test_a_limit_lies_below_every_failure_and_counts_what_said_nothing(tried):
 def test_a_range_that_is_none_is_refused(wrong):
     with pytest.raises(ValueError, match=r"range|ratio"):
         Search(**{**RANGE, **wrong})
+
+
+def test_hits_that_all_say_nothing_make_neither_a_limit_nor_a_cap():
+    found = limit_of(dict.fromkeys([10.0, 20.0, 40.0]))
+    assert (found.stiffness, found.failed_at, found.capped, found.unknown) == (0.0, None, False, 3)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from rig import presets
 from rig.errors import ConfigError
-from rig.schemes import Scheme, parse_rates
+from rig.schemes import Scheme, parse_rates, usual_settings
 
 KOUL = presets.load("koul-compliant")
 
@@ -24,6 +24,29 @@ def test_rates_are_read_in_hertz_or_kilohertz(text, rates):
     scheme = Scheme.parse(text)
     assert (scheme.position_rate, scheme.velocity_rate) == rates
     assert scheme.kind == text.strip().partition(":")[0]
+
+
+@pytest.mark.parametrize(
+    ("rate", "text"),
+    [
+        (500, "500"), (1000, "1k"), (1500, "1.5k"), (12_345, "12345"), (20_000, "20k"), (1_000_000_000, "1000000k"),
+        (1_234_567_800, "1234567.8k"), (100, "100"), (10_100, "10.1k"),
+    ],
+)  # fmt: skip
+def test_a_rate_is_written_in_whole_digits(rate, text):
+    scheme = Scheme(position_rate=rate, velocity_rate=rate)
+    assert scheme.text == f"uniform:{text}"
+    assert Scheme.parse(scheme.text) == scheme
+
+
+def test_the_usual_cutoff_is_a_tenth_of_the_rate_for_every_estimator_that_has_one():
+    for name, usual in (
+        ("fdm-butterworth", {"cutoff_hz": 200.0}),
+        ("fdm", {}),
+        ("kalman", {}),
+        ("nobody's", {}),
+    ):
+        assert usual_settings(name, 2000) == usual
 
 
 @given(

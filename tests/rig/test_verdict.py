@@ -447,14 +447,15 @@ def test_only_the_trial_itself_is_judged_and_from_what_a_rig_records():
     assert s.gap.tolist() == s.slew_bound.tolist() == [False, False, True]
 
 
-def test_the_truth_has_its_own_position_velocity_effort_and_no_counts():
+def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_that_the_law_sees():
     made = rows(truth=True)
     made["position_true"] = [9, 0.5, 0.6, 0.7, 9]
-    made["velocity_true"] = [9, 1, 2, 3, 9]
+    made["handle_position_true"] = [9, 0.4, 0.5, 0.6, 9]
+    made["handle_velocity_true"] = [9, 1, 2, 3, 9]
     made["effort_true"] = [9, 7, 8, 9, 9]
     s = true_signals(made, T, wall_position=0.65, wall_side=-1.0)
     assert s.resolution == 0.0
-    assert s.position.tolist() == [0.5, 0.6, 0.7]
+    assert s.position.tolist() == [0.4, 0.5, 0.6]
     assert s.penetration == pytest.approx([0.15, 0.05, -0.05])
     assert s.velocity.tolist() == [1, 2, 3]
     assert s.effort.tolist() == [7, 8, 9]

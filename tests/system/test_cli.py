@@ -380,3 +380,9 @@ def test_importing_rig_or_the_protocol_loads_nothing_heavy():
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
+
+
+def test_a_grip_brings_its_numbers_and_nothing_is_said_to_come_from_real_time(run):
+    code, out, _ = run("hit", "--operator", "firm", "--no-plot")
+    assert code == 0
+    assert "for real time" not in out

@@ -7,10 +7,12 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import rig.cli
 from rig import theory
+from rig.theory import limits
 
 
 @pytest.fixture
@@ -31,13 +33,104 @@ def test_it_prints_limits_and_what_binds_and_draws_a_picture(run, tmp_path):
     code, out, _ = run("theory", "--rig", "koul-compliant")
     assert code == 0
     for text in (
-        "koul-compliant, no hand", "dual 20/2 kHz", "uniform 20 kHz", "uniform 2 kHz", "K_max at B = 0 ",
-        "K_max at B = 0.5", "(binds)", "islands up to", "0.479", "necessary", "Hz there",
+        "koul-compliant, end mass 0.07 kg, no hand", "dual 20/2 kHz", "uniform 20 kHz", "uniform 2 kHz",
+        "K_max at B = 0 ",
+        "K_max at B = 0.5", "(binds)", "islands up to", "0.479", "sufficient", "necessary", "Hz there",
+        "passivity, lag and delay counted", "delay 0 ticks",
     ):  # fmt: skip
         assert text in out
     picture = tmp_path / "theory-koul-compliant.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size > 20_000
+
+
+def test_it_says_what_the_maps_of_a_hand_would_speak_of(run):
+    """An automated trial has an end mass and no hand, a map a normal hand: K_max at B = 0 is 30 and 519."""
+    code, out, _ = run("theory", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
+    assert code == 0
+    (line,) = (line for line in out.splitlines() if "--operator normal" in line)
+    held = theory.k_max("koul-compliant", "dual:20k/2k", operator="normal").stiffness
+    assert "in a normal hand" in line
+    assert f"{held:.4g}" in line
+    for more in (("--operator", "normal"), ("--operator", "none"), ("--set", "trial.kind=human")):
+        code, out, _ = run("theory", "--no-plot", "--scheme", "uniform:20k", *more)
+        assert code == 0
+        assert "--operator normal" not in out
+    assert "normal hand (which the bounds leave out)" in out
+
+
+def test_equal_rules_are_one_line_and_meaningless_ones_none(run):
+    code, out, _ = run("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "-B", "1e6")
+    assert code == 0
+    assert out.count("Gil") == 1
+    (line,) = (line for line in out.splitlines() if "Gil" in line)
+    for text in ("multi-rate passivity, lag and delay", "necessary", "Diolaiti"):
+        assert text in line
+    assert "exact (rigid rig)" in out
+    code, out, _ = run("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "--json")
+    (scheme,) = json.loads(out)["schemes"]
+    names = [bound["name"] for bound in scheme["at_zero"]["passivity"]["bounds"]]
+    assert len(names) == 6
+    assert names[0] == "passivity, lag and delay counted"
+
+
+def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run, tmp_path):
+    schemes = (
+        "dual:20k/2k,estimator=levant",
+        "uniform:20k",
+        "dual:20k/2k,slow_velocity_rate=500,slow_below=0.1",
+    )
+    arguments = [text for scheme in schemes for text in ("--scheme", scheme)]
+    code, out, _ = run("theory", *arguments)
+    assert code == 0
+    assert "uniform 20 kHz" in out
+    assert "levant: not linear: " in out
+    assert "500 Hz below 0.1: not linear: " in out
+    assert (tmp_path / "theory-koul-compliant.png").exists()
+    code, out, _ = run("theory", "--json", "--no-plot", *arguments)
+    facts = json.loads(out)
+    assert [scheme["scheme"] for scheme in facts["schemes"]] == ["uniform:20k"]
+    assert [refused["scheme"] for refused in facts["not_linear"]] == [schemes[0], schemes[2]]
+    assert all(refused["reason"] for refused in facts["not_linear"])
+    code, _, err = run("theory", "--no-plot", "--scheme", schemes[0], "--scheme", schemes[2])
+    assert code == 2
+    assert "not linear" in err
+
+
+def test_a_delay_is_told_in_ticks_and_for_each_scheme(run):
+    late = ("--no-plot", "--set", "rig.simulation.computation_delay_ticks=2", "--rig", "koul-rigid")
+    code, out, _ = run("theory", *late)
+    assert code == 0
+    assert "delay 2 ticks;" in out.splitlines()[0]
+    code, out, _ = run("theory", *late, "--json")
+    facts = json.loads(out)
+    assert facts["delay_ticks"] == 2
+    assert [scheme["delay_s"] for scheme in facts["schemes"]] == pytest.approx([1e-4, 1e-4, 1e-3])
+
+
+def test_what_a_capped_scan_does_not_know_is_null(run, monkeypatch):
+    """Where the scan ends before stability does no frequency belongs to the end; JSON has no NaN."""
+    monkeypatch.setattr(limits, "stiffnesses", lambda lifted, damping: np.geomspace(1.0, 500.0, 100))
+    code, out, _ = run("theory", "--no-plot", "--json", "--scheme", "dual:20k/2k", "-B", "2")
+    assert code == 0
+    assert "NaN" not in out
+    assert "Infinity" not in out
+    limit = json.loads(out)["schemes"][0]["at_wall"]["limit"]
+    assert limit["capped"]
+    assert limit["frequency_hz"] is None
+    code, out, _ = run("theory", "--no-plot", "--scheme", "dual:20k/2k", "-B", "2")
+    assert "above 500 N·m/rad, where the scan ended" in out
+
+
+def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run, tmp_path):
+    code, out, _ = run(
+        "theory", "--rig", "koul-rigid", "--scheme", "uniform:20k",
+        "--set", "rig.mechanics.motor_damping=0", "--set", "rig.mechanics.link_damping=0",
+    )  # fmt: skip
+    assert code == 0
+    (line, *_) = (line for line in out.splitlines() if "passivity, lag and delay counted" in line)
+    assert line.split("counted")[1].split()[0] == "0"
+    assert (tmp_path / "theory-koul-rigid.png").exists()
 
 
 def test_json_is_the_result_of_the_function(run, tmp_path):

@@ -1,0 +1,231 @@
+"""``rig identify``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options, output
+from rig.errors import ConfigError, RecordingError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.config import Experiment
+    from rig.experiments.identify import Identification, IdentifyRequest
+    from rig.experiments.plan import Plan
+
+
+@click.command()
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option("--rig", "preset", metavar="NAME", help="Built-in rig, when no FILE is given.")
+@click.option(
+    "--rate", metavar="HZ", help="Rate of the loop while shaking: 20k. It bounds the band to 0.15 of it."
+)
+@click.option(
+    "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set rig.limits.speed=5."
+)
+@click.option("--url", help="Device: serial:///dev/ttyACM0, sim://. [simulates the rig in this process]")
+@click.option("--verified", is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing.")
+@click.option("--realisations", type=int, default=6, show_default=True, help="How often the rig is shaken.")
+@click.option("--period", "period_s", type=float, default=0.5, show_default=True, help="Of the shaking (s).")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the phases of the shaking.")
+@click.option(
+    "-o", "--output", "file_out", type=click.Path(path_type=Path), help="Experiment file to write (TOML)."
+)
+@click.option(
+    "--recordings",
+    type=click.Path(path_type=Path),
+    default=Path("recordings"),
+    show_default=True,
+    help="Directory of recordings and picture.",
+)
+@click.option("--plot/--no-plot", default=True, help="Draw data, fit and residual.")
+@click.option(
+    "--plan", "only_plan", is_flag=True, help="List and check what would be done; touches no device."
+)
+@options.json_option
+def identify(
+    file: Path | None,
+    preset: str | None,
+    rate: str | None,
+    sets: tuple[str, ...],
+    url: str | None,
+    verified: bool,
+    realisations: int,
+    period_s: float,
+    seed: int,
+    file_out: Path | None,
+    recordings: Path,
+    plot: bool,
+    only_plan: bool,
+    as_json: bool,
+) -> None:
+    """Identify a rig: signs, friction, inertia, damping, delay, and the first structural mode.
+
+    Moves the free handle, without its end mass: small pushes that stop after a few counts whatever the signs are, slow
+    strokes at constant speeds, and shaking by random-phase multisines. FILE or --rig describes the rig as far as it is
+    known; limits of effort, speed and window in it are kept, and checked before anything moves. Every motion is
+    recorded. Keep hands off the handle.
+    """
+    experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
+    changes = options.changes(rate, sets)
+    if file_out is not None and file_out.exists() and file_out.is_dir():
+        raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
+    with output.compiling():
+        from rig.devices import load_backend  # noqa: PLC0415  (imports compile)
+        from rig.experiments import identify as identifying  # noqa: PLC0415
+
+        load_backend(url or "sim://")
+    request = identifying.IdentifyRequest(
+        experiment=experiment,
+        url=url,
+        changes=changes,
+        verified=verified,
+        realisations=realisations,
+        period_s=period_s,
+        seed=seed,
+        output=recordings,
+    )
+    plan = _plan(request)
+    if only_plan:
+        if as_json:
+            output.print_json(plan.as_mapping())
+        else:
+            _print_plan(plan)
+        return
+    found = identifying.identify(
+        request, None if as_json else lambda text: click.echo(f"  {text} …", err=True)
+    )
+    picture = _draw(found) if plot else None
+    written = _write(found, file_out) if file_out is not None else None
+    if as_json:
+        more = {"picture": picture, "file": None if written is None else str(written)}
+        output.print_json({**found.as_mapping(), **more, "plan": plan.as_mapping()})
+        return
+    _print(found, picture, written)
+
+
+def _plan(request: IdentifyRequest) -> Plan:
+    from rig.experiments import identify as identifying  # noqa: PLC0415
+
+    return identifying.plan_of(identifying.without_end_mass(request), request)
+
+
+def _print_plan(plan: Plan) -> None:
+    click.echo(f"{plan.rig}: identification, {plan.duration_s:.0f} s at most, homing aside")
+    for step in plan.steps:
+        click.echo(f"  {step.name:<8}  {step.text} ({step.duration_s:.3g} s)")
+    for check in plan.checks:
+        more = "" if check.outcome == "ok" else f"; {check.remedy}"
+        click.echo(f"  {check.outcome:<8}  {check.name}: {check.text}{more}")
+
+
+def _draw(found: Identification) -> str | None:
+    """Draw; a picture that fails is reported and takes nothing with it."""
+    first = found.recordings["signs"][0]
+    stem = first.name.partition("-signs")[0]
+    try:
+        from rig.plots.identify import draw_identification  # noqa: PLC0415
+
+        return str(draw_identification(found, first.with_name(f"{stem}.png")))
+    except (RecordingError, ValueError, ImportError) as error:
+        click.echo(f"rig: no picture: {error}", err=True)
+        return None
+
+
+def _write(found: Identification, path: Path) -> Path:
+    from rig.experiments.identified_file import file_text  # noqa: PLC0415
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(file_text(found), encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(
+            f"cannot write {path}: {error.strerror or error}", remedy="choose another --output"
+        ) from error
+    return path
+
+
+def _print(found: Identification, picture: str | None, written: Path | None) -> None:
+    click.echo(click.style(f"{found.experiment.rig.name}, identified (± 95 %, scatter only)", bold=True))
+    output.print_pairs([*_sign_pairs(found), *_friction_pairs(found), *_dynamics_pairs(found)])
+    for warning in found.warnings:
+        click.echo(f"  {click.style('warning', fg='yellow')}  {warning}")
+    pairs = [("recordings", f"{found.recordings['signs'][0].parent} ({_count(found)} files)")]
+    if picture is not None:
+        pairs.append(("picture", picture))
+    if written is not None:
+        pairs.append(("experiment", str(written)))
+    output.print_pairs(pairs)
+    if not found.simulated:
+        click.echo(
+            "  The signs of this rig are checked: --verified may be said of it until somebody rewires it."
+        )
+
+
+def _count(found: Identification) -> int:
+    return sum(len(paths) for paths in found.recordings.values())
+
+
+def _units(x: Experiment) -> dict[str, str]:
+    names = ("effort", "damping", "inertia", "stiffness")
+    return {name: unit_of(name, x.rig.motion) for name in names}
+
+
+def _sign_pairs(found: Identification) -> list[tuple[str, str]]:
+    signs, unit = found.signs, _units(found.experiment)
+    return [
+        ("signs", "a positive effort raises the position"),
+        (
+            "scale",
+            f"the handle answers pushes like {signs.scale:.2g} times the inertia described",
+        ),
+        ("breakaway", f"up {signs.breakaway_up:.3g}, down {signs.breakaway_down:.3g} {unit['effort']}"),
+    ]
+
+
+def _friction_pairs(found: Identification) -> list[tuple[str, str]]:
+    sliding, unit = found.sliding, _units(found.experiment)
+    return [
+        ("Coulomb friction", sliding.coulomb.text(unit["effort"])),
+        ("  up, down", f"{sliding.up.text()}, {sliding.down.text(unit['effort'])}"),
+        ("  bias", sliding.bias.text(unit["effort"])),
+        ("viscous damping", sliding.damping.text(unit["damping"])),
+    ]
+
+
+def _dynamics_pairs(found: Identification) -> list[tuple[str, str]]:
+    dynamics, unit = found.dynamics, _units(found.experiment)
+    what = "mass" if found.experiment.rig.motion == "linear" else "inertia"
+    ms = dynamics.delay_s.scaled(1e3)
+    pairs: list[tuple[str, str]] = [
+        (what, dynamics.inertia.text(unit["inertia"])),
+        (
+            "delay",
+            f"{ms.text('ms')}: {dynamics.delay_ticks} ticks and a lag of {dynamics.lag_s.scaled(1e3).text('ms')}",
+        ),
+    ]
+    mode = dynamics.mode
+    if mode is None:
+        highest = dynamics.lines_hz[-1]
+        pairs.append(("mode", f"none up to {highest:g} Hz: one rigid body explains the motion as well"))
+    else:
+        pairs += [
+            ("mode", f"{mode.resonance_hz.text('Hz')}, damping ratio {mode.resonance_ratio.text()}"),
+            ("  anti-resonance", f"{mode.antiresonance_hz.text('Hz')}"),
+            ("  motor, link", f"{mode.motor_inertia.text()}, {mode.link_inertia.text(unit['inertia'])}"),
+            ("  stiffness", mode.stiffness.text(unit["stiffness"])),
+        ]
+    coherence = _coherence(dynamics.coherence)
+    return [
+        *pairs,
+        ("coherence", coherence),
+        ("unexplained", f"{100 * dynamics.unexplained:.2g} % of the motion"),
+    ]
+
+
+def _coherence(values: Any) -> str:
+    ordered = sorted(values.tolist())
+    return f"median {ordered[len(ordered) // 2]:.4f}, least {ordered[0]:.4f}, of {len(ordered)} lines"

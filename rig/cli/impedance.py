@@ -1,0 +1,309 @@
+"""``rig impedance``."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options, output
+from rig.cli.maps import numbers
+from rig.errors import ConfigError, GuardError, RecordingError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.config import Experiment
+    from rig.experiments.impedance import ImpedanceResult, Judging, OnDevice, Wall
+    from rig.schemes import Scheme
+
+DEFAULT_PRESET = "chawda-linear"
+
+
+@click.command()
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--rig", "preset", metavar="NAME", help=f"Built-in rig, when no FILE is given. [{DEFAULT_PRESET}]"
+)
+@click.option(
+    "-K", "--stiffness", metavar="K,…", help="Stiffness of the walls. [the experiment's, and the bare rig]"
+)
+@click.option("-B", "--damping", metavar="B,…", help="Damping of the walls: as many, or one for all.")
+@click.option("--bare", is_flag=True, help="Measure the rig without a wall (too).")
+@click.option(
+    "--scheme", "schemes", multiple=True, metavar="SCHEME",
+    help="uniform:1k,estimator=kalman, dual:20k/2k …; repeat it. [the experiment's]",
+)  # fmt: skip
+@click.option(
+    "--channel", type=click.Choice(["external", "motor"]), help="Who shakes. [external; with --url motor]"
+)
+@click.option("--kind", type=click.Choice(["schroeder", "random"]), help="Phases of the multisine. [random]")
+@click.option("--band", metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]")
+@click.option("--judged", metavar="LOW:HIGH", help="Lines that count for verdict and fidelity (Hz). [all]")
+@click.option(
+    "--amplitude", type=float, help="Rms effort of the excitation (N·m or N). [10 × Coulomb friction]"
+)
+@click.option("--periods", type=int, help="Analysed periods of a realisation. [4]")
+@click.option("--realisations", type=int, help="Runs with other phases. [4; with --kind schroeder 1]")
+@click.option("--method", type=click.Choice(["periodic", "welch"]), default="periodic", show_default=True)
+@click.option(
+    "--signal", type=click.Choice(["count", "truth"]), default="count", show_default=True,
+    help="Encoder counts, or the true position of the handle (simulation).",
+)  # fmt: skip
+@click.option("--seed", type=int, help="Seed of the phases.")
+@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any key of the experiment.")
+@click.option("--url", help="Measure on a device, with its own motor: serial:///dev/ttyACM0, sim://.")
+@click.option("--realtime", is_flag=True, help="With --url sim://: as a process, in real time.")
+@click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
+@click.option("--yes", is_flag=True, help="Do not ask before a real device is shaken.")
+@click.option(
+    "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path("impedances"), show_default=True
+)  # fmt: skip
+@click.option("--plot/--no-plot", default=True, help="Draw magnitude, phase and real part.")
+@options.json_option
+def impedance(
+    file: Path | None,
+    preset: str | None,
+    stiffness: str | None,
+    damping: str | None,
+    bare: bool,
+    schemes: tuple[str, ...],
+    judged: str | None,
+    method: Any,
+    signal: Any,
+    url: str | None,
+    realtime: bool,
+    verified: bool,
+    yes: bool,
+    directory: Path,
+    plot: bool,
+    as_json: bool,
+    **shaking: Any,
+) -> None:
+    """Measure the impedance that a rig renders: shake it about a wall, and judge passivity and fidelity line by line.
+
+    Without arguments: the bare rig chawda-linear and its wall, simulated, as in Fig. 4 and Fig. 6 of Chawda et al.
+    With --url the rig's own motor shakes, and every run is recorded.
+    """
+    from rig import config  # noqa: PLC0415
+
+    preset = preset or options.preset_of(url, file) or (None if file else DEFAULT_PRESET)
+    experiment = options.chosen_experiment(file, preset)
+    experiment = config.override(experiment, _changes(url, **shaking))
+    walls = _walls(experiment, stiffness, damping, bare)
+    with output.compiling():
+        from rig.experiments import impedance as measuring  # noqa: PLC0415  (imports compile)
+        from rig.schemes import Scheme  # noqa: PLC0415
+
+    judging = measuring.Judging(band_hz=None if judged is None else _band(judged, "--judged"))
+    parsed = tuple(Scheme.parse(text) for text in schemes)
+    place = directory / f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
+    device = None
+    if url is not None:
+        asks = not (yes or as_json or url.startswith("sim:"))
+        device = measuring.OnDevice(
+            url=url,
+            recordings=place,
+            verified=verified,
+            realtime=realtime,
+            agrees=_agrees if asks else None,
+        )
+    elif realtime or verified:
+        raise ConfigError(
+            "--realtime and --verified are for a device", remedy="say --url too, or leave them out"
+        )
+    results = tuple(_measured(experiment, device, walls, parsed, method, signal, judging, _progress(as_json)))
+    table, summary = measuring.write_results(results, place)
+    picture = _draw(results, place / "impedance.png") if plot else None
+    if as_json:
+        documents = [result.as_mapping() for result in results]
+        output.print_json({"results": documents, "table": str(table), "picture": picture})
+    else:
+        _print(results)
+        pairs = [("every line", str(table)), ("summary", str(summary))]
+        output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
+    if results and all(result.impedance is None for result in results):
+        error = GuardError(
+            f"the guard ended every run: {results[0].ended}",
+            remedy="take a softer wall or a smaller excitation",
+        )
+        error.told = as_json
+        raise error
+
+
+def _changes(url: str | None, **shaking: Any) -> dict[str, Any]:
+    """What the options say, by dotted key."""
+    sets, band, kind = shaking.pop("sets"), shaking.pop("band"), shaking["kind"]
+    changed = options.changes(None, sets)
+    if shaking["channel"] is None and url is not None:
+        shaking["channel"] = "motor"
+    if kind == "schroeder" and shaking["realisations"] is None:
+        shaking["realisations"] = 1
+    shaking["rms"] = shaking.pop("amplitude")
+    changed |= {f"excitation.{key}": value for key, value in shaking.items() if value is not None}
+    if band is not None:
+        changed["excitation.low_hz"], changed["excitation.high_hz"] = _band(band, "--band")
+    return changed
+
+
+def _band(text: str, option: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise ConfigError(
+            f"{option} {text}: no band", remedy="write it as LOW:HIGH in Hz, like 1:250"
+        ) from None
+    if not 0.0 < low <= high:
+        raise ConfigError(f"{option} {text}: no band", remedy="give 0 < LOW ≤ HIGH")
+    return low, high
+
+
+def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:
+    """The walls that the options mean, the bare rig first."""
+    own = experiment.wall
+    if stiffness is None and damping is None:
+        return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]
+    k = (own.stiffness,) if stiffness is None else numbers(stiffness, "--stiffness")
+    b = (own.damping,) if damping is None else numbers(damping, "--damping")
+    if len(k) != len(b) and 1 not in (len(k), len(b)):
+        raise ConfigError(
+            f"{len(k)} stiffnesses and {len(b)} dampings",
+            remedy="give as many of both, or one of one of them",
+        )
+    n = max(len(k), len(b))
+    walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))
+    return [(0.0, 0.0), *walls] if bare else walls
+
+
+def _measured(
+    experiment: Experiment,
+    device: OnDevice | None,
+    walls: list[Wall],
+    schemes: tuple[Scheme, ...],
+    method: Any,
+    signal: Any,
+    judging: Judging,
+    watch: Any,
+) -> Iterator[ImpedanceResult]:
+    from rig.experiments import impedance as measuring  # noqa: PLC0415
+
+    shared: dict[str, Any] = {
+        "walls": walls, "schemes": schemes, "method": method, "judging": judging, "watch": watch
+    }  # fmt: skip
+    if device is None:
+        yield from measuring.measure_impedance(experiment, signal=signal, **shared)
+    else:
+        yield from measuring.measure_on_device(experiment, device, **shared)
+
+
+def _progress(quiet: bool) -> Any:
+    """Count the runs on a terminal."""
+    if quiet or not sys.stderr.isatty():
+        return None
+
+    def told(done: int, total: int) -> None:
+        click.echo(f"\rshaken {done} of {total} times ", nl=done == total, err=True)
+
+    return told
+
+
+def _agrees(experiment: Experiment) -> bool:
+    motion, wall = experiment.rig.motion, experiment.wall
+    stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)
+    return click.confirm(
+        f"Shake {experiment.rig.name} about a wall of {wall.stiffness:g} {stiffness}, {wall.damping:g} {damping}?",
+        err=True,
+    )
+
+
+def _draw(results: tuple[ImpedanceResult, ...], path: Path) -> str | None:
+    """Draw; a picture that fails takes no measurement with it."""
+    from rig.plots.impedance import draw_impedance  # noqa: PLC0415
+
+    if all(result.impedance is None for result in results):
+        return None
+    try:
+        return str(draw_impedance(results, path))
+    except RecordingError as error:
+        click.echo(f"rig: no picture: {error}", err=True)
+        return None
+
+
+def _print(results: tuple[ImpedanceResult, ...]) -> None:
+    for result in results:
+        click.echo(click.style(result.label, bold=True))
+        output.print_pairs(_pairs(result))
+
+
+def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
+    x = result.experiment
+    inertia, damping, stiffness = (unit_of(q, x.rig.motion) for q in ("inertia", "damping", "stiffness"))
+    clipped = [("effort clipped", f"in {result.saturated:.2%} of the ticks")] if result.saturated else []
+    if result.impedance is None or result.judgement is None or result.fidelity is None:
+        return [(click.style("ended", fg="red"), f"after {result.ended_s:.3g} s: {result.ended}"), *clipped]
+    judgement, fidelity, measured = result.judgement, result.fidelity, result.impedance
+    passivity = judgement.passivity
+    if judgement.passive:
+        verdict = click.style("passive", fg="green", bold=True)
+    elif passivity.passive:  # nothing was seen to be wrong, but not enough was seen
+        verdict = click.style("not shown to be passive", fg="yellow", bold=True)
+    else:
+        verdict = click.style("not passive", fg="red", bold=True)
+    low, high = passivity.band_hz
+    pairs = [
+        ("passivity", f"{verdict} over {passivity.tested} lines, {low:g} to {high:g} Hz"),
+        *(("", reason) for reason in judgement.reasons),
+        *_no_port(result),
+        (
+            "worst line",
+            f"{passivity.worst_hz:g} Hz: Re Z = {passivity.worst_real:.4g} {damping}, tolerance "
+            f"{passivity.worst_tolerance:.2g}, phase {passivity.worst_phase_deg:.2f}°",
+        ),
+    ]
+    if result.fitted is not None:
+        values, doubt = result.fitted.values, result.fitted.deviations
+        pairs += [
+            (
+                "mass" if x.rig.motion == "linear" else "inertia",
+                _with(values["inertia"], doubt["inertia"], inertia),
+            ),
+            ("damping", _with(values["damping"], doubt["damping"], damping) + ", friction's share included"),
+        ]
+    else:
+        pairs += [
+            (
+                "K",
+                _with(
+                    fidelity.stiffness, fidelity.stiffness_deviation, stiffness, fidelity.stiffness_percent
+                ),
+            ),
+            ("B", _with(fidelity.damping, fidelity.damping_deviation, damping, fidelity.damping_percent)),
+        ]
+    return [
+        *pairs,
+        ("fidelity", f"{fidelity.rms:.4g} ± {fidelity.rms_deviation:.2g} {damping} rms off the ideal wall"),
+        ("coherence", f"at least {judgement.least_coherence:.3f}"),
+        ("off the lines", f"{measured.residual:.2%} of the motion's power"),
+        *clipped,
+    ]
+
+
+def _no_port(result: ImpedanceResult) -> list[tuple[str, str]]:
+    """On two masses the encoder is not where the world pushes."""
+    if result.experiment.rig.mechanics.structure == "rigid" or result.signal == "truth":
+        return []
+    return [
+        (
+            "",
+            "encoder and handle are two places: the phase between them is no test (simulated: --signal truth)",
+        )
+    ]
+
+
+def _with(value: float, deviation: float, unit: str, percent: float = math.nan) -> str:
+    asked = "" if math.isnan(percent) else f", {percent:.1f} % of what was asked for"
+    return f"{value:.4g} ± {deviation:.2g} {unit}{asked}"

@@ -1,0 +1,308 @@
+"""``rig zwidth --domain frequency``: its options, and what it does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+from click.core import ParameterSource
+
+from rig.cli import maps, options, output
+from rig.cli.progress import SweepBar
+from rig.errors import ConfigError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.config import Experiment
+    from rig.experiments.boundary_search import Comparison
+    from rig.experiments.frequency_widths import FrequencyWidth, Spread
+    from rig.experiments.impedance import Judging
+    from rig.experiments.table_one import SchemeRow, TableOne
+    from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+DOMAINS = ("time", "frequency")
+DEFAULT_PRESET = "chawda-linear"
+# Options of one domain only: parameter → what to say instead.
+FREQUENCY_ONLY = (
+    "band", "judged_band", "realisations", "periods", "amplitude", "z_score", "residual_threshold"
+)  # fmt: skip
+TIME_ONLY = {
+    "operator": "nobody holds a rig that is shaken: drop --operator",
+    "effort": "nothing pushes: --amplitude is the size of the excitation",
+    "way": "the grid is exhaustive, and the paper's search is shown beside it: drop --search",
+    "ratio": "give the stiffnesses as first:last:count",
+    "offsets": "drop --offsets; --set rig.encoder.offset=0.5 moves the one place of zero",
+    "repeats": "say --realisations",
+    "url": "rig impedance --url measures single walls on a device",
+    "realtime": "rig impedance --url sim:// --realtime measures single walls",
+    "verified": "that is for a device: drop it",
+    "confirm": "that is for a device: drop it",
+}
+
+
+def frequency_options(command: F) -> F:
+    """Add ``--domain`` and the options that only the frequency domain has."""
+    added = [
+        click.option(
+            "--domain", type=click.Choice(DOMAINS), default="time", show_default=True,
+            help="Hits, judged by what follows; or impedances, judged by passivity and fidelity.",
+        ),
+        click.option("--band", metavar="LOW:HIGH", help="Frequency: lines of the excitation (Hz). [1:250]"),
+        click.option(
+            "--judged-band", metavar="LOW:HIGH", help="Frequency: lines that count for verdict and fidelity. [all]"
+        ),
+        click.option("--realisations", type=int, help="Frequency: runs with other phases, for each wall. [4]"),
+        click.option("--periods", type=int, help="Frequency: analysed periods of a realisation. [4]"),
+        click.option(
+            "--amplitude", type=float, help="Frequency: rms effort of the excitation. [10 × Coulomb friction]"
+        ),
+        click.option(
+            "--z-score", type=click.FloatRange(0.0, 10.0),
+            help="Frequency: deviations by which a line's Re Z must be below zero to fail. [2]",
+        ),
+        click.option(
+            "--residual-threshold", type=click.FloatRange(0.0, 1.0),
+            help="Frequency: share of the motion's power off the lines from which a wall fails. [0.1]",
+        ),
+    ]  # fmt: skip
+    for option in reversed(added):
+        command = option(command)
+    return command
+
+
+def refuse_of_the_other(domain: str) -> None:
+    """Raise `ConfigError` for an option of the command line that the domain does not have."""
+    context = click.get_current_context()
+
+    def given(name: str) -> bool:
+        return context.get_parameter_source(name) == ParameterSource.COMMANDLINE
+
+    spelled = {parameter.name: parameter.opts[-1] for parameter in context.command.params}
+    if domain == "frequency":
+        for name, remedy in TIME_ONLY.items():
+            if given(name):
+                raise ConfigError(f"{spelled[name]} is for hits, not for --domain frequency", remedy=remedy)
+        return
+    for name in FREQUENCY_ONLY:
+        if given(name):
+            raise ConfigError(f"{spelled[name]} is for impedances", remedy="say --domain frequency too")
+
+
+def map_frequency(
+    *,
+    file: Path | None,
+    preset: str | None,
+    schemes: tuple[str, ...],
+    stiffness: str | None,
+    damping: str | None,
+    judged: str | None,
+    judged_band: str | None,
+    z_score: float | None,
+    residual_threshold: float | None,
+    directory: Path,
+    plot: bool,
+    as_json: bool,
+    workers: int | None,
+    scheduler: str | None,
+    **shaking: Any,
+) -> None:
+    """Map a simulated rig and print what came of it."""
+    experiment = _chosen(file, preset, **shaking)
+    with output.compiling():
+        from rig.experiments import frequency_files as files  # noqa: PLC0415  (imports compile)
+
+        signal = None if judged is None else "truth" if judged == "true" else "count"
+        judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
+        plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
+        plan.check()
+    place = files.directory_for(plan, directory)
+    with SweepBar("columns", unit="runs", plain=as_json) as bar:
+        found, table = files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+    picture = maps.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
+    if as_json:
+        output.print_json({**files.summary(found, table), "directory": str(place), "picture": picture})
+        return
+    _print(found, table)
+    pairs = [("walls", str(place / files.TABLE)), ("summary", str(place / files.SUMMARY))]
+    output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
+
+
+def _chosen(
+    file: Path | None, preset: str | None, *, sets: tuple[str, ...], band: str | None, seed: int | None,
+    realisations: int | None, periods: int | None, amplitude: float | None,
+) -> Experiment:  # fmt: skip
+    from rig import config  # noqa: PLC0415
+
+    experiment = options.chosen_experiment(file, preset or (None if file else DEFAULT_PRESET))
+    given = {"seed": seed, "realisations": realisations, "periods": periods, "rms": amplitude}
+    changes = options.changes(None, sets)
+    changes |= {f"excitation.{key}": value for key, value in given.items() if value is not None}
+    if band is not None:
+        changes["excitation.low_hz"], changes["excitation.high_hz"] = _band(band, "--band")
+    return config.override(experiment, changes)
+
+
+def _plan(
+    experiment: Experiment,
+    schemes: tuple[str, ...],
+    stiffness: str | None,
+    damping: str | None,
+    **others: Any,
+) -> FrequencyPlan:
+    from rig.experiments.frequency_ranges import frequency_plan  # noqa: PLC0415
+    from rig.schemes import Scheme  # noqa: PLC0415
+
+    return frequency_plan(
+        experiment,
+        [Scheme.parse(text) for text in schemes],
+        stiffnesses=None if stiffness is None else maps.numbers(stiffness, "--stiffness"),
+        dampings=None if damping is None else maps.numbers(damping, "--damping"),
+        **others,
+    )
+
+
+def _judging(band: str | None, **thresholds: float | None) -> Judging:
+    from rig.experiments.impedance import Judging  # noqa: PLC0415
+
+    given: dict[str, Any] = {name: value for name, value in thresholds.items() if value is not None}
+    return Judging(band_hz=None if band is None else _band(band, "--judged-band"), **given)
+
+
+def _band(text: str, option: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low = high = math.nan
+    if not 0.0 < low <= high < math.inf:
+        raise ConfigError(f"{option} {text}: no band", remedy="write it as LOW:HIGH in Hz, like 1:250")
+    return low, high
+
+
+def _draw(found: FrequencyMap, path: Path) -> str:
+    from rig.experiments.frequency_ranges import linear_curves  # noqa: PLC0415
+    from rig.plots.zwidth_frequency import draw_frequency_map  # noqa: PLC0415
+
+    return str(draw_frequency_map(found, path, theory=linear_curves(found.plan)))
+
+
+def _print(found: FrequencyMap, table: TableOne) -> None:
+    plan = found.plan
+    rig = plan.experiment.rig
+    stiffness, damping = (unit_of(q, rig.motion) for q in ("stiffness", "damping"))
+    low, high = table.band_hz
+    click.echo(f"{rig.name}: passive from {low:g} to {high:g} Hz (z-score {plan.judging.z_score:g})")
+    click.echo(
+        f"K in {stiffness}, steps of {table.stiffness_step:.4g}; B and fidelity in {damping}, B in steps of "
+        f"{table.damping_step:.4g}"
+    )
+    for number, row in enumerate(table.rows):
+        click.echo(f"  {_short(number, row)}: {row.label}; tuned: {', '.join(row.tuned) or 'nothing'}")
+    rows: list[tuple[str, ...]] = [
+        ("K-width", "by", "K", "at B", "B-width", "worst fidelity", "islands", "tuned")
+    ]
+    for number, row in enumerate(table.rows):
+        rows += _scheme_lines(_short(number, row), row, table.realisations)
+    output.print_table(rows)
+    _print_common(table)
+    rows = [("boundary search", "walls", "of", "K", "above", "below", "unseen", "ended by")]
+    rows += [_search_line(_short(number, row), row.search, found) for number, row in enumerate(table.rows)]
+    output.print_table(rows)
+    for note in _notes(table):
+        click.echo(f"  {note}")
+
+
+def _short(number: int, row: SchemeRow) -> str:
+    return f"{number + 1} {row.estimator}"
+
+
+def _scheme_lines(name: str, row: SchemeRow, realisations: int) -> list[tuple[str, ...]]:
+    widths, whole = row.widths, row.widths.together
+    lines = [
+        (name, "all together", *_width_cells(whole), str(len(whole.islands)), str(len(row.tuned))),
+        ("", f"each of {realisations}", _spread(widths.stiffness), "", _spread(widths.damping),
+         _spread(widths.worst_fidelity), "", ""),
+    ]  # fmt: skip
+    if row.paper is not None:
+        paper = row.paper
+        lines.append(
+            ("", "paper, on its rig", _number(paper.stiffness), "", _number(paper.damping),
+             _number(paper.worst_fidelity), "", str(paper.tunable))
+        )  # fmt: skip
+    return lines
+
+
+def _width_cells(width: FrequencyWidth) -> tuple[str, ...]:
+    return (
+        f"{'≥ ' if width.stiffness_capped else ''}{_number(width.stiffness)}",
+        _number(width.at_damping),
+        f"{'≥ ' if width.damping_capped else ''}{_number(width.damping)}",
+        _number(width.worst_fidelity),
+    )
+
+
+def _search_line(name: str, search: Comparison, found: FrequencyMap) -> tuple[str, ...]:
+    highest = found.plan.stiffnesses[search.highest] if search.highest >= 0 else 0.0
+    return (
+        name, str(len(search.trace.tests)), str(search.cells), _number(highest),
+        str(search.above), str(search.below), str(search.unseen), search.trace.ending,
+    )  # fmt: skip
+
+
+def _print_common(table: TableOne) -> None:
+    if not table.points:
+        click.echo("  no wall with damping is held by all: there is no common fidelity")
+        return
+    rows: list[tuple[str, ...]] = [
+        (
+            "fidelity at",
+            *(f"K {_number(k)}, B {_number(b)}" for k, b in table.points),
+            f"all {table.common_walls}",
+        )
+    ]
+    for number in table.comparable:
+        row = table.rows[number]
+        rows.append((_short(number, row), *map(_spread, row.common), _spread(row.common_mean)))
+    output.print_table(rows)
+
+
+def _notes(table: TableOne) -> list[str]:
+    notes = []
+    widths = [row.widths.together for row in table.rows]
+    if any(width.stiffness_capped or width.damping_capped for width in widths):
+        notes.append("≥: the grid ends before the region does")
+    if any(width.islands for width in widths):
+        notes.append(
+            "islands: passive walls beyond one that is not; they do not count (hatched in the picture)"
+        )
+    if len(table.comparable) < len(table.rows):
+        notes.append("a scheme that holds no wall with damping takes no part in the fidelity at common walls")
+    if table.points:
+        notes.append(
+            "fidelity at: the first common walls by K·B to the last, and the mean of all; over realisations"
+        )
+    if any(row.search.above for row in table.rows):
+        notes.append(
+            "boundary search, above: at so many dampings it ends on an island, beyond the connected region"
+        )
+    if any(width.gaps for width in widths):
+        notes.append("there are dampings below a B-width whose softest wall is not passive")
+    if table.realisations == 1:
+        notes.append("one realisation: its variance does not see what friction does alike in each period")
+    return notes
+
+
+def _spread(spread: Spread) -> str:
+    if spread.count == 0:
+        return "–"
+    doubt = "" if math.isnan(spread.deviation) else f" ± {_number(float(f'{spread.deviation:.2g}'))}"
+    return _number(spread.mean) + doubt
+
+
+def _number(value: float) -> str:
+    """Four digits without an exponent."""
+    return "–" if math.isnan(value) else f"{float(f'{value:.4g}'):.9g}"

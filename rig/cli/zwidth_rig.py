@@ -1,0 +1,131 @@
+"""The person at a rig that is being mapped: asked before hits, told what came of them. All on standard error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rig.cli import output
+from rig.errors import ConfigError, RigError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.experiments.zwidth import MapPlan, ZWidth
+    from rig.experiments.zwidth_rig import Next
+    from rig.verdict import Measured
+
+CONFIRM = ("each", "climb", "no")
+CRITERIA = ("felt", "heard", "any")  # rig.verdict.CRITERIA, without its imports
+SHOWN_PAUSE_S = 2.0
+
+
+class Dialogue:
+    """Maps a device with a person beside it.
+
+    Parameters
+    ----------
+    plan
+        What to map.
+    url, realtime
+        Of the device.
+    confirm
+        One of `CONFIRM`; None asks before each hit on a real device, and never on a simulated one.
+    """
+
+    def __init__(self, plan: MapPlan, url: str, *, realtime: bool, confirm: str | None) -> None:
+        self._plan = plan
+        self._url = url
+        self._realtime = realtime
+        simulated = url.startswith("sim:")
+        self._virtual = simulated and not realtime
+        self._confirm = confirm or ("no" if simulated else "each")
+
+    def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
+        """Map the device into a directory of its own below this one; returns that and the map."""
+        from rig.experiments import map_files  # noqa: PLC0415
+        from rig.experiments.zwidth_rig import Session, work_of  # noqa: PLC0415
+
+        place = map_files.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
+        session = Session(
+            url=self._url,
+            realtime=self._realtime,
+            verified=verified,
+            recordings=place / map_files.RECORDINGS,
+            agrees=self._agrees,
+            tells=self._tells,
+            pause=self._pause,
+        )
+        try:
+            return place, map_files.map_on_rig(self._plan, place, session)
+        except RigError as error:
+            if error.recording is None and (place / map_files.RECORDINGS).exists():
+                click.echo(f"rig: the hits until then are in {place / map_files.RECORDINGS}", err=True)
+            raise
+
+    def _agrees(self, asked: Next) -> bool:
+        motion = self._plan.experiment.rig.motion
+        if asked.number == 1 and asked.attempt == 1:
+            _say(
+                f"climb {asked.climb} of {asked.climbs}: {asked.scheme}, "
+                f"B = {asked.damping:.4g} {unit_of('damping', motion)}"
+            )
+        again = f", attempt {asked.attempt}" if asked.attempt > 1 else ""
+        text = f"  hit {asked.number}{again}: K = {asked.stiffness:.4g} {unit_of('stiffness', motion)}"
+        if asked.thrown_out:
+            _say("  the wall threw the handle out: put it back near its start")
+        first = asked.number == 1 and asked.attempt == 1
+        if asked.thrown_out or self._confirm == "each" or (self._confirm == "climb" and first):
+            return _asked(f"{text}   Enter: go on, q: end ")
+        _say(text)
+        return True
+
+    def _tells(self, asked: Next, done: Measured) -> None:
+        outcomes = {criterion: done.passes(criterion) for criterion in CRITERIA}
+        if None in outcomes.values():
+            said = "says nothing about the wall"
+        else:
+            said = f"passes: {', '.join(name for name, passes in outcomes.items() if passes) or 'none'}"
+        _say(f"    {output.coloured(str(done.kind))}; {said}")
+
+    def _pause(self, seconds: float) -> None:
+        if self._virtual:
+            return
+        if seconds >= SHOWN_PAUSE_S:
+            _say(f"    the motor cools for {seconds:.0f} s")
+        time.sleep(seconds)
+
+
+def load_device(url: str) -> None:
+    """Import what hits on a device need, which compiles."""
+    from rig.devices import load_backend  # noqa: PLC0415
+    from rig.experiments import zwidth_rig  # noqa: F401, PLC0415
+
+    load_backend(url)
+
+
+def refuse_without_device(verified: bool, confirm: str | None) -> None:
+    """Options about a device mean nothing without one."""
+    given = [name for name, value in (("--verified", verified), ("--confirm", confirm)) if value]
+    if given:
+        raise ConfigError(f"{given[0]} is about a device", remedy="name it with --url, or drop the option")
+
+
+def _asked(text: str) -> bool:
+    """Wait for Enter or q; the end of the input ends, too."""
+    while True:
+        click.echo(text, nl=False, err=True)
+        line = sys.stdin.readline()
+        answer = line.strip().lower()
+        if not line or answer in ("q", "quit", "n", "no"):
+            click.echo(err=True)
+            return False
+        if answer in ("", "y", "yes"):
+            return True
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)

@@ -1,0 +1,84 @@
+"""From fits to the keys of an experiment: which values an identification changes, and what stands behind each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from rig.config import Experiment
+from rig.identification.dynamics import Dynamics, Mode
+from rig.identification.sliding import Sliding
+from rig.model import Mechanics
+from rig.sample import unit_of
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Keys with their new values, and for each what it is ± and the motion that told it."""
+
+    values: dict[str, Any] = field(default_factory=dict)
+    sources: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def put(self, key: str, value: Any, text: str, motion: str) -> None:
+        """Set one key."""
+        self.values[key] = value
+        self.sources[key] = (text, motion)
+
+    def share(self, m: Mechanics, name: str, total: float, text: str, motion: str) -> None:
+        """Divide a total between motor and link in the described proportion."""
+        described = {side: float(getattr(m, f"{side}_{name}")) for side in ("motor", "link")}
+        whole = sum(described.values())
+        for side, before in described.items():
+            part = before / whole if whole > 0.0 else float(side == "motor")
+            if part > 0.0:
+                words = text if part == 1.0 else f"{100 * part:.3g} % (as described) of {text}"
+                self.put(f"rig.mechanics.{side}_{name}", part * total, words, motion)
+
+
+def identified_values(x: Experiment, sliding: Sliding, dynamics: Dynamics) -> Identified:
+    """Turn the fits into keys of the experiment.
+
+    One sensor sees sums. What it cannot split between motor and link keeps the description's proportion: friction and
+    damping always, inertia unless a mode splits it.
+    """
+    found, m = Identified(), x.rig.mechanics
+
+    def unit(quantity: str) -> str:
+        return unit_of(quantity, x.rig.motion)
+
+    hung = m.end_mass * m.handle_radius**2
+    if dynamics.mode is None:
+        total = dynamics.inertia.value - hung
+        found.share(m, "inertia", total, dynamics.inertia.text(unit("inertia")), "dynamics")
+    else:
+        _put_mode(found, m, dynamics.mode, sliding, unit("inertia"), unit("stiffness"))
+    damping, coulomb = sliding.damping, sliding.coulomb
+    found.share(m, "damping", max(0.0, damping.value), damping.text(unit("damping")), "sliding")
+    levels = f"{coulomb.text(unit('effort'))}: up {sliding.up.text()}, down {sliding.down.text()}"
+    found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
+    found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")
+    whole = f"whole ticks at {x.controller.position_rate} Hz; delay {dynamics.delay_s.text('s')} in all"
+    found.put("rig.simulation.computation_delay_ticks", dynamics.delay_ticks, whole, "dynamics")
+    return found
+
+
+def _put_mode(
+    found: Identified, m: Mechanics, mode: Mode, sliding: Sliding, inertia: str, stiffness: str
+) -> None:
+    link, motor, hertz = mode.link_inertia, mode.motor_inertia, mode.resonance_hz
+    hung = m.end_mass * m.handle_radius**2
+    described = m.motor_damping + m.link_damping
+    share = m.motor_damping / described if described > 0.0 else 1.0
+    moving = link.value / (link.value + motor.value)  # of the mode's motion at the motor
+    viscous = share * sliding.damping.value * moving / (4.0 * math.pi * hertz.value * motor.value)
+    ratio = min(max(mode.resonance_ratio.value - viscous, 0.0), 0.99)
+    text = f"{mode.resonance_ratio.text()} of the mode, less the viscous damping; Coulomb friction adds to it"
+    for key, value, words in (
+        ("structure", "two-mass", f"a mode at {hertz.text('Hz')}"),
+        ("motor_inertia", motor.value, motor.text(inertia)),
+        ("link_inertia", link.value - hung, link.text(inertia)),
+        ("transmission_stiffness", mode.stiffness.value, mode.stiffness.text(stiffness)),
+        ("transmission_damping_ratio", ratio, text),
+    ):
+        found.put(f"rig.mechanics.{key}", value, words, "dynamics")

@@ -1,0 +1,426 @@
+"""Identify a rig: small pushes, slow strokes, shaking, each a recorded trial; then the fits of `rig.identification`.
+
+The order is one of trust. Pushes need no sign to be known: they end by themselves after a few counts. Strokes need the
+sign, and tell the friction that shaking has to be harder than. The same code runs on the simulated rig behind its byte
+link and on a real one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config, controller, devices
+from rig.config import Experiment
+from rig.devices.framed import FramedDevice
+from rig.errors import ConfigError, PlanError
+from rig.excitation import Multisine
+from rig.experiments.identified_values import identified_values
+from rig.experiments.identify_motions import (
+    PERIODS,
+    PUSHES,
+    REST_S,
+    Motion,
+    excitation,
+    identification_plan,
+    inertia_of,
+    most_push,
+    pushes_motion,
+    settle_periods,
+    shaken_s,
+    shaking_motion,
+    still,
+    strokes_motion,
+    strokes_of,
+)
+from rig.experiments.plan import Check, Outcome, Plan, link_checks
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.identification.dynamics import Dynamics, fit_dynamics
+from rig.identification.quality import IdentificationError
+from rig.identification.signs import SignCheck, check_signs, stiction_warning
+from rig.identification.sliding import Sliding, fit_sliding
+from rig.impedance.signals import Shaken
+from rig.recording.data import Recording
+from rig.recording.files import plain_errors
+from rig.recording.reader import open_recording
+from rig.sample import Phase, RowFlag, unit_of
+
+Tell = Callable[[str], None]
+
+LATE_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentifyRequest:
+    """What to identify, and how.
+
+    Attributes
+    ----------
+    experiment
+        Its rig is the first guess, its limits are kept; the wall and the trial in it are not used.
+    url
+        Of the device; None simulates the experiment's rig in this process, in virtual time.
+    changes
+        Keys that the user set by hand, dotted.
+    verified
+        As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
+    realisations, period_s
+        Of the shaking: how many draws of phases, and the period of each (s).
+    seed
+        Of the phases.
+    output
+        Directory of the recordings.
+    """
+
+    experiment: Experiment
+    url: str | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    verified: bool = False
+    realisations: int = 6
+    period_s: float = 0.5
+    seed: int = 0
+    output: Path = Path("recordings")
+
+    def __post_init__(self) -> None:
+        if self.realisations < 2:
+            raise ConfigError(
+                f"{self.realisations} realisations tell no interval",
+                remedy="shake with 2 or more; 6 are usual",
+            )
+        if not 0.1 <= self.period_s <= 10.0:
+            raise ConfigError(f"a period of {self.period_s:g} s", remedy="choose 0.1 to 10 s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """What came of it: the fits, the recordings behind them, and the experiment with the identified values.
+
+    Attributes
+    ----------
+    before, experiment
+        The experiment as it was described, and with the identified values.
+    signs, sliding, dynamics
+        The three fits; see `rig.identification`.
+    recordings
+        ``"signs"``, ``"sliding"`` and ``"dynamics"`` → the files.
+    sources
+        Identified key → its value and interval in words, and where it comes from.
+    warnings
+        What a person should look at.
+    simulated
+        Whether the device was.
+    """
+
+    before: Experiment
+    experiment: Experiment
+    signs: SignCheck
+    sliding: Sliding
+    dynamics: Dynamics
+    recordings: Mapping[str, tuple[Path, ...]]
+    sources: Mapping[str, str]
+    warnings: tuple[str, ...]
+    simulated: bool
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "rig": self.experiment.rig.name,
+            "motion": self.experiment.rig.motion,
+            "simulated": self.simulated,
+            "signs": self.signs.as_mapping(),
+            "sliding": self.sliding.as_mapping(),
+            "dynamics": self.dynamics.as_mapping(),
+            "identified": dict(self.sources),
+            "warnings": list(self.warnings),
+            "recordings": {name: [str(p) for p in paths] for name, paths in self.recordings.items()},
+        }
+
+
+def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identification:
+    """Run the motions and fit.
+
+    Parameters
+    ----------
+    request
+        What to do.
+    tell
+        Told in a line what happens next.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run: nothing has moved.
+    IdentificationError
+        Wrong signs, or data that say nothing: the message says why.
+    RigError
+        Whatever ended a trial early (see `rig.experiments.trial.run_trial`); the effort is zero.
+    """
+    say = tell or (lambda text: None)
+    free = without_end_mass(request)
+    url = request.url or "sim://"
+    with devices.open_device(url, config.rig_model(still(free))) as device:
+        base = _for_device(free, request, device)
+        _refuse(plan_of(base, request).checks)
+        _refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+        _check_verified(request, device)
+        with plain_errors("make", request.output):
+            request.output.mkdir(parents=True, exist_ok=True)
+        session = _Session(device, request)
+        say(f"signs: {PUSHES} small pushes, at most {most_push(base):.3g} {_unit(base, 'effort')}")
+        signs = session.signs(base)
+        _check_signs(signs)
+        say("friction: strokes at constant speeds")
+        sliding = session.sliding(base)
+        say(f"dynamics: shaken {request.realisations} times for {shaken_s(request.period_s):.3g} s")
+        dynamics = session.dynamics(base, signs, sliding)
+        simulated = device.dictionary.simulated
+    return _identified(request, base, signs, sliding, dynamics, session.recordings, simulated=simulated)
+
+
+def without_end_mass(request: IdentifyRequest) -> Experiment:
+    """The experiment with its changes, and without the end mass: a rig is identified with its handle free.
+
+    A rig that a ``sim://name`` simulates keeps its end mass, which is then subtracted.
+    """
+    experiment = config.override(request.experiment, request.changes)
+    url = request.url or "sim://"
+    named = url.startswith("sim://") and bool(url.removeprefix("sim://").partition("?")[0])
+    if named:
+        return experiment
+    return config.override(experiment, {"rig.mechanics.end_mass": 0.0}, "identification")
+
+
+def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
+    """What a request will do on a rig (`without_end_mass`)."""
+    return identification_plan(
+        free, realisations=request.realisations, period_s=request.period_s, seed=request.seed
+    )
+
+
+# ---------------------------------------------------------------------- running them
+
+
+class _Session:
+    """Trials on an open device, and what was recorded."""
+
+    def __init__(self, device: FramedDevice, request: IdentifyRequest) -> None:
+        self._device, self._request = device, request
+        self._stem = f"identify-{datetime.now():%Y%m%d-%H%M%S}"
+        self._reference = 0 if device.dictionary.simulated else device.count()
+        self.recordings: dict[str, tuple[Path, ...]] = {}
+
+    def signs(self, x: Experiment) -> SignCheck:
+        at = controller.resolution(x) * (self._device.count() - self._reference)
+        limits = x.rig.limits
+        if not limits.position_minimum < at < limits.position_maximum:
+            raise PlanError(
+                f"the handle stands at {at:.4g} {_unit(x, 'position')}, outside of its window",
+                remedy="move it inside by hand",
+            )
+        rows, rate = self._run(pushes_motion(x, at), "signs")
+        return check_signs(
+            np.arange(len(rows)) / rate,
+            rows["effort_sent"],
+            rows["position"],
+            resolution=x.rig.encoder.resolution,
+            expected_inertia=inertia_of(x),
+            rest_s=0.25 * REST_S,
+        )
+
+    def sliding(self, x: Experiment) -> Sliding:
+        rows, rate = self._run(strokes_motion(x), "sliding")
+        return fit_sliding(
+            np.arange(len(rows)) / rate,
+            rows["effort_sent"],
+            rows["position"],
+            strokes_of(x)[1],
+            resolution=x.rig.encoder.resolution,
+        )
+
+    def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
+        request = self._request
+        inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
+        runs = []
+        for number in range(request.realisations):
+            shaking = excitation(x, request.seed, request.period_s, inertia, number)
+            rows, rate = self._run(shaking_motion(x, shaking, inertia), "dynamics", number)
+            _check_undisturbed(rows)
+            runs.append(shaken_of(rows, rate, shaking))
+        return fit_dynamics(
+            runs,
+            resolution=x.rig.encoder.resolution,
+            inertia=inertia,
+            sliding=sliding,
+            damping=sliding.damping,
+        )
+
+    def _run(self, motion: Motion, name: str, number: int = 0) -> tuple[NDArray[np.void], float]:
+        """Run one trial; return the rows of the trial proper, without a gap, and their rate (Hz)."""
+        simulated = self._device.dictionary.simulated
+        x = motion.experiment
+        end = run_trial(
+            self._device,
+            TrialRequest(
+                experiment=replace(x, wall=replace(x.wall, law=motion.law.name)),
+                recording=self._free_name(f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                verified=self._request.verified or simulated,
+                seed=x.trial.seed,
+                reference_count=self._reference,
+                law=motion.law,
+                extra={"identification": name, "number": number + 1, "seed": self._request.seed},
+            ),
+        )
+        self.recordings[name] = (*self.recordings.get(name, ()), end.recording)
+        return trial_rows(open_recording(end.recording)), float(x.controller.position_rate)
+
+    def _free_name(self, stem: str) -> Path:
+        output = self._request.output
+        name = next(
+            candidate
+            for candidate in (stem, *(f"{stem}-{n}" for n in range(2, 10_000)))
+            if not any((output / f"{candidate}{suffix}").exists() for suffix in (".rigcap", ".parquet"))
+        )
+        return output / f"{name}.rigcap"
+
+
+def trial_rows(recording: Recording) -> NDArray[np.void]:
+    """Rows of the trial proper.
+
+    Raises `IdentificationError` when a tick is missing, too many were late, or the device overruled the law.
+    """
+    rows: NDArray[np.void] = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+    if len(rows) < 2 or np.any(np.diff(rows["sample_index"]) != 1):
+        raise IdentificationError(
+            f"{recording.path}: samples are missing in the motion",
+            remedy="lower the rate, or use a better link: a fit needs every sample",
+        )
+    late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
+    if late > LATE_SHARE:
+        raise IdentificationError(
+            f"{recording.path}: {100 * late:.1f} % of the ticks were late",
+            remedy="lower the rate, or free the computer of other work",
+        )
+    return rows
+
+
+def shaken_of(rows: NDArray[np.void], rate: float, shaking: Multisine) -> Shaken:
+    """The whole periods of one realisation, the settling ones cut.
+
+    The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified.
+    """
+    n = round(rate * shaking.period_s)
+    settled = settle_periods(shaking.period_s)
+    kept = slice(settled * n, (settled + PERIODS) * n)
+    return Shaken(
+        rate_hz=rate,
+        period_samples=n,
+        periods=PERIODS,
+        excitation=np.tile(shaking.period(rate), PERIODS),
+        effort=rows["effort_sent"][kept],
+        position=rows["position"][kept],
+        lines_hz=shaking.lines_hz,
+        effort_hold_s=1.0 / rate,
+    )
+
+
+def _check_undisturbed(rows: NDArray[np.void]) -> None:
+    bound = (rows["flags"] & (RowFlag.SATURATED | RowFlag.SLEW_BOUND)) != 0
+    if bound.any():
+        raise IdentificationError(
+            f"the guard changed the effort in {int(bound.sum())} of {len(rows)} ticks of the shaking",
+            remedy="raise rig.limits.slew or rig.limits.effort",
+        )
+
+
+# ---------------------------------------------------------------------- checks before, results after
+
+
+def _for_device(free: Experiment, request: IdentifyRequest, device: FramedDevice) -> Experiment:
+    """In real time the loop runs at the device's own rate, unless the user set one."""
+    theirs = device.dictionary.device
+    if device.dictionary.simulated and theirs != free.rig.name:
+        raise ConfigError(
+            f"the device simulates {theirs}, the experiment is about {free.rig.name}",
+            remedy=f"say --rig {theirs}, or open another device",
+        )
+    if device.link.clock.virtual:
+        return free
+    rates = ("controller.position_rate", "controller.velocity_rate")
+    if any(key in request.changes for key in rates):
+        return free
+    rate = device.dictionary.position_rate_default
+    return config.override(still(free), dict.fromkeys(rates, rate), "real time")
+
+
+def _check_verified(request: IdentifyRequest, device: FramedDevice) -> None:
+    if device.dictionary.simulated or request.verified:
+        return
+    raise ConfigError(
+        f"{device.dictionary.device} does not arm before somebody vouches for its signs",
+        remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
+        "--verified: the first pushes check the signs and end after a few counts whatever they are",
+    )
+
+
+def _check_signs(signs: SignCheck) -> None:
+    if signs.sign != 1:
+        raise IdentificationError(
+            "; ".join(signs.warnings) or "the pushes say nothing",
+            remedy="turn rig.encoder.sign, or swap two wires; then identify again",
+        )
+    if not signs.ok:
+        raise IdentificationError(
+            "; ".join(signs.warnings) or "the pushes tell no inertia",
+            remedy="mend rig.amplifier.effort_per_ampere, rig.encoder or rig.mechanics; then identify again",
+        )
+
+
+def _refuse(checks: list[Check] | tuple[Check, ...]) -> None:
+    refused = [check for check in checks if check.outcome == Outcome.REFUSED]
+    if refused:
+        raise PlanError(
+            "; ".join(f"{check.name}: {check.text}" for check in refused),
+            remedy="; ".join(check.remedy for check in refused),
+        )
+
+
+def _identified(
+    request: IdentifyRequest,
+    base: Experiment,
+    signs: SignCheck,
+    sliding: Sliding,
+    dynamics: Dynamics,
+    recordings: Mapping[str, tuple[Path, ...]],
+    *,
+    simulated: bool,
+) -> Identification:
+    before = config.override(request.experiment, request.changes)
+    values = identified_values(base, sliding, dynamics)
+    named = {key: f"{text}; {_files(recordings[kind])}" for key, (text, kind) in values.sources.items()}
+    sticking = stiction_warning(0.5 * (signs.breakaway_up + signs.breakaway_down), sliding.coulomb.value)
+    return Identification(
+        before=before,
+        experiment=config.override(before, values.values, "identification"),
+        signs=signs,
+        sliding=sliding,
+        dynamics=dynamics,
+        recordings=dict(recordings),
+        sources=named,
+        warnings=(*signs.warnings, *([sticking] if sticking else [])),
+        simulated=simulated,
+    )
+
+
+def _files(paths: tuple[Path, ...]) -> str:
+    return str(paths[0]) if len(paths) == 1 else f"{paths[0]} … {paths[-1].name}"
+
+
+def _unit(x: Experiment, quantity: str) -> str:
+    return unit_of(quantity, x.rig.motion)

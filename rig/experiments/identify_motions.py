@@ -1,0 +1,322 @@
+"""The motions of an identification: what moves, how far and how hard; and the plan that says so beforehand.
+
+Everything follows from the described rig and its limits; no device is touched here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config, laws
+from rig.config import Experiment
+from rig.errors import ConfigError
+from rig.excitation import Multisine
+from rig.experiments.plan import Check, Outcome, Plan, Step
+from rig.identification.sliding import Stroke
+from rig.laws import Law
+from rig.motions import nudging, tracing
+from rig.sample import unit_of
+
+Floats = NDArray[np.float64]
+
+SLOW_RATE = 2000  # Hz: pushes and strokes need no more
+NO_PUSH = 1e-12  # of the effort limit: a trial must push, and this is less than any quantum
+MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
+
+# Pushes: how many, how far, up to which share of the nominal effort, in which time, and the rest after each.
+PUSHES, PUSH_COUNTS, PUSH_SHARE, PUSH_S, REST_S = 6, 30, 0.3, 1.5, 0.2
+PUSH_RISE_S = 0.05  # gentle: without friction the way takes that long
+PUSH_COULOMB = 5.0  # but the most effort is this multiple of the described friction
+PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # window (ways of a push) and speed (ways a second) that end the run
+BRAKE_S = 0.02  # time constant of the brake after a push
+
+# Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
+TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
+CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
+FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
+SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
+
+# Shaking: its band, and where it ends as a share of the rate; before the kept periods a time, and periods at least.
+LOWEST_HZ, HIGHEST_HZ, HIGHEST_SHARE = 4.0, 1000.0, 0.15
+SHAKE_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
+LINES_PER_OCTAVE = 16
+EVEN_FROM_HZ = 25.0  # below it amplitudes fall with the frequency: the motion would grow
+CENTRING_HZ = 2.5  # of the soft spring that keeps a shaken handle near the middle
+EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = (
+    0.6,
+    0.9,
+    0.5,
+    0.5,
+)  # of the limits, that shaking may use
+HARD = 5.0  # rms effort of shaking over Coulomb friction from which the bias of friction is below half a per cent
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One kind of trial: the experiment that it runs, and the law that moves."""
+
+    experiment: Experiment
+    law: Law
+
+
+def identification_plan(x: Experiment, *, realisations: int, period_s: float, seed: int) -> Plan:
+    """List and check what will be done, from the described rig; no device is touched."""
+    limits = x.rig.limits
+    effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
+    shaking = excitation(x, seed, period_s, inertia_of(x))
+    impedance = _free_impedance(x, inertia_of(x))
+    fastest = shaking.velocity(impedance).peak
+    half = 0.5 * (limits.position_maximum - limits.position_minimum)
+    coulomb = coulomb_of(x)
+    rms_load = shaking.rms / limits.nominal_effort
+    travel, top_speed = TRAVEL_SHARE * 2.0 * half, max(abs(s.velocity) for s in strokes_of(x)[1])
+    settings = (
+        Step("pushes", f"{PUSHES} pushes of at most {most_push(x):.3g} {effort}, each until the handle has "
+             f"moved {push_way(x):.3g} {position}", pushes_s()),
+        Step("strokes", f"± {travel:.3g} {position} about the middle of the window at up to {top_speed:.3g} {speed}",
+             strokes_of(x)[0][-1][0]),
+        Step("shaking", f"{realisations} × {shaken_s(period_s):.3g} s, {shaking.lines_hz[0]:g} to "
+             f"{shaking.lines_hz[-1]:g} Hz, {shaking.rms:.3g} {effort} rms",
+             realisations * shaken_s(period_s)),
+    )  # fmt: skip
+    checks = (
+        _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
+        _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
+        _check("peak effort of shaking", shaking.peak, limits.effort, effort, "raise rig.limits.effort"),
+        _check("peak position of shaking", shaking.position(impedance).peak, half, position, "widen the window"),
+        _check("peak speed of shaking", fastest, limits.speed, speed, "raise rig.limits.speed"),
+        _check("motor heat", rms_load, 1.0, "of the nominal effort, rms", "lower rig.limits.effort"),
+        Check(
+            "shaking over friction",
+            Outcome.OK if shaking.rms >= HARD * coulomb else Outcome.WARNING,
+            f"{shaking.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
+            "the inertia will be some per cent too large: allow more effort, speed or way",
+        ),
+    )  # fmt: skip
+    return Plan(x.rig.name, 1, settings, checks)
+
+
+def pushes_motion(x: Experiment, at: float) -> Motion:
+    """Small pushes about where the handle is; window and speed limit shrink to what they need."""
+    limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
+    speed = min(limits.speed, PUSH_SPEED * way)
+    changes = {
+        "rig.limits.position_minimum": max(limits.position_minimum, at - PUSH_WINDOW * way),
+        "rig.limits.position_maximum": min(limits.position_maximum, at + PUSH_WINDOW * way),
+        "rig.limits.speed": speed,
+        # Homing must do nothing while the signs are not known.
+        "homing.stiffness": 1e-12,
+        "homing.damping": 0.0,
+        "homing.speed": 0.5 * speed,
+        "homing.tolerance_counts": 1e6,
+        "homing.settle_s": REST_S,
+    }
+    law = nudging(
+        effort_per_s=most_push(x) / PUSH_S,
+        most_effort=most_push(x),
+        moved=way,
+        rest_s=REST_S,
+        brake=inertia_of(x) / BRAKE_S,
+        pulses=PUSHES,
+        rate_hz=rate,
+    )
+    return Motion(_moved(x, at, pushes_s(), rate, changes), law)
+
+
+def strokes_motion(x: Experiment) -> Motion:
+    """Strokes at constant speeds by the homing servo, with as much effort as the motor gives for hours."""
+    path, _ = strokes_of(x)
+    limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
+    rate = slow_rate(x)
+    stiffness, damping = servo_of(x, rate)
+    law = tracing(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
+    return Motion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+
+
+def shaking_motion(x: Experiment, shaking: Multisine, inertia: float) -> Motion:
+    """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
+    rate = x.controller.position_rate
+    periods = settle_periods(shaking.period_s) + PERIODS
+    law = laws.shaken(shaking.period(rate), round(shaking.period_s * rate))
+    changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
+    return Motion(_moved(x, _middle(x), periods * shaking.period_s, rate, changes), law)
+
+
+def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
+    """Stiffness and damping of a well damped servo that the delay of loop and velocity filter leaves stable.
+
+    The homing servo of a description may count on an end mass that is not there now; no more damping is used than it
+    has, because a mode may be what limits it.
+    """
+    delay_s = SERVO_TICKS / rate + FILTER_DELAY / (CUTOFF_SHARE * _divisor(rate, SLOW_RATE))
+    corner = min(SERVO_PHASE / delay_s, (x.homing.damping or math.inf) / inertia_of(x))
+    return 0.25 * inertia_of(x) * corner**2, inertia_of(x) * corner
+
+
+def _homing(x: Experiment, rate: int) -> dict[str, Any]:
+    """Homing by that servo, as close to the start as friction lets it come."""
+    stiffness, damping = servo_of(x, rate)
+    held = 2.0 * coulomb_of(x) / stiffness / x.rig.encoder.resolution
+    return {
+        "homing.stiffness": stiffness,
+        "homing.damping": damping,
+        "homing.effort": max(x.homing.effort, min(most_push(x), x.rig.limits.effort)),
+        "homing.tolerance_counts": min(1e6, max(x.homing.tolerance_counts, held)),
+    }
+
+
+def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
+    """Path of the strokes (time, position) and each of them."""
+    limits = x.rig.limits
+    travel = TRAVEL_SHARE * (limits.position_maximum - limits.position_minimum)
+    slowing = max(1.0, 2.0 * travel / STROKES_S[0] / (STROKE_SPEED * limits.speed))
+    path, strokes, time_s = [(0.0, _middle(x) - travel)], [], 0.0
+    for length in STROKES_S:
+        for way in (travel, -travel):
+            begin_s, time_s = time_s, time_s + slowing * length
+            strokes.append(Stroke(begin_s, time_s, 2.0 * way / (time_s - begin_s)))
+            path.append((time_s, _middle(x) + way))
+    return path, strokes
+
+
+def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realisation: int = 0) -> Multisine:
+    """A multisine as large as effort, heat, window and speed allow, with margins, for a rig of this inertia."""
+    top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
+    if top < 2.0 * LOWEST_HZ:
+        raise ConfigError(
+            f"a loop of {x.controller.position_rate} Hz shakes up to {top:.3g} Hz: too low to tell an inertia",
+            remedy=f"choose a rate of {math.ceil(2.0 * LOWEST_HZ / HIGHEST_SHARE)} Hz or more",
+        )
+    count = max(2, round(LINES_PER_OCTAVE * math.log2(top / LOWEST_HZ)))
+    harmonics = np.unique(np.rint(np.geomspace(LOWEST_HZ, top, count) * period_s))
+    lines = harmonics[harmonics >= 1.0] / period_s
+    phases = np.random.default_rng((seed, realisation)).uniform(-np.pi, np.pi, len(lines))
+    shape = Multisine(period_s, lines, np.minimum(lines / EVEN_FROM_HZ, 1.0), phases)
+    limits, impedance = x.rig.limits, _free_impedance(x, inertia)
+    half = 0.5 * (limits.position_maximum - limits.position_minimum)
+    return shape.scaled(
+        min(
+            EFFORT_SHARE * limits.effort / shape.peak,
+            RMS_SHARE * limits.nominal_effort / shape.rms,
+            POSITION_SHARE * half / shape.position(impedance).peak,
+            SPEED_SHARE * limits.speed / shape.velocity(impedance).peak,
+        )
+    )
+
+
+def centring(inertia: float) -> float:
+    """Stiffness of the spring that centres a shaken handle (N·m/rad or N/m)."""
+    return inertia * (2.0 * math.pi * CENTRING_HZ) ** 2
+
+
+def inertia_of(x: Experiment) -> float:
+    """Described inertia of everything that moves (kg·m² or kg)."""
+    return x.rig.mechanics.motor_inertia + x.rig.mechanics.loaded_link_inertia
+
+
+def coulomb_of(x: Experiment) -> float:
+    """Described Coulomb friction of everything that moves (N·m or N)."""
+    return x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb
+
+
+def most_push(x: Experiment) -> float:
+    """Where a push gives up (N·m or N): far above the described friction, and slow enough to be stopped in time."""
+    gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
+    bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
+    return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x)))
+
+
+def push_way(x: Experiment) -> float:
+    """How far the handle moves in a push (rad or m)."""
+    return PUSH_COUNTS * x.rig.encoder.resolution
+
+
+def pushes_s() -> float:
+    """Length of all pushes (s)."""
+    return PUSHES * (PUSH_S + REST_S) + REST_S
+
+
+def slow_rate(x: Experiment) -> int:
+    """Rate of pushes and strokes (Hz)."""
+    return _divisor(x.controller.position_rate, SLOW_RATE)
+
+
+def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapping[str, Any]) -> Experiment:
+    velocity_rate = _divisor(rate, SLOW_RATE)
+    still = {
+        **_NO_WALL,
+        "wall.position": at + MARGIN_COUNTS * x.rig.encoder.resolution,  # a trial starts before its wall
+        "trial.start": at,
+        "trial.effort": NO_PUSH * x.rig.limits.effort,
+        "trial.duration_s": duration_s,
+        "verdict.tail_s": 0.5 * duration_s,
+        "controller.position_rate": rate,
+        "controller.velocity_rate": velocity_rate,
+        "controller.parameters.cutoff_hz": CUTOFF_SHARE * velocity_rate,
+        "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
+    }
+    return config.override(x, {**still, **changes}, "identification")
+
+
+_NO_WALL: dict[str, Any] = {
+    "trial.kind": "constant-effort",
+    "trial.repeats": 1,
+    "trial.minimum_rest_counts": 0.0,
+    "wall.stiffness": 0.0,
+    "wall.damping": 0.0,
+    "wall.side": 1,
+    "wall.law": "spring-damper",
+    "controller.estimator": "fdm-butterworth",
+    "controller.prediction": "hold",
+    "controller.slow_below": 0.0,
+}
+
+
+def still(x: Experiment) -> Experiment:
+    """The same rig in nobody's hand."""
+    return _moved(x, _middle(x), 1.0, slow_rate(x), {})
+
+
+def _middle(x: Experiment) -> float:
+    return 0.5 * (x.rig.limits.position_minimum + x.rig.limits.position_maximum)
+
+
+def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
+    """Z of a rigid rig on its centring spring: the described damping, and this inertia."""
+    mechanics = x.rig.mechanics
+    damping, stiffness = mechanics.motor_damping + mechanics.link_damping, centring(inertia)
+
+    def impedance(lines_hz: Floats) -> Any:
+        s = 2j * np.pi * lines_hz
+        return inertia * s + damping + stiffness / s
+
+    return impedance
+
+
+def settle_periods(period_s: float) -> int:
+    """Periods that are played before those that are kept."""
+    return max(LEAST_SETTLE, math.ceil(SHAKE_SETTLE_S / period_s - 1e-9))
+
+
+def shaken_s(period_s: float) -> float:
+    """Length of one realisation (s)."""
+    return (settle_periods(period_s) + PERIODS) * period_s
+
+
+def _divisor(rate: int, most: int) -> int:
+    return next(rate // n for n in range(1, rate + 1) if rate % n == 0 and rate // n <= most)
+
+
+def _check(name: str, value: float, limit: float, unit: str, remedy: str) -> Check:
+    fits = Outcome.OK if value <= limit else Outcome.REFUSED
+    return Check(name, fits, f"{value:.3g} {unit}, limit {limit:.3g}", remedy)
+
+
+def _unit(x: Experiment, quantity: str) -> str:
+    return unit_of(quantity, x.rig.motion)

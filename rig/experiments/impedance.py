@@ -1,0 +1,518 @@
+"""Measuring the impedance that a rig renders: at any walls, under any schemes, without bytes or on a device.
+
+    results = measure_impedance(experiment, walls=[(0.0, 0.0), (20e3, 60.0)])
+    results[1].judgement.passive, results[1].fidelity.rms
+
+One wall under one scheme is one `ImpedanceResult`: what was measured, whether it is passive, how faithful it is, and
+what stopped it if something did. Runs without bytes are independent of each other and hold no GIL while they shake.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from rig import config, devices
+from rig.config import Excitation, Experiment
+from rig.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.judgement import THROWN_OUT
+from rig.experiments.plan import Outcome
+from rig.experiments.results import write_table
+from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, record_of, shaken_law
+from rig.experiments.shaking_plan import excitation_checks
+from rig.impedance.estimate import Impedance, periodic
+from rig.impedance.fitting import Device, Fit, fit
+from rig.impedance.ideal import rendered
+from rig.impedance.signals import Complexes, Floats
+from rig.impedance.verdict import RESIDUAL, Z_SCORE, Fidelity, Judgement, fidelity, judge
+from rig.impedance.welch import welch
+from rig.recording.data import Recording
+from rig.recording.files import plain_errors, whole_file
+from rig.recording.reader import open_recording
+from rig.sample import Phase, unit_of
+from rig.schemes import Scheme
+
+Method = Literal["periodic", "welch"]
+Wall = tuple[float, float]  # stiffness, damping
+Watch = Callable[[int, int], None]  # runs done, runs in all
+
+SEEN: dict[Signal, Literal["sensed", "handle"]] = {"count": "sensed", "truth": "handle"}
+ATTEMPTS = 3  # at a realisation whose samples were lost
+TABLE, SUMMARY = "impedance.parquet", "impedance.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judging:
+    """What a verdict needs beside the measurement.
+
+    Attributes
+    ----------
+    band_hz
+        Lines that count for verdict and fidelity; all if None.
+    z_score, residual_threshold
+        As in `rig.impedance.verdict.judge`.
+    """
+
+    band_hz: tuple[float, float] | None = None
+    z_score: float = Z_SCORE
+    residual_threshold: float = RESIDUAL
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImpedanceResult:
+    """One wall under one scheme.
+
+    Attributes
+    ----------
+    experiment
+        As it ran: scheme, wall and excitation are in it.
+    impedance, judgement, fidelity
+        None when the guard ended a run.
+    fitted
+        Mass and damping of a bare rig (no wall), else None: K and B are in `fidelity`.
+    method, signal
+        How it was estimated, and from which position.
+    ended, ended_s
+        What the guard said, and how long after the beginning of the run; empty for a whole measurement.
+    saturated
+        Share of ticks in which the effort was clipped: above zero the rig was not linear.
+    recordings
+        Of a device.
+    """
+
+    experiment: Experiment
+    impedance: Impedance | None
+    judgement: Judgement | None
+    fidelity: Fidelity | None
+    fitted: Fit | None
+    method: Method
+    signal: Signal
+    ended: str = ""
+    ended_s: float = 0.0
+    saturated: float = 0.0
+    recordings: tuple[Path, ...] = ()
+
+    @property
+    def wall(self) -> Wall:
+        """Stiffness and damping."""
+        return self.experiment.wall.stiffness, self.experiment.wall.damping
+
+    @property
+    def bare(self) -> bool:
+        """Whether there was no wall."""
+        return self.wall == (0.0, 0.0)
+
+    @property
+    def label(self) -> str:
+        """What a legend calls it: wall and scheme."""
+        x, motion = self.experiment, self.experiment.rig.motion
+        scheme = Scheme.of(x).label(x)
+        if self.bare:
+            return f"bare rig, {scheme}"
+        stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)
+        return f"K = {self.wall[0]:g} {stiffness}, B = {self.wall[1]:g} {damping}, {scheme}"
+
+    def expected(self, lines_hz: Floats) -> Complexes | None:
+        """Closed form of rig and wall without friction and quantum; None for an estimator that is not linear."""
+        return expected(self.experiment, lines_hz, self.signal)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        x, e = self.experiment, self.experiment.excitation
+        parts = {
+            name: None if part is None else part.as_mapping()
+            for name, part in (
+                ("judgement", self.judgement), ("fidelity", self.fidelity), ("fitted", self.fitted),
+                ("impedance", self.impedance),
+            )
+        }  # fmt: skip
+        return {
+            "rig": x.rig.name,
+            "motion": x.rig.motion,
+            "scheme": Scheme.of(x).text,
+            "label": self.label,
+            "stiffness": self.wall[0],
+            "damping": self.wall[1],
+            "method": self.method,
+            "signal": self.signal,
+            "excitation": {
+                **config.as_mapping(x)["excitation"],
+                **config.excitation_size(x),
+                "channel": e.channel,
+            },
+            "ended": self.ended or None,
+            "ended_s": self.ended_s if self.ended else None,
+            "saturated": self.saturated,
+            "recordings": [str(path) for path in self.recordings],
+            **parts,
+        }
+
+
+def measure_impedance(
+    experiment: Experiment,
+    *,
+    walls: Sequence[Wall] | None = None,
+    schemes: Sequence[Scheme] = (),
+    excitation: Excitation | None = None,
+    method: Method = "periodic",
+    signal: Signal = "count",
+    judging: Judging | None = None,
+    watch: Watch | None = None,
+) -> tuple[ImpedanceResult, ...]:
+    """Measure a simulated rig without bytes: every wall under every scheme.
+
+    Parameters
+    ----------
+    experiment
+        The rig, and whatever the other parameters leave out.
+    walls
+        Stiffness and damping of each; the experiment's own if None. Both zero: the bare rig.
+    schemes
+        Rates and estimators; the experiment's own if empty.
+    excitation
+        In place of the experiment's ``[excitation]``.
+    method
+        ``"periodic"``: the ratio of lines. ``"welch"``: as tfestimate does.
+    signal
+        Encoder counts, or the simulation's true position of the handle (see `ShakingBench`).
+    judging
+        Band and thresholds of the verdict.
+    watch
+        Told after each run.
+
+    Raises
+    ------
+    ConfigError
+        Something that cannot be.
+    PlanError
+        An excitation beyond the limits of effort, position or speed: nothing was run.
+    LawError
+        Estimator or law give something that is not finite.
+    """
+    asked = prepared(experiment, walls, schemes, excitation)
+    refuse([one for group in asked for one in group])
+    total = sum(len(group) for group in asked) * asked[0][0].excitation.realisations
+    done, results = 0, []
+    for group in asked:
+        bench = ShakingBench(group[0], signal=signal)
+        for one in group:
+            runs: list[Run] = []
+            for realisation in range(one.excitation.realisations):
+                runs.append(bench.shake(one.wall.stiffness, one.wall.damping, realisation))
+                done += 1
+                if watch is not None:
+                    watch(done, total)
+                if runs[-1].record is None:
+                    break
+            results.append(concluded(one, runs, method=method, signal=signal, judging=judging))
+    return tuple(results)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnDevice:
+    """A device to measure on.
+
+    Attributes
+    ----------
+    url, verified
+        As in `rig.experiments.hit.HitRequest`.
+    recordings
+        Directory of the recordings, one for each realisation.
+    realtime
+        A simulated device runs in real time, as a process.
+    agrees
+        Asked before each wall; False ends the session. None asks nobody.
+    """
+
+    url: str
+    recordings: Path = Path("recordings")
+    verified: bool = False
+    realtime: bool = False
+    agrees: Callable[[Experiment], bool] | None = None
+
+
+def measure_on_device(
+    experiment: Experiment,
+    device: OnDevice,
+    *,
+    walls: Sequence[Wall] | None = None,
+    schemes: Sequence[Scheme] = (),
+    excitation: Excitation | None = None,
+    method: Method = "periodic",
+    judging: Judging | None = None,
+    watch: Watch | None = None,
+) -> Iterator[ImpedanceResult]:
+    """Measure a device by its own motor, or a simulated one over its link: one recorded trial for each realisation.
+
+    Parameters are those of `measure_impedance`. Yields each result as it comes; a guard that trips ends that wall only.
+
+    Raises
+    ------
+    PlanError
+        An excitation beyond the limits, or by a second actuator, which no device has; nothing has moved.
+    RigError
+        Whatever ended a trial early but for the guard; the effort is zero.
+    """
+    asked = [one for group in prepared(experiment, walls, schemes, excitation) for one in group]
+    if any(one.excitation.channel != "motor" for one in asked):
+        raise PlanError(
+            "a device has no second actuator that this program could drive",
+            remedy='say --channel motor (excitation.channel = "motor")',
+        )
+    refuse(asked)
+    total, done = sum(one.excitation.realisations for one in asked), 0
+    with _kept_open(device) as session:
+        for one in asked:
+            if device.agrees is not None and not device.agrees(one):
+                return
+            runs: list[Run] = []
+            recordings: list[Path] = []
+            for realisation in range(one.excitation.realisations):
+                run, paths = _recorded_whole(one, device, realisation, session)
+                runs.append(run)
+                recordings += paths
+                done += 1
+                if watch is not None:
+                    watch(done, total)
+                if run.record is None:
+                    break
+            yield concluded(
+                one, runs, method=method, signal="count", judging=judging, recordings=tuple(recordings)
+            )
+
+
+@contextmanager
+def _kept_open(device: OnDevice) -> Iterator[dict[str, Any]]:
+    """Keep a real rig open, with its position zero, from run to run; a simulated one is made anew for each."""
+    if device.url.startswith("sim:"):
+        yield {}
+        return
+    with devices.open_device(device.url) as opened:
+        yield {"device": opened, "reference_count": opened.count()}
+
+
+def prepared(
+    experiment: Experiment,
+    walls: Sequence[Wall] | None,
+    schemes: Sequence[Scheme],
+    excitation: Excitation | None,
+) -> list[list[Experiment]]:
+    """Shaken experiments to run, checked: the walls of each scheme."""
+    if excitation is not None:
+        experiment = replace(experiment, excitation=excitation)
+    base = config.shaken(experiment)
+    groups = []
+    for scheme in schemes or (Scheme.of(base),):
+        ruled = scheme.applied(base)
+        groups.append(
+            [
+                replace(ruled, wall=replace(ruled.wall, stiffness=stiffness, damping=damping))
+                for stiffness, damping in walls or ((base.wall.stiffness, base.wall.damping),)
+            ]
+        )
+    for stiffness, damping in walls or ():
+        if not (np.isfinite(stiffness) and np.isfinite(damping) and stiffness >= 0.0 and damping >= 0.0):
+            raise ConfigError(
+                f"a wall of K = {stiffness:g}, B = {damping:g}", remedy="give numbers that are not negative"
+            )
+    return groups
+
+
+def refuse(asked: Sequence[Experiment]) -> None:
+    """Raise `PlanError` for the first experiment whose excitation exceeds a limit."""
+    for one in asked:
+        refused = [check for check in excitation_checks(one) if check.outcome == Outcome.REFUSED]
+        if refused:
+            raise PlanError(
+                "; ".join(f"{check.name}: {check.text}" for check in refused),
+                remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
+            )
+
+
+def concluded(
+    experiment: Experiment,
+    runs: Sequence[Run],
+    *,
+    method: Method = "periodic",
+    signal: Signal = "count",
+    judging: Judging | None = None,
+    recordings: tuple[Path, ...] = (),
+) -> ImpedanceResult:
+    """Estimate and judge what was recorded of one wall."""
+    judging = judging or Judging()
+    saturated = float(np.mean([run.saturated for run in runs]))
+    records = [run.record for run in runs if run.record is not None]
+    wall = experiment.wall
+    if len(records) < len(runs):
+        stopped = next(run for run in runs if run.record is None)
+        return ImpedanceResult(
+            experiment=experiment, impedance=None, judgement=None, fidelity=None, fitted=None,
+            method=method, signal=signal, ended=stopped.ended, ended_s=stopped.ended_s, saturated=saturated,
+            recordings=recordings,
+        )  # fmt: skip
+    impedance = (periodic if method == "periodic" else welch)(records)
+    bare = (wall.stiffness, wall.damping) == (0.0, 0.0)
+    return ImpedanceResult(
+        experiment=experiment,
+        impedance=impedance,
+        judgement=judge(
+            impedance,
+            judging.band_hz,
+            z_score=judging.z_score,
+            residual_threshold=judging.residual_threshold,
+        ),
+        fidelity=fidelity(
+            impedance, wall.stiffness, wall.damping, judging.band_hz, device=known_device(experiment)
+        ),
+        fitted=fit(impedance, ("inertia", "damping"), band=judging.band_hz) if bare else None,
+        method=method,
+        signal=signal,
+        saturated=saturated,
+        recordings=recordings,
+    )
+
+
+def known_device(experiment: Experiment) -> Device:
+    """Mass and damping of the rig, as its file says."""
+    mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
+    drive = amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0
+    return Device(
+        mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        mechanics.motor_damping + mechanics.link_damping + drive,
+    )
+
+
+def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count") -> Complexes | None:
+    """Closed form of rig and wall without friction and quantum, where the position is taken; None if there is none."""
+    wall, seen = experiment.wall, SEEN[signal]
+    try:
+        return rendered(experiment, wall.stiffness, wall.damping, lines_hz, seen=seen)
+    except ConfigError:
+        return None
+
+
+def _recorded_whole(
+    experiment: Experiment, device: OnDevice, realisation: int, session: Mapping[str, Any]
+) -> tuple[Run, list[Path]]:
+    """One realisation, again if samples of it were lost: a period with a hole is none."""
+    paths: list[Path] = []
+    while True:
+        try:
+            run, path = _recorded(experiment, device, realisation, session)
+            return run, [*paths, path]
+        except RecordingError as error:
+            if error.recording is None or len(paths) + 1 == ATTEMPTS:
+                raise
+            paths.append(error.recording)
+
+
+def _recorded(
+    experiment: Experiment, device: OnDevice, realisation: int, session: Mapping[str, Any]
+) -> tuple[Run, Path]:
+    """One realisation as a recorded trial."""
+    request = HitRequest(
+        experiment=experiment,
+        url=device.url,
+        changes=_kept(experiment),
+        verified=device.verified,
+        realtime=device.realtime,
+        output=device.recordings,
+        law=shaken_law(experiment, realisation),
+        **session,
+    )
+    try:
+        (result,) = hit(request)
+    except (GuardError, DeviceFaultError) as error:
+        if error.recording is None:
+            raise
+        recording = open_recording(error.recording)
+        rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+        if not (len(rows) and _thrown_out(recording)):
+            raise
+        ended_s = len(rows) / experiment.controller.position_rate
+        return Run(None, error.message, ended_s, bound_share(recording)), error.recording
+    recording = open_recording(result.recording)
+    try:
+        record = record_of(recording)
+    except RecordingError as error:
+        error.recording = result.recording
+        raise
+    return Run(record, saturated=bound_share(recording)), result.recording
+
+
+def _thrown_out(recording: Recording) -> bool:
+    """Whether the handle left its window or went too fast, and not the link or a person ended the run."""
+    trailer = recording.trailer or {}
+    return trailer.get("reason") == "out_of_window" or (trailer.get("fault") or {}).get("name") in THROWN_OUT
+
+
+def _kept(experiment: Experiment) -> Mapping[str, Any]:
+    """What was asked for wins over what the experiment has for real time."""
+    plain = config.as_mapping(experiment)
+    keys = ("controller.position_rate", "controller.velocity_rate", "wall.stiffness", "wall.damping")
+    sections = {key: plain[key.partition(".")[0]][key.partition(".")[2]] for key in keys}
+    return {**sections, "trial.repeats": 1, **{f"trial.{k}": plain["trial"][k] for k in _SHAKEN_TRIAL}}
+
+
+_SHAKEN_TRIAL = ("kind", "effort", "start", "duration_s")
+
+
+def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:
+    """Write every line of every result as a table, and everything as JSON; returns both paths.
+
+    Raises `rig.errors.RecordingError` when the disk refuses.
+    """
+    with plain_errors("make", directory):
+        directory.mkdir(parents=True, exist_ok=True)
+    table, summary = directory / TABLE, directory / SUMMARY
+    documents = [result.as_mapping() for result in results]
+    heads = [{key: value for key, value in one.items() if key != "impedance"} for one in documents]
+    write_table(table, _rows(results), _units(results), {"results": heads})
+    with whole_file(summary, overwrite=True) as file:
+        file.write(json.dumps({"results": documents}, ensure_ascii=False, indent=1).encode())
+    return table, summary
+
+
+def _rows(results: Sequence[ImpedanceResult]) -> Iterator[dict[str, Any]]:
+    for number, result in enumerate(results):
+        measured = result.impedance
+        if measured is None:
+            continue
+        for i, line in enumerate(measured.lines_hz):
+            yield {
+                "result": number,
+                "scheme": Scheme.of(result.experiment).text,
+                "stiffness": result.wall[0],
+                "damping": result.wall[1],
+                "frequency": float(line),
+                "real": float(measured.z[i].real),
+                "imaginary": float(measured.z[i].imag),
+                "deviation": _number(float(measured.deviation[i])),
+                "coherence_effort": _number(float(measured.coherence_effort[i])),
+                "coherence_motion": _number(float(measured.coherence_motion[i])),
+            }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _units(results: Sequence[ImpedanceResult]) -> dict[str, str]:
+    motion = results[0].experiment.rig.motion if results else "linear"
+    damping = unit_of("damping", motion)
+    return {
+        "stiffness": unit_of("stiffness", motion),
+        "damping": damping,
+        "frequency": "Hz",
+        "real": damping,
+        "imaginary": damping,
+        "deviation": damping,
+    }

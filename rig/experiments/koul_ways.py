@@ -1,0 +1,74 @@
+"""Ladder, bisection and grid through the same walls: what each would have answered, from the hits of one grid.
+
+A ladder is the part of a grid below its first failure. A bisection visits few of the rungs and believes that
+everything above a failure fails, so where it ends tells whether stability was monotone in K.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from rig.experiments.ladder import Passes, limit_of
+from rig.experiments.zwidth import TRUE, ZWidth
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One damping at one encoder offset of a grid.
+
+    Attributes
+    ----------
+    tried
+        What came of each stiffness.
+    ladder, bisection, highest
+        Where a ladder and a bisection end, and the stiffest wall that holds at all (N·m/rad; 0 for none).
+    islands
+        Stiffer walls that hold beyond one that fails.
+    """
+
+    damping: float
+    offset: float
+    tried: Mapping[float, Passes]
+    ladder: float
+    bisection: float
+    highest: float
+    islands: tuple[tuple[float, float], ...]
+
+
+def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[Column]:
+    """Columns of a grid of one scheme under one criterion, by damping, at the first encoder offset or at this one."""
+    plan = found.plan
+    wanted = plan.offsets[0] if offset is None else offset
+    made = []
+    for climb, rows in zip(plan.climbs(), found.climbs, strict=True):
+        if (climb.scheme, climb.offset, climb.repeat) != (scheme, wanted, 0):
+            continue
+        tried = {row["stiffness"]: row[f"passes_{criterion}{TRUE}"] for row in rows}
+        limit = limit_of(tried)
+        walked = _bisected(found, tried, criterion)
+        made.append(
+            Column(
+                damping=climb.damping,
+                offset=wanted,
+                tried=tried,
+                ladder=limit.stiffness,
+                bisection=limit_of(walked).stiffness,
+                highest=max((k for k, passes in tried.items() if passes), default=0.0),
+                islands=limit.islands,
+            )
+        )
+    return made
+
+
+def _bisected(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
+    """The rungs that a bisection would have visited."""
+    walk = replace(found.plan.search, way="bisection").walk([criterion])
+    visited: dict[float, Passes] = {}
+    try:
+        stiffness = next(walk)
+        while True:
+            visited[stiffness] = tried[stiffness]
+            stiffness = walk.send({criterion: tried[stiffness]})
+    except StopIteration:
+        return visited

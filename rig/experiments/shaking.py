@@ -1,0 +1,307 @@
+"""From an experiment to the records that an impedance is estimated from: a rig shaken about its wall, whole periods.
+
+Three ways give the same kind of record (`rig.impedance.signals.Shaken`): a second actuator or the rig's own motor
+without bytes (`ShakingBench`), and the own motor in a recording, over a link in virtual time or on a rig (`record_of`).
+
+**What the effort is.** Z = F/V with the effort F of the world on the handle. A second actuator is the world, and its
+effort is known. The own motor renders the wall and shakes at once; what it adds to the wall's reaction stands for the
+world's effort: the excitation, and what the guard took off the sum by rounding it. It acts a hold, a delay and a lag
+later.
+
+**What the position is.** A recording has positions at the loop's own rate only, and the motor moves the handle between
+them: samples at 1 kHz show a free mass at 250 Hz 3 % too little motion. The share is known from the rig alone, whatever
+the wall: sampled answer over true answer of the rig to an effort that is held (`seen_at_ticks`). It is undone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from rig import bilateral, config, controller, devices, laws
+from rig.config import Experiment
+from rig.errors import RecordingError
+from rig.excitation import Multisine
+from rig.experiments.judgement import experiment_of
+from rig.impedance.signals import Complexes, Floats, Shaken, hold
+from rig.laws import Law
+from rig.model import RigModel, state_space
+from rig.recording.data import Recording
+from rig.sample import Phase, RowFlag
+
+ACQUISITION_HZ = 4000.0  # Chawda et al., section VI: velocity and force at 4 kHz
+SETTLING_SHARE = (
+    0.5  # of the settling periods in which the excitation rises; in the rest what that stirred dies away
+)
+LONGEST_DELAY = 20  # ticks between a command and its effort that are looked for
+
+_BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
+
+Signal = Literal["count", "truth"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One realisation: its record, or why there is none.
+
+    Attributes
+    ----------
+    record
+        Whole periods; None when the guard ended the run before its end.
+    ended
+        Why, in a few words; empty for a whole run.
+    ended_s
+        When, from the beginning of the run (s).
+    saturated
+        Share of ticks in which the guard clipped the effort.
+    """
+
+    record: Shaken | None
+    ended: str = ""
+    ended_s: float = 0.0
+    saturated: float = 0.0
+
+
+def multisine_of(experiment: Experiment, realisation: int = 0) -> Multisine:
+    """Excitation of one realisation, as ``[excitation]`` says it."""
+    given = experiment.excitation
+    band, size = (given.low_hz, given.high_hz), config.excitation_size(experiment)
+    if given.kind == "schroeder":
+        return Multisine.schroeder(band, given.period_s, **size)
+    return Multisine.random(band, given.period_s, seed=(given.seed, realisation), **size)
+
+
+def ramp_s(experiment: Experiment) -> float:
+    """How long the excitation rises (s)."""
+    return SETTLING_SHARE * config.excitation_s(experiment)[1]
+
+
+def shaken_law(experiment: Experiment, realisation: int = 0) -> Law:
+    """The bilateral wall, and the excitation of one realisation by the rig's own motor."""
+    rate = experiment.controller.position_rate
+    efforts = multisine_of(experiment, realisation).period(rate)
+    return laws.shaken(efforts, round(ramp_s(experiment) * rate))
+
+
+class ShakingBench:
+    """A simulated rig under one scheme, shaken at any wall without bytes. One for each thread.
+
+    Parameters
+    ----------
+    experiment
+        Rig, controller and excitation; of its wall everything but K and B.
+    signal
+        Which position is measured: encoder counts, or the simulation's truth at the handle. On two masses only the
+        latter is where the second actuator pushes: a port, whose phase says whether it is passive.
+    acquisition_hz
+        Rate at which positions are kept, at least.
+    backend
+        Scheme of the URL of a backend that simulates.
+
+    Attributes
+    ----------
+    experiment
+        As a shaken run.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        *,
+        signal: Signal = "count",
+        acquisition_hz: float = ACQUISITION_HZ,
+        backend: str = "sim",
+    ) -> None:
+        self.experiment = config.shaken(experiment)
+        self._signal = signal
+        self._model = config.rig_model(self.experiment)
+        rate = self.experiment.controller.position_rate
+        self._ticks = round(self.experiment.trial.duration_s * rate)
+        self._template = controller.for_experiment(
+            self.experiment,
+            current_quantum_a=self._model.amplifier.current_quantum_a,
+            law=laws.get("bilateral"),
+        )
+        self._shaker = devices.simulated_shaker(backend)(self._model, 1.0 / rate, acquisition_hz, self._ticks)
+        self._excitations: dict[int, _Excitation] = {}
+
+    def shake(self, stiffness: float, damping: float, realisation: int = 0) -> Run:
+        """Shake one wall with one realisation of the excitation.
+
+        Raises
+        ------
+        LawError
+            Estimator or law give something that is not finite.
+        """
+        x, prepared = self.experiment, self._excitation(realisation)
+        wall = asdict(replace(x.wall, stiffness=stiffness, damping=damping))
+        fresh = self._template.fresh(wall)
+        if prepared.law is not None:
+            fresh = replace(fresh, law=prepared.law.prepare(wall))
+        shake = self._shaker.shake(fresh, x.wall.position, prepared.external, ramp_s(x), self._ticks)
+        saturated = shake.saturated / max(1, shake.ticks)
+        tick_s = 1.0 / x.controller.position_rate
+        if shake.ticks < self._ticks:
+            memory = fresh.memory[0]
+            reason = _tripped(x, float(memory["position"]), float(memory["velocity"]))
+            return Run(None, reason, shake.ticks * tick_s, saturated)
+        each = round(tick_s / shake.acquisition_s)  # positions in a tick
+        first = round(config.excitation_s(x)[1] / tick_s)
+        position: Floats = shake.position
+        if self._signal == "count":
+            position = np.asarray(controller.resolution(x) * shake.counts, dtype=np.float64)
+        excitation = np.tile(prepared.multisine.period(each / tick_s), x.excitation.periods)
+        effort, delay_s, hold_s = excitation, 0.0, 0.0
+        if x.excitation.channel == "motor":
+            table = np.tile(prepared.multisine.period(1.0 / tick_s), x.excitation.periods)
+            effort = _lagged(np.repeat(table + shake.withheld[first:], each), self._model, each / tick_s)
+            delay_s, hold_s = _delay_s(x), shake.acquisition_s
+        record = Shaken(
+            rate_hz=each / tick_s,
+            period_samples=len(excitation) // x.excitation.periods,
+            periods=x.excitation.periods,
+            excitation=excitation,
+            effort=effort,
+            position=position[first * each :],
+            lines_hz=prepared.multisine.lines_hz,
+            effort_delay_s=-delay_s,
+            effort_hold_s=hold_s,
+        )
+        return Run(record, saturated=saturated)
+
+    def _excitation(self, realisation: int) -> _Excitation:
+        if realisation not in self._excitations:
+            self._excitations[realisation] = _Excitation.of(
+                self.experiment, realisation, self._shaker.inner_rate_hz
+            )
+        return self._excitations[realisation]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Excitation:
+    """One realisation, ready to be played."""
+
+    multisine: Multisine
+    external: Floats  # of the second actuator, a value for each inner step
+    law: Law | None  # with a table, when the own motor shakes
+
+    @classmethod
+    def of(cls, experiment: Experiment, realisation: int, inner_rate_hz: float) -> _Excitation:
+        multisine = multisine_of(experiment, realisation)
+        if experiment.excitation.channel == "motor":
+            return cls(multisine, np.zeros(1), shaken_law(experiment, realisation))
+        # Held over its step, a line loses a little of its size: played larger, it is exactly what was asked.
+        larger = multisine.through(1.0 / np.sinc(multisine.lines_hz / inner_rate_hz))
+        return cls(multisine, larger.period(inner_rate_hz, offset=0.5), None)
+
+
+def record_of(recording: Recording) -> Shaken:
+    """Record of a realisation from the recording of a trial with the law ``shaken``.
+
+    Raises
+    ------
+    RecordingError
+        Another kind of trial, one that ended early, or lost samples in what is to be analysed.
+    """
+    x = experiment_of(recording)
+    saved = recording.header["initial_state"]["law"]
+    if x.trial.kind != "excitation" or saved["name"] != "shaken":
+        raise RecordingError(
+            f"a recording of kind {x.trial.kind} with the law {saved['name']}, where nothing shakes",
+            remedy="record one with rig impedance --url",
+        )
+    rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
+    tick_s = 1.0 / x.controller.position_rate
+    first, ticks = (round(s / tick_s) for s in reversed(config.excitation_s(x)))
+    lost = int(rows["elapsed_ticks"].sum()) - len(rows) if len(rows) else 0
+    if len(rows) < ticks or lost:
+        raise RecordingError(
+            f"{len(rows)} of {ticks} samples of a shaken run are there, {lost} were lost: its periods are not whole",
+            remedy="measure this realisation again; on a busy host, at a lower rate",
+        )
+    rows = rows[:ticks]
+    parameters = np.array(saved["parameters"], dtype=np.float64)
+    excitation = bilateral.played(parameters, x.wall.side, tick_s, ticks)
+    effort = excitation + rows["effort_sent"] - rows["effort_wanted"]
+    model = config.rig_model(x)
+    lines = multisine_of(x).lines_hz
+    late = late_ticks(rows["current_sent"], rows["current_applied"])
+    return Shaken(
+        rate_hz=1.0 / tick_s,
+        period_samples=round(x.excitation.period_s / tick_s),
+        periods=x.excitation.periods,
+        excitation=excitation[first:],
+        effort=_lagged(effort[first:], model, 1.0 / tick_s),
+        position=_between(rows["position"][first:], model, tick_s, float(lines[-1])),
+        lines_hz=lines,
+        effort_delay_s=-(_delay_s(x) + late * tick_s),
+        effort_hold_s=tick_s,
+    )
+
+
+def bound_share(recording: Recording) -> float:
+    """Share of a recorded trial's ticks in which the guard clipped the effort."""
+    flags = recording.rows["flags"][recording.rows["phase"] == Phase.TRIAL]
+    return float(np.mean((flags & _BOUND) != 0)) if len(flags) else 0.0
+
+
+def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
+    """Ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
+
+    A command that answers sample k is in force at sample k + 1 when nothing is late.
+    """
+    count = min(LONGEST_DELAY, len(sent) - 2)
+    same = [np.mean(sent[: len(sent) - 1 - d] == applied[1 + d :]) for d in range(max(1, count))]
+    return int(np.argmax(same))
+
+
+def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Complexes:
+    """What samples at the ticks show of the rig's true motion under a held effort: 1 at low frequencies.
+
+    The sum of all aliases of the answer over the answer itself. A wall changes the effort, and so both alike.
+    """
+    space = state_space(model.mechanics, model.amplifier)
+    a, b, n = space.a, space.b[:, :1], space.order
+    both = expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
+    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    sampled = _answer(both[:n, :n], both[:n, n:], np.exp(s * tick_s), space.sensed_position)
+    true = _answer(a, b, s, space.sensed_position) * hold(frequency_hz, tick_s)
+    return np.asarray(sampled / true)
+
+
+def _answer(a: Floats, b: Floats, at: NDArray[Any], place: int) -> Complexes:
+    resolvent = at[:, None, None] * np.eye(len(a)) - a
+    return np.asarray(np.linalg.solve(resolvent, np.broadcast_to(b, (len(at), *b.shape)))[:, place, 0])
+
+
+def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float) -> Floats:
+    """Whole periods of positions at the ticks, with the true motion's size up to the highest line."""
+    spectrum = np.fft.rfft(position)
+    frequency = np.asarray(np.fft.rfftfreq(len(position), tick_s), dtype=np.float64)
+    inside = (frequency > 0.0) & (frequency <= highest_hz * (1.0 + 1e-9))
+    spectrum[inside] /= seen_at_ticks(model, tick_s, frequency[inside])
+    return np.fft.irfft(spectrum, len(position))
+
+
+def _lagged(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
+    """Whole periods of an effort behind the amplifier's electrical lag."""
+    lag_s = model.amplifier.lag_s
+    if lag_s == 0.0:
+        return np.asarray(effort)
+    s = 2j * np.pi * np.fft.rfftfreq(len(effort), 1.0 / rate_hz)
+    return np.fft.irfft(np.fft.rfft(effort) / (1.0 + s * lag_s), len(effort))
+
+
+def _delay_s(x: Experiment) -> float:
+    return x.rig.simulation.computation_delay_ticks / x.controller.position_rate
+
+
+def _tripped(x: Experiment, position: float, velocity: float) -> str:
+    limits = x.rig.limits
+    if abs(velocity) > limits.speed:
+        return f"estimated speed {abs(velocity):.3g} above the limit {limits.speed:g}"
+    return f"position {position:.3g} outside the window {limits.position_minimum:g} … {limits.position_maximum:g}"

@@ -1,0 +1,156 @@
+"""What a shaken run will do, and whether it may: peaks by the linear closed form, before anything moves.
+
+Friction is left out, which errs on the hard side; so is whatever only instability brings, of which linear theory warns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from rig import config
+from rig.config import Experiment
+from rig.errors import ConfigError
+from rig.excitation import Check as Found
+from rig.experiments.plan import Check, Outcome, Plan, Step
+from rig.experiments.shaking import multisine_of
+from rig.impedance.ideal import bare, rendered
+from rig.sample import Motion, unit_of
+from rig.theory.lifted import Lifted
+from rig.theory.loop import LinearLoop, linear_loop
+
+RENDERED = "peak motor effort"  # of `rig.excitation.Multisine.check`
+
+
+def shaking_plan(experiment: Experiment) -> Plan:
+    """List and check a measurement of an impedance; `rig.experiments.plan.make_plan` calls it for that kind."""
+    x = config.shaken(experiment)
+    checks = (*excitation_checks(x), *_heat_checks(x))
+    return Plan(x.rig.name, x.excitation.realisations, _steps(x), checks)
+
+
+def excitation_checks(experiment: Experiment) -> list[Check]:
+    """Whether an excitation keeps within what effort, window and speed allow, by the linear closed form.
+
+    Friction is left out, which makes the prediction hard; so are the wall's estimator where it is not linear (a raw
+    difference stands in) and all that only instability brings.
+    """
+    x, motion, limits = experiment, experiment.rig.motion, experiment.rig.limits
+    wall, centre = x.wall, x.wall.position
+    loop = _linear_loop(x)
+    multisines = [multisine_of(x, number) for number in range(x.excitation.realisations)]
+    lines = multisines[0].lines_hz
+    whole, alone = rendered(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
+    motor = x.excitation.channel == "motor"
+    bounds = {
+        "effort_limit": min(limits.effort, x.rig.amplifier.effort_limit) if motor else None,
+        "position_limit": min(limits.position_maximum - centre, centre - limits.position_minimum),
+        "speed_limit": limits.speed,
+    }
+    most: dict[str, Found] = {}
+    for multisine in multisines:
+        for check in multisine.check(
+            whole, wall=whole - alone, motor_limit=limits.effort, channel=x.excitation.channel, **bounds
+        ):
+            if check.name not in most or not check.value <= most[check.name].value:
+                most[check.name] = check
+    remedies = {
+        "effort": "shake less (excitation.rms), or take a softer wall",
+        "position": "shake less, begin the band higher (excitation.low_hz), or take a stiffer wall",
+        "velocity": "shake less",
+    }
+    stability = _stability_checks(x, loop)
+    moved = Outcome.REFUSED if all(check.outcome == Outcome.OK for check in stability) else Outcome.WARNING
+    worst = {"effort": Outcome.REFUSED, "position": moved, "velocity": moved}
+    most_rendered = most.pop(RENDERED, None)
+    checks = [
+        Check(
+            found.name,
+            Outcome.OK if found.holds else worst[found.quantity],
+            f"{found.value:.3g} {unit_of(found.quantity, motion)}"
+            + ("" if found.limit is None else f", limit {found.limit:g}"),
+            remedies[found.quantity],
+        )
+        for found in most.values()
+    ]
+    if most_rendered is not None:
+        checks.append(_rendered_check(most_rendered, motion))
+    return [*checks, *stability]
+
+
+def _rendered_check(found: Found, motion: Motion) -> Check:
+    """What the motor renders is clipped by the guard, which spoils a measurement and endangers nobody."""
+    return Check(
+        found.name,
+        Outcome.OK if found.holds else Outcome.WARNING,
+        f"{found.value:.3g} {unit_of(found.quantity, motion)}, limit {found.limit:g}",
+        "the effort will be clipped: shake less, or take a softer wall",
+    )
+
+
+def _linear_loop(x: Experiment) -> LinearLoop:
+    """The loop as linear theory sees it; a raw difference in place of an estimator that is not linear."""
+    fixed = replace(x.controller, slow_velocity_rate=None)
+    try:
+        return linear_loop(replace(x, controller=fixed))
+    except ConfigError:
+        plain = replace(fixed, estimator="fdm", parameters={})
+        return linear_loop(replace(x, controller=plain))
+
+
+def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
+    if x.wall.stiffness == 0.0 and x.wall.damping == 0.0:
+        return []
+    radius = float(Lifted.of(loop).radius(x.wall.stiffness, x.wall.damping))
+    return [
+        Check(
+            "stability",
+            Outcome.OK if radius < 1.0 else Outcome.WARNING,
+            f"spectral radius {radius:.4f} by linear theory, both sides of the wall",
+            "the guard may end the run; friction may save it",
+        )
+    ]
+
+
+def _steps(x: Experiment) -> tuple[Step, ...]:
+    position, effort = (unit_of(q, x.rig.motion) for q in ("position", "effort"))
+    e, w, c = x.excitation, x.wall, x.controller
+    (size, value), (whole_s, settling_s) = *config.excitation_size(x).items(), config.excitation_s(x)
+    wall = f"{w.stiffness:g} {unit_of('stiffness', x.rig.motion)}, {w.damping:g} {unit_of('damping', x.rig.motion)}"
+    who = "the rig's own motor" if e.channel == "motor" else "a second actuator"
+    return (
+        Step(
+            "configure", f"position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}", 0.0
+        ),
+        Step(
+            "home",
+            f"to the wall at {w.position:g} {position}",
+            x.homing.timeout_s if e.channel == "motor" else 0.0,
+        ),
+        Step(
+            "shake",
+            f"{who}: {e.kind} multisine, {e.low_hz:g} to {e.high_hz:g} Hz every {1.0 / e.period_s:g} Hz, "
+            f"{size} {value:.3g} {effort}, about a bilateral wall of {wall}; {settling_s:g} s to settle, "
+            f"{e.periods} periods of {e.period_s:g} s",
+            whole_s,
+        ),
+        Step("estimate", "impedance, passivity and fidelity from all realisations", 0.0),
+    )
+
+
+def _heat_checks(x: Experiment) -> list[Check]:
+    """Heat of the motor that shakes; one that only renders the wall carries less."""
+    if x.excitation.channel != "motor":
+        return []
+    limits = x.rig.limits
+    load = multisine_of(x).rms / limits.nominal_effort
+    seconds = x.excitation.realisations * config.excitation_s(x)[0]
+    budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
+    return [
+        Check(
+            "motor heat",
+            Outcome.OK if budget <= 1.0 else Outcome.REFUSED,
+            f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort (rms)",
+            "shake less, or for a shorter time",
+        )
+    ]

@@ -1,0 +1,279 @@
+"""Z-width in the frequency domain, with fidelity: for which walls (K, B) the impedance is passive, and how true it is.
+
+    found = zwidth_frequency(frequency_plan(presets.load("chawda-linear")))
+    table_one(found)  # rig.experiments.table_one
+
+A map is an exhaustive grid. Each wall is shaken by several realisations of the excitation, and every one of them is
+judged by itself (its variance is then that between its periods, which does not see what friction does alike in each
+of them) and all together (variance between realisations). The spread of the first is how far a single measurement
+may be believed; the second is the map. A wall that throws the handle out, or to its speed limit, is not passive.
+
+A task of the sweep is a column: one scheme and one damping. It is decided by its description alone, as in
+`rig.experiments.zwidth`, and by the same machinery: journal, resume, threads, Dask.
+
+Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.impedance.verdict`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.config import Experiment
+from rig.errors import PlanError
+from rig.experiments import sweep
+from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse
+from rig.experiments.shaking import Run, ShakingBench, Signal
+from rig.impedance.signals import Floats
+from rig.sample import unit_of
+from rig.schemes import Scheme
+
+WORK = "rig.experiments.zwidth_frequency:run_column"
+TOGETHER = -1  # number that stands for all realisations
+NUMBERS = (
+    "margin",  # least Re Z + tolerance over the lines
+    "worst_hz",  # where
+    "residual",  # share of the motion's power off the lines
+    "coherence",  # least, of the motion
+    "fidelity",  # rms of |Z| − |K/(jω) + B|
+    "fidelity_deviation",
+    "stiffness_percent",  # fitted, of what was asked for
+    "damping_percent",
+    "saturated",  # share of ticks
+    "ended_s",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrequencyPlan:
+    """What to map.
+
+    Attributes
+    ----------
+    experiment
+        Rig and excitation; its controller and its wall's K and B are what the map varies.
+    schemes
+        One map each.
+    stiffnesses, dampings
+        Of the grid, rising (N·m/rad or N/m, N·m·s/rad or N·s/m).
+    judging
+        Band and thresholds of the verdict.
+    signal
+        Which position is measured; see `rig.experiments.shaking.ShakingBench`.
+    """
+
+    experiment: Experiment
+    schemes: tuple[Scheme, ...]
+    stiffnesses: tuple[float, ...]
+    dampings: tuple[float, ...]
+    judging: Judging = Judging()  # noqa: RUF009  (frozen)
+    signal: Signal = "count"
+
+    def __post_init__(self) -> None:
+        """Raise `PlanError` for a map without walls, with the same scheme twice, or with values in no rising order."""
+        texts = [scheme.text for scheme in self.schemes]
+        if not texts:
+            raise PlanError("no schemes (--scheme): nothing to map", remedy="give at least one")
+        twice = next((text for text in texts if texts.count(text) > 1), None)
+        if twice is not None:
+            raise PlanError(f"schemes (--scheme): {twice} stands there twice", remedy="give each once")
+        _check_rising("stiffness", self.stiffnesses)
+        _check_rising("damping", self.dampings)
+
+    @property
+    def realisations(self) -> int:
+        """How many times each wall is shaken."""
+        return self.experiment.excitation.realisations
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """Lines that count."""
+        excitation = self.experiment.excitation
+        return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
+
+    def columns(self) -> list[tuple[int, float]]:
+        """Number of the scheme and damping of every task."""
+        return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
+
+    def tasks(self) -> list[sweep.Task]:
+        """The columns as they are sent to whoever runs them."""
+        applied = [scheme.applied(config.shaken(self.experiment)) for scheme in self.schemes]
+        return [
+            sweep.Task(
+                f"{number}/{damping!r}",
+                {
+                    "experiment": config.as_mapping(_walled(applied[number], 0.0, damping)),
+                    "stiffnesses": list(self.stiffnesses),
+                    "judging": asdict(self.judging),
+                    "signal": self.signal,
+                },
+                weight=float(self.schemes[number].position_rate),
+            )
+            for number, damping in self.columns()
+        ]
+
+    def check(self) -> None:
+        """Raise `PlanError` when the excitation is too large for the rig at the softest wall of some scheme."""
+        softest = self.stiffnesses[0], self.dampings[0]
+        refuse([_walled(scheme.applied(config.shaken(self.experiment)), *softest) for scheme in self.schemes])
+
+
+def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Shake every wall of one column; payload and result are JSON: a row for each wall and realisation, and for all."""
+    experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
+    judging = _judging(payload["judging"])
+    bench = ShakingBench(experiment, signal=payload["signal"])
+    rows: list[dict[str, Any]] = []
+    for stiffness in payload["stiffnesses"]:
+        walled = _walled(bench.experiment, stiffness, experiment.wall.damping)
+        rows += wall_rows(bench, walled, judging, payload["signal"])
+    return rows
+
+
+def wall_rows(
+    bench: ShakingBench, walled: Experiment, judging: Judging, signal: Signal
+) -> Iterator[dict[str, Any]]:
+    """Shake one wall: a row for each realisation, and one for all of them together."""
+    wall = walled.wall
+    runs: list[Run] = []
+    for realisation in range(walled.excitation.realisations):
+        runs.append(bench.shake(wall.stiffness, wall.damping, realisation))
+        yield _row(concluded(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
+    yield _row(concluded(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
+
+
+def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]:
+    judgement, fidelity = result.judgement, result.fidelity
+    row: dict[str, Any] = {
+        "stiffness": result.wall[0],
+        "realisation": realisation,
+        "runs": runs,
+        "passive": judgement is not None and judgement.passive,
+        "reason": result.ended or ("" if judgement is None else "; ".join(judgement.reasons)),
+    }
+    numbers: dict[str, float] = dict.fromkeys(NUMBERS, math.nan) | {"saturated": result.saturated}
+    if judgement is None or fidelity is None:
+        numbers["ended_s"] = result.ended_s
+    else:
+        numbers |= {
+            "margin": judgement.passivity.margin,
+            "worst_hz": judgement.passivity.worst_hz,
+            "residual": judgement.residual,
+            "coherence": judgement.least_coherence,
+            "fidelity": fidelity.rms,
+            "fidelity_deviation": fidelity.rms_deviation,
+            "stiffness_percent": fidelity.stiffness_percent,
+            "damping_percent": fidelity.damping_percent,
+        }
+    return row | {name: value if math.isfinite(value) else None for name, value in numbers.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyMap:
+    """A finished map.
+
+    Attributes
+    ----------
+    plan
+        What was mapped.
+    columns
+        Rows of `run_column`, in the order of `FrequencyPlan.columns`.
+    passive
+        Verdicts, ``passive[scheme, realisation, damping, stiffness]``; the last realisation is all together.
+    fidelity
+        The same of the fidelity's rms, NaN where the guard ended the run.
+    """
+
+    plan: FrequencyPlan
+    columns: Sequence[list[dict[str, Any]]]
+    passive: NDArray[np.bool_]
+    fidelity: Floats
+
+    @classmethod
+    def of(cls, plan: FrequencyPlan, columns: Sequence[list[dict[str, Any]]]) -> FrequencyMap:
+        """Arrange the rows of every column."""
+        each = plan.realisations + 1
+        shape = (len(plan.schemes), len(plan.dampings), len(plan.stiffnesses), each)
+
+        def arranged(name: str, dtype: Any) -> Any:
+            values = [row[name] for rows in columns for row in rows]
+            array = np.array([math.nan if value is None else value for value in values], dtype=dtype)
+            return np.ascontiguousarray(np.moveaxis(array.reshape(shape), 3, 1))
+
+        return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
+
+    def table(self) -> Iterator[dict[str, Any]]:
+        """Every row, flat: scheme and damping before the others; realisation is None for all together."""
+        for (number, damping), rows in zip(self.plan.columns(), self.columns, strict=True):
+            for row in rows:
+                of_row = {key: value for key, value in row.items() if key != "runs"}
+                if row["realisation"] == TOGETHER:
+                    of_row["realisation"] = None
+                yield {"scheme": self.plan.schemes[number].text, "damping": damping} | of_row
+
+    def units(self) -> dict[str, str]:
+        """Unit of each column of the table that has one."""
+        motion = self.plan.experiment.rig.motion
+        damping = unit_of("damping", motion)
+        return {
+            "damping": damping,
+            "stiffness": unit_of("stiffness", motion),
+            "worst_hz": "Hz",
+            "ended_s": "s",
+            "stiffness_percent": "%",
+            "damping_percent": "%",
+            **dict.fromkeys(("margin", "fidelity", "fidelity_deviation"), damping),
+        }
+
+
+def zwidth_frequency(
+    plan: FrequencyPlan,
+    *,
+    journal: Path | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    watch: Callable[[sweep.Progress], None] | None = None,
+) -> FrequencyMap:
+    """Map a simulated rig without bytes; parameters as in `rig.experiments.zwidth.zwidth`.
+
+    Raises
+    ------
+    ConfigError
+        A scheme that cannot run on this rig, or a journal of another plan.
+    PlanError
+        An excitation that is too large: nothing was run.
+    StoppedError
+        Ctrl-C; what is done stays in the journal.
+    """
+    plan.check()
+    results = sweep.run(
+        WORK, plan.tasks(), journal=journal, scheduler=scheduler, workers=workers, unit="runs", watch=watch
+    )
+    return FrequencyMap.of(plan, results)
+
+
+def _walled(experiment: Experiment, stiffness: float, damping: float) -> Experiment:
+    return replace(experiment, wall=replace(experiment.wall, stiffness=stiffness, damping=damping))
+
+
+def _judging(mapping: Mapping[str, Any]) -> Judging:
+    band = mapping["band_hz"]
+    return Judging(**{**mapping, "band_hz": None if band is None else tuple(band)})
+
+
+def _check_rising(name: str, values: Sequence[float]) -> None:
+    """Some finite values from zero up, in rising order."""
+    if not values:
+        raise PlanError(f"no value of --{name}: nothing to map", remedy="give at least one")
+    if not all(math.isfinite(value) and value >= 0.0 for value in values):
+        raise PlanError(f"--{name}: a value below zero, or none", remedy="give finite numbers from 0 up")
+    if any(second <= first for first, second in pairwise(values)):
+        raise PlanError(f"--{name}: not in rising order", remedy="give each value once, the lowest first")

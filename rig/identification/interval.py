@@ -1,0 +1,75 @@
+"""A value and how far it may be off: 95 % confidence, from Student's distribution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A value ± the half width of its 95 % interval; the half width is infinite where nothing tells it.
+
+    The interval holds scatter, not bias: what is wrong alike in every realisation does not widen it.
+    """
+
+    value: float
+    half_width: float
+
+    @property
+    def low(self) -> float:
+        """Lower end."""
+        return self.value - self.half_width
+
+    @property
+    def high(self) -> float:
+        """Upper end."""
+        return self.value + self.half_width
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies within."""
+        return self.low <= value <= self.high
+
+    def scaled(self, factor: float) -> Interval:
+        """Return the interval of a multiple."""
+        return Interval(factor * self.value, abs(factor) * self.half_width)
+
+    def text(self, unit: str = "") -> str:
+        """Write value ± half width with as many digits as the interval deserves."""
+        return f"{_shown(self.value, self.half_width)} {unit}".rstrip()
+
+    def as_mapping(self) -> dict[str, float | None]:
+        """Plain numbers; None for a half width that is not known."""
+        return {"value": self.value, "ci95": self.half_width if math.isfinite(self.half_width) else None}
+
+
+def quantile(degrees_of_freedom: float) -> float:
+    """Two-sided 95 % quantile of Student's distribution; infinite without a degree of freedom."""
+    if degrees_of_freedom < 1:
+        return math.inf
+    return float(t.ppf(0.5 + 0.5 * CONFIDENCE, degrees_of_freedom))
+
+
+def from_scatter(value: float, samples: ArrayLike) -> Interval:
+    """Interval about a value that was fitted to all realisations, from the values fitted to each."""
+    each = np.asarray(samples, dtype=np.float64)
+    if len(each) < 2:
+        return Interval(value, math.inf)
+    return Interval(value, quantile(len(each) - 1) * float(each.std(ddof=1)) / math.sqrt(len(each)))
+
+
+def _shown(value: float, half_width: float) -> str:
+    if not math.isfinite(half_width) or half_width <= 0.0:
+        return f"{value:.4g}"
+    exponent = math.floor(math.log10(max(abs(value), half_width)))
+    digits = max(0, exponent - math.floor(math.log10(half_width)) + 1)
+    if -3 <= exponent < 5:
+        places = max(0, digits - exponent)
+        return f"{value:.{places}f} ± {half_width:.{places}f}"
+    return f"({value / 10**exponent:.{digits}f} ± {half_width / 10**exponent:.{digits}f})e{exponent:+03d}"

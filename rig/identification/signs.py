@@ -1,0 +1,197 @@
+"""Signs and scale from small pushes: does a positive effort raise the position, and by about as much as it should.
+
+A push grows evenly, effort = g·t, until the handle has moved a little. Friction holds it first, up to the breakaway
+effort; from then on m·x″ = g·(t − t₀), so x = g·(t − t₀)³/(6m) and the cube root of the way is a straight line in time
+whose slope gives m. That is good to some ten per cent, enough to see a wrong torque constant, a wrong ratio or a
+missing factor of four in the decoding.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+LEAST_COUNTS = 2.0  # a way below that may be noise
+SETTLED_SHARE = 0.25  # of a push's way: before it, an inertia would be read off single counts
+SAME_SCALE = 3.0  # inertia within this factor of the expected one is as expected
+STICKS = 1.5  # breakaway over sliding friction from which stiction is worth a warning
+LOOSE = 0.5  # inertia right after a reversal over that of a second push from which backlash is
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """One push: its direction, what it took to get away, how far it went, and the inertia that it met."""
+
+    direction: Literal[-1, 1]
+    breakaway: float  # effort at the first motion (N·m or N, not negative); what was reached if nothing moved
+    way: float  # signed (rad or m)
+    inertia: float  # kg·m² or kg; NaN if it cannot be told
+    after_reversal: bool  # the push before went the other way
+
+
+@dataclass(frozen=True, slots=True)
+class SignCheck:
+    """What the pushes say.
+
+    Attributes
+    ----------
+    sign
+        1 when the position rises with a positive effort, −1 when it falls, 0 when nothing moved or the pushes disagree.
+    inertia
+        Median over the pushes (kg·m² or kg); NaN if none tells.
+    scale
+        `inertia` over the expected one.
+    breakaway_up, breakaway_down
+        Median effort at the first motion, by direction of the push (N·m or N); NaN if none moved.
+    pushes
+        All of them.
+    warnings
+        What a person should look at.
+    """
+
+    sign: Literal[-1, 0, 1]
+    inertia: float
+    scale: float
+    breakaway_up: float
+    breakaway_down: float
+    pushes: tuple[Push, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the sign is right and the scale is that of the description."""
+        return self.sign == 1 and 1.0 / SAME_SCALE <= self.scale <= SAME_SCALE
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "ok": self.ok}
+
+
+def check_signs(
+    time_s: Floats,
+    effort: Floats,
+    position: Floats,
+    *,
+    resolution: float,
+    expected_inertia: float,
+    rest_s: float,
+) -> SignCheck:
+    """Judge pushes that grow evenly from zero, with rests in between.
+
+    Parameters
+    ----------
+    time_s, effort, position
+        Of the whole run, shape (n,), evenly sampled; `effort` as commanded.
+    resolution
+        Travel for one count (rad or m).
+    expected_inertia
+        Of the description (kg·m² or kg).
+    rest_s
+        Zero effort for this long separates two pushes.
+    """
+    pushes: list[Push] = []
+    for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
+        before = pushes[-1].direction if pushes else 0
+        pushes.append(_push(time_s[first:last], effort[first:last], position[first:last], resolution, before))
+    moved = [push for push in pushes if abs(push.way) >= LEAST_COUNTS * resolution]
+    agreement = {int(np.sign(push.way)) * push.direction for push in moved}
+    sign: Literal[-1, 0, 1] = 0
+    if len(agreement) == 1:
+        sign = 1 if agreement == {1} else -1
+    inertia = _median([push.inertia for push in moved])
+    scale = inertia / expected_inertia
+    return SignCheck(
+        sign=sign,
+        inertia=inertia,
+        scale=scale,
+        breakaway_up=_median([push.breakaway for push in moved if push.direction > 0]),
+        breakaway_down=_median([push.breakaway for push in moved if push.direction < 0]),
+        pushes=tuple(pushes),
+        warnings=tuple(_warnings(pushes, moved, sign, scale)),
+    )
+
+
+def stiction_warning(breakaway: float, sliding: float) -> str | None:
+    """Say so when a handle at rest holds on much harder than it rubs while sliding."""
+    if not breakaway > STICKS * sliding:
+        return None
+    return (
+        f"stiction: it takes {breakaway:.3g} to get away and {sliding:.3g} to keep sliding; Coulomb friction alone "
+        "would take the same"
+    )
+
+
+def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
+    """Index ranges of the pushes: from the first effort after a rest to the last before the next."""
+    busy = np.flatnonzero(effort != 0.0)
+    if not len(busy):
+        return []
+    gaps = np.flatnonzero(np.diff(busy) > rest)
+    firsts = [int(busy[0]), *(int(busy[g + 1]) for g in gaps)]
+    lasts = [*(int(busy[g]) + 1 for g in gaps), int(busy[-1]) + 1]
+    return list(zip(firsts, lasts, strict=True))
+
+
+def _push(time_s: Floats, effort: Floats, position: Floats, resolution: float, before: int) -> Push:
+    direction: Literal[-1, 1] = 1 if effort[0] > 0.0 else -1
+    top = int(np.argmax(direction * effort)) + 1  # the brake that follows never gives more
+    way = position[:top] - position[0]
+    away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)
+    first = int(away[0]) if len(away) else top - 1
+    return Push(
+        direction=direction,
+        breakaway=abs(float(effort[first])),
+        way=float(way[-1]),
+        inertia=_inertia(time_s[:top], effort[:top], way),
+        after_reversal=before == -direction,
+    )
+
+
+def _inertia(time_s: Floats, effort: Floats, way: Floats) -> float:
+    """6·m·x = g·(t − t₀)³: slope of the cube root of the way, by least squares, since the handle last was near."""
+    near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
+    since = slice(int(near[-1]) + 1 if len(near) else 0, None)
+    if len(np.unique(way[since])) < 4:
+        return math.nan
+    growth = abs(float(np.polyfit(time_s, effort, 1)[0]))
+    slope = float(np.polyfit(time_s[since], np.cbrt(np.abs(way[since])), 1)[0])
+    return growth / (6.0 * slope**3) if slope > 0.0 else math.nan
+
+
+def _warnings(pushes: list[Push], moved: list[Push], sign: int, scale: float) -> list[str]:
+    found: list[str] = []
+    if not moved:
+        most = max((push.breakaway for push in pushes), default=0.0)
+        found.append(f"nothing moved, up to {most:.3g}: is the motor connected, is the handle blocked?")
+    elif sign == 0:
+        found.append("some pushes moved the handle along, some against: is somebody holding it?")
+    elif len(moved) < len(pushes):
+        found.append(f"{len(pushes) - len(moved)} of {len(pushes)} pushes moved nothing")
+    if sign == -1:
+        found.append(
+            "a positive effort lowers the position: encoder or motor are connected the other way round"
+        )
+    if math.isfinite(scale) and not 1.0 / SAME_SCALE <= scale <= SAME_SCALE:
+        found.append(
+            f"the handle answers like {scale:.2g} times the inertia described: check the torque constant, the ratio "
+            "and the decoding of the encoder"
+        )
+    turned = [push.inertia for push in moved if push.after_reversal and math.isfinite(push.inertia)]
+    going_on = [push.inertia for push in moved[1:] if not push.after_reversal and math.isfinite(push.inertia)]
+    if turned and going_on and max(turned) < LOOSE * min(going_on):
+        found.append(
+            f"backlash: right after a reversal the motor moves {_median(turned) / _median(going_on):.2g} times the "
+            "inertia that it moves when it goes on"
+        )
+    return found
+
+
+def _median(values: list[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan

@@ -1,0 +1,153 @@
+"""A rig shaken about a point without bytes, one compiled call: what a measurement of its impedance is made of.
+
+The law runs as it does everywhere, `rig.step.step` once a tick. Between its ticks the plant takes inner steps, and in
+each of them a second actuator may push the link. Its effort is that of the step's middle: a value taken at the
+beginning and held would be late by half a step, which no one sees in a hit and everyone in a phase (at 4 kHz it is 11°
+at 250 Hz). The positions are kept more often than the law sees them, as a separate instrument would.
+
+The run begins in the trial's own phase, at rest: nothing has to be homed. With the rig's own motor as the shaker, which
+is the law's affair (`rig.bilateral`), the counts are those of the same trial over the byte link, to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from firmware_protocol.kernel import kernel
+from firmware_protocol.messages import OLDEST_EDGE
+from rig.bilateral import ramp
+from rig.devices.simulated import SimulatedShake
+from rig.errors import LawError
+from rig.model import RigModel
+from rig.plugs import ESTIMATOR, LAW
+from rig.sample import Phase, RowFlag
+from rig.step import CONTROL_TYPE, MEMORY_TYPE, TRIAL, Controller, step
+from sim_backend.inner import Vector
+from sim_backend.plant import DiscretePlant, advance
+from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.trial import NS_DENOMINATOR, NS_NUMERATOR
+
+SLOWEST_INNER_HZ = 16_000.0  # an excitation of some 100 Hz is well sampled
+
+_BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
+_NONFINITE = int(RowFlag.NONFINITE)
+_FLOATS, _INTS, _MATRIX = types.float64[::1], types.int64[::1], types.float64[:, ::1]
+
+
+@kernel(
+    types.int64(
+        ESTIMATOR, LAW, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
+        _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.int64, types.int64, types.int64,
+        types.int64, types.int64, _FLOATS, types.int64, _INTS, _INTS, _FLOATS, _FLOATS, _FLOATS,
+    ),
+    borrow=True,
+)  # fmt: skip
+def shake(
+    estimator: Any, law: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any,
+    estimator_parameters: Any, law_state: Any, law_parameters: Any,
+    state: Any, phi: Any, gamma: Any, plant: Any, count: int, edge_age: int, handle: int,
+    ratio: int, every: int, excitation: Any, ramp_steps: int,
+    bound: Any, counts: Any, positions: Any, velocities: Any, withheld: Any,
+) -> int:  # fmt: skip
+    """Run as many ticks as `withheld` has room for, or until the guard ends the run; returns how many the law ran.
+
+    The arguments of `step`; state and arrays of the plant, discretised at the inner step; the count, and the places of
+    edge age and handle position in the state; inner steps in a tick, and between two positions; effort of the second
+    actuator in each inner step of a period, and the inner steps in which it rises. `bound` counts ticks with a clipped
+    effort.
+    """
+    m = memory[0]
+    j, row, phase = 0, 0, 0  # inner step, next row, place in the excitation
+    for k in range(withheld.shape[0]):
+        units = min(state[edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
+        edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
+        step(
+            estimator, law, count, edge_age_ns * 1e-9, 1, control, memory,
+            estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
+        )  # fmt: skip
+        if m["phase"] != TRIAL:
+            return k
+        effort = m["effort_sent"]
+        withheld[k] = effort - m["effort_wanted"]
+        if m["flags"] & _BOUND != 0:
+            bound[0] += 1
+        for _ in range(ratio):
+            if row * every == j:
+                counts[row] = count
+                positions[row] = state[handle]
+                velocities[row] = state[handle + 1]
+                row += 1
+            push = excitation[phase]
+            if j < ramp_steps:
+                push *= ramp(j, ramp_steps)
+            count = advance(state, phi, gamma, plant, effort, push)
+            j += 1
+            phase += 1
+            if phase == excitation.shape[0]:
+                phase = 0
+    return int(withheld.shape[0])
+
+
+class Shaker:
+    """A rig to shake again and again; see `rig.devices.simulated.SimulatedShaker`."""
+
+    def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
+        inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)
+        self._ratio = max(1, math.ceil(tick_s / inner_s - 1e-9))
+        delay = model.simulation.computation_delay_ticks * self._ratio
+        finer = replace(model, simulation=replace(model.simulation, computation_delay_ticks=delay))
+        self._plant = DiscretePlant.build(finer, tick_s / self._ratio)
+        self._tick_s = tick_s
+        self._every = self._divisor(acquisition_hz)
+        rows = most_ticks * self._ratio // self._every + 1
+        self._counts = np.zeros(rows, np.int64)
+        self._positions, self._velocities = np.zeros(rows), np.zeros(rows)
+        self._withheld = np.zeros(most_ticks)
+
+    @property
+    def inner_rate_hz(self) -> float:
+        """Inner steps of the plant in a second (Hz)."""
+        return self._ratio / self._tick_s
+
+    def _divisor(self, acquisition_hz: float) -> int:
+        """Inner steps between two positions: as many as the rate allows, and so that each tick has a position."""
+        most = max(1, min(self._ratio, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
+        return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
+
+    def shake(
+        self, controller: Controller, position: float, excitation: Vector, ramp_s: float, ticks: int
+    ) -> SimulatedShake:
+        """Run the law for so many ticks, from rest at a position (rad or m)."""
+        plant = self._plant
+        state = plant.at_rest(position)
+        memory = controller.memory
+        memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1
+        bound = np.zeros(1, np.int64)
+        arguments: tuple[Any, ...] = (
+            controller.estimator.estimator.update, controller.law.law.function, *controller.arguments(),
+            state, *plant.arrays, plant.count(state), plant.edge_age, plant.handle_position,
+            self._ratio, self._every, excitation, round(ramp_s * self.inner_rate_hz),
+            bound, self._counts, self._positions, self._velocities, self._withheld[:ticks],
+        )  # fmt: skip
+        ran = shake(*arguments)
+        if int(memory["flags"][0]) & _NONFINITE:
+            raise LawError(
+                f"estimator {controller.estimator.estimator.name} or law {controller.law.law.name} gave a value that "
+                f"is not finite, {ran * self._tick_s:.4g} s into the run",
+                remedy="mend it, or check its settings",
+            )
+        rows = ran * self._ratio // self._every
+        return SimulatedShake(
+            counts=self._counts[:rows].copy(),
+            position=self._positions[:rows].copy(),
+            velocity=self._velocities[:rows].copy(),
+            withheld=self._withheld[:ran].copy(),
+            saturated=int(bound[0]),
+            ticks=ran,
+            acquisition_s=self._tick_s * self._every / self._ratio,
+        )

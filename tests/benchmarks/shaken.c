@@ -1,0 +1,83 @@
+/* A shaken run once more in C, as a careful programmer writes it for one rigid rig, one estimator and the bilateral wall: the
+   yardstick of test_impedance.py. Estimator, guard and encoder are those of trial.c. The results are the same to the last
+   bit. */
+#include "trial.c"
+
+/* s: position, velocity, effort, age of the edge */
+static inline int64_t advance_rigid(double *s, const double (*phi)[3], const double (*gamma)[3], const double *p,
+    double command, double external)
+{
+    double x = s[0], v = s[1], effort = s[2], age = s[3];
+    command = clip(command, p[EFFORT_LIMIT]);
+    external += p[GRAVITY_EFFORT];
+    double push_x = gamma[0][0] * command + gamma[0][1] * external;
+    double push_v = gamma[1][0] * command + gamma[1][1] * external;
+    int64_t count = cell(x, p);
+    for (int64_t n = (int64_t)p[STEPS]; n > 0; n--) {
+        double v_next, x_next = x, free = phi[1][1] * v + phi[1][2] * effort + push_v;
+        double friction = rub(free, gamma[1][2], p[COULOMB], &v_next);
+        if (v != 0.0 || v_next != 0.0)
+            x_next += phi[0][1] * v + phi[0][2] * effort + push_x + gamma[0][2] * friction;
+        int64_t count_next = cell(x_next, p);
+        if (count_next == count) {
+            age += p[STEP_S];
+        } else {
+            age = edge_age(x, x_next, count, count_next, p);
+            count = count_next;
+        }
+        effort = phi[2][2] * effort + gamma[2][0] * command;
+        x = x_next, v = v_next;
+    }
+    s[0] = x, s[1] = v, s[2] = effort, s[3] = age;
+    return p[SIGN] < 0.0 ? -count : count;
+}
+
+static inline double ramp(int64_t tick, int64_t ticks)
+{
+    return tick >= ticks ? 1.0 : 0.5 - 0.5 * cos(3.141592653589793 * (double)tick / (double)ticks);
+}
+
+/* Until the guard ends it or n ticks are over; returns their number. */
+int64_t shake(const struct control *control, const double *estimator, const double *wall,
+    const double (*phi)[3], const double (*gamma)[3], const double *plant, double *state,
+    const double *excitation, int64_t *counts, double *positions, double *velocities, double *withheld,
+    int64_t period, int64_t ramp_steps, int64_t n, int64_t ratio, int64_t every)
+{
+    const struct control *c = control;
+    struct memory m = {.index = -1, .velocity_period = -1, .phase = TRIAL};
+    struct difference d = {0};
+    int64_t count = 0, j = 0, row = 0, phase = 0;
+    for (int64_t k = 0; k < n; k++) {
+        m.flags = 0;
+        m.index++;
+        m.position = c->resolution * (double)count_difference(count, c->reference_count);
+        m.penetration = c->wall_side * (m.position - c->wall_position);
+        int64_t elapsed = m.index / c->velocity_divider - m.velocity_period;
+        if (elapsed >= 1) {
+            m.velocity_period += elapsed;
+            m.velocity = estimate(count, elapsed, &d, estimator);
+        }
+        double reaction = wall[STIFFNESS] * m.penetration + wall[DAMPING] * (c->wall_side * m.velocity);
+        double wanted = c->constant_effort - c->wall_side * reaction;
+        double effort = (double)guarded(c, &m, wanted) * c->effort_quantum;
+        if (m.phase != TRIAL)
+            return k;
+        withheld[k] = effort - wanted;
+        for (int64_t i = 0; i < ratio; i++) {
+            if (row * every == j) {
+                counts[row] = count;
+                positions[row] = state[0];
+                velocities[row] = state[1];
+                row++;
+            }
+            double push = excitation[phase];
+            if (j < ramp_steps)
+                push *= ramp(j, ramp_steps);
+            count = advance_rigid(state, phi, gamma, plant, effort, push);
+            j++;
+            if (++phase == period)
+                phase = 0;
+        }
+    }
+    return n;
+}

@@ -1,0 +1,81 @@
+"""What a map in the frequency domain costs. The goal, printed and not asserted, is 30 s of CPU.
+
+Asserted is what does not depend on the machine: that a wall costs little more than its simulation, and that a map of
+many columns needs no more memory than one of a few.
+"""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from dataclasses import replace
+
+import pytest
+
+from rig import config, presets
+from rig.experiments.frequency_ranges import frequency_plan
+from rig.experiments.impedance import Judging
+from rig.experiments.shaking import ShakingBench
+from rig.experiments.zwidth_frequency import run_column, wall_rows
+
+GOAL_S = 30.0
+ONCE = config.override(presets.load("chawda-linear"), {"excitation.realisations": 1})
+
+
+def test_the_papers_map_with_one_realisation(capsys):
+    """60 × 16 walls, four estimators: every fifth of their 64 columns, and the whole in proportion."""
+    plan = frequency_plan(ONCE)
+    tasks = plan.tasks()
+    run_column({**tasks[0].payload, "stiffnesses": [1e3]})  # warm
+    chosen = tasks[::5]
+    began = time.thread_time()
+    walls = 0
+    for task in chosen:
+        walls += len(run_column(task.payload)) // 2
+    whole = (time.thread_time() - began) * len(tasks) / len(chosen)
+    with capsys.disabled():
+        print(
+            f"\n60 × 16 walls, four estimators, one realisation: {whole:.1f} s of CPU (goal {GOAL_S:g}), "
+            f"{1e3 * whole / (len(tasks) * 60):.2f} ms a wall"
+        )
+    assert walls == 60 * len(chosen)
+
+
+@pytest.mark.parametrize("scheme", range(4))
+def test_judging_costs_less_than_shaking(scheme, capsys):
+    plan = frequency_plan(ONCE)
+    experiment = plan.schemes[scheme].applied(config.shaken(ONCE))
+    bench = ShakingBench(experiment)
+    walls = [
+        replace(experiment, wall=replace(experiment.wall, stiffness=k, damping=60.0))
+        for k in plan.stiffnesses[:12]
+    ]
+    bench.shake(1e3, 10.0)
+    shares = []
+    for walled in walls:
+        began = time.thread_time()
+        bench.shake(walled.wall.stiffness, walled.wall.damping)
+        shaken = time.thread_time() - began
+        began = time.thread_time()
+        list(wall_rows(bench, walled, Judging(), "count"))
+        shares.append((time.thread_time() - began) / shaken)
+    share = sorted(shares)[len(shares) // 2]
+    with capsys.disabled():
+        print(f"\n{plan.schemes[scheme].text.split(',')[1]}: a judged wall costs {share:.2f} of a shaken one")
+    assert share < 3.0
+
+
+def test_memory_is_that_of_a_column():
+    plan = frequency_plan(ONCE)
+    payload = {**plan.tasks()[0].payload, "stiffnesses": list(plan.stiffnesses[:3])}
+    run_column(payload)
+
+    def peak(stiffnesses):
+        tracemalloc.start()
+        run_column({**payload, "stiffnesses": stiffnesses})
+        _, highest = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return highest
+
+    few, many = peak(list(plan.stiffnesses[:3])), peak(list(plan.stiffnesses[:30]))
+    assert many < few + 2_000_000

@@ -1,0 +1,133 @@
+"""What a measurement of an impedance costs: a run beside the same run in C and beside a general physics engine.
+
+As in test_trial.py: in turns in one process, CPU time of the thread, median of the ratios. The goal, which is printed
+and not asserted: five seconds simulated, with inner steps at 16 kHz or more, in 5 ms for the cheap estimators.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import statistics
+import subprocess
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import config, controller, laws, presets
+from rig.experiments.shaking import ShakingBench, multisine_of, ramp_s
+from rig.impedance.estimate import periodic
+from rig.schemes import Scheme
+from sim_backend.plant import DiscretePlant
+from sim_backend.shaken import Shaker
+from tests.benchmarks.test_trial import FAST_MUJOCO, OPTIONS, STEPS, cpu_ns, header, in_mujoco
+
+SOURCES = Path(__file__).parent
+CHAWDA = config.shaken(presets.load("chawda-linear"))
+ESTIMATORS = ("fdm", "fdm-butterworth", "kalman", "foaw-best", "levant")
+RATIO, EVERY = 20, 5  # inner steps in a tick of 1 ms, and between two positions
+SECONDS = 5
+PAIRS = 15
+
+
+def build_c(directory, *options):
+    """Compile shaken.c and return its function."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no gcc")
+    (directory / "records.h").write_text(header())
+    library = directory / f"shaken{'-'.join(options)}.so"
+    flags = [*OPTIONS, *options, f"-I{directory}", f"-I{SOURCES}"]
+    subprocess.run([compiler, *flags, str(SOURCES / "shaken.c"), "-o", str(library), "-lm"], check=True)
+    function = ctypes.CDLL(str(library)).shake
+    function.restype = ctypes.c_int64
+    return function
+
+
+def test_a_shaken_run_costs_about_what_it_costs_in_c(tmp_path):
+    ticks = 1000 * SECONDS
+    model = config.rig_model(CHAWDA)
+    shaker = Shaker(model, 1e-3, 4000.0, ticks)
+    assert shaker.inner_rate_hz == pytest.approx(1000 * RATIO)
+    template = controller.for_experiment(
+        CHAWDA, current_quantum_a=model.amplifier.current_quantum_a, law=laws.get("bilateral")
+    )
+    wall = asdict(replace(CHAWDA.wall, stiffness=10e3, damping=20.0))
+    plant = DiscretePlant.build(model, 1e-3 / RATIO)
+    push = multisine_of(CHAWDA).period(1000 * RATIO, offset=0.5)
+    rows = ticks * RATIO // EVERY
+    arrays = np.zeros(rows, np.int64), np.zeros(rows), np.zeros(rows), np.zeros(ticks)
+    whole = len(push), round(ramp_s(CHAWDA) * 1000 * RATIO), ticks, RATIO, EVERY
+
+    def here():
+        return shaker.shake(template.fresh(wall), 0.0, push, ramp_s(CHAWDA), ticks)
+
+    def there(function):
+        law = template.fresh(wall)
+        inputs = (
+            law.control,
+            law.estimator.parameters,
+            law.law.parameters,
+            *plant.arrays,
+            plant.at_rest(0.0),
+            push,
+        )
+        return function(
+            *(ctypes.c_void_p(array.ctypes.data) for array in (*inputs, *arrays)),
+            *(ctypes.c_int64(number) for number in whole),
+        )
+
+    run = here()
+    compiled = build_c(tmp_path), build_c(tmp_path, "-march=native")
+    for function in compiled:
+        assert there(function) == ticks == run.ticks
+        for mine, theirs in zip((run.counts, run.position, run.velocity, run.withheld), arrays, strict=True):
+            assert mine.tobytes() == theirs.tobytes(), "not the same run"
+    times = [[cpu_ns(here), *(cpu_ns(there, function) for function in compiled)] for _ in range(PAIRS)]
+    mine, plain, native = (min(column) * 1e-6 for column in zip(*times, strict=True))
+    ratio, ratio_native = (statistics.median(row[0] / row[i] for row in times) for i in (1, 2))
+    print(
+        f"\n{SECONDS} s at {RATIO} kHz inner: {mine:.2f} ms ({mine * 1e6 / (ticks * RATIO):.1f} ns an inner step); "
+        f"C -O3 {plain:.2f} ms (ratio {ratio:.2f}), with -march=native {native:.2f} ms (ratio {ratio_native:.2f})"
+    )
+    assert ratio < 1.5
+
+
+def test_an_inner_step_is_far_quicker_than_one_of_mujoco():
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
+    rigid = presets.load("koul-rigid")  # the hinge that test_trial.py builds
+    fast = in_mujoco(mujoco, config.rig_model(rigid), FAST_MUJOCO)
+    bench = ShakingBench(CHAWDA)
+    inner_steps = round(CHAWDA.trial.duration_s * 1000) * RATIO
+
+    def steps():
+        mujoco.mj_resetData(*fast)
+        fast[1].qfrc_applied[0] = 0.04
+        mujoco.mj_step(*fast, nstep=STEPS)
+
+    bench.shake(10e3, 20.0)
+    times = [(cpu_ns(steps) / STEPS, cpu_ns(bench.shake, 10e3, 20.0) / inner_steps) for _ in range(PAIRS)]
+    theirs, ours = (min(column) for column in zip(*times, strict=True))
+    ratio = statistics.median(a / b for a, b in times)
+    print(
+        f"\na bare step of MuJoCo {theirs:.0f} ns; an inner step of a whole run, with law, {ours:.1f} ns: {ratio:.0f} ×"
+    )
+    assert ratio > 10.0
+
+
+def test_what_each_estimator_costs_and_what_the_estimate_adds():
+    """Printed, not asserted: CPU of one realisation of 6 s, of its estimate, and the goal for 5 s."""
+    for name in ESTIMATORS:
+        bench = ShakingBench(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))
+        records = [bench.shake(10e3, 40.0, n).record for n in range(4)]
+        shaking = min(cpu_ns(bench.shake, 10e3, 40.0) for _ in range(PAIRS)) * 1e-6
+        estimating = min(cpu_ns(periodic, records) for _ in range(PAIRS)) * 1e-6 / len(records)
+        print(
+            f"\n{name}: a realisation of 6 s {shaking:.2f} ms, {shaking * SECONDS / 6:.2f} ms for {SECONDS} s; "
+            f"its estimate {estimating:.2f} ms",
+            end="",
+        )
+        assert all(record is not None for record in records)
+    print()

@@ -1,0 +1,106 @@
+"""What a map costs: CPU of the whole Fig. 6, the share that Python takes, and memory over the number of hits.
+
+pytest tests/benchmarks/test_maps.py -o addopts="" -s
+"""
+
+import json
+import time
+import tracemalloc
+
+import pytest
+
+from rig import config, presets, theory
+from rig.experiments import bench, ranges
+from rig.experiments.ladder import Search
+from rig.experiments.zwidth import MapPlan, run_climb, zwidth
+from sim_backend import hits
+
+HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})
+
+
+@pytest.fixture(scope="module")
+def figure_6():
+    """17 dampings, three schemes, a ladder of 6 %, two offsets, one repeat: 102 climbs."""
+    schemes = theory.default_schemes(HELD)
+    dampings = ranges.dampings_for(HELD, schemes)
+    return MapPlan(experiment=HELD, schemes=schemes, dampings=dampings, search=ranges.search_for(HELD))
+
+
+def test_the_whole_map_of_figure_6(figure_6):
+    started, clock = time.process_time(), time.perf_counter()
+    tasks = figure_6.tasks()
+    planned_s = time.process_time() - started
+    found = zwidth(figure_6)
+    cpu_s, wall_s = time.process_time() - started, time.perf_counter() - clock
+    print(
+        f"\nFig. 6: {len(tasks)} climbs, {found.hits} hits: {cpu_s:.1f} s of CPU (goal 12 s), {wall_s:.1f} s of time, "
+        f"{found.hits / cpu_s:.0f} hits per second of a core; planning {planned_s:.2f} s"
+    )
+    assert planned_s < 2.0
+    assert cpu_s < 60.0
+
+
+def test_python_takes_a_small_share_of_a_climb(figure_6, monkeypatch):
+    inside = [0.0]
+    compiled = hits.hit
+
+    def timed(*arguments):
+        started = time.thread_time()
+        ticks = compiled(*arguments)
+        inside[0] += time.thread_time() - started
+        return ticks
+
+    payloads = [json.loads(json.dumps(task.payload)) for task in figure_6.tasks()[::17]]
+    run_climb(payloads[0])
+    monkeypatch.setattr(hits, "hit", timed)
+    started = time.thread_time()
+    count = sum(len(run_climb(payload)) for payload in payloads)
+    whole = time.thread_time() - started
+    print(
+        f"\n{1e3 * whole / count:.2f} ms a hit, {100 * (whole - inside[0]) / whole:.0f} % of it outside compiled code"
+    )
+    assert inside[0] > 0.7 * whole
+
+
+def test_memory_does_not_grow_with_the_number_of_hits():
+    short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
+    rig = bench.Bench(short)
+
+    def peak(number):
+        tracemalloc.start()
+        for stiffness in range(10, 10 + number):
+            rig.hit(float(stiffness), 0.5)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(5)
+    few, many = peak(50), peak(500)
+    print(f"\npeak of memory: {few / 1e3:.0f} kB in 50 hits, {many / 1e3:.0f} kB in 500")
+    assert many < 1.2 * few + 20_000
+
+
+def test_memory_of_a_map_does_not_grow_with_the_number_of_climbs(tmp_path):
+    short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
+
+    def peak(repeats):
+        plan = MapPlan(
+            experiment=short,
+            schemes=theory.default_schemes(short)[:1],
+            dampings=(0.5,),
+            search=Search(lowest=100.0, highest=900.0, ratio=2.5),
+            repeats=repeats,
+        )
+        tracemalloc.start()
+        found = zwidth(plan, journal=tmp_path / f"{repeats}", workers=1)
+        for _ in found.table():
+            pass
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most, found.hits
+
+    peak(2)
+    (few, few_hits), (many, many_hits) = peak(10), peak(100)
+    grown = (many - few) / (many_hits - few_hits)
+    print(f"\npeak of memory: {few / 1e6:.1f} MB for {few_hits} hits, {many / 1e6:.1f} MB for {many_hits}")
+    assert grown < 10_000.0  # bytes a hit: its climb's description, not its numbers

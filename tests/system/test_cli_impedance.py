@@ -1,0 +1,137 @@
+"""`rig impedance` as a person meets it: numbers, picture, JSON, a device, and what it says when something cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import rig.cli
+
+SHORT = ("--periods", "2", "--realisations", "2", "--set", "excitation.settle_periods=1")
+
+
+@pytest.fixture
+def run(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run, tmp_path):
+    code, out, _ = run("impedance")
+    assert code == 0
+    for text in (
+        "bare rig, uniform 1 kHz", "K = 20000 N/m, B = 60 N·s/m", "over 250 lines, 1 to 250 Hz", "worst line", "mass",
+        "kg", "friction's share included", "% of what was asked for", "rms off the ideal wall", "coherence",
+    ):  # fmt: skip
+        assert text in out
+    (place,) = (tmp_path / "impedances").iterdir()
+    assert {file.name for file in place.iterdir()} == {"impedance.parquet", "impedance.json", "impedance.png"}
+    assert (place / "impedance.png").stat().st_size > 30_000
+
+
+def test_json_is_one_document_with_every_line(run):
+    code, out, _ = run(
+        "impedance", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
+        "--judged", "5:50",
+        "--scheme", "uniform:1k,estimator=kalman", "--scheme", "uniform:1k,estimator=levant", "--amplitude", "1.5",
+        "--signal", "truth", "-o", "here",
+    )  # fmt: skip
+    assert code == 0
+    facts = json.loads(out)
+    assert facts["picture"] is None
+    assert Path(facts["table"]).exists()
+    assert [(r["stiffness"], r["damping"]) for r in facts["results"]] == [(5000.0, 20.0), (10000.0, 20.0)] * 2
+    first = facts["results"][0]
+    assert first["scheme"].startswith("uniform:1k,estimator=kalman")
+    assert first["excitation"]["rms"] == 1.5
+    assert (first["excitation"]["low_hz"], first["excitation"]["high_hz"]) == (2.0, 100.0)
+    assert first["impedance"]["lines_hz"] == [float(f) for f in range(2, 101)]
+    assert first["impedance"]["realisations"] == 2
+    assert first["judgement"]["passivity"]["band_hz"] == [5.0, 50.0]
+    assert first["fidelity"]["band_hz"] == [5.0, 50.0]
+
+
+def test_welch_and_schroeder_by_the_papers_way(run):
+    code, out, _ = run(
+        "impedance", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
+    )
+    assert code == 0
+    (only,) = json.loads(out)["results"]
+    assert only["method"] == "welch"
+    assert only["excitation"]["realisations"] == 1
+    assert only["fitted"]["values"]["inertia"] == pytest.approx(0.52, rel=0.05)
+
+
+def test_over_the_link_the_own_motor_shakes_and_every_run_is_recorded(run, tmp_path):
+    code, out, _ = run("impedance", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
+    assert code == 0
+    assert "K = 10000 N/m" in out
+    (place,) = (tmp_path / "impedances").iterdir()
+    recordings = [file for file in place.glob("*.parquet") if file.name != "impedance.parquet"]
+    assert len(recordings) == 2
+    summary = json.loads((place / "impedance.json").read_text())["results"][0]
+    assert summary["excitation"]["channel"] == "motor"
+    assert sorted(summary["recordings"]) == sorted(str(file.relative_to(tmp_path)) for file in recordings)
+
+
+def test_a_wall_that_ends_every_run_is_told_with_the_guards_exit_code(run):
+    code, out, err = run("impedance", "-K", "200000", "-B", "0", "--set", "rig.limits.speed=0.2", "--no-plot")
+    assert code != 0
+    assert "ended" in out
+    assert "estimated speed" in out
+    assert "softer wall" in err
+
+
+def test_plan_lists_a_shaken_run(run, tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'preset = "chawda-linear"\n[trial]\nkind = "excitation"\n[excitation]\nchannel = "motor"\n'
+    )
+    code, out, _ = run("plan", file)
+    assert code == 0
+    for text in (
+        "the rig's own motor: random multisine, 1 to 250 Hz every 1 Hz, rms 2 N",
+        "peak position",
+        "motor heat",
+    ):
+        assert text in out
+    file.write_text(file.read_text() + "rms = 90.0\n")
+    code, out, err = run("plan", file)
+    assert code != 0
+    assert "peak excitation" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--band", "1-250"), "--band 1-250: no band"),
+        (("--band", "250:1"), "--band 250:1: no band"),
+        (("--judged", "300:400"), "no line between 300 and 400 Hz"),
+        (("-K", "1,2,3", "-B", "1,2"), "3 stiffnesses and 2 dampings"),
+        (("-K", "hard"), "'hard': no numbers"),
+        (("--stiffness=-5",), "not negative"),
+        (("--amplitude", "500"), "rig.limits.effort, 100 N"),
+        (("--amplitude", "40", "--bare"), "peak position"),
+        (("--band", "1:700"), "half of controller.position_rate"),
+        (("--scheme", "uniform:1k,estimator=levan"), "levan"),
+        (("--kind", "schroeder", "--realisations", "3"), "must be 1"),
+        (("--url", "sim://", "--channel", "external"), "second actuator"),
+        (("--verified",), "--url"),
+        (("--rig", "chawda"), "chawda-linear"),
+    ],
+)
+def test_what_cannot_be_is_one_line_with_a_remedy(run, arguments, message):
+    code, _, err = run("impedance", "--no-plot", *arguments)
+    assert code != 0
+    assert message in err
+    assert err.strip().splitlines()[-1].startswith("rig: ")

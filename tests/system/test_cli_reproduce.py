@@ -1,0 +1,60 @@
+"""`rig reproduce koul --quick` as a person meets it: one report with everything, the same when asked for again."""
+
+import json
+
+import pytest
+
+import rig.cli
+
+pytest.importorskip("jinja2")
+SECTIONS = (
+    "figure-5", "figure-6-koul-compliant", "figure-6-koul-rigid", "hands", "ways", "figure-7", "figure-8", "theory",
+    "effects", "plants", "ideas",
+)  # fmt: skip
+VERDICTS = ("reproduced", "reproduced only with", "not reproduced")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("reproduction")
+
+
+@pytest.mark.timeout(300)  # compiles everything when it is cold
+def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(place, capfd):
+    assert rig.cli.run(["reproduce", "koul", "--quick", "-o", str(place)]) == 0
+    out, err = capfd.readouterr()
+    assert "Traceback" not in err
+    assert str(place / "koul.html") in out
+    first = json.loads((place / "koul.json").read_text(encoding="utf-8"))
+    for claim in first["claims"]:
+        assert claim["claim"] in out
+        assert claim["verdict"].startswith(VERDICTS)
+    page = (place / "koul.html").read_text(encoding="utf-8")
+    for section in SECTIONS:
+        assert f'id="{section}"' in page
+    assert page.count("data:image/png;base64,") == 12
+    assert "(no picture)" not in page
+
+    # Facts of the reproduction that no grid is too coarse for.
+    by_key = {claim["key"]: claim["verdict"] for claim in first["claims"]}
+    assert by_key["rises"] == by_key["noisier"] == by_key["same-range-plants"] == "reproduced"
+    assert by_key["levels-off"] == "reproduced only with the electrical lag"
+    assert by_key["penetration"].startswith("reproduced only with 20 kHz, fixed point")
+
+    assert rig.cli.run(["reproduce", "koul", "--quick", "--json", "-o", str(place)]) == 0
+    again = json.loads(capfd.readouterr().out)
+    assert again["kept"] > 0  # nothing was computed twice
+    assert {name: again[name] for name in ("claims", "numbers", "provenance")} == {
+        name: first[name] for name in ("claims", "numbers", "provenance")
+    }
+
+
+def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd):
+    assert rig.cli.run(["reproduce", "nobody"]) == 2
+    assert "koul" in capfd.readouterr().err
+
+
+def test_a_directory_that_cannot_be_made_is_said_before_anything_runs(place, capfd):
+    (place / "file").write_text("")
+    assert rig.cli.run(["reproduce", "koul", "--quick", "-o", str(place / "file" / "below")]) != 0
+    assert "cannot make" in capfd.readouterr().err

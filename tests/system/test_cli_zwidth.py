@@ -1,0 +1,275 @@
+"""`rig zwidth` and `rig kmax` as a person meets them: table, picture, JSON, refusals, Ctrl-C, and a device."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+import rig.cli
+from rig.plots import zwidth as pictures
+from rig.recording.reader import open_recording
+
+ROOT = Path(__file__).parents[2]
+BRIEF = [
+    "--set", "trial.duration_s=0.3", "--set", "verdict.tail_s=0.1", "--set", "homing.settle_s=0.02",
+    "--operator", "none", "--offsets", "0.1",
+]  # fmt: skip
+TINY = [*BRIEF, "--search", "bisection", "--ratio", "3", "--scheme", "uniform:10k", "-B", "0.1,0.3"]
+WAIT_S = 60.0
+
+
+@pytest.fixture
+def run(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+def the_map(directory):
+    (found,) = directory.iterdir()
+    return found
+
+
+# --- results --------------------------------------------------------------------------------------------------
+
+
+def test_a_map_is_a_table_a_picture_and_files(run, tmp_path):
+    code, out, err = run("zwidth", *TINY)
+    assert code == 0, err
+    assert out.startswith("koul-compliant, pushed by 0.15 N·m: K in N·m/rad, B in N·m·s/rad\n")
+    assert [line.split()[:3] for line in out.splitlines()[2:3]] == [["uniform", "10", "kHz,"]]
+    files = {path.name for path in the_map(tmp_path / "maps").iterdir()}
+    assert files == {"journal", "hits.parquet", "map.json", "zwidth.png"}
+
+
+def test_json_is_one_document_with_everything(run, tmp_path):
+    code, out, _ = run("zwidth", *TINY, "--json", "--no-plot", "-o", tmp_path / "here")
+    assert code == 0
+    facts = json.loads(out)
+    assert facts["schemes"][0]["scheme"] == "uniform:10k"
+    assert {"felt", "heard", "any"} == set(facts["schemes"][0]["curves"])
+    assert facts["experiment"]["trial"]["duration_s"] == 0.3
+    assert Path(facts["directory"], "hits.parquet").exists()
+    assert facts["picture"] is None
+
+
+def test_without_schemes_the_rigs_own_are_mapped_in_its_units(run):
+    code, out, _ = run("zwidth", "--rig", "chawda-linear", "--search", "bisection", "--ratio", "4",
+                       "-B", "20,60", "--offsets", "0.1", "--no-plot", "--json")  # fmt: skip
+    assert code == 0
+    facts = json.loads(out)
+    assert [scheme["label"] for scheme in facts["schemes"]] == ["uniform 1 kHz, fdm-butterworth 100 Hz"]
+    assert facts["silent"] == {}
+    peak = facts["schemes"][0]["widths"]["any"]["stiffness_peak"]
+    assert 1e4 < peak < 1e6  # N/m
+
+
+def test_what_is_only_a_bound_is_marked(run):
+    code, out, _ = run("zwidth", *TINY, "-K", "10:40", "--no-plot")
+    assert code == 0
+    felt = next(line for line in out.splitlines() if " felt " in line)
+    assert felt.count("≥") == 3  # peak, range and area; there is no column at B = 0
+    assert "≥ before K" in out
+    assert "≥ before B" in out
+
+
+def test_hits_that_say_nothing_are_told_with_the_reason(run):
+    code, out, _ = run("zwidth", *TINY, "--set", "rig.limits.slew=200", "--no-plot")
+    assert code == 0
+    assert re.search(r"\d+ of \d+ hits said nothing: slew bound \(\d+\)", out)
+
+
+def test_the_same_command_reads_a_finished_map(run, tmp_path):
+    first = run("zwidth", *TINY, "--no-plot")
+    journal = the_map(tmp_path / "maps") / "journal"
+    before = journal.read_bytes()
+    assert run("zwidth", *TINY, "--no-plot")[1] == first[1]
+    assert journal.read_bytes() == before
+
+
+def test_a_picture_that_fails_takes_no_map_with_it(run, tmp_path, monkeypatch):
+    def fails(*arguments, **options):
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr(pictures, "draw_zwidth", fails)
+    code, out, err = run("zwidth", *TINY)
+    assert code == 0
+    assert "rig: no picture: no fonts" in err
+    assert "picture" not in out
+    assert (the_map(tmp_path / "maps") / "hits.parquet").exists()
+
+
+def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run, tmp_path):
+    code, out, err = run("kmax", *BRIEF, "--search", "bisection", "--ratio", "2", "--rates", "1k,20k,40k")
+    assert code == 0, err
+    assert [line.split()[0] for line in out.splitlines()[2:5]] == ["1000", "20000", "40000"]
+    assert (the_map(tmp_path / "maps") / "kmax.png").exists()
+    code, out, _ = run(
+        "kmax", *BRIEF, "--search", "bisection", "--ratio", "2", "--rates", "1k,20k,40k", "--json"
+    )
+    facts = json.loads(out)
+    assert [scheme["rate_hz"] for scheme in facts["schemes"]] == [1000, 20000, 40000]
+    assert set(facts["saturation"]) == {"felt", "heard", "any"}
+
+
+# --- what is refused ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["-K", "10"], r"--stiffness 10: no range\. write it as LOW:HIGH"),
+        (["-K", "0:100"], r"from 0 to 100 is no range above zero \(--stiffness"),
+        (["-K", "10:1e9"], r"1e\+09 \(--stiffness\).* above 477.*--effort"),
+        (["-B", "x"], r"--damping 'x': no numbers\. write them as"),
+        (["-B", ""], r"--damping '': no numbers"),
+        (["-B", "0:1:0"], r"a count of 1 to 10000"),
+        (["-B", "0:1:100000000"], r"a count of 1 to 10000"),
+        (["-B", "0,0"], r"\(--damping\): 0.0 stands there twice"),
+        (["-B", "-1"], r"\(--damping\): -1 is out of range.*at least 0"),
+        (["--offsets", "1"], r"\(--offsets\): 1 is out of range.*at least 0 and less than 1"),
+        (["--ratio", "1"], r"ratio of 1 between rungs is not in 1.0001 to 1e6 .*--ratio"),
+        (["--scheme", "uniform:10000"], r"\(--scheme\): uniform:10k stands there twice"),
+        (["--scheme", "uniform:10k,estimator=fmd"], r'estimator = "fmd".*fdm'),
+        (["--scheme", "triple:1k"], r"no such kind of sampling\. write dual:20k/2k"),
+        (["--operator", "strong"], r'operator.grip = "strong".*relaxed.*normal.*firm'),
+        (
+            ["--operator", "firm", "--effort", "0.2", "--set", "trial.duration_s=1"],
+            r"--effort 0.2: a person pushes here \(firm\)",
+        ),
+        (
+            ["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"],
+            r"either a scheduler or a number of workers",
+        ),
+        (["--verified"], r"--verified is about a device"),
+        (["--url", "sim://", "--workers", "2"], r"a device is hit by one program at a time"),
+        (["--url", "sim://", "--judge", "true"], r"not the truth.*--judge recorded"),
+        (["--url", "sim://", "--offsets", "0.1,0.2"], r"2 encoder offsets"),
+        (
+            ["--url", "sim://?position_rate_maximum=5000&position_rate_default=1000"],
+            r"the device does 5000 Hz",
+        ),
+    ],
+)
+def test_what_cannot_be_meant_is_one_line_with_option_value_and_remedy(run, tmp_path, arguments, text):
+    code, out, err = run("zwidth", *TINY, *arguments)
+    assert (code, out) == (2, "")
+    (line,) = (line for line in err.splitlines() if line.startswith("rig: "))
+    assert re.search(text, line)
+    assert not list(tmp_path.rglob("hits.parquet"))
+
+
+@pytest.mark.parametrize("rates", ["", "1k,x", "0", "20k/2k", "1k,"])
+def test_rates_of_kmax_are_rates(run, rates):
+    code, _, err = run("kmax", *BRIEF, "--rates", rates)
+    assert code == 2
+    assert f"--rates '{rates}'" in err
+    assert "write them as 1k,20k" in err
+
+
+def test_an_output_that_is_no_directory(run, tmp_path):
+    (tmp_path / "in the way").write_text("")
+    code, _, err = run("zwidth", *TINY, "-o", tmp_path / "in the way")
+    assert code == 9
+    assert "cannot make" in err
+
+
+# --- Ctrl-C -----------------------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
+    command = [
+        sys.executable, "-m", "rig", "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
+        "--search", "grid", "-B", "0.1:1.5:6", "--scheme", "uniform:20k", "--no-plot", "--workers", "1",
+    ]  # fmt: skip
+    options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE,
+               "env": {**os.environ, "PYTHONPATH": str(ROOT)}}  # fmt: skip
+    process = subprocess.Popen(command, **options)
+    until = time.monotonic() + WAIT_S
+    while not any(path.read_bytes().count(b"\n") > 1 for path in tmp_path.glob("maps/*/journal")):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 130
+    assert out == ""
+    assert re.search(
+        r"stopped; [1-5] of 6 tasks are done and kept in maps/.*the same command goes on from there", err
+    )
+
+    (journal,) = tmp_path.glob("maps/*/journal")
+    kept = journal.read_bytes()
+    again = subprocess.run(command, **options, timeout=WAIT_S, check=False)
+    assert again.returncode == 0, again.stderr
+    assert journal.read_bytes().startswith(kept)
+    assert (journal.parent / "hits.parquet").exists()
+
+
+# --- a device -----------------------------------------------------------------------------------------------------
+
+
+ON_DEVICE = [*TINY[:-1], "0.3", "-K", "40:200"]
+
+
+def test_a_device_is_hit_by_recorded_hits_and_the_same_command_goes_on(run, tmp_path):
+    code, out, err = run("zwidth", "--url", "sim://", *ON_DEVICE, "--no-plot", "--json")
+    assert code == 0, err
+    facts = json.loads(out)
+    assert (facts["judged"], facts["offsets"]) == ("recorded", [0.1])
+    place = Path(facts["directory"])
+    assert len(list((place / "hits").glob("*.parquet"))) == facts["hits"]
+    assert "climb 1 of 1: uniform 10 kHz, fdm-butterworth 1000 Hz, B = 0.3 N·m·s/rad" in err
+    assert "hit 1: K = 40 N·m/rad" in err
+    assert re.search(r"(stable|unstable|limit cycle); passes: ", err)
+
+    code, again, err = run("zwidth", "--url", "sim://", *ON_DEVICE, "--no-plot", "--json")
+    assert (code, again) == (0, out)
+    assert "hit 1" not in err, "it was read"
+
+
+@pytest.mark.parametrize(("answers", "hits"), [("q\n", 0), ("\nq\n", 1), ("\nwhat?\nn\n", 1), ("\n", 1)])
+def test_a_person_who_does_not_agree_ends_the_session(run, tmp_path, monkeypatch, answers, hits):
+    reading, writing = os.pipe()
+    os.write(writing, answers.encode())
+    os.close(writing)
+    with open(reading) as answering:
+        monkeypatch.setattr(sys, "stdin", answering)
+        code, out, err = run("zwidth", "--url", "sim://", *ON_DEVICE, "--confirm", "each")
+    assert (code, out) == (130, "")
+    assert "ended between two hits; the effort is zero; 0 of 1 climbs are done" in err
+    assert "Enter: go on, q: end" in err
+    assert len(list(tmp_path.glob("maps/*/hits/*.parquet"))) == hits
+
+
+def test_in_real_time_a_simulated_device_is_a_process(run, tmp_path):
+    search = ["--search", "bisection", "--ratio", "1.2", "-K", "30:31", "--scheme", "uniform:1k", "-B", "0.1"]
+    code, _, err = run(
+        "zwidth", "--realtime", *BRIEF, *search, "--set", "verdict.late_fraction=0.9", "--no-plot", "--json"
+    )
+    # On a computer that is too busy hits say nothing, or the device's watchdog ends one: the session ends and says so.
+    busy = (
+        "said nothing about the wall" in err or "the host fell silent" in err or "fell silent during" in err
+    )
+    assert code == 0 or busy, err
+    recording = open_recording(next(tmp_path.glob("maps/*/hits/*.parquet")))
+    assert recording.header["clocks"]["kind"] == "monotonic"
+    assert recording.header["identity"]["url"].startswith("serial://")
+    assert recording.header["identity"]["simulated"]
