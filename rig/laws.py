@@ -114,8 +114,8 @@ def _plugins(find: Callable[..., Any]) -> tuple[str, ...]:
 def get(name: str) -> Law:
     """Return the law of that name; `ConfigError` for an unknown one or a broken plug-in.
 
-    Laws whose numbers come from an experiment (motions, a wrapper with friction compensation) are found by the names that
-    recordings give them: with the recorded parameters they replay.
+    Laws whose numbers come from an experiment (motions, a wrapper with friction compensation) are found by the names
+    that recordings give them: with the recorded parameters they replay.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from rig.cli.progress import SweepBar
 if TYPE_CHECKING:
     from rig.experiments.reproduce import Reproduction
 
-PAPERS = ("koul",)
+PAPERS = ("koul", "chawda")
 WIDEST = 56  # characters of a cell
 # Small matrices in several threads: a linear algebra library with threads of its own only gets in their way.
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -39,8 +40,9 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_json: bool) -> None:
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
-    koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. One that was stopped goes on when the
-    same command is given again.
+    koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. chawda: velocity estimators,
+    passivity and fidelity (Chawda et al.), in about three. One that was stopped goes on when the same command is given
+    again.
     """
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")  # before numpy is imported
@@ -51,16 +53,15 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
     with output.compiling():
-        from rig.experiments.koul import reproduce_koul  # noqa: PLC0415
-        from rig.experiments.koul_rigs import FULL, QUICK  # noqa: PLC0415
-        from rig.plots.koul import draw_koul  # noqa: PLC0415
+        study, rigs = (import_module(f"rig.experiments.{paper}{part}") for part in ("", "_rigs"))
+        plots = import_module(f"rig.plots.{paper}")
 
-    scale = QUICK if quick else FULL
+    scale = rigs.QUICK if quick else rigs.FULL
     with SweepBar(f"reproducing {paper}", unit="parts", plain=as_json) as bar:
-        found = reproduce_koul(
+        found: Reproduction = getattr(study, f"reproduce_{paper}")(
             scale, journal=directory / f"{paper}-{scale.name}.journal", workers=workers, watch=bar.watch
         )
-    page, numbers = write_report(found, draw_koul(found.results), directory)
+    page, numbers = write_report(found, getattr(plots, f"draw_{paper}")(found.results), directory)
     if as_json:
         output.print_json({**found.as_mapping(), "report": str(page), "json": str(numbers)})
         return

@@ -379,9 +379,10 @@ def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
     assert rounds > 5
     assert list(results) == [task.key for task in tasks]
     assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
-    assert sorted(log.read_text().split()) == sorted(
-        task.key for task in tasks
-    )  # what ran was kept, each time
+    # What ran was kept; only what a Ctrl-C caught between its end and the journal may have run once more.
+    ran = log.read_text().split()
+    assert set(ran) == {task.key for task in tasks}
+    assert len(ran) - len(tasks) <= 4 * rounds
 
 
 def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path):

@@ -11,6 +11,10 @@ SECTIONS = (
     "figure-5", "figure-6-koul-compliant", "figure-6-koul-rigid", "hands", "ways", "figure-7", "figure-8", "theory",
     "effects", "plants", "ideas",
 )  # fmt: skip
+CHAWDA_SECTIONS = (
+    "figure-1", "figure-3", "hits", "figure-4", "figure-5", "figure-6", "figure-7", "table-1", "readings", "theory",
+    "variants", "dual",
+)  # fmt: skip
 VERDICTS = ("reproduced", "reproduced only with", "not reproduced")
 
 
@@ -47,6 +51,24 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(p
     assert {name: again[name] for name in ("claims", "numbers", "provenance")} == {
         name: first[name] for name in ("claims", "numbers", "provenance")
     }
+
+
+@pytest.mark.timeout(300)
+def test_quick_reproduces_the_second_paper_too(tmp_path, capfd):
+    assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", "-o", str(tmp_path)]) == 0
+    found = json.loads(capfd.readouterr().out)
+    page = (tmp_path / "chawda.html").read_text(encoding="utf-8")
+    for section in CHAWDA_SECTIONS:
+        assert f'id="{section}"' in page
+    assert page.count("data:image/png;base64,") == 11
+    assert "(no picture)" not in page
+
+    # Facts of the reproduction that no grid is too coarse for.
+    by_key = {claim["key"]: claim["verdict"] for claim in found["claims"]}
+    for key in ("regions", "filter-holds", "levant-limited", "control-undamped", "control-bare"):
+        assert by_key[key] == "reproduced", key
+    for key in ("order", "levant-stiffest", "both", "widths"):
+        assert by_key[key] == "not reproduced", key
 
 
 def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd):
