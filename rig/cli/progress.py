@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from rig.experiments.sweep import Progress
+    from rig.sweep import Progress
 
 LINE_S = 10.0
 _MINUTE_S, _HOUR_S = 60, 3600
 
 
 class SweepBar:
-    """Shows one sweep while its block lasts; `watch` is for `rig.experiments.sweep.run`.
+    """Shows one sweep while its block lasts; `watch` is for `rig.sweep.run`.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from rig.cli import options, output
 from rig.cli.progress import SweepBar
 
 if TYPE_CHECKING:
-    from rig.experiments.reproduce import Reproduction
+    from rig.reproduce.frame import Reproduction
 
 PAPERS = ("koul", "chawda")
 WIDEST = 56  # characters of a cell

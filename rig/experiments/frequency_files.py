@@ -6,28 +6,21 @@ together, with units, ``map.json`` the plan, Table I and the paths of the bounda
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from rig import config
-from rig.experiments import sweep
-from rig.experiments.executors import code_version
-from rig.experiments.results import write_table
+from rig import config, sweep
+from rig.experiments.results import make_directory, plan_directory, write_document, write_table
 from rig.experiments.table_one import TableOne, table_one
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan, zwidth_frequency
-from rig.recording.files import plain_errors, whole_file
 
 JOURNAL, TABLE, SUMMARY = "journal", "walls.parquet", "map.json"
 
 
 def directory_for(plan: FrequencyPlan, where: Path) -> Path:
-    """Directory of a plan: its name carries a digest of everything that decides the map, this package included."""
-    tasks = [[task.key, task.payload] for task in plan.tasks()]
-    digest = sha256(json.dumps([code_version(), tasks], sort_keys=True).encode()).hexdigest()
-    return where / f"zwidth-frequency-{plan.experiment.rig.name}-{digest[:8]}"
+    """Directory of a plan."""
+    return plan_directory(where, f"zwidth-frequency-{plan.experiment.rig.name}", plan.tasks())
 
 
 def map_into(
@@ -42,16 +35,14 @@ def map_into(
 
     A map that was stopped goes on; a finished one is read.
     """
-    with plain_errors("make", directory):
-        directory.mkdir(parents=True, exist_ok=True)
+    make_directory(directory)
     found = zwidth_frequency(
         plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch
     )
     table = table_one(found)
     document = summary(found, table)
     write_table(directory / TABLE, found.table(), found.units(), document)
-    with whole_file(directory / SUMMARY, overwrite=True) as file:
-        file.write(json.dumps(document, ensure_ascii=False, indent=1).encode())
+    write_document(directory / SUMMARY, document)
     return found, table
 
 

@@ -6,18 +6,14 @@ plan, the boundaries and the widths. A map of a device has its recordings in ``h
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.experiments import sweep
-from rig.experiments.executors import code_version
-from rig.experiments.results import write_table
+from rig import sweep
+from rig.experiments.results import make_directory, plan_directory, write_document, write_table
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, zwidth
 from rig.measure import UNITS
-from rig.recording.files import plain_errors, whole_file
 from rig.sample import unit_of
 
 if TYPE_CHECKING:
@@ -27,14 +23,8 @@ JOURNAL, TABLE, SUMMARY, RECORDINGS = "journal", "hits.parquet", "map.json", "hi
 
 
 def directory_for(plan: MapPlan, where: Path, name: str, device: str = "") -> Path:
-    """Directory of a plan: its name carries a digest of everything that decides the map, this package included.
-
-    `device` names what is mapped, when it is not the simulation without bytes (`zwidth_rig.work_of`).
-    """
-    described = json.dumps(
-        [code_version(), device, [[task.key, task.payload] for task in plan.tasks()]], sort_keys=True
-    )
-    return where / f"{name}-{plan.experiment.rig.name}-{sha256(described.encode()).hexdigest()[:8]}"
+    """Directory of a plan; `device` says what is mapped, if not the simulation (`zwidth_rig.work_of`)."""
+    return plan_directory(where, f"{name}-{plan.experiment.rig.name}", plan.tasks(), device)
 
 
 def map_into(
@@ -49,7 +39,7 @@ def map_into(
 
     A map that was stopped goes on; a finished one is read.
     """
-    _make(directory)
+    make_directory(directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
     write_map(found, directory)
     return found
@@ -59,23 +49,17 @@ def map_on_rig(plan: MapPlan, directory: Path, session: Session) -> ZWidth:
     """Map a device and keep everything in a directory; errors as `rig.experiments.zwidth_rig.zwidth_on_rig`."""
     from rig.experiments.zwidth_rig import zwidth_on_rig  # noqa: PLC0415  (recordings and links, not for a simulation)
 
-    _make(directory)
+    make_directory(directory)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)
     return found
-
-
-def _make(directory: Path) -> None:
-    with plain_errors("make", directory):
-        directory.mkdir(parents=True, exist_ok=True)
 
 
 def write_map(found: ZWidth, directory: Path) -> None:
     """Write the table of hits and the summary; `RecordingError` when the disk refuses."""
     summary = found.as_mapping()
     write_table(directory / TABLE, found.table(), _units(found), summary)
-    with whole_file(directory / SUMMARY, overwrite=True) as file:
-        file.write(json.dumps(summary, ensure_ascii=False, indent=1).encode())
+    write_document(directory / SUMMARY, summary)
 
 
 def _units(found: ZWidth) -> Mapping[str, str]:

@@ -1,20 +1,44 @@
-"""Results of many trials as one Parquet table: a row for each, a unit for each column, the plan in the file's metadata.
+"""Results of many trials on disk: a directory for each plan, a Parquet table with a row for each trial, a summary.
 
-Rows are streamed, so that a table may be longer than the memory is wide.
+The table has a unit for each column and the plan in its metadata. Rows are streamed, so that it may be longer than the
+memory is wide.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from hashlib import sha256
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rig.recording.files import whole_file
+from rig import sweep
+from rig.recording.files import plain_errors, whole_file
 
 BATCH = 4096  # rows
 KEY = b"rig.plan"
+
+
+def plan_directory(where: Path, name: str, tasks: Sequence[sweep.Task], device: str = "") -> Path:
+    """Directory of a plan: its name carries a digest of everything that decides the results, this package included.
+
+    `device` names what is measured, when it is not the simulation without bytes.
+    """
+    described = [sweep.code_version(), device, [[task.key, task.payload] for task in tasks]]
+    return where / f"{name}-{sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:8]}"
+
+
+def make_directory(directory: Path) -> None:
+    """Make a directory and those above it; `RecordingError` when the disk refuses."""
+    with plain_errors("make", directory):
+        directory.mkdir(parents=True, exist_ok=True)
+
+
+def write_document(path: Path, document: Mapping[str, Any]) -> None:
+    """Write JSON for people and machines; overwrites. `RecordingError` when the disk refuses."""
+    with whole_file(path, overwrite=True) as file:
+        file.write(json.dumps(document, ensure_ascii=False, indent=1).encode())
 
 
 def write_table(

@@ -23,10 +23,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rig import config
+from rig import config, sweep
 from rig.config import Experiment
 from rig.errors import PlanError
-from rig.experiments import sweep
 from rig.experiments.bench import Bench
 from rig.experiments.ladder import Limit, Outcomes, Search, limit_of
 from rig.measure import NUMBERS
@@ -344,7 +343,7 @@ def zwidth(
     journal
         File that keeps finished climbs; one of the same plan is gone on with.
     scheduler, workers, watch
-        As in `rig.experiments.sweep.run`.
+        As in `rig.sweep.run`.
 
     Raises
     ------

@@ -26,10 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import config
+from rig import config, sweep
 from rig.config import Experiment
 from rig.errors import PlanError
-from rig.experiments import sweep
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse
 from rig.experiments.shaking import Run, ShakingBench, Signal
 from rig.impedance.signals import Floats

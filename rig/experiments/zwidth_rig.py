@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from rig import config, devices
+from rig import config, devices, sweep
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
 from rig.devices.local import serve_locally
 from rig.errors import DeviceFaultError, GuardError, PlanError, RigError, StoppedError
-from rig.experiments import sweep
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import THROWN_OUT, ended_early, experiment_of
 from rig.experiments.ladder import Outcomes, Search

@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from rig.experiments import chawda_text_more
 from rig.experiments.boundary_search import connected
-from rig.experiments.chawda_claims_table import floors
-from rig.experiments.chawda_results import Chawda, spread
-from rig.experiments.chawda_rigs import (
+from rig.impedance.ideal import ideal_wall
+from rig.plots import style
+from rig.plots.impedance import draw_impedance
+from rig.plots.levant import draw_levant_regions, levant_regions
+from rig.plots.zwidth import draw_boundaries
+from rig.reproduce.chawda import text_more as chawda_text_more
+from rig.reproduce.chawda.claims_table import floors
+from rig.reproduce.chawda.results import Chawda, spread
+from rig.reproduce.chawda.rigs import (
     AKF,
     DUAL_READINGS,
     FDM,
@@ -33,11 +38,6 @@ from rig.experiments.chawda_rigs import (
     TOLERANCES,
     Reading,
 )
-from rig.impedance.ideal import ideal_wall
-from rig.plots import style
-from rig.plots.impedance import draw_impedance
-from rig.plots.levant import draw_levant_regions, levant_regions
-from rig.plots.zwidth import draw_boundaries
 
 DAMPING, STIFFNESS = "damping B (N·s/m)", "stiffness K (kN/m)"
 ORDER = list(SCHEMES)

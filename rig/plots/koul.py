@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from rig.experiments import koul_ways
-from rig.experiments.koul_ideas import REFERENCE, Tried, ranked
-from rig.experiments.koul_results import Koul
-from rig.experiments.koul_rigs import (
+from rig.plots import style
+from rig.plots.compare import draw_figure_7, draw_figure_8
+from rig.plots.zwidth import draw_boundaries, draw_zwidth
+from rig.reproduce.koul import ways as koul_ways
+from rig.reproduce.koul.ideas import REFERENCE, Tried, ranked
+from rig.reproduce.koul.results import Koul
+from rig.reproduce.koul.rigs import (
     DUAL,
     EFFECTS,
     FAST,
@@ -28,10 +31,7 @@ from rig.experiments.koul_rigs import (
     SLOW,
     WITH_LAG,
 )
-from rig.experiments.koul_rules import LEVEL
-from rig.plots import style
-from rig.plots.compare import draw_figure_7, draw_figure_8
-from rig.plots.zwidth import draw_boundaries, draw_zwidth
+from rig.reproduce.koul.rules import LEVEL
 
 STIFFNESS, DAMPING = "stiffness K (N·m/rad)", "damping B (N·m·s/rad)"
 ORDER = list(SCHEMES)

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import ConfigError
-from rig.experiments.reproduce import Reproduction, Status
 from rig.recording.files import whole_file
+from rig.reproduce.frame import Reproduction, Status
 
 TEMPLATE = "reproduction.html.j2"
 MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet

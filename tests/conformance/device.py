@@ -159,7 +159,9 @@ def _ramps_down_when_the_host_falls_silent(host: Host) -> None:
     assert currents == sorted(currents, reverse=True)
     assert seen[-1].current_commanded == 0
     gapless = all(after.sample_index - before.sample_index == 1 for before, after in itertools.pairwise(seen))
-    assert any(state.limits & LimitFlag.RAMPING for state in seen) or not gapless  # in real time a stall may hide it
+    assert (
+        any(state.limits & LimitFlag.RAMPING for state in seen) or not gapless
+    )  # in real time a stall may hide it
     passed_us = ((seen[-1].device_time - seen[0].device_time) & 0xFFFFFFFF) / UNITS_PER_US
     period_us = passed_us / (seen[-1].sample_index - seen[0].sample_index)
     assert (seen[-1].command_age - 1) * period_us <= 10_000 + 10_000

@@ -12,9 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig import config
-from rig.experiments import chawda, chawda_parts, chawda_rules
-from rig.experiments.chawda_readings import Grid, Readings, bands, read
-from rig.experiments.chawda_rigs import (
+from rig.experiments.impedance import measure_impedance
+from rig.experiments.table_one import PAPER
+from rig.impedance.estimate import Impedance
+from rig.impedance.verdict import RESIDUAL, judge
+from rig.reproduce.chawda import parts as chawda_parts
+from rig.reproduce.chawda import reproduction as chawda
+from rig.reproduce.chawda import rules as chawda_rules
+from rig.reproduce.chawda.readings import Grid, Readings, bands, read
+from rig.reproduce.chawda.rigs import (
     FULL,
     MAIN,
     QUICK,
@@ -26,11 +32,7 @@ from rig.experiments.chawda_rigs import (
     pushed_rig,
     shaken_rig,
 )
-from rig.experiments.impedance import measure_impedance
-from rig.experiments.reproduce import Status, run_parts
-from rig.experiments.table_one import PAPER
-from rig.impedance.estimate import Impedance
-from rig.impedance.verdict import RESIDUAL, judge
+from rig.reproduce.frame import Status, run_parts
 
 # --- rules: every verdict can be reached ---------------------------------------------------------------------
 

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from rig import theory
-from rig.experiments import koul, koul_ideas, koul_parts, koul_rules, koul_ways
-from rig.experiments.koul_rigs import DUAL, FULL, HELD, MAIN, QUICK, SCHEMES, SLOW
 from rig.experiments.ladder import Search
-from rig.experiments.reproduce import Finding, Status, finite, run_parts, shown, verdict_over, within
 from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.reproduce.frame import Finding, Status, finite, run_parts, shown, verdict_over, within
+from rig.reproduce.koul import ideas as koul_ideas
+from rig.reproduce.koul import parts as koul_parts
+from rig.reproduce.koul import reproduction as koul
+from rig.reproduce.koul import rules as koul_rules
+from rig.reproduce.koul import ways as koul_ways
+from rig.reproduce.koul.rigs import DUAL, FULL, HELD, MAIN, QUICK, SCHEMES, SLOW
 
 RATES = (1000, 2000, 20_000, 50_000)
 FITTED, UNFITTED = "fitted", "unfitted"

@@ -13,10 +13,11 @@ import pyarrow.parquet as pq
 
 from rig import config, presets
 from rig.errors import RecordingError
-from rig.experiments import executors, map_files, zwidth
+from rig.experiments import map_files, zwidth
 from rig.experiments.ladder import Search
 from rig.experiments.zwidth import MapPlan
 from rig.schemes import Scheme
+from rig.sweep import executors
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 PLAN = MapPlan(

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from rig.errors import ConfigError
-from rig.experiments.reproduce import Claim, Finding, Picture, Reproduction, Section, Status, Table
 from rig.report import render, write_report
 from rig.report.page import check_installed
+from rig.reproduce.frame import Claim, Finding, Picture, Reproduction, Section, Status, Table
 
 pytest.importorskip("jinja2")
 NASTY = "</script><script>alert('K < B & \"C\"')</script>"

@@ -1,6 +1,6 @@
 """A sweep gives the same results to the last bit however it was cut up, and loses nothing that was done.
 
-Contracts of `rig.experiments.sweep` on threads: order and bits over workers; the journal under truncation, flipped
+Contracts of `rig.sweep.run` on threads: order and bits over workers; the journal under truncation, flipped
 bytes and kill -9; what a person and a failing task do to it. Clusters are in `tests/system/test_sweep_cluster.py`.
 """
 
@@ -22,12 +22,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig import sweep
 from rig.cli.progress import SweepBar
 from rig.errors import ConfigError, RecordingError, StoppedError
-from rig.experiments import executors, sweep
-from rig.experiments import journal as journals
-from rig.experiments.executors import as_json
-from rig.experiments.sweep import Progress, SweepStoppedError, Task, TaskError
+from rig.sweep import Progress, SweepStoppedError, Task, TaskError, executors
+from rig.sweep import journal as journals
+from rig.sweep.executors import as_json
 from tests.conformance import sweep_work
 
 HERE = sweep_work.__name__
@@ -144,7 +144,7 @@ def test_a_sweep_of_nothing_and_one_outside_the_main_thread():
 def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path):
     journal, log, workers = tmp_path / "j", tmp_path / "log", 2
     program = (
-        "from pathlib import Path; from rig.experiments import sweep\n"
+        "from pathlib import Path; from rig import sweep\n"
         f"tasks = [sweep.Task(str(i), {{'name': str(i), 'log': {str(log)!r}, 'wait_s': 0.01}}) for i in range(120)]\n"
         f"sweep.run({MARKS!r}, tasks, workers={workers}, journal=Path({str(journal)!r}))"
     )
@@ -236,7 +236,7 @@ def test_the_journal_of_another_plan_is_refused_with_what_differs(finished, work
 
 
 def test_a_journal_of_other_code_is_refused_with_both_versions(finished, monkeypatch):
-    monkeypatch.setattr(sweep, "code_version", lambda: "9.9.9+0123456789ab")
+    monkeypatch.setattr("rig.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError, match=r'version: "0\.\d.*" there, "9\.9\.9\+0123456789ab" here'):
         sweep.run(SINES, FEW, journal=finished[0])
 

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig import config, presets
+from rig import config, presets, sweep
 from rig.errors import PlanError
-from rig.experiments import frequency_files, sweep
+from rig.experiments import frequency_files
 from rig.experiments.boundary_search import boundary_search, connected, trace, trace_grid
 from rig.experiments.frequency_ranges import (
     PAPERS_ESTIMATORS,

@@ -1,0 +1,1 @@
+"""What of the two papers reproduces, computed and said by one command each."""

@@ -1,0 +1,1 @@
+"""Chawda, Celik and O'Malley 2011: velocity estimators."""
