@@ -12,7 +12,7 @@ from dataclasses import asdict
 import numpy as np
 
 from firmware_protocol.parameters import BY_NAME, Value
-from rig import estimators, laws
+from rig import estimators, friction, laws
 from rig.config import Experiment, motor_push
 from rig.errors import PlanError
 from rig.laws import Law
@@ -110,8 +110,29 @@ def for_experiment(
         control=control,
         memory=new_memory(),
         estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
-        law=(law or laws.get(wall.law)).prepare(asdict(wall)),
+        law=_law(experiment, law or laws.get(wall.law)).prepare(asdict(wall)),
     )
+
+
+def _law(experiment: Experiment, law: Law) -> Law:
+    """The law with friction compensation around it, if the experiment wants that.
+
+    On two masses only the motor side's friction counts: the link's lies behind the capstan, where the motor, if it took
+    that over too, would give more than it removes.
+    """
+    rates, mechanics = experiment.controller, experiment.rig.mechanics
+    if rates.friction_compensation == 0.0:
+        return law
+    behind = mechanics.link_coulomb if mechanics.structure == "rigid" else 0.0
+    level, cutoff = mechanics.motor_coulomb + behind, rates.parameters.get("cutoff_hz", math.inf)
+    usual = friction.dead_band_of(experiment.rig.encoder.resolution, rates.velocity_rate, float(cutoff))
+    wanted = friction.Compensation(
+        up=level,
+        down=level,
+        dead_band=rates.friction_dead_band or usual,
+        share=rates.friction_compensation,
+    )
+    return friction.compensated(law, wanted)
 
 
 def command_lifetime_s(experiment: Experiment) -> float:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -124,6 +125,7 @@ def around(law: Law) -> Law:
     return compensated(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
 
 
+@lru_cache(maxsize=32)  # compiling takes a second or two
 def _wrapped(function: Callable[..., float]) -> Any:
     @kernel(LAW_SIGNATURE, cache=False)
     def law_with_compensation(

@@ -238,6 +238,11 @@ class RigModel:
     operator: Operator | None = None
     reach: Reach | None = None
 
+    @property
+    def damping(self) -> float:
+        """Viscous damping of a rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive."""
+        return _motor_side_damping(self.mechanics, self.amplifier) + self.mechanics.link_damping
+
     def held_by(self, operator: Operator | None, reach: Reach | None) -> RigModel:
         """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""
         if operator is None:

@@ -110,6 +110,20 @@ class Controller:
         float, Ge(0), Quantity("velocity", "speed below which slow_velocity_rate holds; 0: never")
     ] = 0.0
     loop: Annotated[Literal["host"], Quantity("", "where the law runs")] = "host"
+    friction_compensation: Annotated[
+        float,
+        Ge(0),
+        Lt(1),
+        Quantity("1", "share of the rig's Coulomb friction that the motor takes over in a trial; 0: none"),
+    ] = 0.0
+    friction_dead_band: Annotated[
+        float | None,
+        Gt(0),
+        Quantity(
+            "velocity",
+            "speed from which the whole share acts; left out: four times what one count makes of the estimate",
+        ),
+    ] = None
     command_lifetime_s: Annotated[
         float | None,
         Gt(0),

@@ -282,7 +282,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
         return start.position, 0.0
     m = experiment.rig.mechanics
     friction = math.copysign(m.motor_coulomb + m.link_coulomb, start.velocity)
-    drag = (m.motor_damping + m.link_damping) * start.velocity
+    drag = config.rig_model(experiment).damping * start.velocity
     effort = start.external_effort + m.gravity_effort - friction - drag
     acceleration = effort / (m.motor_inertia + m.loaded_link_inertia)
     return (

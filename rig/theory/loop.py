@@ -44,9 +44,7 @@ class Subject:
 
         The hand is left out: conditions of passivity ask for any hand, the lightest included.
         """
-        mechanics, amplifier = self.model.mechanics, self.model.amplifier
-        back_emf = amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0
-        return mechanics.motor_damping + back_emf + mechanics.link_damping
+        return self.model.damping
 
     @property
     def port_damping(self) -> float:

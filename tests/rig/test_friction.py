@@ -242,3 +242,28 @@ def test_a_third_party_law_can_be_compensated():
 @pytest.mark.parametrize("name", ["traced", "nudges", "spring-damper+friction", "shaken+friction"])
 def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(name):
     assert laws.get(name).name == name
+
+
+def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(tmp_path):
+    """A hand-free push below friction moves a rig whose motor takes most of that friction over, and no other."""
+    base = {"trial.effort": 1.0, "wall.stiffness": 1000.0, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
+    plain = config.override(presets.load("chawda-linear"), base)
+    helped = config.override(plain, {"controller.friction_compensation": 0.8})
+    law = controller.for_experiment(helped, current_quantum_a=0.001).law
+    assert law.law.name == "spring-damper+friction"
+    quantum = helped.rig.encoder.resolution
+    assert law.parameters[:4].tolist() == pytest.approx([0.19, 0.19, dead_band_of(quantum, 1000, 100.0), 0.8])
+    speeds = []
+    for experiment in (plain, helped):
+        (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+        speeds.append(result.verdict_true.impact_velocity)
+        assert open_recording(result.recording).has_truth
+    assert speeds[1] > 1.02 * speeds[0], "less friction, faster at the wall"
+
+
+def test_on_two_masses_only_the_motor_sides_friction_is_taken_over():
+    changes = {"controller.friction_compensation": 0.5, "controller.friction_dead_band": 0.2}
+    law = controller.for_experiment(
+        config.override(presets.load("koul-compliant"), changes), current_quantum_a=0.001
+    ).law
+    assert law.parameters[:4].tolist() == [0.005, 0.005, 0.2, 0.5]

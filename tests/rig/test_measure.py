@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from rig import config, controller, measure, presets
-from rig.measure import FEWEST_TICKS, NUMBERS, OVERRULED, filters, median, toggling_floor
+from rig.measure import FEWEST_TICKS, NUMBERS, OVERRULED, filters, toggling_floor
+from rig.median import median
 from rig.sample import Phase, RowFlag
 from rig.verdict import Limits, Verdict, meter
 from sim_backend.plant import DiscretePlant
