@@ -53,7 +53,7 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
     with output.compiling():
-        study, rigs = (import_module(f"rig.experiments.{paper}{part}") for part in ("", "_rigs"))
+        study, rigs = (import_module(f"rig.reproduce.{paper}.{part}") for part in ("reproduction", "rigs"))
         plots = import_module(f"rig.plots.{paper}")
 
     scale = rigs.QUICK if quick else rigs.FULL

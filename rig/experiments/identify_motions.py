@@ -262,9 +262,7 @@ def _moved(x: Experiment, at: float, duration_s: float, rate: int, changes: Mapp
         "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
     }
     # Its own friction is what is looked for: nothing may compensate it meanwhile.
-    return config.override(
-        x, {**still, **changes, "controller.friction_compensation": 0.0}, "identification"
-    )
+    return config.override(x, {**still, **changes, "controller.friction_compensation": 0.0}, "identification")
 
 
 _NO_WALL: dict[str, Any] = {
