@@ -22,7 +22,7 @@ LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a f
 class IdentificationError(RigError):
     """The data do not say what the rig is; the message says why, the remedy what to measure instead."""
 
-    exit_code = 11
+    exit_code = 12
 
 
 def coherence(runs: Sequence[Shaken]) -> Floats:
