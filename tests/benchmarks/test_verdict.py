@@ -59,7 +59,7 @@ def with_scipy(position, effort):
     started = sosfilt_zi(high)
     ripple = sosfilt(high, effort, zi=started * effort[0])[0][-8000:]
     swing = sosfilt(high, position, zi=started * position[0])[0][-8000:]
-    felt = sosfiltfilt(band, np.gradient(position, 1.0 / RATE), padlen=2000)[-8000:]
+    felt = sosfiltfilt(band, np.gradient(position, 1.0 / RATE), padtype="even", padlen=2000)[-8000:]
     resting = np.median(position[-8000:])
     return np.sqrt(np.mean(felt**2)), np.sqrt(np.mean(ripple**2)), np.ptp(swing), resting
 
