@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 DEFAULT_PRESET = "koul-compliant"
-_SUFFIXES = {"k": 1e3, "M": 1e6, "": 1.0}
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
 
@@ -131,26 +130,13 @@ def changes(
 
 
 def parse_rate(text: str) -> tuple[int, int]:
-    """Rates of ``20k/2k``, ``20000/2000`` or ``1k`` (uniform), in Hz."""
-    parts = text.split("/")
-    if len(parts) > 2:
-        raise ConfigError(f"--rate {text}: too many rates", remedy="give T1/T2, like 20k/2k")
-    rates = [_hertz(part, text) for part in parts]
-    return rates[0], rates[-1]
+    """Rates of an option ``--rate``, in Hz, as schemes have them."""
+    from rig.schemes import parse_rates  # noqa: PLC0415
 
-
-def _hertz(part: str, text: str) -> int:
-    number = part.strip().removesuffix("Hz").strip()
-    suffix = number[-1:] if number[-1:] in ("k", "M") else ""
     try:
-        hertz = float(number.removesuffix(suffix)) * _SUFFIXES[suffix]
-    except ValueError:
-        hertz = 0.5
-    if hertz != round(hertz) or hertz <= 0:
-        raise ConfigError(
-            f"--rate {text}: {part!r} is not a whole number of Hz", remedy="write 20k/2k or 20000/2000"
-        )
-    return int(hertz)
+        return parse_rates(text)
+    except ConfigError as error:
+        raise ConfigError(f"--{error.message}", remedy=error.remedy) from None
 
 
 def _value(text: str) -> Any:
