@@ -96,6 +96,12 @@ class RecordingError(RigError):
     exit_code = 9
 
 
+class RealtimeError(RigError):
+    """Scheduling that ``host.realtime = "enforce"`` demands and this machine does not grant; nothing has moved."""
+
+    exit_code = 13
+
+
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed."""
 

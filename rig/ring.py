@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rig.sample import ROW
 from rig.words import read_word, write_word
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 WORDS = 64
 
 # word                 writer       meaning
@@ -42,10 +42,15 @@ BAD_FRAMES = 17  # frames with a wrong checksum, encoding or length
 OTHER_FRAMES = 18  # frames that were not STATE of this session
 DUPLICATED = 19  # samples received twice
 REORDERED = 20  # samples older than one already seen
-LOST = 21  # samples that never arrived or came too late to be stepped
+LOST = 21  # samples that never arrived
 COMMANDS = 22  # commands sent
 UNSENT = 23  # commands that the link did not take whole
 LATE = 24  # samples received more than one period after the grid
+SKIPPED = 25  # samples that arrived, but behind a newer one that the law saw instead
+STALE = 26  # ticks of a host-paced loop, or periods of waiting, without a fresh sample
+OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
+EXCHANGES = 28  # clock exchanges completed
+PARAMETER_SET = 29  # number of the parameter set in force
 
 
 @dataclass(frozen=True, slots=True)

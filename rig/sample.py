@@ -105,6 +105,16 @@ COLUMNS: tuple[Column, ...] = (
     Column("current_applied", "<i8", "quantum", "current in force on the device, in current quanta"),
     Column("current_measured", "<f8", "A", "measured motor current"),
     Column("command_age", "<i8", "1", "age of the command in force, in device ticks"),
+    Column("command_sequence", "<i8", "1", "sequence number of the command sent in this tick, modulo 65536"),
+    Column(
+        "command_in_force", "<i8", "1", "sequence number of the command in force at the sample, modulo 65536"
+    ),
+    Column(
+        "parameter_set",
+        "<i8",
+        "1",
+        "parameters in force: 0 as the header has them, later sets stand in the trailer",
+    ),
     Column("limits", "<i8", "1", "limit flags of the device (firmware_protocol.faults.LimitFlag)"),
     Column("fault", "<i8", "1", "fault code of the device (firmware_protocol.faults.Fault)"),
     Column("device_state", "<i8", "1", "state of the device (firmware_protocol.connection.State)"),
@@ -112,10 +122,21 @@ COLUMNS: tuple[Column, ...] = (
     Column("missed_ticks", "<i8", "1", "device ticks missed since arming"),
     Column("execution_time", "<i8", "ns", "worst execution time of a device tick since arming"),
     Column("flags", "<i8", "1", "what the loop noticed (rig.sample.RowFlag)"),
+    Column(
+        "sampled_at",
+        "<i8",
+        "ns",
+        "latency ledger: sample taken (host clock, by the clock fit); 0 until fitted",
+    ),
     Column("received_at", "<i8", "ns", "latency ledger: sample received (host clock)"),
     Column("computed_at", "<i8", "ns", "latency ledger: effort computed (host clock)"),
     Column("sent_at", "<i8", "ns", "latency ledger: command handed to the link (host clock)"),
-    Column("applied_at", "<i8", "ns", "latency ledger: command seen in force (host clock); 0 until measured"),
+    Column(
+        "applied_at",
+        "<i8",
+        "ns",
+        "latency ledger: command came in force (host clock, by the clock fit); 0 if never seen",
+    ),
 )
 
 TRUTH_COLUMNS: tuple[Column, ...] = (

@@ -258,6 +258,42 @@ class Excitation:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Host:
+    """How the loop runs on this computer, in real time; virtual time knows nothing of it but `pacing`."""
+
+    realtime: Annotated[
+        Literal["enforce", "try", "off"],
+        Quantity("", "real-time scheduling and locked memory: demanded, taken if granted, or not asked for"),
+    ] = "try"
+    priority: Annotated[int, Ge(1), Le(98), Quantity("", "SCHED_FIFO priority of the loop's thread")] = 80
+    cpu: Annotated[
+        int | None, Ge(0), Le(4095), Quantity("", "processor that the loop is kept on; left out: any")
+    ] = None
+    pacing: Annotated[
+        Literal["device", "host"],
+        Quantity("", "who gives the beat: each sample that arrives, or this computer's clock"),
+    ] = "device"
+    overrun: Annotated[
+        Literal["skip", "stop"],
+        Quantity("", "a tick more than one period late: skip what passed and count it, or end the run"),
+    ] = "skip"
+    spin_s: Annotated[
+        float,
+        Ge(0),
+        Le(0.0005),
+        Quantity("s", "host pacing: the last part of each wait, spent awake; at most 60 % of a period"),
+    ] = 0.0
+    heartbeat_s: Annotated[
+        float,
+        Ge(0),
+        Le(60),
+        Quantity("s", "the loop ends when the program around it is silent for this long; 0: never"),
+    ] = 2.0
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class VerdictLimits:
     """Thresholds of the verdict, at the handle; `Mechanics.handle_radius` turns them for a rotary rig."""
 
@@ -307,6 +343,7 @@ class Experiment:
     operator: Operator = GRIPS["normal"]  # acts when trial.kind is human
     verdict: VerdictLimits = field(default_factory=VerdictLimits)
     excitation: Excitation = field(default_factory=Excitation)  # acts when trial.kind is excitation
+    host: Host = field(default_factory=Host)  # acts in real time
     realtime: Annotated[
         Mapping[str, Setting], Quantity("", "changes for a loop in real time, by dotted key")
     ] = field(default_factory=dict)

@@ -314,6 +314,7 @@ def _fill_row(
     r["received_at"] = received_ns
     r["computed_at"] = computed_ns
     r["sent_at"] = sent_ns
+    r["sampled_at"] = 0  # sealing fills these two in, when the clocks can be compared
     r["applied_at"] = 0
 
 
