@@ -1,12 +1,14 @@
-"""The compiled codec of COMMAND and STATE, equal byte for byte to the readable one (framing.py, packing.py).
+"""The compiled codec of what a loop says and hears, equal byte for byte to the readable one (framing.py, packing.py).
+
+That is COMMAND and STATE, and GET_TIME and TIME, by which it compares the clocks while it runs.
 
 Nothing about the bytes is written here a second time: the tables of offsets are made from the
 annotations of messages.py when this module is imported, and the compiler takes them as constants. All
-integers are int64. Kernels check what comes from the wire and return negative numbers for what is wrong;
+integers are int64, a u64 as far as it fits there. Kernels check what comes from the wire and return negative numbers for what is wrong;
 buffers are the caller's and must be as large as said.
 
-`STATE` and `COMMAND` name the places in an array of field values (``values[STATE.count]``), `HEAD` those
-in an array of header values; all three can be used inside kernels.
+`STATE`, `COMMAND`, `GET_TIME` and `TIME` name the places in an array of field values (``values[STATE.count]``), `HEAD`
+those in an array of header values; all can be used inside kernels.
 """
 
 from __future__ import annotations
@@ -63,6 +65,8 @@ def _layout(cls: type) -> Ints:
 
 COMMAND = field_indices("Command")
 STATE = field_indices("State")
+GET_TIME = field_indices("GetTime")
+TIME = field_indices("Time")
 HEAD: Any = namedtuple("HeaderFields", Header._fields)(*range(len(Header._fields)))
 
 _HEADER_BYTES = framing.HEADER_BYTES
@@ -73,8 +77,12 @@ _PAYLOAD_LIMIT = framing.SHORT_RAW_LIMIT - _CRC_BYTES - _HEADER_BYTES
 _MAJOR = messages.MAJOR
 _COMMAND_TYPE = type_id_of(messages.Command)
 _STATE_TYPE = type_id_of(messages.State)
+_GET_TIME_TYPE = type_id_of(messages.GetTime)
+_TIME_TYPE = type_id_of(messages.Time)
 _COMMAND_LAYOUT = _layout(messages.Command)
 _STATE_LAYOUT = _layout(messages.State)
+_GET_TIME_LAYOUT = _layout(messages.GetTime)
+_TIME_LAYOUT = _layout(messages.Time)
 
 
 def _crc_tables(slices: int) -> Ints:
@@ -196,7 +204,7 @@ def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: in
         size = layout[field, 0]
         signed = layout[field, 1]
         value = values[field]
-        bits = 8 * size - signed
+        bits = min(8 * size - signed, 63)
         if (value >> bits) != 0 and not (signed == 1 and (value >> bits) == -1):
             return BAD_VALUE
         for k in range(size):
@@ -272,3 +280,15 @@ def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
     """Header and fields of a STATE from what `decode_frame` gave; return as `decode_command`."""
     return _decode(raw, length, _STATE_LAYOUT, _STATE_TYPE, header, values)
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes))
+def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
+    """Frame of a GET_TIME into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
+
+
+@kernel(_i64(_bytes, _i64, _ints, _ints))
+def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
+    """Header and fields of a TIME from what `decode_frame` gave; return as `decode_command`."""
+    return _decode(raw, length, _TIME_LAYOUT, _TIME_TYPE, header, values)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from firmware_protocol import codec, framing
 from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
 from firmware_protocol.framing import FrameError, encode_frame
-from firmware_protocol.messages import MAJOR, Command, Message, State
+from firmware_protocol.messages import MAJOR, Command, GetTime, Message, State, Time
 from firmware_protocol.packing import HEADER, LAYOUT_OF, pack, unpack
 from tests.conformance.wire_strategies import any_message, messages_of
 
@@ -26,6 +26,8 @@ SEQUENCES = st.integers(0, 65535)
 ENCODE = {Command: codec.encode_command, State: codec.encode_state}
 DECODE = {Command: codec.decode_command, State: codec.decode_state}
 streams = st.sampled_from([Command, State]).flatmap(messages_of)
+LONG = st.integers(0, 2**63 - 1)  # of a u64, what an int64 holds
+TIMES = st.builds(Time, st.integers(0, 65535), LONG, LONG, LONG)
 
 
 def buffer_of(data: bytes) -> Any:
@@ -69,6 +71,27 @@ def test_both_decoders_read_the_same(message: Message, session: int, sequence: i
     read_header, read = unpack(raw[:length].tobytes())
     assert tuple(header) == read_header == (MAJOR, LAYOUT_OF[type(message)].type_id, 0, session, sequence)
     assert tuple(values) == astuple(read) == astuple(message)  # type: ignore[call-overload]
+
+
+@given(st.builds(GetTime, st.integers(0, 65535), LONG), TIMES, SESSIONS, SEQUENCES)
+def test_the_clock_exchange_is_the_readable_one(
+    question: GetTime, answer: Time, session: int, sequence: int
+) -> None:
+    out = np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
+    asked = np.array(astuple(question), dtype=np.int64)
+    size = codec.encode_get_time(session, sequence, asked, out)
+    assert out[:size].tobytes() == encode_frame(pack(question, session=session, sequence=sequence))
+    raw = buffer_of(pack(answer, session=session, sequence=sequence))
+    header, values = np.zeros(5, dtype=np.int64), np.zeros(len(codec.TIME), dtype=np.int64)
+    assert codec.decode_time(raw, len(raw), header, values) == 0
+    assert tuple(values) == astuple(answer)
+    assert tuple(header)[3:] == (session, sequence)
+
+
+def test_a_64_bit_value_that_is_negative_is_refused() -> None:
+    values, out = np.zeros(2, dtype=np.int64), np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
+    values[codec.GET_TIME.host_sent] = -1
+    assert codec.encode_get_time(0, 0, values, out) == codec.BAD_VALUE
 
 
 def broken(draw: st.DrawFn) -> bytes:
