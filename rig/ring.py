@@ -1,29 +1,53 @@
 """One block of memory between the loop, the recorder and whoever supervises them.
 
-Layout (version 1): `WORDS` int64 control words, then `capacity` rows of `rig.sample.ROW`. Every word has
-one writer; all sides load and store words through `rig.words`. The block is one contiguous buffer, so that
-it can become shared memory without a change of layout.
+Layout (version 2), every part at a multiple of 64 bytes::
+
+    control words   `WORDS` int64                                 what they say stands below
+    info            `INFO_BYTES`; UTF-8 JSON, its length in word INFO_LENGTH
+    mailbox         `rig.mailbox.MAILBOX_BYTES`                   parameters on their way to the loop
+    rows            `capacity` rows of `rig.sample.ROW`
+
+Every word has one writer; all sides load and store words through `rig.words`. Words 0 to 3 keep their places in all
+versions, so that a run can be stopped whatever version started it. The info is written once, before anybody else can
+see the block: which experiment runs, on which device, into which recording.
 
 The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and
 publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
 must never delay a tick) or waits for room (virtual time: nothing is ever lost, and runs are repeatable).
+
+Shared, the block is an anonymous file in memory (memfd) that lives as long as somebody has it open or mapped: nothing
+stays behind whoever dies. Other processes of the user find it as ``/proc/PID/fd/N``, a link to `LINK`
+(`rig.running`). It cannot be resized, so that nobody's access can fault.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import fcntl
+import json
+import mmap
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from types import TracebackType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from rig.errors import RigError
+from rig.mailbox import MAILBOX_BYTES, Mailbox, clear
 from rig.sample import ROW
 from rig.words import read_word, write_word
 
 LAYOUT_VERSION = 2
 WORDS = 64
+INFO_BYTES = 65536
+NAME = "haptic-rig"
+LINK = f"/memfd:{NAME} (deleted)"
 
 # word                 writer       meaning
-VERSION = 0  # creator     layout version
+VERSION = 0  # creator     layout version, stored last
 HEAD = 1  # loop        rows written so far
 TAIL = 2  # recorder    rows drained so far
 STOP = 3  # anybody     non-zero: the loop ends within one tick (a StopReason)
@@ -36,6 +60,9 @@ RECORDER_ERROR = 9  # recorder    0, or the errno that stopped the recorder
 RECORDED = 10  # recorder    rows that are in the file
 END_REASON = 11  # loop        why the loop ended (rig.loop.host.EndReason)
 END_ERRNO = 12  # loop        errno behind a broken link, else 0
+INFO_LENGTH = 13  # creator     bytes of the info's JSON
+CREATED = 14  # creator     when the block was made (ns, CLOCK_REALTIME)
+ROW_BYTES = 15  # creator     bytes of a row
 # Counters of the link, written by the loop.
 FRAMES = 16  # frames received whole
 BAD_FRAMES = 17  # frames with a wrong checksum, encoding or length
@@ -52,39 +79,199 @@ OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
 EXCHANGES = 28  # clock exchanges completed
 PARAMETER_SET = 29  # number of the parameter set in force
 
+_INFO_AT = WORDS * 8
+_MAILBOX_AT = _INFO_AT + INFO_BYTES
+_ROWS_AT = _MAILBOX_AT + MAILBOX_BYTES
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
 
-@dataclass(frozen=True, slots=True)
+
 class Ring:
-    """The block and its two views: `words` (int64) and `rows` (`rig.sample.ROW`)."""
+    """The block and its views: `words` (int64) and `rows` (`rig.sample.ROW`).
 
-    buffer: NDArray[np.uint8]
-    words: NDArray[np.int64]
-    rows: NDArray[np.void]
+    `Ring.allocate` makes one, `Ring.attach` opens that of another process. As a context manager it closes itself.
+
+    Parameters
+    ----------
+    buffer
+        The whole block; it starts at a multiple of 8.
+    descriptor
+        Of the shared memory, which `close` closes; -1 when it is not shared.
+    """
+
+    def __init__(self, buffer: NDArray[np.uint8], descriptor: int = -1) -> None:
+        self.buffer = buffer
+        self.descriptor = descriptor
+        self.words: NDArray[np.int64] = buffer[:_INFO_AT].view(np.int64)
+        rows = (len(buffer) - _ROWS_AT) // ROW.itemsize
+        self.rows: NDArray[np.void] = buffer[_ROWS_AT : _ROWS_AT + rows * ROW.itemsize].view(ROW)
+        self._closed = False
 
     @classmethod
-    def allocate(cls, capacity: int) -> Ring:
-        """Make a zeroed ring for `capacity` rows."""
-        buffer = np.zeros(WORDS * 8 + capacity * ROW.itemsize, dtype=np.uint8)
-        words = buffer[: WORDS * 8].view(np.int64)
-        rows = buffer[WORDS * 8 :].view(ROW)
-        words[VERSION] = LAYOUT_VERSION
-        return cls(buffer, words, rows)
+    def allocate(cls, capacity: int, *, info: Mapping[str, Any] | None = None, shared: bool = False) -> Ring:
+        """Make a zeroed ring.
+
+        Parameters
+        ----------
+        capacity
+            Rows that it holds.
+        info
+            What other processes should know about the run: plain values for JSON.
+        shared
+            In memory that other processes of this user can find and open.
+
+        Raises
+        ------
+        RigError
+            More info than fits, or no memory.
+        """
+        text = json.dumps(dict(info or {})).encode()
+        if len(text) > INFO_BYTES:
+            raise RigError(
+                f"{len(text)} bytes of information about a run, where {INFO_BYTES} fit",
+                remedy="shorten the tables of the experiment",
+            )
+        size = _ROWS_AT + capacity * ROW.itemsize
+        ring = cls(*_shared_memory(size)) if shared else cls(_plain_memory(size))
+        ring.buffer[_INFO_AT : _INFO_AT + len(text)] = np.frombuffer(text, np.uint8)
+        ring.put(INFO_LENGTH, len(text))
+        ring.put(CREATED, time.time_ns())
+        ring.put(ROW_BYTES, ROW.itemsize)
+        clear(ring.mailbox)
+        ring.put(VERSION, LAYOUT_VERSION)
+        return ring
+
+    @classmethod
+    def attach(cls, path: str) -> Ring:
+        """Open the ring of another process by its ``/proc/PID/fd/N``.
+
+        Raises
+        ------
+        OSError
+            The process is gone, or belongs to somebody else.
+        RigError
+            It is no such block, not yet complete, or of a version that keeps its words elsewhere.
+        """
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            if (
+                os.readlink(path) != LINK
+                or not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK
+            ):
+                raise RigError(f"{path} is not the memory of a running loop", remedy="nothing is to be done")
+            size = os.fstat(descriptor).st_size
+            if size < _ROWS_AT:
+                raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
+            ring = cls(_mapped(descriptor, size), descriptor)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        if ring.get(VERSION) == 0:
+            ring.close()
+            raise RigError(f"{path} is still being made", remedy="try again")
+        return ring
 
     @property
     def capacity(self) -> int:
         """Rows that fit."""
         return len(self.rows)
 
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    @property
+    def mailbox(self) -> int:
+        """Address of the mailbox (`rig.mailbox.take`); valid until `close`.
+
+        Raises `RigError` afterwards: what is behind it may be gone.
+        """
+        if self._closed:
+            raise RigError("the memory of this loop is closed", remedy="the run is over")
+        return int(self.buffer.ctypes.data) + _MAILBOX_AT
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What the creator said about the run; empty when it said nothing, or in another version's words."""
+        if self.get(VERSION) != LAYOUT_VERSION or self._closed:
+            return {}
+        length = min(max(0, self.get(INFO_LENGTH)), INFO_BYTES)
+        try:
+            value = json.loads(self.buffer[_INFO_AT : _INFO_AT + length].tobytes())
+        except ValueError:
+            return {}
+        return value if isinstance(value, dict) else {}
+
     def get(self, word: int) -> int:
-        """Load a control word."""
+        """Load a control word; once closed, what it was then."""
         return int(read_word(self.words.ctypes.data + 8 * word))
 
     def put(self, word: int, value: int) -> None:
-        """Store a control word."""
+        """Store a control word; once closed, nobody else sees it."""
         write_word(self.words.ctypes.data + 8 * word, value)
+
+    def post(self, values: ArrayLike) -> int:
+        """Hand the loop a set of parameters; returns its number (`rig.mailbox.Mailbox.post`)."""
+        return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer).post(values)
 
     def last_rows(self, count: int) -> NDArray[np.void]:
         """Copy the newest `count` rows, oldest first: the black box that an error carries."""
         head = self.get(HEAD)
         first = max(0, head - min(count, self.capacity))
-        return self.rows[np.arange(first, head) % self.capacity].copy()
+        return self.rows[np.arange(first, head) % max(1, self.capacity)].copy()
+
+    def close(self) -> None:
+        """Let go of the memory; may be called twice.
+
+        The control words stay readable, as they are now. Memory goes with the last array that looks at it, so that a
+        thread that still holds `rows` cannot crash; whoever holds nothing but an address must have ended before.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self.words = self.words.copy()
+        self.rows = np.zeros(0, ROW)
+        self.buffer = np.zeros(0, np.uint8)
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1
+
+    def __enter__(self) -> Ring:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        with suppress(Exception):  # half made, or at the end of the interpreter
+            self.close()
+
+
+def _plain_memory(size: int) -> NDArray[np.uint8]:
+    """Zeroed bytes that begin at a cache line."""
+    memory = np.zeros(size + 64, np.uint8)
+    start = -memory.ctypes.data % 64
+    return memory[start : start + size]
+
+
+def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
+    """Zeroed bytes of an anonymous file, all of them there: later there is nobody to tell that memory is short."""
+    descriptor = -1
+    try:
+        descriptor = os.memfd_create(NAME, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        os.posix_fallocate(descriptor, 0, size)
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
+        return _mapped(descriptor, size), descriptor
+    except OSError as error:
+        if descriptor >= 0:
+            os.close(descriptor)
+        raise RigError(
+            f"no shared memory of {size / 1e6:.0f} MB: {error.strerror}", remedy="free some memory"
+        ) from error
+
+
+def _mapped(descriptor: int, size: int) -> NDArray[np.uint8]:
+    """The file as an array, which owns the mapping: it is unmapped with the last view of it."""
+    return np.frombuffer(mmap.mmap(descriptor, size), np.uint8)

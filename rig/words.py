@@ -1,7 +1,7 @@
 """Atomic 64-bit words by address: how the two sides of a ring or a stop flag publish to each other.
 
 Plain stores are ordered on x86 by luck and not at all on ARM, and a compiler may hoist a plain load out of
-a loop, which then never stops. Both sides, Python's too, go through these four functions.
+a loop, which then never stops. Both sides, Python's too, go through these functions.
 """
 
 from __future__ import annotations
@@ -51,6 +51,17 @@ def exchange_word(typingctx: Any, address: Any, value: Any) -> Any:
         return builder.atomic_rmw("xchg", _pointer(builder, args[0]), args[1], "acq_rel")
 
     return types.int64(types.uintp, types.int64), codegen
+
+
+@intrinsic
+def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: Any) -> Any:
+    """Store an int64 if the word still is `expected`, ordered both ways: 1 when it was stored, else 0."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        pair = builder.cmpxchg(_pointer(builder, args[0]), args[1], args[2], "acq_rel", "acquire")
+        return builder.zext(builder.extract_value(pair, 1), _WORD)
+
+    return types.int64(types.uintp, types.int64, types.int64), codegen
 
 
 def stack_words(count: int) -> Any:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
+import gc
+import os
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -12,7 +17,9 @@ from numba import types
 
 from firmware_protocol.kernel import kernel
 from rig import ring as words
-from rig.ring import WORDS, Ring
+from rig.errors import RigError
+from rig.mailbox import MAILBOX_BYTES
+from rig.ring import LINK, WORDS, Ring
 from rig.sample import ROW
 from rig.system import monotonic_now, sleep_until
 from rig.words import exchange_word, load_word, read_word, store_word, write_word
@@ -70,32 +77,142 @@ def in_thread(function, *arguments):
     return thread, results
 
 
-def test_a_new_ring_is_empty_and_says_its_layout():
-    ring = Ring.allocate(10)
-    assert ring.get(words.VERSION) == words.LAYOUT_VERSION
-    assert ring.capacity == 10
-    assert [ring.get(word) for word in range(1, WORDS)] == [0] * (WORDS - 1)
-    assert not ring.rows.view(np.uint8).any()
+def descriptors_of_rings():
+    """How many of this process's descriptors are the memory of a ring."""
+    found = 0
+    for name in os.listdir("/proc/self/fd"):
+        with suppress(OSError):
+            found += os.readlink(f"/proc/self/fd/{name}") == LINK
+    return found
+
+
+def mappings_of_rings():
+    return Path("/proc/self/maps").read_text().count(f"memfd:{words.NAME}")
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_new_ring_is_empty_and_says_its_layout(shared):
+    with Ring.allocate(10, shared=shared) as ring:
+        assert ring.get(words.VERSION) == words.LAYOUT_VERSION
+        assert ring.get(words.ROW_BYTES) == ROW.itemsize
+        assert abs(ring.get(words.CREATED) - time.time_ns()) < 60e9
+        assert ring.capacity == 10
+        named = {words.VERSION, words.ROW_BYTES, words.CREATED, words.INFO_LENGTH}
+        assert not any(ring.get(word) for word in range(WORDS) if word not in named)
+        assert not ring.rows.view(np.uint8).any()
+        assert ring.info == {}
+        assert ring.buffer.ctypes.data % 64 == ring.mailbox % 64 == ring.rows.ctypes.data % 64 == 0
 
 
 def test_the_ring_is_one_block_so_that_it_can_be_shared_memory():
-    ring = Ring.allocate(4)
-    assert ring.buffer.nbytes == WORDS * 8 + 4 * ROW.itemsize
+    ring = Ring.allocate(4, info={"url": "sim://"})
+    assert ring.buffer.nbytes == WORDS * 8 + words.INFO_BYTES + MAILBOX_BYTES + 4 * ROW.itemsize
     ring.put(words.HEAD, 3)
     ring.rows["tick"][2] = 77
-    again = Ring(ring.buffer, ring.buffer[: WORDS * 8].view(np.int64), ring.buffer[WORDS * 8 :].view(ROW))
+    again = Ring(ring.buffer)
     assert again.get(words.HEAD) == 3
     assert again.rows["tick"].tolist() == [0, 0, 77, 0]
+    assert again.info == {"url": "sim://"}
 
 
 def test_every_control_word_has_a_place_of_its_own():
+    source = Path(words.__file__).read_text().partition("# word ")[2].partition("\n_INFO_AT")[0]
     places = {
-        name: value
-        for name, value in vars(words).items()
-        if name.isupper() and name not in {"WORDS", "LAYOUT_VERSION", "ROW"}
+        line.partition(" = ")[0]: int(line.split()[2]) for line in source.splitlines() if line[:1].isupper()
     }
+    assert all(getattr(words, name) == place for name, place in places.items())
     assert len(set(places.values())) == len(places) > 20
     assert all(0 <= place < WORDS for place in places.values())
+    assert [places[name] for name in ("VERSION", "HEAD", "TAIL", "STOP")] == [0, 1, 2, 3]  # in all versions
+
+
+def test_another_opening_of_shared_memory_sees_the_same_words_rows_and_info():
+    info = {"url": "serial:///dev/ttyACM0", "experiment": {"wall": {"stiffness": 560.0}}, "name": "Prüfstand"}
+    with Ring.allocate(100, info=info, shared=True) as ring:
+        ring.rows["tick"][99] = 5
+        with Ring.attach(f"/proc/self/fd/{ring.descriptor}") as other:
+            assert other.info == info
+            assert other.capacity == 100
+            assert other.rows["tick"][99] == 5
+            other.put(words.STOP, 3)
+            assert ring.get(words.STOP) == 3
+        assert other.closed
+        ring.put(words.STOP, 4)
+        assert other.get(words.STOP) == 3  # what it was when that side closed
+
+
+def test_shared_memory_is_gone_with_its_last_user():
+    before = descriptors_of_rings(), mappings_of_rings()
+    ring = Ring.allocate(1000, shared=True)
+    rows = ring.rows
+    assert mappings_of_rings() == before[1] + 1
+    ring.close()
+    ring.close()
+    rows["tick"][999] = 3  # a thread that still looks: its memory is there
+    assert rows["tick"][999] == 3
+    del rows
+    assert (descriptors_of_rings(), mappings_of_rings()) == before
+
+
+def test_a_ring_that_nobody_closed_leaves_nothing_either():
+    before = descriptors_of_rings(), mappings_of_rings()
+    Ring.allocate(10, shared=True)
+    gc.collect()
+    assert (descriptors_of_rings(), mappings_of_rings()) == before
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_closed_ring_answers_but_reaches_nobody(shared):
+    ring = Ring.allocate(4, info={"a": 1}, shared=shared)
+    ring.put(words.HEAD, 3)
+    ring.close()
+    assert (ring.get(words.HEAD), ring.capacity, ring.info, ring.closed) == (3, 0, {}, True)
+    assert len(ring.last_rows(10)) == 0
+    ring.put(words.STOP, 1)
+    with pytest.raises(RigError, match="closed"):
+        ring.post([1.0])
+
+
+def test_too_much_info_is_one_clear_line():
+    with pytest.raises(RigError, match=r"65\d+ bytes .* where 65536 fit"):
+        Ring.allocate(1, info={"a": "x" * 65536})
+
+
+def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path):
+    before = descriptors_of_rings()
+    plain = os.memfd_create("something-else", os.MFD_CLOEXEC)
+    small = os.memfd_create(words.NAME, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    fcntl.fcntl(small, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
+    growing = os.memfd_create(words.NAME, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    os.ftruncate(growing, 10**6)
+    half = os.memfd_create(words.NAME, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    os.ftruncate(half, 10**6)
+    fcntl.fcntl(half, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
+    try:
+        for descriptor, why in (
+            (plain, "not the memory"),
+            (small, "shorter"),
+            (growing, "not the memory"),  # somebody could shrink it under our feet
+            (half, "still being made"),
+        ):
+            with pytest.raises(RigError, match=why):
+                Ring.attach(f"/proc/self/fd/{descriptor}")
+    finally:
+        for descriptor in (plain, small, growing, half):
+            os.close(descriptor)
+    with pytest.raises(FileNotFoundError):
+        Ring.attach(f"/proc/self/fd/{half}")
+    assert descriptors_of_rings() == before
+
+
+def test_damaged_info_is_no_info():
+    ring = Ring.allocate(1, info={"a": 1})
+    for text in (b"{", b"\xff\xfe", b"[1]", b""):
+        ring.buffer[WORDS * 8 : WORDS * 8 + len(text)] = np.frombuffer(text, np.uint8)
+        ring.put(words.INFO_LENGTH, len(text))
+        assert ring.info == {}
+    ring.put(words.INFO_LENGTH, -5)
+    assert ring.info == {}
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 2**63 - 1, -(2**63)])
