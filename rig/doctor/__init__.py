@@ -1,0 +1,1 @@
+"""What this machine and a link can do, and what would mend what they cannot."""

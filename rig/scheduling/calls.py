@@ -1,0 +1,84 @@
+"""Calls of the C library that Python has no function for; each gives 0 or an errno and never raises."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import mmap
+from functools import cache
+
+MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4  # linux/mman.h
+MLOCK_ONFAULT = 1
+MADV_POPULATE_WRITE = 23  # Linux 5.14
+PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 29, 30  # linux/prctl.h
+_ATTRIBUTE_BYTES = 512  # pthread_attr_t has 56 to 64 bytes on the platforms of Linux
+
+
+@cache
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
+
+
+def _call(name: str, *arguments: object) -> int:
+    function = getattr(_libc(), name, None)
+    if function is None:
+        return errno.ENOSYS
+    return ctypes.get_errno() or errno.EINVAL if function(*arguments) < 0 else 0
+
+
+def lock_all() -> int:
+    """Keep every page of the process in memory from its first touch on, pages to come included.
+
+    Without "on fault" the kernel would fill every mapping at once, which doubles the size of a process that has
+    loaded numba and makes each new thread wait for its whole stack.
+    """
+    return _call("mlockall", MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
+
+
+def unlock_all() -> int:
+    """Take back every lock of the process, those of `lock_range` included."""
+    return _call("munlockall")
+
+
+def lock_range(address: int, size: int, *, on_fault: bool) -> int:
+    """Keep some pages in memory."""
+    flags = MLOCK_ONFAULT if on_fault else 0
+    return _call("mlock2", ctypes.c_void_p(address), ctypes.c_size_t(size), ctypes.c_uint(flags))
+
+
+def set_timer_slack(slack_ns: int) -> int:
+    """Let the sleeps of the calling thread end this much late, at most, so that wake-ups can be shared."""
+    return _call("prctl", PR_SET_TIMERSLACK, ctypes.c_ulong(slack_ns), *(ctypes.c_ulong(0),) * 3)
+
+
+def timer_slack() -> int:
+    """Slack of the calling thread in ns; 0 for a real-time thread, and where there is none."""
+    function = getattr(_libc(), "prctl", None)
+    return 0 if function is None else max(int(function(PR_GET_TIMERSLACK, *(ctypes.c_ulong(0),) * 4)), 0)
+
+
+def stack_top() -> int:
+    """Address above the stack of the calling thread; 0 where the C library does not say."""
+    library = _libc()
+    if not hasattr(library, "pthread_getattr_np"):
+        return 0
+    attributes = ctypes.create_string_buffer(_ATTRIBUTE_BYTES)
+    address, size = ctypes.c_void_p(), ctypes.c_size_t()
+    library.pthread_self.restype = ctypes.c_void_p
+    if library.pthread_getattr_np(ctypes.c_void_p(library.pthread_self()), attributes):
+        return 0
+    found = library.pthread_attr_getstack(attributes, ctypes.byref(address), ctypes.byref(size))
+    library.pthread_attr_destroy(attributes)
+    return 0 if found or address.value is None else address.value + size.value
+
+
+def touch(address: int, size: int) -> None:
+    """Bring pages into memory, ready to be written, without changing what is in them.
+
+    On kernels before 5.14 one byte of each page is written over itself, so nobody else may write there meanwhile.
+    """
+    first = address // mmap.PAGESIZE * mmap.PAGESIZE
+    length = ctypes.c_size_t(address + size - first)
+    if _call("madvise", ctypes.c_void_p(first), length, MADV_POPULATE_WRITE) == errno.EINVAL:
+        for page in (address, *range(first + mmap.PAGESIZE, address + size, mmap.PAGESIZE)):
+            ctypes.memmove(page, page, 1)

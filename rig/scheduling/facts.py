@@ -1,0 +1,123 @@
+"""What the kernel says about its scheduling, read from /proc and /sys.
+
+`root` is where those trees hang; what cannot be read is an empty text, None or an empty set.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+ROOT = Path("/")
+_CPUS = "sys/devices/system/cpu"
+
+
+def text_of(path: Path) -> str:
+    """Return the content of a small file, stripped."""
+    try:
+        return path.read_text(errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def number_of(path: Path) -> int | None:
+    """Return the one integer in a file."""
+    try:
+        return int(text_of(path))
+    except ValueError:
+        return None
+
+
+def preemption(root: Path = ROOT) -> str:
+    """How the kernel lets one task interrupt another: PREEMPT_RT, PREEMPT, PREEMPT_DYNAMIC (mode), or none."""
+    version = text_of(root / "proc/sys/kernel/version")
+    if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
+        return "PREEMPT_RT"
+    if "PREEMPT_DYNAMIC" in version:
+        mode = _dynamic_mode(root)
+        return f"PREEMPT_DYNAMIC ({mode})" if mode else "PREEMPT_DYNAMIC"
+    return "PREEMPT" if "PREEMPT" in version else "none"
+
+
+def _dynamic_mode(root: Path) -> str:
+    """Return the mode in force: debugfs knows it (for root alone), else the command line may have chosen one."""
+    chosen = re.search(r"\((\w+)\)", text_of(root / "sys/kernel/debug/sched/preempt"))
+    chosen = chosen or re.search(r"\bpreempt=(\w+)", text_of(root / "proc/cmdline"))
+    return chosen[1] if chosen else ""
+
+
+def rt_runtime_us(root: Path = ROOT) -> int | None:
+    """How much of each period real-time tasks may run before the kernel stops them; -1: without end."""
+    return number_of(root / "proc/sys/kernel/sched_rt_runtime_us")
+
+
+def rt_period_us(root: Path = ROOT) -> int | None:
+    """Return the period that belongs to `rt_runtime_us`."""
+    return number_of(root / "proc/sys/kernel/sched_rt_period_us")
+
+
+def clock_source(root: Path = ROOT) -> str:
+    """Return the hardware counter behind CLOCK_MONOTONIC."""
+    return text_of(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
+
+
+def clock_sources(root: Path = ROOT) -> list[str]:
+    """Return the counters that the kernel could use."""
+    return text_of(root / "sys/devices/system/clocksource/clocksource0/available_clocksource").split()
+
+
+def governors(root: Path = ROOT) -> dict[int, str]:
+    """Return who chooses the frequency of each processor; empty where frequencies are fixed or hidden."""
+    found = {}
+    for path in (root / _CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor"):
+        found[int(path.parent.parent.name[3:])] = text_of(path)
+    return dict(sorted(found.items()))
+
+
+def idle_driver(root: Path = ROOT) -> str:
+    """Who puts idle processors to sleep; empty when nobody does."""
+    name = text_of(root / _CPUS / "cpuidle/current_driver")
+    return "" if name == "none" else name
+
+
+def online_cpus(root: Path = ROOT) -> set[int]:
+    """Return the processors that run."""
+    return cpu_list(text_of(root / _CPUS / "online"))
+
+
+def isolated_cpus(root: Path = ROOT) -> set[int]:
+    """Return the processors that the scheduler leaves alone (``isolcpus`` on the kernel's command line)."""
+    return cpu_list(text_of(root / _CPUS / "isolated"))
+
+
+def cpu_list(text: str) -> set[int]:
+    """Read a list of processors as the kernel writes it, like ``0-3,8``; what is no such list is empty."""
+    found: set[int] = set()
+    for part in text.split(","):
+        first, _, last = part.strip().partition("-")
+        with suppress(ValueError):
+            found.update(range(int(first), int(last or first) + 1))
+    return found
+
+
+def status_kilobytes(name: str, root: Path = ROOT) -> int:
+    """Return a size of this process in kB, like VmLck, from /proc/self/status; 0 when it is not there."""
+    match = re.search(rf"^{name}:\s*(\d+) kB", text_of(root / "proc/self/status"), re.MULTILINE)
+    return int(match[1]) if match else 0
+
+
+def described(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
+    """All of it for a recording; `cpu` is where the loop runs, None anywhere."""
+    chosen = governors(root)
+    of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))
+    return {
+        "kernel": os.uname().release,
+        "preemption": preemption(root),
+        "rt_runtime_us": rt_runtime_us(root),
+        "rt_period_us": rt_period_us(root),
+        "clock_source": clock_source(root),
+        "governor": ", ".join(of_cpu),
+    }
