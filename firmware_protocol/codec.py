@@ -4,8 +4,8 @@ That is COMMAND and STATE, and GET_TIME and TIME, by which it compares the clock
 
 Nothing about the bytes is written here a second time: the tables of offsets are made from the
 annotations of messages.py when this module is imported, and the compiler takes them as constants. All
-integers are int64, a u64 as far as it fits there. Kernels check what comes from the wire and return negative numbers for what is wrong;
-buffers are the caller's and must be as large as said.
+integers are int64, a u64 as far as it fits there. Kernels check what comes from the wire and return negative
+numbers for what is wrong; buffers are the caller's and must be as large as said.
 
 `STATE`, `COMMAND`, `GET_TIME` and `TIME` name the places in an array of field values (``values[STATE.count]``), `HEAD`
 those in an array of header values; all can be used inside kernels.

@@ -35,6 +35,11 @@ class Clock(Protocol):
         """Compiled function of type `rig.plugs.NOW`."""
         ...
 
+    @property
+    def sleep_plug(self) -> Any:
+        """Compiled `sleep_until`, of type `rig.plugs.WAIT`."""
+        ...
+
 
 class MonotonicClock:
     """CLOCK_MONOTONIC: never set back, not stopped by NTP."""
@@ -58,6 +63,13 @@ class MonotonicClock:
         from rig.system import monotonic_now  # noqa: PLC0415  (numba only when a loop is built)
 
         return monotonic_now
+
+    @property
+    def sleep_plug(self) -> Any:
+        """Compiled clock_nanosleep."""
+        from rig.system import monotonic_sleep  # noqa: PLC0415
+
+        return monotonic_sleep
 
 
 class VirtualClock:
@@ -87,3 +99,10 @@ class VirtualClock:
         from rig.system import virtual_now  # noqa: PLC0415
 
         return virtual_now
+
+    @property
+    def sleep_plug(self) -> Any:
+        """Compiled write of the number."""
+        from rig.system import virtual_sleep  # noqa: PLC0415
+
+        return virtual_sleep

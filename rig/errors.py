@@ -102,6 +102,12 @@ class RealtimeError(RigError):
     exit_code = 13
 
 
+class OverrunError(RigError):
+    """The loop came more than one period late, and was told to end then; the effort went to zero first."""
+
+    exit_code = 14
+
+
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed."""
 

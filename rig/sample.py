@@ -82,7 +82,8 @@ COLUMNS: tuple[Column, ...] = (
         "lateness",
         "<i8",
         "ns",
-        "receipt after the grid of the sample index, against the earliest receipt so far",
+        "receipt after the grid of the sample index, against the earliest receipt so far; host-paced: waking after the "
+        "host's grid",
     ),
     Column("count", "<i8", "count", "encoder count as the device sent it"),
     Column("edge_age", "<i8", "ns", "age of the last encoder edge at the sample"),

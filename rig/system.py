@@ -41,6 +41,7 @@ POLLIN = 0x001
 POLL_BROKEN = 0x008 | 0x010 | 0x020  # POLLERR, POLLHUP, POLLNVAL
 EINTR, EIO, EAGAIN, EPIPE = 4, 5, 11, 32
 BILLION = 1_000_000_000
+SIGHUP, SIGINT, SIGQUIT, SIGTERM = 1, 2, 3, 15
 
 
 @kernel(_i64())
@@ -73,6 +74,20 @@ def sleep_until(deadline_ns: int) -> None:
         pass
 
 
+@kernel(WAIT_SIGNATURE)
+def monotonic_sleep(handle: int, deadline_ns: int) -> int:
+    """`sleep_until` as a plug (`rig.devices.device.LoopPort.sleep`); `handle` is not used."""
+    sleep_until(deadline_ns)
+    return 0
+
+
+@kernel(WAIT_SIGNATURE)
+def virtual_sleep(handle: int, deadline_ns: int) -> int:
+    """Jump to a deadline on a `rig.clock.VirtualClock`; `handle` is the address of its word."""
+    store_word(handle, max(load_word(handle), deadline_ns))
+    return 0
+
+
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_read(descriptor: int, address: int, size: int) -> int:
     """read(2): bytes read, 0 when nothing is there, negative errno; the end of the file is -EPIPE.
@@ -93,6 +108,26 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
         return -EPIPE
     error = last_error()
     return 0 if error in (EAGAIN, EINTR) else -error
+
+
+@kernel(_i64(_i64))
+def woken_by_signal(descriptor: int) -> int:
+    """Number of a signal that means the end and that was written to a wake-up descriptor, else 0.
+
+    The interpreter writes the number of each signal there from within its C handler
+    (`signal.set_wakeup_fd`), so this needs nobody to hold the GIL. `descriptor` is non-blocking, or negative: none.
+    """
+    if descriptor < 0:
+        return 0
+    word = _one_word()
+    store_word(word, 0)
+    got = descriptor_read(descriptor, word, 8)
+    numbers = load_word(word)
+    for i in range(got):
+        number = (numbers >> (8 * i)) & 0xFF
+        if number in (SIGHUP, SIGINT, SIGQUIT, SIGTERM):
+            return int(number)
+    return 0
 
 
 @kernel(TRANSFER_SIGNATURE)

@@ -249,13 +249,12 @@ class MemoryLink:
             assert address is not None
             return NativeFunction(address, signature, keep=callback)
 
-        return LoopPort(
+        return LoopPort.on(
+            self.clock,
             read=native(_TRANSFER, self._plug_read, TRANSFER_SIGNATURE),
             write=native(_TRANSFER, self._plug_write, TRANSFER_SIGNATURE),
             wait=native(_WAIT, lambda handle, deadline_ns: int(self._wait(deadline_ns)), WAIT_SIGNATURE),
             handle=0,
-            now=self.clock.now_plug,
-            clock_handle=self.clock.handle,
         )
 
     def _guarded(self, function: Callable[..., int]) -> Callable[..., int]:

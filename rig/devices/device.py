@@ -51,14 +51,23 @@ class DeviceUrl:
 
 @dataclass(frozen=True, slots=True)
 class LoopPort:
-    """What the compiled loop needs of a link: plug functions (`rig.plugs`) and their handles."""
+    """What the compiled loop needs of a link: plug functions (`rig.plugs`) and their handles.
+
+    `read`, `write` and `wait` take `handle`; `now` and `sleep` are those of the link's clock and take `clock_handle`.
+    """
 
     read: Any
     write: Any
     wait: Any
     handle: int
     now: Any
+    sleep: Any
     clock_handle: int
+
+    @classmethod
+    def on(cls, clock: Clock, *, read: Any, write: Any, wait: Any, handle: int) -> LoopPort:
+        """Join what moves bytes with a clock."""
+        return cls(read, write, wait, handle, clock.now_plug, clock.sleep_plug, clock.handle)
 
 
 class Link(Protocol):

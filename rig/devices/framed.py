@@ -191,11 +191,17 @@ class FramedDevice:
         session = 1 + previous % 0xFF
         return session if session != used else 1 + session % 0xFF
 
-    def take_back(self, *, next_command: int, newest_state: int, state: int) -> None:
-        """Take the streams back from the compiled loop (see `Connection.resume`).
+    @property
+    def nonce(self) -> int:
+        """Nonce of the last transaction: the compiled loop goes on from there with its clock exchanges."""
+        return self._nonce
+
+    def take_back(self, *, next_command: int, newest_state: int, state: int, nonce: int) -> None:
+        """Take the streams and the nonces back from the compiled loop (see `Connection.resume`).
 
         A `state` that nobody knows counts as RUNNING: it must not keep the host from stopping.
         """
+        self._nonce = nonce
         known = State(state) if state in set(State) else State.RUNNING
         self.connection.resume(next_command=next_command, newest_state=newest_state, state=known)
 

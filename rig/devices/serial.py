@@ -136,13 +136,12 @@ class SerialLink:
         """Return the system calls of the loop on this descriptor."""
         from rig import system  # noqa: PLC0415  (numba only when a loop is built)
 
-        return LoopPort(
+        return LoopPort.on(
+            self.clock,
             read=system.descriptor_read,
             write=system.descriptor_write,
             wait=system.descriptor_wait,
             handle=self._descriptor,
-            now=self.clock.now_plug,
-            clock_handle=self.clock.handle,
         )
 
     def failure(self) -> BaseException | None:

@@ -8,8 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.devices.framed import FaultReport
-from rig.errors import DeviceFaultError, GuardError, LawError, LinkLostError, RigError, StoppedError
-from rig.loop.host import EndReason
+from rig.errors import (
+    DeviceFaultError,
+    GuardError,
+    LawError,
+    LinkLostError,
+    OverrunError,
+    RigError,
+    StoppedError,
+)
+from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd
 
 # Reason → error, what happened, what to do. In braces: url, why (errno), fault, fault_remedy, cause (an
@@ -42,6 +50,11 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         LawError,
         "the law raised {cause}; the effort went to zero",
         "mend the law: a kernel raises nothing",
+    ),
+    EndReason.OVERRUN: (
+        OverrunError,
+        'a tick came more than one period late, and host.overrun = "stop"; the effort went to zero',
+        'lower the rate, relieve this computer (rig doctor says how), or set host.overrun = "skip"',
     ),
     EndReason.OUT_OF_WINDOW: (
         GuardError,

@@ -21,7 +21,9 @@ from rig import config, controller
 from rig.errors import LawError, RecordingError
 from rig.experiments.judgement import experiment_of
 from rig.laws import Law
-from rig.loop.host import ROWS_TYPE, show_law
+from rig.loop.layout import FLOAT_ROWS, ROWS_TYPE
+from rig.loop.parameters import put_in_force
+from rig.loop.rows import show_law
 from rig.plugs import ESTIMATOR, LAW
 from rig.recording.data import Recording
 from rig.sample import COLUMNS, ROW, RowFlag
@@ -47,16 +49,24 @@ _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
 @kernel(
     types.void(
-        ESTIMATOR, LAW, ROWS_TYPE, ROWS_TYPE, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS
+        ESTIMATOR, LAW, ROWS_TYPE, ROWS_TYPE, FLOAT_ROWS, CONTROL_TYPE, MEMORY_TYPE,
+        _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
     )
 )  # fmt: skip
 def replay_rows(
-    estimator: Any, law: Any, recorded: Any, replayed: Any, control: Any, memory: Any,
+    estimator: Any, law: Any, recorded: Any, replayed: Any, sets: Any, control: Any, memory: Any,
     estimator_f: Any, estimator_i: Any, estimator_parameters: Any, law_state: Any, law_parameters: Any,
 ) -> None:  # fmt: skip
-    """Run `step` over the samples of `recorded` and write what it computes into `replayed`."""
+    """Run `step` over the samples of `recorded` and write what it computes into `replayed`.
+
+    `sets` are the parameter sets that came in force on the way: first tick, wall position, the law's parameters.
+    """
+    due = 0
     for i in range(len(recorded)):
         source = recorded[i]
+        while due < len(sets) and sets[due, 0] <= source["tick"]:
+            put_in_force(control, law_parameters, sets[due, 1:])
+            due += 1
         step(
             estimator, law, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"], control, memory,
             estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
@@ -98,7 +108,7 @@ def replay(
         Complete or not: its rows from the first on.
     changes
         Keys of the experiment to change, dotted, like ``{"controller.estimator": "fdm"}``; none: the same
-        law again.
+        law again. A change of the wall replaces also what was changed during the run.
     law
         A law of the caller's own instead of the named one.
 
@@ -120,6 +130,7 @@ def replay(
             bundle.law.law.function,
             recorded,
             replayed,
+            _sets(recording, changes, law),
             *bundle.arguments(),
         )
     except Exception as error:
@@ -158,6 +169,15 @@ def _rows(recording: Recording) -> NDArray[np.void]:
     for column in COLUMNS:
         rows[column.name] = recording.rows[column.name]
     return rows
+
+
+def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
+    """Parameter sets that came in force during the run, unless another wall is asked for."""
+    sets = recording.trailer.get("parameter_sets") or [] if recording.trailer else []
+    if law is not None or any(key.startswith("wall.") for key in changes or ()):
+        sets = []
+    rows = [[one["tick"], one["wall_position"], *one["parameters"]] for one in sets]
+    return np.array(rows, dtype=np.float64) if rows else np.zeros((0, 1))
 
 
 def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> Controller:

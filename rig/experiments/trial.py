@@ -6,10 +6,9 @@ depends on what went wrong before it.
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+import os
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,19 +18,23 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import MAJOR, MINOR
 from rig import controller as controllers
+from rig.clock_fit import as_exchanges, fit_clock
 from rig.config import Experiment, as_mapping
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.errors import RigError, StoppedError
 from rig.experiments.endings import error_of
 from rig.laws import Law
-from rig.loop.host import EndReason
+from rig.loop import exchange
+from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread
+from rig.loop.signals import Signals, stop_on_signals
 from rig.recording.data import Recording
 from rig.recording.header import make_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
 from rig.recording.seal import seal, with_truth
-from rig.ring import STOP, Ring
+from rig.ring import Ring
+from rig.scheduling import Realtime, obtained
 from rig.step import Controller
 
 BLACK_BOX_ROWS = 100
@@ -39,6 +42,9 @@ LOST_AFTER_S = 0.05  # silence that ends a run: the device has ramped down long 
 LOST_AFTER_PERIODS = 3
 RING_SECONDS = 5.0
 RING_ROWS_MINIMUM = 4096
+SPIN_SHARE = (
+    0.6  # of a period; a thread that never sleeps is throttled by the kernel, for tens of milliseconds
+)
 
 Progress = Callable[[int, int], None]
 
@@ -91,13 +97,16 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         verified=request.verified,
     )
     echo = device.configure(parameters)
-    header = _header(device, request, controller, echo)
-    ring = Ring.allocate(max(RING_ROWS_MINIMUM, round(RING_SECONDS * experiment.controller.position_rate)))
     virtual = device.link.clock.virtual
-    with _signals_stop(ring) as signals:
+    with (
+        obtained(experiment.host, virtual=virtual) as realtime,
+        _ring(device, request) as ring,
+        stop_on_signals(ring) as signals,
+    ):
+        header = _header(device, request, controller, echo, realtime)
         with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
             try:
-                loop = _arm(device, experiment, controller, ring)
+                loop = _arm(device, request, controller, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
                 raise
@@ -107,9 +116,9 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             finally:
                 _bring_to_rest(device, loop)
             end = loop.end()
-            error = _conclude(device, end, ring, recorder)
+            error = _conclude(device, loop, end, recorder, realtime)
         path = _seal(request, device.link.truth(), error)
-    if error is None and signals:
+    if error is None and signals.seen:
         error = StoppedError("stopped after the trial had finished; the effort is zero")
     if error is not None:
         error.recording = path
@@ -117,7 +126,31 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     return TrialEnd(path, end.reason, end.counters)
 
 
-def _arm(device: FramedDevice, experiment: Experiment, controller: Controller, ring: Ring) -> LoopThread:
+def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
+    """The block that the loop, the recorder and, in real time, other processes of this user share."""
+    rate = request.experiment.controller.position_rate
+    info = {
+        "url": device.link.url.text,
+        "recording": str(request.recording.resolve()),
+        "pid": os.getpid(),
+        "experiment": as_mapping(request.experiment),
+        "current_quantum_a": device.dictionary.current_quantum_a,
+        "reference_count": request.reference_count,
+        "law": request.law is not None,  # the caller's own: its parameters are nobody else's to compute
+    }
+    rows = max(RING_ROWS_MINIMUM, round(RING_SECONDS * rate))
+    return Ring.allocate(rows, info=info, shared=not device.link.clock.virtual)
+
+
+def _arm(
+    device: FramedDevice,
+    request: TrialRequest,
+    controller: Controller,
+    ring: Ring,
+    realtime: Realtime,
+    signals: Signals,
+) -> LoopThread:
+    experiment, host, virtual = request.experiment, request.experiment.host, device.link.clock.virtual
     period_s = 1.0 / experiment.controller.position_rate
     settings = LoopSettings(
         period_ns=round(period_s * 1e9),
@@ -126,9 +159,22 @@ def _arm(device: FramedDevice, experiment: Experiment, controller: Controller, r
         lost_after_ns=round(max(LOST_AFTER_S, LOST_AFTER_PERIODS * period_s) * 1e9),
         device_tick_ps=round(device.dictionary.time_unit_ns * 1000),
         current_quantum_a=device.dictionary.current_quantum_a,
-        wait_for_room=device.link.clock.virtual,
+        wait_for_room=virtual,
+        host_paced=host.pacing == "host",
+        stop_when_late=host.overrun == "stop",
+        spin_ns=0 if virtual else round(min(host.spin_s, SPIN_SHARE * period_s) * 1e9),
+        wake_descriptor=signals.descriptor,
+        exchange_every_ns=exchange.EVERY_NS,
     )
-    return LoopThread(device.link, controller, settings, ring)
+    return LoopThread(
+        device.link,
+        controller,
+        settings,
+        ring,
+        realtime=realtime,
+        heartbeat_s=host.heartbeat_s,
+        nonce=device.nonce,
+    )
 
 
 def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
@@ -158,9 +204,11 @@ def _seal(request: TrialRequest, truth: NDArray[np.void] | None, error: RigError
         return request.recording
 
 
-def _conclude(device: FramedDevice, end: LoopEnd, ring: Ring, recorder: Recorder) -> RigError | None:
+def _conclude(
+    device: FramedDevice, loop: LoopThread, end: LoopEnd, recorder: Recorder, realtime: Realtime
+) -> RigError | None:
     """Hear the device's side, disarm it, close the recording; return the error that the ending means, if any."""
-    rows = ring.last_rows(BLACK_BOX_ROWS)
+    rows = loop.ring.last_rows(BLACK_BOX_ROWS)
     fault: FaultReport | None = None
     with suppress(
         Exception
@@ -172,38 +220,12 @@ def _conclude(device: FramedDevice, end: LoopEnd, ring: Ring, recorder: Recorder
             fault = device.fault_report()
         device.disarm(clear_fault=True)
     error = error_of(end, device.link.url.text, fault, rows)
-    recorder.finish(_trailer(end, fault, error))
+    recorder.finish(_trailer(loop, end, fault, error, realtime))
     return error
 
 
-@contextmanager
-def _signals_stop(ring: Ring) -> Iterator[list[int]]:
-    """Let Ctrl-C and SIGTERM stop the loop instead of raising here, as often as they come; yields those that came.
-
-    An exception in between, from the first or from a second signal, could cut short what brings the rig to rest.
-    Only the main thread gets signals; ignored ones stay ignored.
-    """
-    seen: list[int] = []
-
-    def stop(number: int, frame: object) -> None:
-        seen.append(number)
-        ring.put(STOP, 1)
-
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    taken = [number for number, handler in before.items() if handler not in (None, signal.SIG_IGN)]
-    try:
-        for number in taken:
-            signal.signal(number, stop)
-        yield seen
-    finally:
-        for number in taken:
-            signal.signal(number, before[number])
-
-
 def _header(
-    device: FramedDevice, request: TrialRequest, controller: Controller, echo: Echo
+    device: FramedDevice, request: TrialRequest, controller: Controller, echo: Echo, realtime: Realtime
 ) -> dict[str, Any]:
     experiment, dictionary = request.experiment, device.dictionary
     offset = device.clock_offset()
@@ -226,13 +248,21 @@ def _header(
         protocol=f"{MAJOR}.{MINOR}",
         initial_state=controller.as_mapping(),
         extra={"loop": "host", **request.extra},
+        host={"scheduling": realtime.report},
     )
 
 
-def _trailer(end: LoopEnd, fault: FaultReport | None, error: RigError | None) -> dict[str, Any]:
+def _trailer(
+    loop: LoopThread, end: LoopEnd, fault: FaultReport | None, error: RigError | None, realtime: Realtime
+) -> dict[str, Any]:
+    exchanges = loop.exchanges()
     return {
         "reason": end.reason.name.lower(),
         "error": None if error is None else str(error),
         "fault": None if fault is None else asdict(fault),
         "counters": end.counters,
+        "parameter_sets": loop.parameter_sets(),
+        "exchanges": exchanges.tolist(),
+        "clock": fit_clock(as_exchanges(exchanges)).as_mapping() if len(exchanges) else None,
+        "scheduling": realtime.report,
     }

@@ -12,8 +12,8 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,14 @@ from numpy.typing import NDArray
 from firmware_protocol.codec import STATE
 from rig import ring as words
 from rig.devices.device import Link
-from rig.loop.host import SETTINGS, Buffers, EndReason, run
+from rig.loop.host import run
+from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason
+from rig.mailbox import SET_FLOATS
 from rig.ring import Ring
 from rig.step import Controller
+
+if TYPE_CHECKING:
+    from rig.scheduling import Realtime
 
 POLL_S = 0.02
 JOIN_S = 5.0
@@ -40,6 +45,11 @@ class LoopSettings:
     device_tick_ps: int
     current_quantum_a: float
     wait_for_room: bool
+    host_paced: bool = False
+    stop_when_late: bool = False
+    spin_ns: int = 0
+    wake_descriptor: int = -1
+    exchange_every_ns: int = 0
 
     def as_array(self) -> NDArray[np.void]:
         """Return the length-1 array that the compiled loop reads."""
@@ -70,20 +80,53 @@ COUNTERS = {
     "commands": words.COMMANDS,
     "unsent": words.UNSENT,
     "late": words.LATE,
+    "skipped": words.SKIPPED,
+    "stale": words.STALE,
+    "overruns": words.OVERRUNS,
+    "exchanges": words.EXCHANGES,
+    "parameter_set": words.PARAMETER_SET,
     "errno": words.END_ERRNO,
 }
 
 
 class LoopThread:
-    """One run of the loop: `start`, `wait`, `finish`, `end`; `stop` from anywhere, any number of times."""
+    """One run of the loop: `start`, `wait`, `finish`, `end`; `stop` from anywhere, any number of times.
 
-    def __init__(self, link: Link, controller: Controller, settings: LoopSettings, ring: Ring) -> None:
+    Parameters
+    ----------
+    link, controller, settings, ring
+        The far end, the law, and the block that recorder and supervisor share with the loop.
+    realtime
+        Scheduling for the thread; None leaves it an ordinary one.
+    heartbeat_s
+        The loop ends when `wait` was not there for this long; 0: never, as in virtual time.
+    nonce
+        Nonce of the last transaction with the device.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        controller: Controller,
+        settings: LoopSettings,
+        ring: Ring,
+        *,
+        realtime: Realtime | None = None,
+        heartbeat_s: float = 0.0,
+        nonce: int = 0,
+    ) -> None:
         self.ring = ring
         self._link = link
         self._controller = controller
         self._settings = settings
+        self._realtime = realtime
+        self._heartbeat_ns = 0 if link.clock.virtual else round(heartbeat_s * 1e9)
         self._error: BaseException | None = None
         self._buffers = Buffers.allocate()
+        self._buffers.progress["nonce"] = nonce
+        if realtime is not None:
+            for array in (ring.buffer, *self._arrays()):
+                realtime.prefault(array)
         # Not Thread.join: interrupted by Ctrl-C, it forgets in Python 3.11 that the thread is still running.
         self._started = False
         self._ended = threading.Event()
@@ -92,6 +135,7 @@ class LoopThread:
     def start(self) -> None:
         """Start the thread."""
         self._started = True
+        self._live()
         self._thread.start()
 
     def stop(self) -> None:
@@ -104,8 +148,13 @@ class LoopThread:
         Whatever interrupts this, Ctrl-C or an exception of `progress`, the caller goes on with `finish`.
         """
         while not self._ended.wait(POLL_S):
+            self._live()
             if progress is not None:
                 progress(self.ring.get(words.TICKS), self.ring.get(words.PHASE))
+
+    def _live(self) -> None:
+        if self._heartbeat_ns:
+            self.ring.put(words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
 
     def finish(self) -> None:
         """Stop the loop if it still runs, and wait until it has ended. Cannot raise; Ctrl-C again changes nothing."""
@@ -122,6 +171,25 @@ class LoopThread:
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
         return LoopEnd(reason, failure, counters)
 
+    def exchanges(self) -> NDArray[np.int64]:
+        """The clock exchanges of the run: rows of four stamps (`rig.clock_fit.EXCHANGE`), oldest first."""
+        done = self.ring.get(words.EXCHANGES)
+        kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
+        return self._buffers.exchanges[kept]
+
+    def parameter_sets(self) -> list[dict[str, Any]]:
+        """Parameter sets that came in force during the run: number, first tick, wall position, the law's parameters."""
+        count = len(self._controller.law.parameters)
+        return [
+            {
+                "number": int(row[0]),
+                "tick": int(row[1]),
+                "wall_position": float(row[2]),
+                "parameters": row[3 : 3 + count].tolist(),
+            }
+            for row in self._buffers.sets[: int(self._buffers.progress[0]["sets"])]
+        ]
+
     def handover(self) -> dict[str, int] | None:
         """Where the streams stand after the loop: arguments of `rig.devices.framed.FramedDevice.take_back`.
 
@@ -134,11 +202,14 @@ class LoopThread:
             "next_command": int(progress["sequence"]),
             "newest_state": int(progress["answers"]),
             "state": int(self._buffers.state[STATE.state]),
+            "nonce": int(progress["nonce"]),
         }
 
     def _body(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
+            if self._realtime is not None:
+                self._realtime.enter_thread()
             run(*self._arguments())
         except Exception as error:
             # A law or an estimator of a user raised: the compiled loop is gone without its stop path. The
@@ -151,19 +222,18 @@ class LoopThread:
 
     def _arguments(self) -> tuple[Any, ...]:
         port = self._link.port()
-        buffers = self._buffers
         estimator, law = self._controller.estimator.estimator.update, self._controller.law.law.function
         return (
-            *(port.read, port.write, port.wait, port.now, estimator, law, port.handle, port.clock_handle),
+            *(port.read, port.write, port.wait, port.now, port.sleep),
+            *(estimator, law, port.handle, port.clock_handle),
             *(self._settings.as_array(), *self._controller.arguments()),
-            *(self.ring.words.ctypes.data, self.ring.rows),
-            *(
-                buffers.received,
-                buffers.raw,
-                buffers.transmit,
-                buffers.header,
-                buffers.candidate,
-                buffers.state,
-            ),
-            *(buffers.command, buffers.progress),
+            *(self.ring.words.ctypes.data, self._mailbox(), self.ring.rows),
+            *self._arrays(),
         )
+
+    def _mailbox(self) -> int:
+        """Address of the ring's mailbox; 0 for a law with more parameters than a set holds (a recorded excitation)."""
+        return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return tuple(getattr(self._buffers, field.name) for field in fields(Buffers))

@@ -472,7 +472,7 @@ def test_the_streams_go_on_where_the_loop_left_them():
     _, _, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
-    device.take_back(next_command=1234, newest_state=77, state=int(State.RUNNING))
+    device.take_back(next_command=1234, newest_state=77, state=int(State.RUNNING), nonce=9)
     assert device.connection.sequence_to_send(m.Command) == 1234
     assert device.connection.state is State.RUNNING
 
@@ -482,7 +482,7 @@ def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping():
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
-    device.take_back(next_command=3, newest_state=77, state=200)
+    device.take_back(next_command=3, newest_state=77, state=200, nonce=9)
     before = len(wire.sent)
     device.stop()
     assert len(wire.sent) == before + STOP_FRAMES

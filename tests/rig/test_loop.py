@@ -6,6 +6,7 @@ import ctypes
 import dataclasses
 import errno
 import os
+import signal
 import socket
 import sys
 import threading
@@ -30,9 +31,14 @@ from firmware_protocol.packing import pack, unpack
 from rig import controller, presets, ring, system
 from rig.clock import MonotonicClock, VirtualClock
 from rig.devices.device import LoopPort
+from rig.devices.framed import STOP_FRAMES
 from rig.laws import Law
-from rig.loop import host
-from rig.loop.host import DRIFT_PPM, PROGRESS, RECEIVE_BYTES, STOP_FRAMES, WRAP, Buffers, EndReason, run
+from rig.loop import receive
+from rig.loop.host import run
+from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReason
+from rig.loop.receive import WRAP
+from rig.loop.rows import DRIFT_PPM
+from rig.loop.rows import lateness as row_lateness
 from rig.loop.run import LoopSettings, LoopThread
 from rig.plugs import LAW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.ring import Ring
@@ -89,7 +95,21 @@ class Receiver:
         b.received[filled : filled + len(data)] = np.frombuffer(data, np.uint8)
         p[0]["filled"] = filled + len(data)
         words = self.ring.words.ctypes.data
-        return int(host.newest_state(b.received, b.raw, b.header, b.candidate, b.state, p, SESSION, words))
+        return int(
+            receive.newest_state(
+                b.received,
+                b.raw,
+                b.header,
+                b.candidate,
+                b.state,
+                b.times,
+                b.exchanges,
+                p,
+                SESSION,
+                62_500,
+                words,
+            )
+        )
 
     @property
     def counters(self) -> dict[str, int]:
@@ -237,7 +257,7 @@ def lateness(
         progress[0]["sample_index"] = number if indices is None else indices[number]
         if number == 0:
             progress[0]["earliest"] = receipt - progress[0]["sample_index"] * period_ns
-        late.append(int(host._lateness(settings, progress, receipt)))
+        late.append(int(row_lateness(settings, progress, receipt)))
     return late
 
 
@@ -334,13 +354,12 @@ class Script:
             callback = kind(function)
             return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value, signature, keep=callback)
 
-        return LoopPort(
+        return LoopPort.on(
+            self.clock,
             read=native(transfer, self._read, TRANSFER_SIGNATURE),
             write=native(transfer, self._write, TRANSFER_SIGNATURE),
             wait=native(wait, self._wait, WAIT_SIGNATURE),
             handle=0,
-            now=self.clock.now_plug,
-            clock_handle=self.clock.handle,
         )
 
     def failure(self):
@@ -599,8 +618,17 @@ def test_what_was_skipped_is_one_gap_that_the_law_is_told():
     assert rows["elapsed_ticks"].tolist() == [1, 6, 1, 1, 1, 1]
     assert rows["sample_index"].tolist() == [1, 7, 8, 9, 10, 11]
     assert ((rows["flags"] & int(RowFlag.GAP)) != 0).tolist() == [False, True, False, False, False, False]
-    assert end.counters["lost"] == 5
+    assert (end.counters["skipped"], end.counters["lost"]) == (5, 0)
     assert thread._controller.memory[0]["index"] == 10
+
+
+def test_samples_that_never_came_are_told_from_those_that_came_too_late():
+    """Of 3 … 7 the law sees the last; 3 and 5 were lost on the way, 4 and 6 waited in the line behind 7."""
+    late = b"".join(state_frame(k) for k in (4, 6, 7))
+    link = Script(*ticks(1, 3), (7 * PERIOD_NS, late), *ticks(8, 10))
+    thread, end = ran(link)
+    assert thread.ring.rows["elapsed_ticks"][:5].tolist() == [1, 1, 5, 1, 1]
+    assert (end.counters["skipped"], end.counters["lost"]) == (2, 2)
 
 
 def test_what_was_said_before_the_loop_began_is_no_gap():
@@ -662,6 +690,212 @@ def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for():
     assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
 
 
+# ---------------------------------------------------------------------- the host's own beat
+
+
+def test_a_host_paced_loop_wakes_on_its_own_grid_and_takes_the_newest_sample():
+    """Samples come 0.3 ms after the grid: each tick sees the one before it, 0.7 ms old."""
+    link = Script(*((at + 300_000, frame) for at, frame in ticks(0, 30)))
+    thread, end = ran(link, host_paced=True)
+    seen = thread.ring.rows[: end.counters["ticks"]]
+    assert seen["sample_index"].tolist() == list(range(30))
+    assert (seen["received_at"] % PERIOD_NS == 0).all()
+    assert (seen["lateness"] == 0).all()
+    assert end.reason == EndReason.LINK_SILENT
+    assert (end.counters["overruns"], end.counters["skipped"], end.counters["lost"]) == (0, 0, 0)
+    assert end.counters["stale"] == 50, "the ticks after the last sample, until the silence was too long"
+    assert_ends_with_stops(link)
+
+
+def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing():
+    slow = [(2 * PERIOD_NS * k + 1, state_frame(k)) for k in range(10)]
+    link = Script(*slow)
+    thread, end = ran(link, host_paced=True, lost_after_ns=5 * PERIOD_NS)
+    assert end.counters["ticks"] == end.counters["commands"] == 10
+    assert end.counters["stale"] == 9 + 5, "between the samples, and until the silence was too long"
+    assert thread.ring.rows["elapsed_ticks"][:10].tolist() == [1] * 10
+
+
+def busy(link, duration_ns):
+    """The host does something else meanwhile."""
+    return lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns)
+
+
+def delayed(duration_ns):
+    """Thirty samples; the host is away for a while after the tenth tick."""
+    link = Script()
+    link.events = sorted(
+        [*((at + 1, frame) for at, frame in ticks(0, 30)), (9 * PERIOD_NS + 2, None)],
+        key=lambda event: event[0],
+    )
+    link.events = [(at, busy(link, duration_ns) if what is None else what) for at, what in link.events]
+    return link
+
+
+def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for():
+    link = delayed(4_500_000)
+    thread, end = ran(link, host_paced=True)
+    seen = thread.ring.rows[: end.counters["ticks"]]
+    assert end.counters["overruns"] == 3
+    assert np.diff(seen["received_at"]).max() <= 6 * PERIOD_NS
+    assert (seen["received_at"] % PERIOD_NS <= 500_002).all(), "the grid is where it was"
+    assert np.diff(seen["received_at"]).min() > 0
+    assert end.counters["skipped"] + end.counters["lost"] == 29 - (len(seen) - 1)
+
+
+@pytest.mark.parametrize("host_paced", [False, True])
+def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_paced):
+    late = Script(*ticks(1, 20), (22 * PERIOD_NS, state_frame(20)), *ticks(22, 40))
+    link = delayed(2_500_000) if host_paced else late
+    thread, end = ran(link, host_paced=host_paced, stop_when_late=True)
+    assert end.reason == EndReason.OVERRUN
+    assert end.counters["late"] == 1
+    last = thread.ring.rows[end.counters["ticks"] - 1]
+    assert last["flags"] & RowFlag.LATE
+    assert (last["current_sent"], last["effort_sent"]) == (0, 0.0)
+    assert_ends_with_stops(link)
+
+
+def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire):
+    memory = Ring.allocate(4096)
+    changes = {"host_paced": True, "spin_ns": 100_000, "lost_after_ns": 5_000_000_000}
+    thread = LoopThread(wire, at_rest(), settings(**changes), memory)
+    thread.start()
+    for k in range(1, 40):
+        os.write(wire.theirs.fileno(), state_frame(k))
+        time.sleep(0.001)
+    until(lambda: memory.get(ring.TICKS) > 0)
+    thread.finish()
+    end = thread.end()
+    assert end.reason == EndReason.STOPPED
+    seen = memory.rows[: end.counters["ticks"]]
+    assert (seen["lateness"] >= 0).all(), "never early"
+    beat = (seen["received_at"] - seen["lateness"]) % PERIOD_NS
+    assert np.ptp(beat) < 500_000, "all on one grid, but for what passes between waking and reading"
+
+
+# ---------------------------------------------------------------------- signals
+
+
+def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire):
+    """The interpreter's C handler writes the number of a signal to a descriptor; nobody needs the GIL."""
+    reader, writer = os.pipe2(os.O_NONBLOCK)
+    memory = Ring.allocate(4096)
+    thread = LoopThread(
+        wire, at_rest(), settings(lost_after_ns=60_000_000_000, wake_descriptor=reader), memory
+    )
+    thread.start()
+    try:
+        os.write(writer, bytes([signal.SIGCHLD, signal.SIGWINCH]))
+        wire.theirs.send(state_frame(1))
+        until(lambda: memory.get(ring.TICKS) == 1)
+        assert memory.get(ring.STOP) == 0
+        os.write(writer, bytes([signal.SIGCHLD, signal.SIGTERM]))
+        thread.wait()
+    finally:
+        thread.finish()
+        os.close(reader)
+        os.close(writer)
+    assert thread.end().reason == EndReason.STOPPED
+    assert memory.get(ring.STOP) == 1
+
+
+# ---------------------------------------------------------------------- clocks compared
+
+
+class Answering(Script):
+    """A far end that also answers GET_TIME, `delay` later, on a clock of its own."""
+
+    offset_units = 1_000_000
+    delay_ns = 200_000
+
+    def _write(self, handle, address, size):
+        taken = super()._write(handle, address, size)
+        header, message = unpack(decode_frame(self.heard[-1][1][:-1]))
+        if isinstance(message, m.GetTime):
+            received = self.clock.now_ns() * 16 // 1000 + self.offset_units
+            answer = m.Time(message.nonce, message.host_sent, received, received + 16)
+            at = self.clock.now_ns() + self.delay_ns
+            self.events.append((at, encode_frame(pack(answer, session=header.session))))
+            self.events.sort(key=lambda event: event[0])
+        return taken
+
+
+def test_clocks_are_compared_on_the_way_with_four_stamps():
+    link = Answering(*((at + 500_000, frame) for at, frame in ticks(1, 100)))
+    thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
+    exchanges = thread.exchanges()
+    assert end.counters["exchanges"] == len(exchanges) >= 9
+    assert (exchanges[:, 3] - exchanges[:, 0] == 200_000).all()
+    offset_ns = link.offset_units * 62_500 // 1000
+    assert (np.abs(exchanges[:, 1] - exchanges[:, 0] - offset_ns) <= 63).all()
+    assert (exchanges[:, 2] - exchanges[:, 1] == 1000).all()
+    questions = [message for _, message in link.commands() if isinstance(message, m.GetTime)]
+    assert [question.nonce for question in questions] == list(range(1, len(questions) + 1))
+    assert thread.handover()["nonce"] == len(questions)
+    assert end.counters["other_frames"] == 0
+
+
+def test_an_answer_that_comes_too_late_or_twice_is_no_exchange():
+    link = Answering(*ticks(1, 60))
+    link.delay_ns = 15 * PERIOD_NS
+    thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
+    questions = [message for _, message in link.commands() if isinstance(message, m.GetTime)]
+    assert end.counters["other_frames"] == len(questions) - 1 > 3
+    assert thread.exchanges()[:, 0].tolist() == [questions[-1].host_sent], "nothing was asked after this one"
+
+
+# ---------------------------------------------------------------------- parameters on the way
+
+
+def rows_of(thread):
+    return thread.ring.rows[: thread.ring.get(ring.TICKS)]
+
+
+def new_wall(bundle, *, position, stiffness):
+    values = np.concatenate([[position], bundle.law.parameters])
+    values[1] = stiffness
+    return values
+
+
+def test_parameters_come_in_force_between_two_ticks_and_only_in_free_space():
+    """Pressed into the wall until tick 20: the new wall waits, and the newest of two is taken."""
+    bundle = at_rest()
+    memory = Ring.allocate(4096)
+    soft, hard = new_wall(bundle, position=0.0, stiffness=1.0), new_wall(bundle, position=0.0, stiffness=2.0)
+    link = Script(
+        *ticks(1, 20, count=3),
+        *ticks(20, 30, count=-3),
+        *ticks(30, 40, count=3),
+        (5 * PERIOD_NS + 1, lambda: memory.post(soft)),
+        (7 * PERIOD_NS + 1, lambda: memory.post(hard)),
+    )
+    thread, end = ran(link, bundle, memory=memory)
+    seen = rows_of(thread)
+    assert seen["parameter_set"].tolist() == [0] * 19 + [2] * 20
+    stiffness = seen["effort_wall"] / -np.where(seen["penetration"] > 0.0, seen["penetration"], np.nan)
+    assert np.isnan(stiffness[19:29]).all()
+    assert end.counters["parameter_set"] == memory.get(ring.PARAMETER_SET) == 2
+    (kept,) = thread.parameter_sets()
+    assert (kept["number"], kept["tick"], kept["wall_position"]) == (2, 19, 0.0)
+    assert kept["parameters"] == hard[1:].tolist()
+
+
+def test_a_wall_never_appears_around_the_handle():
+    """The handle rests at −3 counts: a wall that would begin below it waits, whatever its stiffness."""
+    bundle = at_rest()
+    memory = Ring.allocate(4096)
+    below = -10 * float(bundle.control["resolution"][0])
+    link = Script(
+        *ticks(1, 20, count=-3),
+        (5 * PERIOD_NS + 1, lambda: memory.post(new_wall(bundle, position=below, stiffness=9.0))),
+    )
+    thread, _ = ran(link, bundle, memory=memory)
+    assert (rows_of(thread)["parameter_set"] == 0).all()
+    assert thread.parameter_sets() == []
+    assert thread._buffers.progress[0]["waiting_set"] == 1
+
+
 # ---------------------------------------------------------------------- one text for every link
 
 
@@ -675,13 +909,12 @@ class Socket:
         self.clock = MonotonicClock()
 
     def port(self):
-        return LoopPort(
+        return LoopPort.on(
+            self.clock,
             read=system.descriptor_read,
             write=system.descriptor_write,
             wait=system.descriptor_wait,
             handle=self.ours.fileno(),
-            now=self.clock.now_plug,
-            clock_handle=self.clock.handle,
         )
 
     def failure(self):
@@ -747,7 +980,7 @@ def test_the_loop_needs_no_python_while_it_runs(wire):
         for k in range(2, 60):
             os.write(wire.theirs.fileno(), state_frame(k))
         ctypes.PyDLL(None).usleep(300_000)
-        stepped = memory.get(ring.TICKS), memory.get(ring.LOST)
+        stepped = memory.get(ring.TICKS), memory.get(ring.SKIPPED)
     finally:
         sys.setswitchinterval(interval)
         thread.finish()
@@ -802,7 +1035,7 @@ def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wi
 
 
 def test_settings_and_buffers_have_the_fields_that_the_loop_reads():
-    assert {field.name for field in dataclasses.fields(LoopSettings)} == set(host.SETTINGS.names)
+    assert {field.name for field in dataclasses.fields(LoopSettings)} == set(SETTINGS.names)
     buffers = Buffers.allocate()
     assert len(buffers.state) == len(STATE)
     assert len(buffers.header) == len(HEAD)

@@ -96,7 +96,7 @@ def test_an_encoder_that_counts_down_replays_exactly(tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "counter"),
-    [(Kind.DROP, "lost"), (Kind.DUPLICATE, "duplicated"), (Kind.REORDER, "reordered"), (Kind.DELAY, "lost")],
+    [(Kind.DROP, "lost"), (Kind.DUPLICATE, "duplicated"), (Kind.REORDER, "reordered"), (Kind.DELAY, "skipped")],
 )
 def test_gaps_replay_exactly(kind, counter, tmp_path):
     """Every seventh sample of the push is struck: the gaps are inputs of the law and stand in the rows."""

@@ -43,7 +43,7 @@ from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import as_trailer, judge
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.laws import Law
-from rig.loop.host import EndReason
+from rig.loop.layout import EndReason
 from rig.loop.run import COUNTERS, LoopEnd, LoopThread
 from rig.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording

@@ -20,7 +20,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.kernel import kernel
 from rig import config, presets
-from rig.devices.framed import FramedDevice
+from rig.devices.framed import STOP_FRAMES, FramedDevice
 from rig.errors import (
     DeviceFaultError,
     DeviceRefusedError,
@@ -33,7 +33,6 @@ from rig.errors import (
 )
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.laws import Law
-from rig.loop.host import STOP_FRAMES
 from rig.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from rig.sample import Phase, RowFlag

@@ -1,0 +1,80 @@
+"""The two clocks compared while the loop runs: GET_TIME now and then, behind a COMMAND, and its TIME when it comes.
+
+Four stamps make an exchange: the host's at sending, the device's at receipt and at sending, the host's at receipt.
+They are kept as they are; what follows from them is `rig.clock_fit`'s to say.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from firmware_protocol import codec
+from firmware_protocol.codec import GET_TIME, TIME
+from firmware_protocol.kernel import kernel
+from rig import ring
+from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, SETTINGS_TYPE, WORD
+from rig.plugs import NOW, TRANSFER
+from rig.words import load_word, store_word
+
+EVERY_NS = 91_000_000  # some eleven a second; no multiple of a usual period, so that no beat hides a delay
+
+
+@kernel(types.int64(types.int64, types.int64))
+def device_ns(ticks: int, device_tick_ps: int) -> int:
+    """Device time in ns, without overflow for some hundred years."""
+    return ticks // 1000 * device_tick_ps + ticks % 1000 * device_tick_ps // 1000
+
+
+@kernel(types.int64(TRANSFER, NOW, types.int64, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, INTS, BYTES))
+def ask_time(
+    write: Any, now: Any, link: int, clock: int, settings: Any, progress: Any, question: Any, transmit: Any
+) -> int:
+    """Send a GET_TIME when it is time for one: 0, or the negative errno of a broken link.
+
+    An answer that has not come by the next question is given up.
+    """
+    s, p = settings[0], progress[0]
+    asked_at = now(clock)
+    if s["exchange_every_ns"] == 0 or asked_at - p["asked_at"] < s["exchange_every_ns"]:
+        return 0
+    p["nonce"] = (p["nonce"] + 1) % 65536
+    p["asked_at"] = asked_at
+    question[GET_TIME.nonce] = p["nonce"]
+    question[GET_TIME.host_sent] = asked_at
+    size = codec.encode_get_time(s["session"], p["nonce"], question, transmit)
+    if size < 0:
+        return 0
+    sent = write(link, np.int64(transmit.ctypes.data), size)
+    p["asking"] = 1 if sent == size else 0
+    return int(min(sent, 0))
+
+
+@kernel(types.int64(BYTES, types.int64, INTS, INTS, INT_ROWS, PROGRESS_TYPE, types.int64, types.uintp))
+def take_time(
+    raw: Any,
+    length: int,
+    header: Any,
+    times: Any,
+    exchanges: Any,
+    progress: Any,
+    device_tick_ps: int,
+    words: int,
+) -> int:
+    """Keep a frame if it is the TIME that is awaited; return 1 then, else 0."""
+    p = progress[0]
+    if p["asking"] == 0 or codec.decode_time(raw, length, header, times) != 0:
+        return 0
+    if times[TIME.nonce] != p["nonce"]:
+        return 0
+    p["asking"] = 0
+    done = load_word(words + WORD * ring.EXCHANGES)
+    place = done % len(exchanges)
+    exchanges[place, 0] = times[TIME.host_sent]
+    exchanges[place, 1] = device_ns(times[TIME.device_received], device_tick_ps)
+    exchanges[place, 2] = device_ns(times[TIME.device_sent], device_tick_ps)
+    exchanges[place, 3] = p["read_at"]
+    store_word(words + WORD * ring.EXCHANGES, done + 1)
+    return 1

@@ -1,0 +1,145 @@
+"""What the compiled loop reads and writes besides the ring: settings, what it remembers of the link, its buffers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numba
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol import codec
+from firmware_protocol.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
+from rig.mailbox import SET_FLOATS
+from rig.sample import ROW
+
+
+class EndReason(IntEnum):
+    """Why the loop ended."""
+
+    RUNNING = 0
+    FINISHED = 1  # all phases done
+    STOPPED = 2  # somebody set the stop word, or a signal came
+    HEARTBEAT_MISSED = 3  # the supervisor fell silent
+    LINK_CLOSED = 4  # the port is gone (END_ERRNO says why)
+    LINK_SILENT = 5  # no fresh sample for too long
+    DEVICE_FAULT = 6  # the device latched a fault
+    NONFINITE = 7  # law or estimator gave NaN or infinity
+    OUT_OF_WINDOW = 8  # position window or speed limit
+    HOMING_FAILED = 9  # the start was not reached in time
+    LAW_RAISED = 10  # law or estimator raised an exception (set by the caller)
+    OVERRUN = 11  # a tick came more than one period late, and the settings say that this ends the run
+
+
+SETTINGS = np.dtype(
+    [
+        ("period_ns", "<i8"),
+        ("session", "<i8"),
+        ("lifetime_us", "<i8"),  # of every command: the device's watchdog
+        ("lost_after_ns", "<i8"),  # silence that ends the run
+        ("device_tick_ps", "<i8"),  # unit of the device's clock
+        ("current_quantum_a", "<f8"),
+        # 1: wait for the recorder when the ring is full (virtual time); 0: drop, count
+        ("wait_for_room", "<i8"),
+        ("host_paced", "<i8"),  # 1: wake on the host's own grid; 0: on each sample
+        ("stop_when_late", "<i8"),  # 1: a tick more than one period late ends the run
+        ("spin_ns", "<i8"),  # host-paced: the last part of each wait, awake
+        ("wake_descriptor", "<i8"),  # where signals are written (signal.set_wakeup_fd), or -1
+        ("exchange_every_ns", "<i8"),  # time between clock exchanges, or 0 for none
+    ],
+    align=True,
+)
+
+# What the loop remembers of the link, one row: sequence numbers and the two clocks extended to 64 bits.
+PROGRESS = np.dtype(
+    [
+        ("filled", "<i8"),  # bytes of an unfinished frame at the front of the receive buffer
+        ("started", "<i8"),
+        ("answers", "<i8"),  # header sequence of the newest STATE
+        ("sequence", "<i8"),  # of the next COMMAND
+        ("sample_index", "<i8"),
+        ("device_time", "<i8"),  # device ticks
+        ("earliest", "<i8"),  # least receipt time minus its place on the grid (ns)
+        ("read_at", "<i8"),  # host time when the link was last read (ns)
+        ("last_fresh", "<i8"),  # host time of the newest fresh sample (ns)
+        ("fresh", "<i8"),  # samples taken from the link at the last reading
+        ("deadline", "<i8"),  # host-paced: the grid point of this tick (ns)
+        ("late", "<i8"),  # this tick behind its grid (ns)
+        ("nonce", "<i8"),  # of the last clock exchange
+        ("asking", "<i8"),  # 1 while its answer is awaited
+        ("asked_at", "<i8"),  # host time of the last question (ns)
+        ("parameter_set", "<i8"),  # in force
+        ("waiting_set", "<i8"),  # taken from the mailbox, not yet in force; 0 for none
+        ("sets", "<i8"),  # parameter sets that came in force during the run
+    ],
+    align=True,
+)
+
+RECEIVE_BYTES = 4096
+EXCHANGES_KEPT = 8192  # twelve minutes; a longer run keeps the newest
+SETS_KEPT = 256  # parameter sets in one run; more are not taken, because a replay would lack them
+WORD = 8
+
+FLOATS, INTS, BYTES = types.float64[::1], types.int64[::1], types.uint8[::1]
+INT_ROWS, FLOAT_ROWS = types.int64[:, ::1], types.float64[:, ::1]
+SETTINGS_TYPE = types.Array(numba.from_dtype(SETTINGS), 1, "C")
+PROGRESS_TYPE = types.Array(numba.from_dtype(PROGRESS), 1, "C")
+ROWS_TYPE = types.Array(numba.from_dtype(ROW), 1, "C")
+
+
+@dataclass(frozen=True, slots=True)
+class Buffers:
+    """Everything the loop writes into besides the ring: allocated once, since the loop allocates nothing.
+
+    Attributes
+    ----------
+    received, raw, transmit
+        Bytes from the link, a decoded frame, a frame to send.
+    header, candidate, state, command, question, times
+        Values of a frame's header, of a STATE that just came, the newest STATE, COMMAND, GET_TIME and TIME.
+    exchanges
+        The four stamps of each clock exchange (ns), the newest `EXCHANGES_KEPT` of them.
+    waiting
+        Parameter set that waits to come in force: wall position, then the law's parameters.
+    sets
+        Each set that came in force: its number, the tick, its values.
+    progress
+        `PROGRESS`.
+    """
+
+    received: NDArray[np.uint8]
+    raw: NDArray[np.uint8]
+    transmit: NDArray[np.uint8]
+    header: NDArray[np.int64]
+    candidate: NDArray[np.int64]
+    state: NDArray[np.int64]
+    command: NDArray[np.int64]
+    question: NDArray[np.int64]
+    times: NDArray[np.int64]
+    exchanges: NDArray[np.int64]
+    waiting: NDArray[np.float64]
+    sets: NDArray[np.float64]
+    progress: NDArray[np.void]
+
+    @classmethod
+    def allocate(cls) -> Buffers:
+        """Make them, zeroed, before the first sample."""
+        progress = np.zeros(1, PROGRESS)
+        progress["earliest"] = 1 << 62
+        return cls(
+            received=np.zeros(RECEIVE_BYTES, np.uint8),
+            raw=np.zeros(codec.RAW_BYTES, np.uint8),
+            transmit=np.zeros(codec.FRAME_BYTES, np.uint8),
+            header=np.zeros(len(HEAD), np.int64),
+            candidate=np.zeros(len(STATE), np.int64),
+            state=np.zeros(len(STATE), np.int64),
+            command=np.zeros(len(COMMAND), np.int64),
+            question=np.zeros(len(GET_TIME), np.int64),
+            times=np.zeros(len(TIME), np.int64),
+            exchanges=np.zeros((EXCHANGES_KEPT, 4), np.int64),
+            waiting=np.zeros(SET_FLOATS, np.float64),
+            sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
+            progress=progress,
+        )

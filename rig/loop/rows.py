@@ -1,0 +1,129 @@
+"""One tick as one row: what arrived, what the law made of it, and when."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.codec import STATE
+from firmware_protocol.kernel import kernel
+from rig import ring
+from rig.loop.exchange import device_ns
+from rig.loop.layout import INTS, PROGRESS_TYPE, ROWS_TYPE, SETTINGS_TYPE, WORD
+from rig.loop.receive import WRAP, add
+from rig.sample import RowFlag
+from rig.step import CONTROL_TYPE, MEMORY_TYPE
+from rig.system import monotonic_now, sleep_until
+from rig.words import load_word, store_word
+
+DRIFT_PPM = 100  # the host's grid may stretch by this much against the device's: two ordinary crystals
+ROOM_POLL_NS = 50_000
+FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
+
+
+@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
+def lateness(settings: Any, progress: Any, received_ns: int) -> int:
+    """Device-paced: receipt behind the grid of the sample index, against the earliest receipt so far (ns)."""
+    p = progress[0]
+    offset = received_ns - p["sample_index"] * settings[0]["period_ns"]
+    stretched = p["earliest"] + settings[0]["period_ns"] * DRIFT_PPM // 1_000_000
+    p["earliest"] = min(offset, stretched)
+    return int(offset - p["earliest"])
+
+
+@kernel(types.int64(types.uintp, types.int64, types.int64))
+def room(words: int, capacity: int, wait_for_room: int) -> int:
+    """Slot for the next row, or -1 when the ring is full and must not be waited for."""
+    head = load_word(words + WORD * ring.HEAD)
+    while head - load_word(words + WORD * ring.TAIL) >= capacity:
+        if wait_for_room == 0 or load_word(words + WORD * ring.RECORDER_ERROR) != 0:
+            add(words, ring.DROPPED, 1)
+            return -1
+        sleep_until(monotonic_now(0) + ROOM_POLL_NS)
+    return int(head % capacity)
+
+
+@kernel(types.int64(PROGRESS_TYPE, INTS, SETTINGS_TYPE))
+def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
+    """Age of the last encoder edge at the sample; the device's clock wraps, so an age is a difference."""
+    ticks = (progress[0]["device_time"] - state[STATE.edge_time]) % WRAP
+    return int(ticks * settings[0]["device_tick_ps"] // 1000)
+
+
+@kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
+def show_law(rows: Any, slot: int, memory: Any) -> None:
+    """Put what `step` left in its memory into a row: all that a replay computes anew."""
+    r, m = rows[slot], memory[0]
+    r["phase"] = m["phase"]
+    r["position"] = m["position"]
+    r["velocity"] = m["velocity"]
+    r["estimator_window"] = m["window"]
+    r["penetration"] = m["penetration"]
+    r["effort_wall"] = m["effort_wall"]
+    r["effort_wanted"] = m["effort_wanted"]
+    r["effort_sent"] = m["effort_sent"]
+    r["current_sent"] = m["current_sent"]
+    r["flags"] = m["flags"]
+
+
+@kernel(
+    types.void(
+        types.uintp, ROWS_TYPE, types.int64, types.int64, types.int64, types.int64, types.int64,
+        INTS, PROGRESS_TYPE, SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE,
+    )
+)  # fmt: skip
+def leave_row(
+    words: int, rows: Any, tick: int, elapsed: int, received_ns: int, computed_ns: int, sent_ns: int,
+    state: Any, progress: Any, settings: Any, control: Any, memory: Any,
+) -> None:  # fmt: skip
+    """Put one row of `rig.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
+
+    The effort in force follows from the current in force.
+    """
+    slot = room(words, len(rows), settings[0]["wait_for_room"])
+    if slot < 0:
+        return
+    r, p, s = rows[slot], progress[0], settings[0]
+    quantum = control[0]["effort_quantum"]
+    r["tick"] = tick
+    r["sample_index"] = p["sample_index"]
+    r["elapsed_ticks"] = elapsed
+    r["host_time"] = received_ns
+    r["device_time"] = device_ns(p["device_time"], s["device_tick_ps"])
+    r["lateness"] = p["late"]
+    r["count"] = state[STATE.count]
+    r["edge_age"] = edge_age_ns(progress, state, settings)
+    r["effort_applied"] = state[STATE.current_commanded] * quantum
+    r["current_applied"] = state[STATE.current_commanded]
+    r["current_measured"] = state[STATE.current_measured] * s["current_quantum_a"]
+    r["command_age"] = state[STATE.command_age]
+    r["command_sequence"] = (p["sequence"] - 1) % 65536
+    r["command_in_force"] = state[STATE.command_sequence]
+    r["parameter_set"] = p["parameter_set"]
+    r["limits"] = state[STATE.limits]
+    r["fault"] = state[STATE.fault]
+    r["device_state"] = state[STATE.state]
+    r["inputs"] = state[STATE.inputs]
+    r["missed_ticks"] = state[STATE.missed_ticks]
+    r["execution_time"] = state[STATE.execution_time] * s["device_tick_ps"] // 1000
+    show_law(rows, slot, memory)
+    r["received_at"] = received_ns
+    r["computed_at"] = computed_ns
+    r["sent_at"] = sent_ns
+    r["sampled_at"] = 0  # sealing fills these two in, when the clocks can be compared
+    r["applied_at"] = 0
+    store_word(words + WORD * ring.HEAD, load_word(words + WORD * ring.HEAD) + 1)
+
+
+@kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
+def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: int) -> None:
+    """Flag and count lateness and gaps of this tick: samples that never came apart from those that came too late."""
+    if progress[0]["late"] > settings[0]["period_ns"]:
+        memory[0]["flags"] |= FLAG_LATE
+        add(words, ring.LATE, 1)
+    if elapsed > 1:
+        memory[0]["flags"] |= FLAG_GAP
+        skipped = progress[0]["fresh"] - 1
+        add(words, ring.SKIPPED, skipped)
+        add(words, ring.LOST, elapsed - 1 - skipped)
