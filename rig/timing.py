@@ -8,9 +8,9 @@ sampled   the device read its encoder: device time through the clock fit
 received  the loop had the STATE
 computed  the law had its effort
 sent      the link had taken the COMMAND
-applied   the COMMAND was in force: device time of sample k − a, where STATE k is the first that names the COMMAND
-          as the one in force, and a is the age that it gives. A device tells in which of its ticks a COMMAND came,
-          not when, so this may be up to a tick before the COMMAND came, and even before it was sent
+applied   the COMMAND was in force, at the earliest: device time of sample k − a, where STATE k is the first that names
+          it as the one in force, and a is the age that it gives; or when it was sent, if that is later. A device
+          tells in which of its ticks a COMMAND came, not when: it may have been up to a tick later
 ========  =====================================================================================================
 
 Sampled and applied carry the errors of the clock fit, with opposite signs in the two transports; the whole way, from
@@ -82,6 +82,8 @@ class Ledger:
         Samples that the law did not see.
     never_in_force
         Commands that no STATE named though a later one came in force; among them those that were overtaken.
+    within_tick
+        Commands sent after the sample from which they count, so that the time of sending stands as applied.
     unanswered
         Commands behind the last one known in force: the recording ends before the device could tell.
     period_ns
@@ -104,6 +106,7 @@ class Ledger:
     passed_over: int
     never_in_force: int
     unanswered: int
+    within_tick: int
     period_ns: float
     clock: ClockFit | None
     clock_sd_ns: float | None
@@ -170,7 +173,7 @@ class TimingSummary:
         Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
     counts
         Late, skipped, lost, stale and so on, apart; None where the loop did not say.
-    never_in_force, unanswered, passed_over
+    never_in_force, unanswered, passed_over, within_tick
         As in `Ledger`.
     clock
         The fit, or None.
@@ -188,6 +191,7 @@ class TimingSummary:
     never_in_force: int
     unanswered: int
     passed_over: int
+    within_tick: int
     clock: ClockFit | None
     clock_sd_ns: float | None
 
@@ -211,26 +215,34 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float) -> Le
     received = _column(rows, "received_at")
     shown_at, never, unanswered = _in_force(rows)
     sampled, applied = np.zeros_like(received), np.zeros_like(received)
-    clock_sd = None
+    sent = _column(rows, "sent_at")
+    clock_sd, within_tick = None, 0
     if fit is not None and len(rows):
         device = device_times(rows["device_time"], fit, int(received[0]))
         sampled = fit.host_of(device)
+        clock_sd = float(fit.sd_of(device[[0, -1]]).max())
         known = shown_at >= 0
         applied[known] = fit.host_of(_came_in_force(rows, device, shown_at[known], period_ns))
-        clock_sd = float(fit.sd_of(device[[0, -1]]).max())
+        doubt_ns = 3.0 * clock_sd + fit.asymmetry_bound_ns
+        early = (
+            known & (applied < sent) & (sent - applied <= period_ns + doubt_ns)
+        )  # else the clocks are wrong: show it
+        applied[early] = sent[early]
+        within_tick = int(np.count_nonzero(early))
     return Ledger(
         tick=_column(rows, "tick"),
         sample_index=_column(rows, "sample_index"),
         sampled=sampled,
         received=received,
         computed=_column(rows, "computed_at"),
-        sent=_column(rows, "sent_at"),
+        sent=sent,
         applied=applied,
         lateness=_column(rows, "lateness"),
         late=(rows["flags"] & int(RowFlag.LATE)) != 0,
         passed_over=int((rows["elapsed_ticks"] - 1).sum()),
         never_in_force=never,
         unanswered=unanswered,
+        within_tick=within_tick,
         period_ns=period_ns,
         clock=fit,
         clock_sd_ns=clock_sd,
@@ -265,6 +277,7 @@ def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSumma
         never_in_force=ledger.never_in_force,
         unanswered=ledger.unanswered,
         passed_over=ledger.passed_over,
+        within_tick=ledger.within_tick,
         clock=ledger.clock,
         clock_sd_ns=ledger.clock_sd_ns,
     )
