@@ -22,6 +22,7 @@ from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.files import whole_file
 from rig.recording.header import dtype_of, make_schema
+from rig.recording.ledger import with_ledger
 from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.reader import open_recording
 from rig.sample import TRUTH_COLUMNS
@@ -36,9 +37,9 @@ def seal(
     extra_trailer: Mapping[str, Any] | None = None,
     keep_capture: bool = False,
 ) -> Path:
-    """Turn a capture into Parquet beside it, and remove the capture.
+    """Turn a capture into Parquet beside it, with its latency ledger filled in, and remove the capture.
 
-    Without pyarrow the capture is kept (and takes up the truth and the longer trailer, unless it is damaged
+    Without pyarrow the capture is kept (and takes up ledger, truth and the longer trailer, unless it is damaged
     or was cut off), and a warning is logged.
 
     Parameters
@@ -64,13 +65,14 @@ def seal(
         not equal. The capture is then untouched.
     """
     capture = Path(capture)
-    recording = open_recording(capture)
+    opened = open_recording(capture)
+    recording = with_ledger(opened)
     sealed = recording if truth is None else with_truth(recording, truth)
     if extra_trailer:
         sealed = replace(sealed, trailer={**(sealed.trailer or {}), **plain(extra_trailer)})
     if not has_pyarrow():
         _log.warning("pyarrow is not installed: %s stays a capture", capture)
-        if sealed is not recording and recording.complete and not recording.lost:
+        if sealed is not opened and recording.complete and not recording.lost:
             with whole_file(capture, overwrite=True, check=partial(_require_equal, sealed)) as file:
                 write_capture(file, sealed)
         return capture

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from rig.clock_fit import ClockFit
 from rig.errors import RecordingError
 from rig.recording import seal as seal_module
 from rig.recording.capture import write_capture
@@ -22,7 +23,10 @@ from rig.recording.parquet import write_parquet
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal, with_truth
 from rig.sample import COLUMNS, TRUTH_COLUMNS
+from rig.timing import NO_AGE
 from tests.conformance.recording import example_header, example_rows, example_truth
+
+CLOCK = ClockFit(10_000, 5_000_000, -40.0, 12.5, 0.25, 900, 1_800, 0.1, 7.0, 10**9, 20, 2)
 
 
 @pytest.fixture
@@ -51,6 +55,63 @@ def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording:
     assert found.rows.dtype == recording.rows.dtype
     assert found.rows.tobytes() == recording.rows.tobytes()
     assert (found.header, found.trailer, found.complete) == (recording.header, recording.trailer, True)
+
+
+def timed(**trailer: Any) -> Recording:
+    """Fifty ticks of a millisecond, of which each command came in force with the next sample."""
+    rows = example_rows(50)
+    number = np.arange(50)
+    rows["tick"], rows["sample_index"], rows["elapsed_ticks"], rows["flags"] = number, 100 + number, 1, 0
+    rows["device_time"] = 10_000 + number * 1_000_000
+    rows["received_at"] = rows["device_time"] + 5_080_000
+    rows["computed_at"], rows["sent_at"] = rows["received_at"] + 2_000, rows["received_at"] + 9_000
+    rows["lateness"] = rows["sampled_at"] = rows["applied_at"] = 0
+    rows["command_sequence"], rows["command_in_force"] = number, np.maximum(number - 2, 0)
+    rows["command_age"] = np.where(number < 2, NO_AGE, 1)
+    trailer = {"reason": "finished", "counters": {"late": 3, "stale": 1}, **trailer}
+    return Recording(example_header(experiment={"controller": {"position_rate": 1000}}), rows, trailer)
+
+
+def test_the_ledger_is_filled_in_where_clocks_were_compared(tmp_path: Path) -> None:
+    recording = timed(clock=CLOCK.as_mapping())
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    device = recording.rows["device_time"]
+    assert found.column("sampled_at").tolist() == CLOCK.host_of(device).tolist()
+    assert found.column("applied_at").tolist() == [*CLOCK.host_of(device[1:-1]).tolist(), 0, 0]
+    for name in recording.names:
+        if name not in ("sampled_at", "applied_at"):
+            assert found.column(name).tobytes() == recording.column(name).tobytes()
+    assert found.trailer is not None
+    timing = found.trailer["timing"]
+    assert timing["stages"]["law"]["quantiles"]["p50"]["value"] == 2_000
+    assert timing["stages"]["transport_in"]["maximum"] == pytest.approx(80_000, abs=2_100)
+    assert (timing["counts"]["late"], timing["counts"]["stale"], timing["counts"]["lost"]) == (3, 1, None)
+    assert timing["clock"] == CLOCK.as_mapping()
+    assert found.trailer["clock"] == CLOCK.as_mapping()
+
+
+def test_a_ledger_sealed_twice_or_after_a_crash_is_the_same(tmp_path: Path) -> None:
+    recording = timed(clock=CLOCK.as_mapping())
+    files = [seal(write(tmp_path / f"{run}.rigcap", recording), keep_capture=True) for run in range(2)]
+    before = files[0].read_bytes()
+    assert files[1].read_bytes() == before
+    assert seal(tmp_path / "0.rigcap").read_bytes() == before
+
+
+def test_without_a_clock_nothing_is_added(tmp_path: Path) -> None:
+    recording = timed()
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert found.trailer == recording.trailer
+
+
+def test_a_clock_that_makes_no_sense_costs_the_ledger_and_not_the_recording(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    recording = timed(clock={"drift_ppm": "much"})
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert "the latency ledger stays empty" in caplog.text
 
 
 def test_equal_captures_give_equal_bytes(tmp_path: Path, recording: Recording) -> None:

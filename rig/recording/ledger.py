@@ -1,0 +1,81 @@
+"""The latency ledger of a recording: its two fitted columns, and its summary."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.clock_fit import ClockFit
+from rig.errors import RecordingError, RigError
+from rig.recording.canonical import plain
+from rig.recording.data import Recording
+from rig.timing import NEEDED, Ledger, ledger, summarise
+
+CLOCK_KEY = "clock"  # of the trailer: `rig.clock_fit.ClockFit.as_mapping`
+TIMING_KEY = "timing"  # of the trailer: `rig.timing.TimingSummary.as_mapping`
+FITTED = ("sampled_at", "applied_at")
+
+_log = logging.getLogger(__name__)
+
+
+def with_ledger(recording: Recording) -> Recording:
+    """Return the recording with its fitted columns filled in and the summary in its trailer.
+
+    A recording whose trailer has no clock, or whose rows lack a column of the ledger, is returned as it is. So is one
+    whose clock cannot be understood, with a warning: a recording is kept whatever is wrong with its clock.
+    """
+    trailer = recording.trailer or {}
+    if CLOCK_KEY not in trailer or not {*NEEDED, *FITTED} <= set(recording.names) or not len(recording):
+        return recording
+    try:
+        found = ledger_of(recording)
+    except RigError as error:
+        _log.warning("%s: the latency ledger stays empty: %s", recording.path, error)
+        return recording
+    rows = recording.rows.copy()
+    rows["sampled_at"], rows["applied_at"] = found.sampled, found.applied
+    timing = plain(summarise(found, trailer.get("counters")).as_mapping())
+    return replace(recording, rows=rows, trailer={**trailer, TIMING_KEY: timing})
+
+
+def ledger_of(recording: Recording) -> Ledger:
+    """Compute the ledger of a recording from its rows, and from the clock of its trailer if it has one.
+
+    Raises
+    ------
+    RecordingError
+        A column is missing, or there are no rows.
+    RigError
+        The clock of the trailer makes no sense.
+    """
+    missing = [name for name in NEEDED if name not in recording.names]
+    if missing:
+        raise RecordingError(
+            f"the recording has no column {missing[0]}, and so no latency ledger",
+            remedy="it is from another version of this package; record anew to see its timing",
+        )
+    if not len(recording):
+        raise RecordingError(
+            "the recording has no rows", remedy="its loop never saw a sample: nothing to time"
+        )
+    return ledger(recording.rows, clock_of(recording), period_ns_of(recording))
+
+
+def clock_of(recording: Recording) -> ClockFit | None:
+    """Return the clock fit of a recording's trailer; None when it has none. `RigError` when it makes no sense."""
+    clock = (recording.trailer or {}).get(CLOCK_KEY)
+    return None if clock is None else ClockFit.from_mapping(clock)
+
+
+def period_ns_of(recording: Recording) -> float:
+    """Length of a device tick (ns): from the position rate, or from the device's own times where no header has it."""
+    rate = (recording.experiment.get("controller") or {}).get("position_rate")
+    if rate:
+        return 1e9 / float(rate)
+    time: NDArray[np.int64] = recording.rows["device_time"]
+    index: NDArray[np.int64] = recording.rows["sample_index"]
+    passed = int(index[-1]) - int(index[0])
+    return (int(time[-1]) - int(time[0])) / passed if passed > 0 else 0.0
