@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ if numba.config.DISABLE_JIT:
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.kernel import kernel
-from rig import config, presets
+from rig import config, controller, presets
 from rig.devices.framed import FramedDevice
 from rig.errors import ConfigError, DeviceFaultError, LawError, LinkLostError, RecordingError, RigError
 from rig.experiments.replay import COMPUTED, replay
@@ -24,6 +25,7 @@ from rig.laws import Law
 from rig.plugs import LAW_SIGNATURE
 from rig.recording.capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
+from rig.ring import Ring
 from rig.sample import Phase, RowFlag
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
@@ -36,9 +38,13 @@ SHORT = config.override(
 )
 
 
-def recorded(directory, experiment=SHORT, *, faults=None, law=None, error=None):
+def new_link(experiment=SHORT, faults=None):
+    return MemoryLink(SimulatedDevice(config.rig_model(experiment), initial_position=START), faults)
+
+
+def recorded(directory, experiment=SHORT, *, faults=None, law=None, error=None, link=None):
     """Run one trial in virtual time and return what it recorded."""
-    link = MemoryLink(SimulatedDevice(config.rig_model(experiment), initial_position=START), faults)
+    link = link or new_link(experiment, faults)
     path = directory / "trial.rigcap"
     request = TrialRequest(
         experiment=experiment, recording=path, verified=True, seed=0, law=law, sealed=False
@@ -96,7 +102,12 @@ def test_an_encoder_that_counts_down_replays_exactly(tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "counter"),
-    [(Kind.DROP, "lost"), (Kind.DUPLICATE, "duplicated"), (Kind.REORDER, "reordered"), (Kind.DELAY, "skipped")],
+    [
+        (Kind.DROP, "lost"),
+        (Kind.DUPLICATE, "duplicated"),
+        (Kind.REORDER, "reordered"),
+        (Kind.DELAY, "skipped"),
+    ],
 )
 def test_gaps_replay_exactly(kind, counter, tmp_path):
     """Every seventh sample of the push is struck: the gaps are inputs of the law and stand in the rows."""
@@ -279,3 +290,39 @@ def test_changes_that_cannot_be_meant_are_refused(finished):
         replay(finished, {"wall.stifness": 1.0})
     with pytest.raises(ConfigError):
         replay(finished, {"controller.estimator": "no-such"})
+
+
+# ---------------------------------------------------------------------- parameters that changed on the way
+
+
+def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_tick(tmp_path, monkeypatch):
+    """Two sets while the handle approaches: the loop takes each between two ticks, and the trailer keeps them."""
+    link, rings = new_link(), []
+    allocate = Ring.allocate
+    monkeypatch.setattr(
+        Ring, "allocate", lambda *given, **options: rings.append(allocate(*given, **options)) or rings[-1]
+    )
+    base = controller.for_experiment(SHORT, current_quantum_a=0.001)
+    tick, count = link._tick, itertools.count()
+
+    def posting():
+        number = next(count)
+        if rings and number in (60, 64):
+            values = np.concatenate([[0.0], base.law.parameters])
+            values[1] *= 0.5 if number == 60 else 0.25
+            rings[0].post(values)
+        tick()
+
+    monkeypatch.setattr(link, "_tick", posting)
+    recording = recorded(tmp_path, link=link)
+    sets = recording.trailer["parameter_sets"]
+    assert [one["number"] for one in sets] == [1, 2]
+    in_force = recording.rows["parameter_set"]
+    assert [int(in_force[one["tick"]]) for one in sets] == [1, 2]
+    assert (np.diff(in_force) >= 0).all()
+    result = replay(recording)
+    assert_exact(result)
+    inside = (recording.rows["penetration"] > 0.0) & (in_force == 2)
+    assert inside.any(), "and the softer wall was touched"
+    asked = replay(recording, {"wall.stiffness": SHORT.wall.stiffness})
+    assert not asked.exact, "a wall asked for replaces them"
