@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
+import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -43,10 +45,22 @@ def preemption(root: Path = ROOT) -> str:
 
 
 def _dynamic_mode(root: Path) -> str:
-    """Return the mode in force: debugfs knows it (for root alone), else the command line may have chosen one."""
+    """Return the mode in force: debugfs knows it (for root alone), the command line or the build chose it."""
     chosen = re.search(r"\((\w+)\)", text_of(root / "sys/kernel/debug/sched/preempt"))
     chosen = chosen or re.search(r"\bpreempt=(\w+)", text_of(root / "proc/cmdline"))
-    return chosen[1] if chosen else ""
+    return chosen[1] if chosen else _built_mode(root)
+
+
+def _built_mode(root: Path) -> str:
+    """Return the mode that the kernel was built to start with, if its configuration is at hand."""
+    try:
+        built = gzip.decompress((root / "proc/config.gz").read_bytes()).decode(errors="replace")
+    except (OSError, EOFError, zlib.error):
+        built = text_of(root / f"boot/config-{os.uname().release}")
+    lines = set(built.splitlines())
+    modes = {"NONE": "none", "VOLUNTARY": "voluntary", "LAZY": "lazy"}
+    found = next((mode for key, mode in modes.items() if f"CONFIG_PREEMPT_{key}=y" in lines), "")
+    return found or ("full" if "CONFIG_PREEMPT=y" in lines else "")
 
 
 def rt_runtime_us(root: Path = ROOT) -> int | None:
