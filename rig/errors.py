@@ -72,6 +72,30 @@ class LinkLostError(RigError):
         self.rows = rows
 
 
+class UnpluggedError(LinkLostError):
+    """The device is gone from the bus, or its port hung up."""
+
+
+class StalledError(LinkLostError):
+    """The device halted its endpoint: it refuses to go on until somebody opens it anew."""
+
+
+class BlockedError(LinkLostError):
+    """The line is there, but takes no more bytes."""
+
+
+class OverflowedError(LinkLostError):
+    """More bytes came at once than had been asked for, or than there was room for."""
+
+
+class CutShortError(LinkLostError):
+    """The device took only a part of what was sent."""
+
+
+class BrokenLineError(LinkLostError):
+    """Bits are damaged on the way: the line itself reports errors."""
+
+
 class DeviceFaultError(LinkLostError):
     """The device latched a fault and cut the effort; `statistics` and `rows` as in `LinkLostError`."""
 

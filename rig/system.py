@@ -39,7 +39,7 @@ CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
 POLLIN = 0x001
 POLL_BROKEN = 0x008 | 0x010 | 0x020  # POLLERR, POLLHUP, POLLNVAL
-EINTR, EIO, EAGAIN, EPIPE = 4, 5, 11, 32
+EINTR, EIO, EAGAIN, ENODEV = 4, 5, 11, 19
 BILLION = 1_000_000_000
 SIGHUP, SIGINT, SIGQUIT, SIGTERM = 1, 2, 3, 15
 
@@ -90,7 +90,7 @@ def virtual_sleep(handle: int, deadline_ns: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_read(descriptor: int, address: int, size: int) -> int:
-    """read(2): bytes read, 0 when nothing is there, negative errno; the end of the file is -EPIPE.
+    """read(2): bytes read, 0 when nothing is there, negative errno; the end of the file is -ENODEV.
 
     The descriptor is polled first, so that a zero from read(2) can only mean that the other side is gone.
     """
@@ -105,7 +105,7 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
     if got > 0:
         return int(got)
     if got == 0:
-        return -EPIPE
+        return -ENODEV
     error = last_error()
     return 0 if error in (EAGAIN, EINTR) else -error
 

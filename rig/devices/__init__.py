@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
     "serial": "rig.devices.serial:open_link",
+    "usb": "rig.devices.usb:open_link",
 }
 SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
 SHAKERS = {"sim": "sim_backend.shaken:Shaker"}  # and shaken

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rig.clock import Clock, MonotonicClock
 from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.failures import error_number, link_error
 from rig.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.model import RigModel
 
@@ -161,11 +162,8 @@ class SerialLink:
             self._descriptor = -1
 
     def _lost(self, error: BaseException | None) -> LinkLostError:
-        why = f" ({error})" if error else ""
-        return LinkLostError(
-            f"{self.url.place} is gone{why}",
-            remedy="check cable and power, then start again; the device cuts the effort by itself",
-        )
+        number = errno.ENODEV if error is None or isinstance(error, ValueError) else error_number(error)
+        return link_error(number, self.url.text, self.url.place)
 
 
 def _capacity(port: str, baud: int) -> float | None:

@@ -7,6 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.devices.failures import failure
 from rig.devices.framed import FaultReport
 from rig.errors import (
     DeviceFaultError,
@@ -20,8 +21,8 @@ from rig.errors import (
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd
 
-# Reason → error, what happened, what to do. In braces: url, why (errno), fault, fault_remedy, cause (an
-# exception), position and velocity of the last row.
+# Reason → error, what happened, what to do. In braces: url, why (errno), cause_of_loss and loss_remedy
+# (`rig.devices.failures`), fault, fault_remedy, cause (an exception), position and velocity of the last row.
 ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
     EndReason.STOPPED: (StoppedError, "stopped; the effort is zero", ""),
@@ -31,9 +32,9 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "look for what blocked it",
     ),
     EndReason.LINK_CLOSED: (
-        LinkLostError,
-        "the link to {url} broke during the run ({why}); the device cuts the effort by itself",
-        "check cable and power, then start again",
+        LinkLostError,  # which one, `rig.devices.failures` says
+        "the link broke during the run: {url} {cause_of_loss} ({why}); the device cuts the effort by itself",
+        "{loss_remedy}",
     ),
     EndReason.LINK_SILENT: (
         LinkLostError,
@@ -88,9 +89,14 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         return None
     kind, message, remedy = ENDINGS[end.reason]
     errno = end.counters["errno"]
+    loss = failure(errno, url)
+    if end.reason == EndReason.LINK_CLOSED:
+        kind = loss.kind
     words = {
         "url": url,
         "why": os.strerror(errno) if errno else "no error number",
+        "cause_of_loss": loss.cause,
+        "loss_remedy": loss.remedy,
         "fault": fault.text if fault else "it did not say which",
         "fault_remedy": fault.remedy if fault else "read its fault log",
         "cause": repr(end.error),

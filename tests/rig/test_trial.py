@@ -35,6 +35,7 @@ from rig.errors import (
     RecordingError,
     RigError,
     StoppedError,
+    UnpluggedError,
 )
 from rig.experiments import hit as hits
 from rig.experiments import trial as trials
@@ -483,7 +484,10 @@ def test_every_ending_is_an_error_with_words_and_a_remedy(reason):
     fault = FaultReport(5, "ENCODER", "illegal {transition}", "check {cable}", 0, 0, [])
     for known in (fault, None):
         error = error_of(end, url, known, rows)
-        assert type(error) is ENDINGS[reason][0]
+        assert isinstance(error, ENDINGS[reason][0])
+        assert (type(error) is UnpluggedError) == (reason == EndReason.LINK_CLOSED), (
+            "what EIO means on a terminal"
+        )
         assert error.message
         assert error.remedy or issubclass(type(error), StoppedError)
         if isinstance(error, LinkLostError):

@@ -1,0 +1,373 @@
+"""A USB device with two bulk endpoints as a link: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
+
+pyusb finds, opens and claims it; the bytes then move by libusb's transfers, from the compiled loop and from Python
+alike (`rig.devices.usb_queue`), or by pyusb's own calls where those cannot be reached (`rig.devices.usb_plain`). A rig
+is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes are the frames of any other link.
+
+``?transfers=plain`` forces pyusb's own calls, ``?transfers=queued`` refuses them.
+"""
+
+from __future__ import annotations
+
+import errno
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import usb.core
+import usb.util
+from numpy.typing import NDArray
+
+from rig.clock import Clock, MonotonicClock
+from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.failures import error_number, link_error
+from rig.devices.usb_handle import Bus, handle_of, unsuitable
+from rig.errors import (
+    ConfigError,
+    DeviceNotFoundError,
+    IncompatibleDeviceError,
+    LinkLostError,
+    RigError,
+    UnpluggedError,
+)
+from rig.model import RigModel
+
+OPTIONS = ("transfers",)
+TRANSFERS = ("queued", "plain")
+VENDOR_CLASS = 0xFF
+SYSFS = Path("/sys/bus/usb/devices")
+_BULK = 2
+_HUB_CLASS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class UsbDevice:
+    """A device on the bus. `is_rig`: it has an interface that could be a rig's; `path` is its place in sysfs."""
+
+    vendor: int
+    product: int
+    serial: str
+    name: str
+    path: str
+    is_rig: bool
+
+    @property
+    def url(self) -> str:
+        """How to open it."""
+        place = f"usb://{self.vendor:04x}:{self.product:04x}"
+        return f"{place}/{self.serial}" if self.serial else place
+
+
+@dataclass(frozen=True, slots=True)
+class _Pipes:
+    """The interface of a rig: its number, its endpoints, the largest packet that comes."""
+
+    interface: int
+    endpoint_in: int
+    endpoint_out: int
+    packet: int
+
+
+def available_devices() -> list[UsbDevice]:
+    """Return the USB devices here, hubs left out; an empty list when there is no libusb.
+
+    Nothing is opened that belongs to somebody else: what a device says of itself is read from sysfs.
+    """
+    try:
+        bus = Bus()
+    except DeviceNotFoundError:
+        return []
+    try:
+        return [_description(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
+    finally:
+        bus.close()
+
+
+def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
+    """Open ``usb://vid:pid[/serial][?transfers=…]``; see `rig.devices.open_link` for what it raises.
+
+    Besides, `IncompatibleDeviceError` for a device that has no interface of a rig, or whose transfers cannot be queued
+    though the URL demands it.
+    """
+    wanted = _transfers(url)
+    vendor, product, serial = _place(url)
+    bus = Bus()
+    try:
+        device = _chosen(bus, url, vendor, product, serial)
+        pipes = _pipes(device)
+        if pipes is None:
+            raise IncompatibleDeviceError(
+                f"{url.text} is no haptic rig: no interface of vendor class with one bulk endpoint each way",
+                remedy=_rigs(bus),
+            )
+        _claim(device, pipes, url)
+        return UsbLink(url, bus, device, pipes, wanted)
+    except BaseException:
+        bus.close()
+        raise
+
+
+def _transfers(url: DeviceUrl) -> str:
+    unknown = set(url.options) - set(OPTIONS)
+    if unknown:
+        raise ConfigError(
+            f"{url.text}: unknown option {sorted(unknown)[0]!r}",
+            remedy=f"known options: {', '.join(OPTIONS)}",
+        )
+    wanted = url.options.get("transfers", "")
+    if wanted and wanted not in TRANSFERS:
+        raise ConfigError(
+            f"{url.text}: transfers = {wanted!r} is unknown",
+            remedy=f"known: {', '.join(TRANSFERS)}, or leave it out",
+        )
+    return wanted
+
+
+def _place(url: DeviceUrl) -> tuple[int, int, str]:
+    pair, _, serial = url.place.partition("/")
+    vendor, _, product = pair.partition(":")
+    try:
+        numbers = [int(text, 16) for text in (vendor, product) if text.isalnum() and len(text) <= 4]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 2:
+        raise ConfigError(
+            f"{url.text} names no USB device",
+            remedy="write vendor and product in hexadecimal, like usb://1209:0001 or usb://1209:0001/SERIAL",
+        )
+    return numbers[0], numbers[1], serial
+
+
+def _chosen(bus: Bus, url: DeviceUrl, vendor: int, product: int, serial: str) -> Any:
+    found = [device for device in bus.devices if (device.idVendor, device.idProduct) == (vendor, product)]
+    if not found:
+        raise DeviceNotFoundError(
+            f"there is no USB device {vendor:04x}:{product:04x}", remedy=f"plug it in. {_rigs(bus)}"
+        )
+    if serial:
+        numbers = [_text(device, "serial") for device in found]
+        matching = [device for device, number in zip(found, numbers, strict=True) if number == serial]
+        if not matching:
+            there = ", ".join(number or "one without a number" for number in numbers)
+            raise DeviceNotFoundError(
+                f"no {vendor:04x}:{product:04x} has the serial number {serial}", remedy=f"there is: {there}"
+            )
+        found = matching
+    if len(found) > 1:
+        urls = ", ".join(_description(device).url for device in found)
+        raise DeviceNotFoundError(
+            f"{url.text} means {len(found)} devices", remedy=f"add the serial number: {urls}"
+        )
+    return found[0]
+
+
+def _rigs(bus: Bus) -> str:
+    described = [_description(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
+    found = [f"{device.url} ({device.name or 'no name'})" for device in described if device.is_rig]
+    return f"Rigs here: {', '.join(found)}" if found else "No USB device here looks like a rig"
+
+
+def _description(device: Any) -> UsbDevice:
+    ports = device.port_numbers or ()
+    path = (
+        f"{device.bus}-{'.'.join(str(port) for port in ports)}" if ports else f"{device.bus}-{device.address}"
+    )
+    is_rig = _pipes(device) is not None
+    return UsbDevice(
+        vendor=device.idVendor,
+        product=device.idProduct,
+        serial=_text(device, "serial", ask=is_rig),
+        name=_text(device, "product", ask=is_rig),
+        path=path,
+        is_rig=is_rig,
+    )
+
+
+def _text(device: Any, which: str, *, ask: bool = True) -> str:
+    """Serial number or product name: as the kernel has read it, else the device is asked; empty when it has none."""
+    ports = device.port_numbers or ()
+    with suppress(OSError):
+        return (SYSFS / f"{device.bus}-{'.'.join(str(port) for port in ports)}" / which).read_text().strip()
+    if ask:
+        with suppress(usb.core.USBError, ValueError, NotImplementedError):  # ValueError: no permission to ask
+            text = device.serial_number if which == "serial" else device.product
+            return (text or "").strip("\0 ")
+    return ""
+
+
+def _pipes(device: Any) -> _Pipes | None:
+    """First interface of vendor class with exactly one bulk endpoint each way, in the first configuration."""
+    try:
+        interfaces = list(device[0]) if device.bNumConfigurations else []
+    except usb.core.USBError:
+        return None
+    for interface in interfaces:
+        if interface.bInterfaceClass != VENDOR_CLASS or interface.bAlternateSetting != 0:
+            continue
+        bulk = [end for end in interface if end.bmAttributes & 3 == _BULK]
+        incoming = [end for end in bulk if end.bEndpointAddress & usb.util.ENDPOINT_IN]
+        outgoing = [end for end in bulk if not end.bEndpointAddress & usb.util.ENDPOINT_IN]
+        if len(incoming) == len(outgoing) == 1:
+            return _Pipes(
+                interface.bInterfaceNumber,
+                incoming[0].bEndpointAddress,
+                outgoing[0].bEndpointAddress,
+                incoming[0].wMaxPacketSize & 0x7FF,
+            )
+    return None
+
+
+def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> None:
+    """Open the device, take the interface from the kernel's driver, claim it, and clear what a run before left."""
+    try:
+        try:
+            device.get_active_configuration()
+        except usb.core.USBError as error:
+            if error.errno is not None:
+                raise
+            device.set_configuration()  # it is not configured yet
+        with suppress(NotImplementedError):
+            if device.is_kernel_driver_active(pipes.interface):
+                device.detach_kernel_driver(pipes.interface)
+        usb.util.claim_interface(device, pipes.interface)
+    except (usb.core.USBError, NotImplementedError) as error:
+        raise _not_opened(error, device, url) from None
+    for endpoint in (pipes.endpoint_in, pipes.endpoint_out):
+        with suppress(usb.core.USBError, NotImplementedError):  # both halves start with the same data toggle
+            device.clear_halt(endpoint)
+
+
+def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
+    number = error_number(error)
+    if number in (errno.EACCES, errno.EPERM):
+        rule = (
+            f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{device.idVendor:04x}", '
+            f'ATTR{{idProduct}}=="{device.idProduct:04x}", TAG+="uaccess"'
+        )
+        remedy = (
+            f"allow it: echo '{rule}' | sudo tee /etc/udev/rules.d/70-haptic-rig.rules && "
+            "sudo udevadm control --reload && sudo udevadm trigger, then plug the device in again"
+        )
+        return DeviceNotFoundError(f"no permission to open {url.text}", remedy=remedy)
+    if number == errno.EBUSY:
+        node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
+        return DeviceNotFoundError(
+            f"{url.text} is in use by another program", remedy=f"close it (sudo fuser {node} names it)"
+        )
+    if number == errno.ENODEV:
+        return DeviceNotFoundError(
+            f"{url.text} vanished", remedy="check cable and power, and plug it in again"
+        )
+    return DeviceNotFoundError(
+        f"{url.text} does not open: {error}", remedy="plug it in again, into another port"
+    )
+
+
+class Transfers(Protocol):
+    """The bulk pipes of a claimed interface: `rig.devices.usb_queue.QueuedTransfers`, or `PlainTransfers`."""
+
+    note: str
+
+    def read(self, timeout_s: float) -> bytes:
+        """As `rig.devices.device.Link.read`; raises OSError."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """As `rig.devices.device.Link.write`; raises OSError."""
+        ...
+
+    def plugs(self) -> tuple[Any, Any, Any, int]:
+        """Return read, write, wait and their handle."""
+        ...
+
+    def close(self) -> None:
+        """Take back what is under way; may be called twice."""
+        ...
+
+
+class UsbLink:
+    """`rig.devices.device.Link` over the bulk pipes of an interface."""
+
+    def __init__(self, url: DeviceUrl, bus: Bus, device: Any, pipes: _Pipes, wanted: str) -> None:
+        self.url = url
+        self.clock: Clock = MonotonicClock()
+        self.bytes_per_second: float | None = None  # packets are the limit, not bytes
+        self._bus: Bus | None = bus
+        self._transfers = _opened(url, device, pipes, wanted)
+
+    @property
+    def note(self) -> str:
+        """What a user should know of how the bytes move; empty when all is well."""
+        return self._transfers.note
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        self._check_open()
+        try:
+            return self._transfers.read(timeout_s)
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`, or raise `LinkLostError` when the device takes no more or is gone."""
+        self._check_open()
+        try:
+            self._transfers.write(data)
+        except OSError as error:
+            raise self._lost(error) from error
+
+    def port(self) -> LoopPort:
+        """Return the transfers for the loop."""
+        read, write, wait, handle = self._transfers.plugs()
+        return LoopPort(
+            read=read,
+            write=write,
+            wait=wait,
+            handle=handle,
+            now=self.clock.now_plug,
+            clock_handle=self.clock.handle,
+        )
+
+    def failure(self) -> BaseException | None:
+        """Return None: a real far end keeps its failures to itself."""
+        return None
+
+    def truth(self) -> NDArray[np.void] | None:
+        """Return None: nobody knows the truth of a real rig."""
+        return None
+
+    def close(self) -> None:
+        """Take the transfers back and release the device."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            self._transfers.close()
+            bus.close()
+
+    def _check_open(self) -> None:
+        if self._bus is None:
+            raise UnpluggedError(f"{self.url.text} is closed", remedy="open it again")
+
+    def _lost(self, error: OSError) -> LinkLostError:
+        return link_error(error_number(error), self.url.text)
+
+
+def _opened(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
+    """Return the fastest transfers that this device can have (`QueuedTransfers` or `PlainTransfers`)."""
+    why = "the URL asks for it" if wanted == "plain" else unsuitable(device)
+    if why and wanted == "queued":
+        raise IncompatibleDeviceError(
+            f"{url.text}: transfers cannot be queued: {why}",
+            remedy="leave transfers=queued out, or install pyusb 1.3",
+        )
+    try:
+        if why:
+            from rig.devices.usb_plain import PlainTransfers  # noqa: PLC0415
+
+            return PlainTransfers(device, pipes.endpoint_in, pipes.endpoint_out, pipes.packet, why)
+        from rig.devices.usb_queue import QueuedTransfers  # noqa: PLC0415  (numba)
+
+        return QueuedTransfers(handle_of(device), pipes.endpoint_in, pipes.endpoint_out, pipes.packet)
+    except OSError as error:
+        raise _not_opened(error, device, url) from None

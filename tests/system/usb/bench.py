@@ -1,0 +1,165 @@
+"""The parent's side of the USB tests: the bridge, the device behind it, and a child in which libusb sees both.
+
+The child runs under umockdev's preload library, so that its libusb, which is the real one, finds the emulated bus.
+It does named checks (`checks`), and orders faults from the bridge itself.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim_backend.usb import UsbShape, serve
+from tests.conformance.rigs import rotary_rig
+
+ROOT = Path(__file__).parents[3]
+PRELOAD = "libumockdev-preload.so.0"
+WAIT_S = 60.0
+
+
+def build(directory: Path) -> Path:
+    """Compile the bridge; skip, by name, what this machine lacks."""
+    for tool, package in (("gcc", "gcc"), ("pkg-config", "pkg-config"), ("umockdev-run", "umockdev")):
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed (package {package})")
+    flags = subprocess.run(
+        ["pkg-config", "--cflags", "--libs", "umockdev-1.0"], capture_output=True, text=True, check=False
+    )
+    if flags.returncode:
+        pytest.skip("umockdev's headers are not installed (package libumockdev-dev)")
+    program = directory / "bridge"
+    source = Path(__file__).with_name("bridge.c")
+    subprocess.run(
+        [
+            "gcc",
+            "-O1",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-o",
+            program,
+            source,
+            *flags.stdout.split(),
+            "-lpthread",
+        ],
+        check=True,
+    )
+    return program
+
+
+class Bus:
+    """A bridge with a simulated rig behind it. Close it."""
+
+    def __init__(
+        self, program: Path, shape: UsbShape | None = None, model: Any = None, **options: Any
+    ) -> None:
+        shape = shape or UsbShape()
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        strings = [(shape.string(index) or b"").hex() for index in range(5)]
+        self.bridge = subprocess.Popen(
+            [program, str(theirs.fileno()), (shape.device() + shape.configuration()).hex(), *strings],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            pass_fds=[theirs.fileno()],
+            env=os.environ | {"LD_PRELOAD": PRELOAD},
+        )
+        theirs.close()
+        assert self.bridge.stdout is not None
+        self.root = self.bridge.stdout.readline().split()[1]
+        self._stop = threading.Event()
+        self._end = ours
+        self._device = threading.Thread(
+            target=serve,
+            args=(model or rotary_rig(), ours),
+            kwargs={"stop_event": self._stop, "packet": shape.packet, **options},
+            daemon=True,
+        )
+        self._device.start()
+
+    def start(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
+        """Start a Python program that sees this bus; file descriptors 3 and 4 of `tests` lead to the bridge."""
+        assert self.bridge.stdin is not None
+        assert self.bridge.stdout is not None
+        orders, answers = self.bridge.stdin.fileno(), self.bridge.stdout.fileno()
+        environment = os.environ | {
+            "UMOCKDEV_DIR": self.root,
+            "LD_PRELOAD": PRELOAD,
+            "USB_BRIDGE": f"{orders},{answers}",
+            "PYTHONWARNINGS": "error",
+        }
+        return subprocess.Popen(
+            [sys.executable, *arguments],
+            env=environment,
+            cwd=ROOT,
+            pass_fds=[orders, answers],
+            text=True,
+            stdout=subprocess.PIPE,
+            **options,
+        )
+
+    def order(self, command: str) -> str:
+        """Give the bridge a command from here; only while no child does."""
+        assert self.bridge.stdin is not None
+        assert self.bridge.stdout is not None
+        self.bridge.stdin.write(command + "\n")
+        self.bridge.stdin.flush()
+        return self.bridge.stdout.readline().strip()
+
+    def close(self) -> None:
+        """End bridge and device."""
+        self._stop.set()
+        self._device.join(WAIT_S)
+        assert self.bridge.stdin is not None
+        self.bridge.stdin.close()
+        try:
+            self.bridge.wait(WAIT_S)
+        finally:
+            self.bridge.kill()
+            self.bridge.wait()
+            assert self.bridge.stdout is not None
+            self.bridge.stdout.close()
+            self._end.close()
+            shutil.rmtree(self.root, ignore_errors=True)
+
+
+class Child:
+    """A process under the preload that does checks by name."""
+
+    def __init__(self, bus: Bus, transfers: str) -> None:
+        self._process = bus.start("-m", "tests.system.usb.child", transfers, stdin=subprocess.PIPE)
+
+    def check(self, name: str) -> Any:
+        """Do one check and return what it found; its failure is ours."""
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(name + "\n")
+        process.stdin.flush()
+        line = process.stdout.readline()
+        assert line, f"the child ended with {process.wait(WAIT_S)}"
+        answer = json.loads(line)
+        if "failure" in answer:
+            pytest.fail(answer["failure"], pytrace=False)
+        return answer["found"]
+
+    def close(self) -> int:
+        """End the child and return its exit code."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        try:
+            return self._process.wait(WAIT_S)
+        finally:
+            self._process.kill()
+            self._process.wait()
+            self._process.stdout.close()

@@ -1,0 +1,323 @@
+"""What is checked of USB links, inside a process whose libusb sees the emulated bus. Times are in ms."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import messages as m
+from rig.devices import open_link
+from rig.devices.usb import UsbLink, available_devices
+from rig.errors import (
+    BlockedError,
+    BrokenLineError,
+    CutShortError,
+    DeviceNotFoundError,
+    LinkLostError,
+    OverflowedError,
+    StalledError,
+    UnpluggedError,
+)
+from tests.conformance.device import check_device
+from tests.conformance.host import Host
+from tests.conformance.link import check_link, listen
+
+SLACK_S = 5.0  # of a loaded machine
+URL = "usb://1209:0001"
+
+
+class Bench:
+    """Opens links and orders faults."""
+
+    def __init__(self, transfers: str) -> None:
+        self.url = f"{URL}?transfers={transfers}"
+        orders, answers = (int(number) for number in os.environ["USB_BRIDGE"].split(","))
+        self._orders, self._answers = os.fdopen(orders, "w", buffering=1), os.fdopen(answers)
+        self._opened: list[UsbLink] = []
+
+    def open(self) -> UsbLink:
+        link = open_link(self.url)
+        assert isinstance(link, UsbLink)
+        self._opened.append(link)
+        return link
+
+    def open_silent(self) -> UsbLink:
+        self.order("silent")
+        return self.open()
+
+    def order(self, command: str) -> int:
+        """Make something happen on the cable; return when it did (CLOCK_MONOTONIC, ns)."""
+        self._orders.write(command + "\n")
+        word, _, rest = self._answers.readline().partition(" ")
+        assert word == "ok", f"{command}: {word} {rest}"
+        return int(rest)
+
+    def status(self) -> dict[str, int]:
+        self._orders.write("status\n")
+        words = self._answers.readline().split()
+        assert self._answers.readline().startswith("ok")
+        return {name: int(number) for name, number in zip(words[::2], words[1::2], strict=True)}
+
+    def tidy(self) -> None:
+        for link in self._opened:
+            link.close()
+        self._opened.clear()
+        for command in ("plug", "speak", "whole", "free"):
+            with contextlib.suppress(AssertionError):
+                self.order(command)
+
+
+def conforms_as_a_link(bench: Bench) -> None:
+    def speaking() -> UsbLink:
+        bench.order("speak")
+        return bench.open()
+
+    check_link(speaking, bench.open_silent, slack_s=SLACK_S)
+
+
+def conforms_as_a_device(bench: Bench) -> None:
+    check_device(bench.open, starts_in_boot=False)
+
+
+def says_how_it_works(bench: Bench) -> str:
+    return bench.open().note
+
+
+def is_listed(bench: Bench) -> list[dict[str, Any]]:
+    return [
+        {"url": device.url, "name": device.name, "path": device.path, "is_rig": device.is_rig}
+        for device in available_devices()
+    ]
+
+
+def _caught(bench: Bench, kind: type[LinkLostError], act: Callable[[UsbLink], None], *orders: str) -> float:
+    """Give orders while another thread uses the link; return how long after the last one the error was there (ms)."""
+    link = bench.open()
+    Host(link).identify()
+    caught: list[tuple[int, BaseException]] = []
+    begun = threading.Event()
+
+    def body() -> None:
+        begun.set()
+        try:
+            act(link)
+        except BaseException as error:
+            caught.append((time.monotonic_ns(), error))
+
+    thread = threading.Thread(target=body)
+    thread.start()
+    begun.wait(SLACK_S)
+    time.sleep(0.02)  # it is blocked by now, or works: both are right
+    for command in orders:
+        happened_ns = bench.order(command)
+    thread.join(SLACK_S)
+    assert not thread.is_alive()
+    (at_ns, error), *_ = caught
+    assert type(error) is kind, repr(error)
+    assert error.remedy
+    assert URL in error.message
+    for use in (lambda: link.read(0.01), lambda: _fill(link)):  # it stays lost in one direction at least
+        with contextlib.suppress(LinkLostError):
+            use()
+    return (at_ns - happened_ns) * 1e-6
+
+
+def _fill(link: UsbLink) -> None:
+    for _ in range(40):
+        link.write(b"\0" * 8)
+
+
+def _read_long(link: UsbLink) -> None:
+    deadline = time.monotonic() + SLACK_S
+    while time.monotonic() < deadline:
+        link.read(SLACK_S)
+
+
+def _write_long(link: UsbLink) -> None:
+    deadline = time.monotonic() + SLACK_S
+    while time.monotonic() < deadline:
+        link.write(b"\0" * 8)
+        time.sleep(1e-3)
+
+
+def unplugged_while_reading(bench: Bench) -> float:
+    return _caught(bench, UnpluggedError, _read_long, "unplug")
+
+
+def unplugged_while_writing(bench: Bench) -> float:
+    return _caught(bench, UnpluggedError, _write_long, "unplug")
+
+
+def stalled_while_reading(bench: Bench) -> float:
+    return _caught(bench, StalledError, _read_long, "stall in")
+
+
+def stalled_while_writing(bench: Bench) -> float:
+    return _caught(bench, StalledError, _write_long, "stall out")
+
+
+def more_came_than_was_asked_for(bench: Bench) -> float:
+    return _caught(bench, OverflowedError, _read_long, "overflow")
+
+
+def bits_are_damaged(bench: Bench) -> float:
+    return _caught(bench, BrokenLineError, _read_long, "broken")
+
+
+def takes_only_a_part(bench: Bench) -> float:
+    return _caught(bench, CutShortError, _write_long, "short")
+
+
+def takes_no_more_bytes(bench: Bench) -> float:
+    return _caught(bench, BlockedError, _write_long, "silent")
+
+
+def the_loop_sees_the_unplugging(bench: Bench) -> float:
+    """Through the plugs, on a thread that holds no GIL."""
+    link = bench.open()
+    port = link.port()
+    buffer = np.zeros(4096, np.uint8)
+    answers: list[tuple[int, int]] = []
+
+    def body() -> None:
+        got = 1
+        while got >= 0:
+            got = listen(
+                port.read, port.wait, port.handle, buffer, time.monotonic_ns() + round(SLACK_S * 1e9)
+            )
+        answers.append((time.monotonic_ns(), got))
+
+    thread = threading.Thread(target=body)
+    thread.start()
+    time.sleep(0.02)
+    happened_ns = bench.order("unplug")
+    thread.join(SLACK_S)
+    (at_ns, got) = answers[0]
+    assert got == -errno.ENODEV
+    request = np.zeros(16, np.uint8)
+    assert port.write(port.handle, request.ctypes.data, 16) in (-errno.ENODEV, -errno.EIO)
+    return (at_ns - happened_ns) * 1e-6
+
+
+def a_full_pool_takes_nothing(bench: Bench) -> list[int]:
+    """As a full descriptor does: zero, not an error, and only for a time."""
+    link = bench.open_silent()
+    port = link.port()
+    frame = np.zeros(32, np.uint8)
+    taken = [port.write(port.handle, frame.ctypes.data, 32) for _ in range(20)]
+    assert 0 in taken
+    assert set(taken) <= {0, 32}
+    assert taken == sorted(taken, reverse=True), "what is under way stays under way"
+    deadline = time.monotonic() + SLACK_S
+    last = 0
+    while last == 0 and time.monotonic() < deadline:
+        last = port.write(port.handle, frame.ctypes.data, 32)
+        time.sleep(0.01)
+    assert last == -errno.ETIMEDOUT
+    return taken
+
+
+def bytes_keep_their_order(bench: Bench) -> None:
+    """A request in pieces of every size, and its answer read by pieces: nothing is lost, doubled or swapped."""
+    link = bench.open()
+    host = Host(link)
+    for size in (1, 7, 63, 64, 65, 511):
+        request = b"".join(host.connection.send(m.Identify(host.nonce(), 0)) for _ in range(8))
+        for start in range(0, len(request), size):
+            link.write(request[start : start + size])
+        answered = 0
+        deadline = time.monotonic() + SLACK_S
+        while answered < 8 and time.monotonic() < deadline:
+            answered += sum(isinstance(event.message, m.Identity) for event in host.events(0.1))
+        assert answered == 8
+
+
+def replugged(bench: Bench) -> float:
+    """The old link stays lost; a new one finds the new device."""
+    old = bench.open()
+    Host(old).identify()
+    bench.order("unplug")
+    with pytest.raises(UnpluggedError):
+        _read_long(old)
+    with pytest.raises(DeviceNotFoundError, match="there is no USB device 1209:0001"):
+        bench.open()
+    plugged_ns = bench.order("plug")
+    with pytest.raises(LinkLostError):
+        old.read(0.0)
+    new = bench.open()
+    Host(new).identify()
+    found_ns = time.monotonic_ns()
+    old.close()
+    Host(new, first_nonce=100).identify()
+    return (found_ns - plugged_ns) * 1e-6
+
+
+def opening_clears_a_halt(bench: Bench) -> None:
+    link = bench.open()
+    bench.order("stall in")
+    with pytest.raises(StalledError):
+        _read_long(link)
+    link.close()
+    Host(bench.open()).identify()
+
+
+def busy_is_said(bench: Bench) -> None:
+    bench.order("busy")
+    with pytest.raises(DeviceNotFoundError, match="in use by another program") as caught:
+        bench.open()
+    assert "fuser /dev/bus/usb/001/" in caught.value.remedy
+
+
+def a_driver_of_the_kernel_is_detached(bench: Bench) -> None:
+    before = bench.status()["detached"]
+    bench.order("driver cdc_acm")
+    Host(bench.open()).identify()
+    assert bench.status()["detached"] == before + 1
+
+
+def nothing_is_left_behind(bench: Bench) -> dict[str, int]:
+    """Descriptors, threads of any kind, transfers with the kernel, claims."""
+
+    def kept() -> tuple[int, int]:
+        return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
+
+    for _ in range(2):  # the first time libraries start threads of their own
+        with contextlib.closing(bench.open()) as link:
+            Host(link).identify()
+        before = kept()
+    for _ in range(3):
+        with contextlib.closing(bench.open()) as link:
+            Host(link).identify()
+    assert kept() == before
+    deadline = time.monotonic() + SLACK_S
+    while (status := bench.status())["clients"] and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert (status["clients"], status["pending"], status["claimed"]) == (0, 0, 0)
+    return status
+
+
+def waiting_costs_no_time_of_the_processor(bench: Bench) -> float:
+    link = bench.open_silent()
+    before = time.process_time()
+    assert link.read(0.5) == b""
+    return (time.process_time() - before) * 1e3
+
+
+def round_trips(bench: Bench) -> dict[str, float]:
+    """Median and worst time from a request to its answer."""
+    link = bench.open()
+    host = Host(link)
+    times = []
+    for _ in range(50):
+        begun = time.perf_counter()
+        host.ask(m.Identify(host.nonce(), 0))
+        times.append((time.perf_counter() - begun) * 1e3)
+    return {"median": float(np.median(times)), "worst": max(times)}

@@ -1,0 +1,28 @@
+"""The child of the USB tests: does checks by name, one a line, and tells their outcome in a line of JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+
+from tests.system.usb import checks
+
+
+def main() -> None:
+    """Read names until the end of the input."""
+    said = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    bench = checks.Bench(sys.argv[1])
+    for line in sys.stdin:
+        try:
+            answer = {"found": getattr(checks, line.strip())(bench)}
+        except BaseException:
+            answer = {"failure": traceback.format_exc()}
+        bench.tidy()
+        said.write(json.dumps(answer) + "\n")
+
+
+if __name__ == "__main__":
+    main()
