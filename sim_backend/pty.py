@@ -1,13 +1,6 @@
 """The simulated rig as a process of its own: a pseudo-terminal that any serial program opens, in real time.
 
-The device here is the one of `device`; this file gives it a clock and a port. In each period: the plant moves under
-the current in force, STATE goes out, and then the bytes that came meanwhile are handed to the device. So the answer
-to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any real port.
-
-Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A process that wakes a
-few ticks late runs them at once; what is beyond that passes without STATE and is counted in `missed_ticks`; after a
-pause longer than `LONGEST_PAUSE_S` (a suspended process) the grid starts anew, because the simulated world stood
-still too.
+The device here is the one of `device`, its clock that of `real_time`; this file gives it a port.
 
 It mirrors a USB serial device: it stays when a host goes, even by kill -9, and its watchdog knows of that only by
 the silence. After the hang-up of the line it writes nothing, for nobody would read it; what a host does not read in
@@ -30,16 +23,11 @@ from pathlib import Path
 from rig.errors import ConfigError
 from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
-from sim_backend.safety import UNITS_PER_SECOND
+from sim_backend.real_time import READ_BYTES, RealTime, sleep_until
 
 POSITION_RATE_DEFAULT = 1_000
 POSITION_RATE_MAXIMUM = 4_000  # what an ordinary kernel wakes a Python process for, with room for the frames
-CATCH_UP_TICKS = 4  # late ticks that are run at once, each with its STATE
-LONGEST_PAUSE_S = 1.0
-READ_BYTES = 4096
 PENDING_BYTES = 8192  # answers that the host has not read yet
-
-_UNIT_NS = 1e9 / UNITS_PER_SECOND
 
 
 def serve(
@@ -99,71 +87,7 @@ def serve(
     stop = stop_event or threading.Event()
     with _Port() as port, _linked(link_path, port.path), _signals(stop):
         announce(str(link_path) if link_path is not None else port.path)
-        _Server(device, port, stop).run(duration_s)
-
-
-class _Server:
-    """The clock of a device, and the mover of its bytes."""
-
-    def __init__(self, device: SimulatedDevice, port: _Port, stop: threading.Event) -> None:
-        self._device = device
-        self._port = port
-        self._stop = stop
-        self._origin_ns = 0
-
-    def run(self, duration_s: float | None) -> None:
-        """Tick until told to stop."""
-        start_ns = time.monotonic_ns()
-        end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
-        self._origin_ns = start_ns - self._device.elapsed_ns
-        while not self._stop.is_set():
-            deadline_ns = self._origin_ns + self._device.next_tick_ns
-            if end_ns is not None and deadline_ns > end_ns:
-                return
-            received, came_at = self._listen(deadline_ns)
-            self._keep_up()
-            self._tick()
-            if received:
-                self._port.write(self._device.receive(received, received_at=came_at))
-
-    def _listen(self, deadline_ns: int) -> tuple[bytes, int]:
-        """Wait for the tick; return what the host sent meanwhile, and when it began to come (device time)."""
-        received = b""
-        came_at = self._device.time
-        while True:
-            data = self._port.read(deadline_ns)
-            if data and not received:
-                late_ns = time.monotonic_ns() - self._origin_ns - self._device.elapsed_ns
-                came_at = self._device.time + max(0, round(late_ns / _UNIT_NS))
-            received += data
-            if time.monotonic_ns() >= deadline_ns or len(received) >= READ_BYTES:
-                break
-        _sleep_until(deadline_ns)
-        return received, came_at
-
-    def _keep_up(self) -> None:
-        """Let the ticks pass that cannot be told any more, and count them."""
-        device = self._device
-        late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
-        if late_ns > LONGEST_PAUSE_S * 1e9:
-            self._origin_ns += late_ns
-            device.missed_ticks += late_ns * device.rate // 1_000_000_000
-            return
-        for _ in range(late_ns * device.rate // 1_000_000_000 - CATCH_UP_TICKS):
-            device.miss()
-
-    def _tick(self) -> None:
-        started_ns = time.perf_counter_ns()
-        state = self._device.tick()
-        units = round((time.perf_counter_ns() - started_ns) / _UNIT_NS)
-        self._device.worst_execution_time = max(self._device.worst_execution_time, units)
-        self._port.write_if_free(state)
-
-
-def _sleep_until(deadline_ns: int) -> None:
-    remaining_ns = deadline_ns - time.monotonic_ns()
-    if remaining_ns > 0:
-        time.sleep(remaining_ns * 1e-9)
+        RealTime(device, port, stop).run(duration_s)
 
 
 class _Port:
@@ -187,7 +111,7 @@ class _Port:
     def read(self, deadline_ns: int) -> bytes:
         """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
         if self._hung_up:  # the descriptor polls as readable then: sleep instead, and look once
-            _sleep_until(deadline_ns)
+            sleep_until(deadline_ns)
         remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
         readable, _, _ = select.select([self._master], [], [], remaining_s)
         if not readable:

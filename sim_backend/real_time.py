@@ -1,0 +1,107 @@
+"""The clock of a simulated device that runs in real time, and the mover of its bytes, whatever port they pass.
+
+In each period: the plant moves under the current in force, STATE goes out, and then the bytes that came meanwhile are
+handed to the device. So the answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any
+real port.
+
+Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A process that wakes a
+few ticks late runs them at once; what is beyond that passes without STATE and is counted in `missed_ticks`; after a
+pause longer than `LONGEST_PAUSE_S` (a suspended process) the grid starts anew, because the simulated world stood
+still too.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Protocol
+
+from sim_backend.device import SimulatedDevice
+from sim_backend.safety import UNITS_PER_SECOND
+
+CATCH_UP_TICKS = 4  # late ticks that are run at once, each with its STATE
+LONGEST_PAUSE_S = 1.0
+READ_BYTES = 4096
+
+_UNIT_NS = 1e9 / UNITS_PER_SECOND
+
+
+class Port(Protocol):
+    """The device's end of a link. No call blocks beyond its deadline (CLOCK_MONOTONIC, ns)."""
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return what the host sent, waiting for it until the deadline; without a host, nothing, at the deadline."""
+        ...
+
+    def write(self, frames: bytes) -> None:
+        """Send answers, now or as soon as the host takes them; a host that leaves kilobytes unread loses them."""
+        ...
+
+    def write_if_free(self, frame: bytes) -> None:
+        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
+        ...
+
+
+class RealTime:
+    """Runs a device behind a port, tick by tick, until `stop` is set."""
+
+    def __init__(self, device: SimulatedDevice, port: Port, stop: threading.Event) -> None:
+        self._device = device
+        self._port = port
+        self._stop = stop
+        self._origin_ns = 0
+
+    def run(self, duration_s: float | None) -> None:
+        """Tick until told to stop."""
+        start_ns = time.monotonic_ns()
+        end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
+        self._origin_ns = start_ns - self._device.elapsed_ns
+        while not self._stop.is_set():
+            deadline_ns = self._origin_ns + self._device.next_tick_ns
+            if end_ns is not None and deadline_ns > end_ns:
+                return
+            received, came_at = self._listen(deadline_ns)
+            self._keep_up()
+            self._tick()
+            if received:
+                self._port.write(self._device.receive(received, received_at=came_at))
+
+    def _listen(self, deadline_ns: int) -> tuple[bytes, int]:
+        """Wait for the tick; return what the host sent meanwhile, and when it began to come (device time)."""
+        received = b""
+        came_at = self._device.time
+        while True:
+            data = self._port.read(deadline_ns)
+            if data and not received:
+                late_ns = time.monotonic_ns() - self._origin_ns - self._device.elapsed_ns
+                came_at = self._device.time + max(0, round(late_ns / _UNIT_NS))
+            received += data
+            if time.monotonic_ns() >= deadline_ns or len(received) >= READ_BYTES:
+                break
+        sleep_until(deadline_ns)
+        return received, came_at
+
+    def _keep_up(self) -> None:
+        """Let the ticks pass that cannot be told any more, and count them."""
+        device = self._device
+        late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
+        if late_ns > LONGEST_PAUSE_S * 1e9:
+            self._origin_ns += late_ns
+            device.missed_ticks += late_ns * device.rate // 1_000_000_000
+            return
+        for _ in range(late_ns * device.rate // 1_000_000_000 - CATCH_UP_TICKS):
+            device.miss()
+
+    def _tick(self) -> None:
+        started_ns = time.perf_counter_ns()
+        state = self._device.tick()
+        units = round((time.perf_counter_ns() - started_ns) / _UNIT_NS)
+        self._device.worst_execution_time = max(self._device.worst_execution_time, units)
+        self._port.write_if_free(state)
+
+
+def sleep_until(deadline_ns: int) -> None:
+    """Sleep until a time on CLOCK_MONOTONIC (ns); return at once when it has passed."""
+    remaining_ns = deadline_ns - time.monotonic_ns()
+    if remaining_ns > 0:
+        time.sleep(remaining_ns * 1e-9)

@@ -1,0 +1,209 @@
+"""The simulated rig with the shape of a USB device: descriptors, and two bulk endpoints behind a socket.
+
+What USB asks of a device without a cable is here: the descriptors that say "vendor class, one bulk endpoint each
+way", the answers to the standard control requests, and the packets. Whoever plays the bus (an emulated usbfs, a
+USB/IP server) forwards control requests to `UsbShape.control` and moves packets through a socket that keeps their
+boundaries (SOCK_SEQPACKET): one message is one packet. The clock is that of `real_time`.
+
+A packet holds at most `packet` bytes and frames are not aligned to them: the pipe is a stream of bytes, as a serial
+line is. As on the wire, packets that the host does not fetch stay with the device: it holds a few, and throws away
+what comes then, newest first, whole frames only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import threading
+import time
+from dataclasses import dataclass
+
+from rig.errors import ConfigError
+from rig.model import RigModel
+from sim_backend.device import SimulatedDevice
+from sim_backend.real_time import RealTime, sleep_until
+
+VENDOR, PRODUCT = 0x1209, 0x0001  # pid.codes keeps this pair for tests: no shipped device has it
+VENDOR_CLASS = 0xFF
+ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x01
+FULL_SPEED_PACKET, HIGH_SPEED_PACKET = 64, 512
+POSITION_RATE_DEFAULT = 1_000
+POSITION_RATE_MAXIMUM = 4_000
+PENDING_BYTES = 8192  # answers that the host has not fetched yet
+SOCKET_BYTES = 2304  # doubled by the kernel to its least: a handful of packets, as a device would hold
+
+_DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
+_ENGLISH = 0x0409
+_BULK = 2
+_GET_STATUS, _CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS, _GET_DESCRIPTOR = 0, 1, 3, 5, 6
+_GET_CONFIGURATION, _SET_CONFIGURATION, _GET_INTERFACE, _SET_INTERFACE = 8, 9, 10, 11
+_SETUP = struct.Struct("<BBHHH")
+
+
+@dataclass(frozen=True, slots=True)
+class UsbShape:
+    """What the device says of itself on USB."""
+
+    vendor: int = VENDOR
+    product: int = PRODUCT
+    serial: str = "0001"
+    maker: str = "haptic-rig"
+    name: str = "simulated rig"
+    packet: int = FULL_SPEED_PACKET  # bytes; 64 at full speed, 512 at high speed
+    interface_class: int = VENDOR_CLASS
+
+    def device(self) -> bytes:
+        """Device descriptor."""
+        return struct.pack(
+            "<BBHBBBBHHHBBBB",
+            *(18, _DEVICE, 0x0200, 0, 0, 0, 64, self.vendor, self.product, 0x0100, 1, 2, 3, 1),
+        )
+
+    def configuration(self) -> bytes:
+        """Configuration descriptor with its interface and endpoints."""
+        interface = struct.pack("<9B", 9, _INTERFACE, 0, 0, 2, self.interface_class, 0, 0, 4)
+        endpoints = b"".join(
+            struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, self.packet, 0)
+            for address in (ENDPOINT_IN, ENDPOINT_OUT)
+        )
+        total = 9 + len(interface) + len(endpoints)
+        bus_powered, current_2ma = 0x80, 50
+        head = struct.pack("<BBHBBBBB", 9, _CONFIGURATION, total, 1, 1, 0, bus_powered, current_2ma)
+        return head + interface + endpoints
+
+    def string(self, index: int) -> bytes | None:
+        """String descriptor: 0 the languages, 1 maker, 2 name, 3 serial number, 4 interface; None for others."""
+        texts = (self.maker, self.name, self.serial, "haptic rig bytes")
+        if index == 0:
+            content = struct.pack("<H", _ENGLISH)
+        elif 1 <= index <= len(texts):
+            content = texts[index - 1].encode("utf-16-le")
+        else:
+            return None
+        return struct.pack("<BB", 2 + len(content), _STRING) + content
+
+    def control(self, setup: bytes) -> bytes | None:
+        """Answer a standard control request.
+
+        Parameters
+        ----------
+        setup
+            The eight bytes of the SETUP packet.
+
+        Returns
+        -------
+        bytes or None
+            The data stage, empty when there is none; None to stall, for what this device does not know.
+        """
+        direction, request, value, _, length = _SETUP.unpack(setup)
+        if request == _GET_DESCRIPTOR:
+            kind, index = value >> 8, value & 0xFF
+            if kind == _STRING:
+                found = self.string(index)
+            else:
+                found = {_DEVICE: self.device(), _CONFIGURATION: self.configuration()}.get(kind)
+            return None if found is None else found[:length]
+        if request == _GET_STATUS:
+            return b"\0\0"[:length]
+        if request in (_GET_CONFIGURATION, _GET_INTERFACE) and direction & 0x80:
+            return bytes([1 if request == _GET_CONFIGURATION else 0])[:length]
+        silent = (_CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS, _SET_CONFIGURATION, _SET_INTERFACE)
+        return b"" if request in silent else None
+
+
+class UsbPort:
+    """The device's end of the two bulk pipes, as a `real_time.Port`; `end` is a connected SOCK_SEQPACKET."""
+
+    def __init__(self, end: socket.socket, packet: int = FULL_SPEED_PACKET) -> None:
+        end.setblocking(False)
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
+        self._end = end
+        self._packet = packet
+        self._pending = b""
+        self.unplugged = False
+
+    def read(self, deadline_ns: int) -> bytes:
+        """Return the next packet of the host, waiting for it until the deadline; nothing at the deadline."""
+        if self.unplugged:
+            sleep_until(deadline_ns)
+            return b""
+        remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
+        readable, _, _ = select.select([self._end], [], [], remaining_s)
+        if not readable:
+            return b""
+        try:
+            data = self._end.recv(HIGH_SPEED_PACKET * 32)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        self.unplugged = not data
+        return data
+
+    def write(self, frames: bytes) -> None:
+        """Send answers, now or as the host fetches them; a host that leaves kilobytes there loses them."""
+        if self.unplugged or len(self._pending) + len(frames) > PENDING_BYTES:
+            return
+        self._pending += frames
+        with contextlib.suppress(OSError):
+            while self._pending:
+                sent = self._end.send(self._pending[: self._packet])
+                self._pending = self._pending[sent:]
+
+    def write_if_free(self, frame: bytes) -> None:
+        """Send a frame that is worth nothing later, unless older ones still wait; its sequence shows the loss."""
+        if self._pending:
+            self.write(b"")
+        if not self._pending:
+            self.write(frame)
+
+
+def serve(
+    model: RigModel,
+    end: socket.socket,
+    *,
+    rate: int = POSITION_RATE_DEFAULT,
+    packet: int = FULL_SPEED_PACKET,
+    seed: int = 0,
+    stop_event: threading.Event | None = None,
+    duration_s: float | None = None,
+) -> None:
+    """Run a simulated rig behind the bulk pipes until it is told to stop.
+
+    Parameters
+    ----------
+    model
+        The physics.
+    end
+        The device's end of the pipes: a connected socket that keeps the boundaries of messages. It is not closed here.
+    rate
+        Ticks a second (Hz) that the device advertises and runs until it is configured.
+    packet
+        Largest packet (bytes).
+    seed
+        Of the sensor noise.
+    stop_event
+        Ends the run when it is set.
+    duration_s
+        Ends the run after this time (s).
+
+    Raises
+    ------
+    ConfigError
+        A rate that a process in Python cannot keep.
+    """
+    if not 50 <= rate <= POSITION_RATE_MAXIMUM:
+        raise ConfigError(
+            f"rate = {rate} Hz is outside 50 … {POSITION_RATE_MAXIMUM}",
+            remedy="a device in Python keeps no more; run faster in virtual time (sim://)",
+        )
+    device = SimulatedDevice(
+        model,
+        position_rate_default=rate,
+        position_rate_maximum=POSITION_RATE_MAXIMUM,
+        seed=seed,
+        keep_truth=False,  # it would grow for ever, and nobody could read it
+    )
+    RealTime(device, UsbPort(end, packet), stop_event or threading.Event()).run(duration_s)
