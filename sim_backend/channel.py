@@ -86,12 +86,16 @@ class Line:
         self.frames = dict.fromkeys(Direction, 0)
         self.acted: Counter[Kind] = Counter()
         self._faults: dict[tuple[Direction, int], list[FrameFault]] = {}
-        for fault in faults:
-            self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
+        self.add(faults)
         self._silent: set[Direction] = set()
         self._unfinished = dict.fromkeys(Direction, b"")
         self._held: dict[Direction, list[bytes]] = {direction: [] for direction in Direction}
         self._under_way: dict[Direction, deque[tuple[int, bytes]]] = {d: deque() for d in Direction}
+
+    def add(self, faults: Iterable[FrameFault]) -> None:
+        """Add to the script, also in the middle of a run."""
+        for fault in faults:
+            self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
 
     def send(self, direction: Direction, data: bytes, tick: int) -> None:
         """Put bytes on the line when `tick` ticks have passed; what is no whole frame yet waits for its rest."""

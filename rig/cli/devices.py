@@ -20,7 +20,11 @@ def devices(url: str | None, as_json: bool) -> None:
         output.print_json(facts)
         return
     if url:
+        port, problems = facts.pop("port"), facts.pop("problems")
         output.print_pairs([(name, str(value)) for name, value in facts.items()])
+        output.print_pairs([(f"port {name}", str(value)) for name, value in (port or {}).items() if value])
+        for problem in problems:
+            click.echo(f"rig: {problem}", err=True)
         return
     click.echo("backends")
     output.print_pairs(
@@ -63,4 +67,14 @@ def _ask(url: str) -> dict[str, Any]:
             "position_rate_maximum": dictionary.position_rate_maximum,
             "clock_offset_ns": offset.offset_ns,
             "clock_uncertainty_ns": offset.uncertainty_ns,
+            **_port(device.link),
         }
+
+
+def _port(link: Any) -> dict[str, Any]:
+    """What a link knows of its port and could not obtain there; the in-memory link has none."""
+    facts = getattr(link, "facts", None)
+    return {
+        "port": None if facts is None else facts.as_mapping(),
+        "problems": list(getattr(link, "messages", [])),
+    }

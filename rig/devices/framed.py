@@ -75,7 +75,7 @@ class FramedDevice:
         self._nonce = link.clock.now_ns() // 1_000_000 % 0xFFFF
         self._dictionary: dictionaries.Dictionary | None = None
         self._dictionary_hash = 0
-        self._crc = 0
+        self._crc: int | None = None  # of the parameters in force; None: not ours, or not known
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self._session = 0  # used last
 
@@ -119,11 +119,17 @@ class FramedDevice:
         Raises
         ------
         DeviceRefusedError
-            A value that the device does not take; nothing has changed then.
+            A value that the device does not take; nothing has changed then. Or a real device that has restarted since
+            it was met: it counts from another zero, and says so by having forgotten what it was told.
         """
         self._make_configurable()
+        before, self._crc = self._crc, None
         for message in set_parameters(encode_block(values), self._next_nonce()):
-            ack = self._command(message)
+            try:
+                ack = self._command(message)
+            except DeviceRefusedError:
+                self._crc = before
+                raise
         block = self._read_parameters()
         with self._understood():
             in_force = decode_block(block)
@@ -137,13 +143,31 @@ class FramedDevice:
 
     def _make_configurable(self) -> None:
         """Bring a faulty, restarted or still armed device (a host died) into a state that takes parameters."""
+        met_real = self._dictionary is not None and not self._dictionary.simulated
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # tells the state, and leaves BOOT
+        if met_real and self._has_forgotten(about):
+            raise DeviceRefusedError(
+                f"the device at {self.link.url.text} has restarted in mid-session and counts from another zero",
+                remedy="check its power and cable, put the handle at position zero, and start the command again",
+                status=Status.NOT_HOMED,
+            )
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
             self._dictionary = self.identify()
         if self.connection.state == State.FAULT:
             self.cleared_fault = self.fault_report()
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
+
+    def _has_forgotten(self, about: m.Identity) -> bool:
+        """Whether the device has restarted since we met it, or another host has configured it since we did."""
+        if about.state == State.BOOT:
+            return True
+        if self._crc is None:
+            return False
+        return bool(
+            about.state < State.CONFIGURED
+            or self._ask(m.GetParameters(self._next_nonce(), 0), m.Parameters).crc != self._crc
+        )
 
     def count(self) -> int:
         """Encoder count now, from the STATE frames that an unarmed device sends on its own.
@@ -183,7 +207,7 @@ class FramedDevice:
         return session
 
     def _arm(self, session: int) -> None:
-        self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc), session=session)
+        self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc or 0), session=session)
 
     @staticmethod
     def _other_than(previous: int, used: int) -> int:

@@ -1,14 +1,24 @@
 """A serial port as a link: opened by pyserial, read and written through its descriptor.
 
-pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and ppoll(2),
-which the compiled loop and Python share. Three traps are answered here: pyserial leaves VMIN at 0, so that
-"nothing there" and "unplugged" look alike; an FTDI adapter waits 16 ms unless asked for low latency; and a
-closing port drops DTR, which resets many boards.
+pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and poll(2),
+which the compiled loop and Python share. What a port answers is set, and read back (`rig.devices.tty`):
+
+* pyserial leaves VMIN at 0, so that "nothing there" and "unplugged" look alike: it becomes 1;
+* an FTDI adapter waits up to 16 ms for more bytes: low latency is asked for, and its timer looked at;
+* a closing port drops DTR, which resets many boards: HUPCL goes off and stays off, so nothing of the line's settings
+  is put back when the link closes;
+* other programs take bytes away: the port is locked (flock by pyserial, TIOCEXCL here). A pseudo-terminal is only
+  locked: its TIOCEXCL would outlive a host that is killed;
+* DTR and RTS are asserted, as the kernel does at opening, and never move while the link is open. A board that they
+  hold in reset is opened with ``?dtr=off``, which takes both back in one step right after opening.
+
+What could not be obtained stands in `SerialLink.messages`, with the command that mends it.
 """
 
 from __future__ import annotations
 
 import errno
+import math
 import os
 import select
 import termios
@@ -21,20 +31,24 @@ import serial
 from numpy.typing import NDArray
 
 from rig.clock import Clock, MonotonicClock
+from rig.devices import tty
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.devices.failures import error_number, link_error
+from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
 from rig.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.model import RigModel
 
 DEFAULT_BAUD = 921_600
-OPTIONS = ("baud",)
+OPTIONS = ("baud", "dtr")
 WRITE_TIMEOUT_S = 0.5
 CHUNK = 4096
-_CFLAG, _CC = 2, 6  # places in the list that termios.tcgetattr returns
+FULL_PAUSE_MS = 10  # between two looks at a line that takes nothing
+
+__all__ = ["PortFacts", "SerialLink", "available_ports", "open_link", "port_facts"]
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
-    """Open ``serial:///dev/ttyACM0?baud=921600``; see `rig.devices.open_link` for what it raises."""
+    """Open ``serial:///dev/ttyACM0?baud=921600&dtr=on``; see `rig.devices.open_link` for what it raises."""
     unknown = set(url.options) - set(OPTIONS)
     if unknown:
         raise ConfigError(
@@ -46,14 +60,22 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
         raise ConfigError(
             f"{url.text}: baud = {text!r} is not a rate", remedy="give bits per second, 300 to 20000000"
         )
+    dtr = url.options.get("dtr", "on")
+    if dtr not in ("on", "off"):
+        raise ConfigError(
+            f"{url.text}: dtr = {dtr!r}", remedy="say on, or off for a board that DTR holds in reset"
+        )
     if not url.place:
         raise ConfigError(f"{url.text}: no port", remedy=f"name one, like serial:///dev/ttyACM0. {_ports()}")
     port = _open(url.place, int(text))
     try:
-        return SerialLink(url, port)
-    except termios.error as error:
+        return SerialLink(url, port, dtr=dtr == "on")
+    except (termios.error, OSError) as error:
         port.close()
         raise DeviceNotFoundError(f"{url.place} vanished: {error}", remedy=_ports()) from None
+    except DeviceNotFoundError:
+        port.close()
+        raise
 
 
 def _open(port: str, baud: int) -> serial.Serial:
@@ -90,25 +112,35 @@ def available_ports() -> list[tuple[str, str]]:
 
 
 class SerialLink:
-    """`rig.devices.device.Link` over an open port."""
+    """`rig.devices.device.Link` over an open port.
 
-    def __init__(self, url: DeviceUrl, port: serial.Serial) -> None:
+    Attributes
+    ----------
+    facts
+        What is known of the port, as it was when it had been opened and set up.
+    messages
+        What could not be obtained, one sentence each with its remedy.
+    """
+
+    def __init__(self, url: DeviceUrl, port: serial.Serial, *, dtr: bool = True) -> None:
         self.url = url
         self.clock: Clock = MonotonicClock()
         self.bytes_per_second = _capacity(url.place, int(port.baudrate))
         self._port: serial.Serial | None = port
         self._descriptor: int = port.fileno()
-        _configure(self._descriptor)
-        with suppress(OSError, ValueError, NotImplementedError, AttributeError):
-            port.set_low_latency_mode(True)  # FTDI: 1 ms instead of 16; others do not know the call
+        self.facts, self.messages = _set_up(url.place, self._descriptor, dtr=dtr)
+        self._readable, self._writable = select.poll(), select.poll()  # select(2) ends at descriptor 1023
+        self._readable.register(self._descriptor, select.POLLIN)
+        self._writable.register(self._descriptor, select.POLLOUT)
         with suppress(termios.error):
             port.reset_input_buffer()
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, waiting at most `timeout_s` for the first byte."""
+        if self._port is None:
+            raise self._lost(None)
         try:
-            ready, _, _ = select.select([self._descriptor], [], [], max(0.0, timeout_s))
-            if not ready:
+            if not self._readable.poll(max(0, math.ceil(timeout_s * 1e3))):
                 return b""
             data = os.read(self._descriptor, CHUNK)
         except BlockingIOError:
@@ -129,7 +161,7 @@ class SerialLink:
             except BlockingIOError:
                 if time.monotonic() > deadline:
                     raise self._lost(TimeoutError("it takes no more bytes")) from None
-                select.select([], [self._descriptor], [], 0.01)
+                self._writable.poll(FULL_PAUSE_MS)
             except (OSError, ValueError) as error:
                 raise self._lost(error) from error
 
@@ -156,6 +188,7 @@ class SerialLink:
     def close(self) -> None:
         """Release the port."""
         if self._port is not None:
+            tty.set_exclusive(self._descriptor, False)
             with suppress(OSError, termios.error):
                 self._port.close()
             self._port = None
@@ -174,10 +207,23 @@ def _capacity(port: str, baud: int) -> float | None:
     return baud / 10.0
 
 
-def _configure(descriptor: int) -> None:
-    """VMIN = 1, so that reading 0 bytes can only mean hang-up; HUPCL off, so that closing resets no board."""
-    attributes = termios.tcgetattr(descriptor)
-    attributes[_CC][termios.VMIN] = 1
-    attributes[_CC][termios.VTIME] = 0
-    attributes[_CFLAG] &= ~termios.HUPCL
-    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[str]]:
+    """Set everything up and read it back: the facts, and what could not be obtained.
+
+    Raises `DeviceNotFoundError` when the line cannot tell silence from hang-up, `termios.error` when it is gone.
+    """
+    tty.configure(descriptor)
+    if not tty.blocks_for_a_byte(descriptor):
+        raise DeviceNotFoundError(
+            f"{place} does not keep its settings (VMIN)", remedy="name a serial port or a pseudo-terminal"
+        )
+    device = os.path.realpath(place)
+    if not is_pseudo(device):
+        tty.set_exclusive(descriptor, True)
+    tty.set_low_latency(descriptor)
+    asserted = tty.set_dtr_rts(descriptor, dtr)
+    facts = port_facts(place, descriptor)
+    messages = facts.problems()
+    if asserted is not None and asserted != dtr:
+        messages.append(f"{place}: DTR is {'on' if asserted else 'off'} although it was set otherwise")
+    return facts, messages

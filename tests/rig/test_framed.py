@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
 import rig.cli
 import rig.devices
+import sim_backend.device
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import RETRY_AFTER_S, State
@@ -411,6 +413,101 @@ def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_aga
     device.configure(RUN_PARAMETERS)
     device.arm()
     assert simulated.connection.state is State.ARMED
+
+
+@pytest.fixture
+def real(monkeypatch):
+    """Simulated devices that claim to be real ones: where zero is, they learn from a person once a session."""
+    original = sim_backend.device.describe
+    monkeypatch.setattr(
+        sim_backend.device, "describe", lambda *arguments: replace(original(*arguments), simulated=False)
+    )
+
+
+def reset(simulated, wire):
+    simulated.reset()
+
+
+def reset_and_met_by_another(simulated, wire):
+    simulated.reset()
+    FramedDevice(MemoryLink(simulated)).identify()
+
+
+def reset_and_faulty(simulated, wire):
+    """A fault of the start hides BOOT; only the parameters tell then."""
+    simulated.reset()
+    simulated.inject_fault(Fault.ENCODER)
+    wire.link.elapse(0.01)
+
+
+def reset_and_configured_by_another(simulated, wire):
+    simulated.reset()
+    FramedDevice(MemoryLink(simulated)).configure({**RUN_PARAMETERS, "reference_count": 77})
+
+
+@pytest.mark.parametrize(
+    "restart", [reset, reset_and_met_by_another, reset_and_faulty, reset_and_configured_by_another]
+)
+def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_with_the_old_zero(
+    restart, real
+):
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    device.disarm()
+    restart(simulated, wire)
+    for _ in range(2):
+        with pytest.raises(DeviceRefusedError, match="has restarted") as caught:
+            device.configure(RUN_PARAMETERS)
+    assert "position zero" in caught.value.remedy
+    assert caught.value.status == Status.NOT_HOMED
+    assert not any(isinstance(message, m.SetBegin) for message in wire.messages()[-4:])
+    FramedDevice(MemoryLink(simulated)).configure(
+        RUN_PARAMETERS
+    )  # a session of its own begins with its own zero
+
+
+def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real):
+    simulated, _, device = make()
+    device.count()
+    simulated.reset()
+    with pytest.raises(DeviceRefusedError, match="has restarted"):
+        device.configure(RUN_PARAMETERS)
+
+
+def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
+    """After trials, faults, and refused parameters: none of these is a restart."""
+    simulated, wire, device = make()
+    for stiffness in (100.0, 200.0):
+        device.configure({**RUN_PARAMETERS, "stiffness": stiffness})
+        device.arm()
+        device.disarm()
+    with pytest.raises(DeviceRefusedError):
+        device.configure({**RUN_PARAMETERS, "current_limit": 32_767})
+    device.configure(RUN_PARAMETERS)
+    simulated.inject_fault(Fault.OVER_CURRENT)
+    wire.link.elapse(0.01)
+    device.configure(RUN_PARAMETERS)
+    assert device.cleared_fault.code == Fault.OVER_CURRENT
+    device.arm()
+
+
+def test_a_lost_answer_to_the_parameters_is_no_restart(real):
+    """They may be in force or not: nothing can be told from them then, and nothing is refused."""
+    other = {**RUN_PARAMETERS, "stiffness": 333.0}
+    _, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    said = wire.link.line.frames[Direction.TO_HOST]
+    device.configure(other)
+    for frame in range(said, wire.link.line.frames[Direction.TO_HOST]):
+        silence = FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=frame)
+        simulated, wire, device = make(faults=Faults(frames=(silence,)))
+        device.configure(RUN_PARAMETERS)
+        with pytest.raises(LinkLostError):
+            device.configure(other)
+        wire.link.line._silent.clear()  # somebody puts the plug back in
+        device.configure(RUN_PARAMETERS)
+        assert simulated.connection.state is State.CONFIGURED
 
 
 # ---------------------------------------------------------------------- ending

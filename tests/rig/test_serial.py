@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import pty
+import resource
+import struct
 import termios
 import time
 import tty
@@ -13,7 +16,9 @@ import tty
 import pytest
 import serial
 
+from rig.devices import port_facts
 from rig.devices import serial as ports
+from rig.devices import tty as tty_settings
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import DEFAULT_BAUD, WRITE_TIMEOUT_S, SerialLink, open_link
 from rig.errors import ConfigError, DeviceNotFoundError, LinkLostError
@@ -133,7 +138,7 @@ def test_a_refused_port_stays_free(line, monkeypatch):
 
     before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patched:
-        patched.setattr(ports, "_configure", vanish)
+        patched.setattr(ports.tty, "configure", vanish)
         with pytest.raises(DeviceNotFoundError, match=line.path):
             opened(line.path)
     assert set(os.listdir("/proc/self/fd")) == before
@@ -195,6 +200,169 @@ def test_the_rate_limits_a_uart_and_nothing_else(name, baud, capacity, tmp_path)
 
 def test_a_pseudo_terminal_has_no_capacity_limit(link):
     assert link.bytes_per_second is None
+
+
+def test_a_line_that_does_not_keep_its_settings_is_refused_and_let_go(line, monkeypatch):
+    before = set(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patched:
+        patched.setattr(ports.tty, "configure", lambda descriptor: None)
+        with pytest.raises(DeviceNotFoundError, match="VMIN"):
+            opened(line.path)
+    assert set(os.listdir("/proc/self/fd")) == before
+
+
+def test_no_call_on_the_descriptor_blocks(line, link):
+    assert not os.get_blocking(link.port().handle)
+
+
+def test_a_symbolic_link_is_as_good_as_the_port(line, tmp_path):
+    """Names in /dev/serial/by-id are such links."""
+    alias = tmp_path / "usb-Raspberry_Pi_Pico_E660-if00"
+    alias.symlink_to(line.path)
+    link = opened(str(alias))
+    link.write(b"hello")
+    assert os.read(line.device, 100) == b"hello"
+    assert (link.facts.port, link.facts.device) == (str(alias), line.path)
+    with pytest.raises(DeviceNotFoundError, match="in use"):
+        opened(line.path)
+    link.close()
+
+
+def test_descriptors_beyond_1023_wait_read_and_write(line):
+    """select(2) knows 1024 of them; a process with many files open has more."""
+    high = 1500
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard <= high:
+        pytest.skip(f"this machine allows {hard} open files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, high + 1), hard))
+    port = serial.Serial(line.path, timeout=0)
+    low, port.fd = port.fd, os.dup2(port.fd, high)
+    link = SerialLink(DeviceUrl.parse(f"serial://{line.path}"), port)
+    try:
+        assert link.read(0.0) == b""
+        os.write(line.device, b"in")
+        assert link.read(SLACK_S) == b"in"
+        link.write(b"out")
+        assert os.read(line.device, 100) == b"out"
+        with pytest.raises(LinkLostError, match="takes no more"):
+            link.write(b"x" * 1_000_000)
+    finally:
+        link.close()
+        os.close(low)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+# ---------------------------------------------------------------------- modem lines, low latency, exclusion
+
+
+def test_a_pseudo_terminal_knows_no_modem_lines_no_latency_and_is_not_kept_from_others_beyond_the_lock(link):
+    assert link.facts.low_latency is None
+    assert link.facts.dtr is None
+    assert link.facts.exclusive is False, (
+        "it would stay so after a kill -9, and nobody could open the port again"
+    )
+    assert link.facts.hangs_up is False
+    assert link.messages == []
+
+
+@pytest.mark.parametrize("dtr", ["yes", "", "1", "ON"])
+def test_dtr_is_on_or_off(dtr, line):
+    with pytest.raises(ConfigError, match="dtr"):
+        opened(line.path, dtr=dtr)
+
+
+@pytest.fixture
+def real_port(monkeypatch):
+    """Let a pseudo-terminal pass for a real port with modem lines and a driver; what was asked of it, in order."""
+    monkeypatch.setattr(ports, "is_pseudo", lambda device: False)
+    return ModemLine(monkeypatch)
+
+
+class ModemLine:
+    """ioctls of a line with DTR, RTS and a driver that may keep the low-latency flag."""
+
+    def __init__(self, monkeypatch, *, keeps_flag=True):
+        self.lines = termios.TIOCM_DTR | termios.TIOCM_RTS
+        self.flags = 0
+        self.keeps_flag = keeps_flag
+        self.asked = []
+        self._real = fcntl.ioctl
+        monkeypatch.setattr(tty_settings.fcntl, "ioctl", self.ioctl)
+
+    def ioctl(self, descriptor, request, argument=0, *more):
+        if request in (termios.TIOCMBIS, termios.TIOCMBIC):
+            (bits,) = struct.unpack("i", argument)
+            self.asked.append((request, bits))
+            self.lines = self.lines | bits if request == termios.TIOCMBIS else self.lines & ~bits
+        elif request == termios.TIOCMGET:
+            argument[:] = struct.pack("i", self.lines)
+        elif request == termios.TIOCGSERIAL:
+            argument[4] = self.flags
+        elif request == termios.TIOCSSERIAL:
+            if self.keeps_flag is None:
+                raise PermissionError(errno.EPERM, "Operation not permitted")
+            self.flags = argument[4] if self.keeps_flag else self.flags
+        else:
+            return self._real(descriptor, request, argument, *more)
+        return 0
+
+
+def test_dtr_is_asserted_and_never_moves_again(line, real_port):
+    link = opened(line.path)
+    assert link.facts.dtr is True
+    link.write(b"x")
+    link.read(0.0)
+    link.close()
+    assert all(request == termios.TIOCMBIS for request, _ in real_port.asked)
+    assert real_port.lines & termios.TIOCM_DTR
+
+
+def test_dtr_off_takes_dtr_and_rts_back_in_one_step(line, real_port):
+    """A board whose reset hangs on the pair is held by either alone."""
+    link = opened(line.path, dtr="off")
+    assert link.facts.dtr is False
+    assert link.messages == []
+    assert real_port.asked[-1] == (termios.TIOCMBIC, termios.TIOCM_DTR | termios.TIOCM_RTS)
+    assert real_port.lines == 0
+    link.close()
+
+
+def test_low_latency_is_set_and_read_back(line, real_port):
+    link = opened(line.path)
+    assert real_port.flags == tty_settings.ASYNC_LOW_LATENCY
+    assert link.facts.low_latency is True
+    link.close()
+
+
+@pytest.mark.parametrize("keeps_flag", [False, None])
+def test_a_driver_that_refuses_low_latency_is_found_out_whether_it_says_so_or_not(
+    keeps_flag, line, real_port
+):
+    real_port.keeps_flag = keeps_flag
+    link = opened(line.path)
+    assert link.facts.low_latency is False
+    link.close()
+
+
+def test_a_real_port_is_refused_to_others_while_it_is_open(line, real_port):
+    link = opened(line.path)
+    assert link.facts.exclusive is True
+    link.close()
+    after = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
+    assert tty_settings.is_exclusive(after) is False, "and free when it is closed"
+    os.close(after)
+
+
+def test_what_was_not_obtained_is_told_with_its_remedy(line, monkeypatch, real_port):
+    monkeypatch.setattr(tty_settings, "set_exclusive", lambda descriptor, wanted: False)
+    monkeypatch.setattr(tty_settings, "is_exclusive", lambda descriptor: False)
+    monkeypatch.setattr(tty_settings, "set_dtr_rts", lambda descriptor, asserted: not asserted)
+    monkeypatch.setattr(port_facts, "is_pseudo", lambda device: False)
+    link = opened(line.path)
+    exclusive, dtr = link.messages
+    assert f"fuser -v {line.path}" in exclusive
+    assert "DTR is off" in dtr
+    link.close()
 
 
 # ---------------------------------------------------------------------- bounded in time

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import rig.cli
+from rig import config, presets
+from rig.devices.local import serve_locally
 from rig.recording.reader import open_recording
 
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
@@ -170,6 +172,20 @@ def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run):
     facts = json.loads(out)
     assert facts["device"] == "chawda-linear"
     assert facts["simulated"]
+
+
+def test_devices_asks_the_port_as_well_as_the_device_behind_it(run):
+    with serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
+        code, out, _ = run("devices", url, "--json")
+        assert code == 0
+        told = json.loads(out)
+        assert told["device"] == "koul-compliant"
+        assert told["port"]["device"] == url.removeprefix("serial://")
+        assert told["port"]["hangs_up"] is False
+        assert told["problems"] == []
+        code, out, _ = run("devices", url)
+        assert code == 0
+        assert "port device" in out
 
 
 WRONG = {
@@ -340,6 +356,8 @@ class Hidden:
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Hidden())
 import rig.cli
+from rig import config, presets
+from rig.devices.local import serve_locally
 sys.exit(rig.cli.run(sys.argv[1:]))
 """
 

@@ -1,0 +1,193 @@
+"""What is known of a serial port: who drives it, which adapter it is, and what of its settings was obtained.
+
+`port_facts` reads sysfs and, for an open port, the line itself; it opens and changes nothing, because opening a port
+moves its modem lines and may reset the board behind it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.devices import tty
+
+FTDI_VENDOR = "0403"
+LONGEST_LATENCY_MS = 1  # of an FTDI adapter: it keeps what it has received for so long, hoping for more
+NO_TIMER_DRIVERS = frozenset({"cdc_acm"})  # the board itself decides when a packet leaves
+_PSEUDO = ("/dev/pts/", "/dev/pty")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortFacts:
+    """One port.
+
+    Attributes
+    ----------
+    port, device
+        The name as given, and the device node behind its symbolic links.
+    driver
+        Of the kernel: ``ftdi_sio``, ``cdc_acm``, …; None for a pseudo-terminal, or where sysfs does not say.
+    vid_pid, serial_number, product
+        Of the USB device that the port belongs to; None without one.
+    by_id
+        Names in ``/dev/serial/by-id`` that stay the same wherever the device is plugged in.
+    ftdi
+        Whether it is an FTDI adapter, which waits for its latency timer.
+    latency_timer_ms
+        That timer (ms); None on all other ports.
+    low_latency
+        Low-latency mode as the driver says; None when it has none, or when the port is not open here.
+    exclusive, hangs_up, dtr
+        Whether others are refused the port, whether closing it drops DTR, and DTR itself; None when the line does not
+        know it, or when the port is not open here.
+    """
+
+    port: str
+    device: str
+    driver: str | None = None
+    vid_pid: str | None = None
+    serial_number: str | None = None
+    product: str | None = None
+    by_id: tuple[str, ...] = ()
+    ftdi: bool = False
+    latency_timer_ms: int | None = None
+    low_latency: bool | None = None
+    exclusive: bool | None = None
+    hangs_up: bool | None = None
+    dtr: bool | None = None
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the facts for JSON."""
+        return {**asdict(self), "by_id": list(self.by_id)}
+
+    def problems(self) -> list[str]:
+        """Return one sentence for each thing that costs time or safety, with the command that mends it."""
+        found = []
+        if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
+            found.append(
+                f"{self.port}: the FTDI adapter keeps bytes back for up to {self.latency_timer_ms} ms. Mend it with: "
+                f"echo {LONGEST_LATENCY_MS} | sudo tee {latency_timer_path(self.device)} "
+                "(for good: rig doctor --print-udev)"
+            )
+        elif self.low_latency is False and self.driver is not None and self.driver.startswith("serial"):
+            found.append(
+                f"{self.port}: the driver {self.driver} refused the low-latency mode. Mend it with: "
+                f"sudo setserial {self.device} low_latency"
+            )
+        if self.exclusive is False and not is_pseudo(self.device):
+            found.append(
+                f"{self.port}: other programs can open the port and take bytes away. "
+                f"See who does with: fuser -v {self.device}"
+            )
+        if self.hangs_up:
+            found.append(
+                f"{self.port}: closing the port will drop DTR, which resets many boards. Mend it with: "
+                f"stty -F {self.device} -hupcl"
+            )
+        return found
+
+
+def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/")) -> PortFacts:
+    """Look a port up.
+
+    Parameters
+    ----------
+    port
+        Name of the port, or of a symbolic link to it. It need not exist: then nothing is known.
+    descriptor
+        Of the open port, for what only the line itself can say.
+    root
+        Where ``sys`` and ``dev`` are (for tests).
+    """
+    device = os.path.realpath(port)
+    usb = _usb_device(device, root)
+    vendor, product_id = _read(usb, "idVendor"), _read(usb, "idProduct")
+    driver = _driver(device, root)
+    return PortFacts(
+        port=port,
+        device=device,
+        driver=driver,
+        vid_pid=f"{vendor}:{product_id}" if vendor and product_id else None,
+        serial_number=_read(usb, "serial"),
+        product=_read(usb, "product"),
+        by_id=_by_id(device, root),
+        ftdi=driver == "ftdi_sio" or vendor == FTDI_VENDOR,
+        latency_timer_ms=_latency_timer(device, root),
+        **(_of_the_line(descriptor, driver) if descriptor is not None else {}),
+    )
+
+
+def is_pseudo(device: str) -> bool:
+    """Whether a device node is a pseudo-terminal."""
+    return device.startswith(_PSEUDO)
+
+
+def latency_timer_path(device: str, root: Path = Path("/")) -> Path:
+    """File with the latency timer of an FTDI adapter (ms)."""
+    return root / "sys/bus/usb-serial/devices" / os.path.basename(device) / "latency_timer"
+
+
+def _of_the_line(descriptor: int, driver: str | None) -> dict[str, bool | None]:
+    return {
+        "low_latency": None if driver in NO_TIMER_DRIVERS else tty.low_latency(descriptor),
+        "exclusive": tty.is_exclusive(descriptor),
+        "hangs_up": tty.hangs_up(descriptor),
+        "dtr": tty.dtr(descriptor),
+    }
+
+
+def _node(device: str, root: Path) -> Path | None:
+    """Directory of a port's device in sysfs, None when it has none (pseudo-terminals)."""
+    if is_pseudo(device):
+        return None
+    node = root / "sys/class/tty" / os.path.basename(device) / "device"
+    return node.resolve() if node.exists() else None
+
+
+def _driver(device: str, root: Path) -> str | None:
+    node = _node(device, root)
+    if node is None or not (node / "driver").exists():
+        return None
+    return (node / "driver").resolve().name
+
+
+def _usb_device(device: str, root: Path) -> Path | None:
+    """Directory of the USB device that a port belongs to: the nearest one above it with a vendor."""
+    node = _node(device, root)
+    while node is not None and node != node.parent:
+        if (node / "idVendor").exists():
+            return node
+        node = node.parent
+    return None
+
+
+def _read(directory: Path | None, name: str) -> str | None:
+    if directory is None:
+        return None
+    try:
+        return (directory / name).read_text("utf-8", "replace").strip() or None
+    except OSError:
+        return None
+
+
+def _latency_timer(device: str, root: Path) -> int | None:
+    path = latency_timer_path(device, root)
+    text = _read(path.parent, path.name)
+    return int(text) if text is not None and text.isdecimal() else None
+
+
+def _by_id(device: str, root: Path) -> tuple[str, ...]:
+    return tuple(sorted(_names_of(device, root / "dev/serial/by-id")))
+
+
+def _names_of(device: str, directory: Path) -> Iterator[str]:
+    try:
+        names = os.listdir(directory)
+    except OSError:
+        return
+    for name in names:
+        if os.path.realpath(directory / name) == device:
+            yield str(directory / name)

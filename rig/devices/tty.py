@@ -1,0 +1,109 @@
+"""Settings of a terminal line, each set and read back: a driver may take an ioctl and do nothing.
+
+All functions work on a descriptor and ask the kernel alone. What a line does not know at all (a pseudo-terminal
+has no modem lines) is None, not an error.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+import sys
+import termios
+from array import array
+from contextlib import suppress
+
+# linux/tty_flags.h and linux/serial.h; `flags` is the fifth int of struct serial_struct, which is 72 bytes long
+ASYNC_LOW_LATENCY = 1 << 13
+_SERIAL_INTS, _FLAGS = 32, 4
+_TIOCGEXCL = 0x80045440  # asm-generic/ioctls.h; elsewhere the call is unknown, and so is the answer
+_CFLAG, _CC = 2, 6  # places in the list that termios.tcgetattr returns
+_DTR_RTS = termios.TIOCM_DTR | termios.TIOCM_RTS
+
+
+def _serial_struct(descriptor: int) -> array[int] | None:
+    settings = array("i", [0] * _SERIAL_INTS)
+    try:
+        fcntl.ioctl(descriptor, termios.TIOCGSERIAL, settings)
+    except OSError:
+        return None
+    return settings
+
+
+def low_latency(descriptor: int) -> bool | None:
+    """Whether the driver is told to pass bytes on at once; None when it has no such settings."""
+    settings = _serial_struct(descriptor)
+    return None if settings is None else bool(settings[_FLAGS] & ASYNC_LOW_LATENCY)
+
+
+def set_low_latency(descriptor: int) -> bool | None:
+    """Tell the driver to pass bytes on at once; what it then says, as `low_latency`."""
+    settings = _serial_struct(descriptor)
+    if settings is None:
+        return None
+    settings[_FLAGS] |= ASYNC_LOW_LATENCY
+    with suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCSSERIAL, settings)
+    return low_latency(descriptor)
+
+
+def is_exclusive(descriptor: int) -> bool | None:
+    """Whether the kernel refuses others the line (but for root); None when it does not say."""
+    answer = bytearray(struct.calcsize("i"))
+    try:
+        fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
+    except OSError:
+        return None
+    return int.from_bytes(answer, sys.byteorder) != 0
+
+
+def set_exclusive(descriptor: int, wanted: bool) -> bool | None:
+    """Refuse others the line, or not any more; what the kernel then says, as `is_exclusive`."""
+    with suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCEXCL if wanted else termios.TIOCNXCL)
+    return is_exclusive(descriptor)
+
+
+def dtr(descriptor: int) -> bool | None:
+    """Whether DTR is asserted; None when the line has none."""
+    lines = bytearray(struct.calcsize("i"))
+    try:
+        fcntl.ioctl(descriptor, termios.TIOCMGET, lines)
+    except OSError:
+        return None
+    return bool(int.from_bytes(lines, sys.byteorder) & termios.TIOCM_DTR)
+
+
+def set_dtr_rts(descriptor: int, asserted: bool) -> bool | None:
+    """Set DTR and RTS in one call, so that no board sees one without the other; what DTR then is."""
+    request = termios.TIOCMBIS if asserted else termios.TIOCMBIC
+    with suppress(OSError):
+        fcntl.ioctl(descriptor, request, struct.pack("i", _DTR_RTS))
+    return dtr(descriptor)
+
+
+def hangs_up(descriptor: int) -> bool:
+    """Whether closing the line drops DTR."""
+    return bool(termios.tcgetattr(descriptor)[_CFLAG] & termios.HUPCL)
+
+
+def blocks_for_a_byte(descriptor: int) -> bool:
+    """Whether VMIN is 1 and VTIME 0, so that reading 0 bytes can only mean hang-up."""
+    characters = termios.tcgetattr(descriptor)[_CC]
+    return _number(characters[termios.VMIN]) == 1 and _number(characters[termios.VTIME]) == 0
+
+
+def _number(character: int | bytes) -> int:
+    """A control character as Python gives it: a byte, or a number when the line is raw."""
+    return character if isinstance(character, int) else character[0]
+
+
+def configure(descriptor: int) -> None:
+    """VMIN = 1, VTIME = 0, HUPCL off, no call blocks. Raises `termios.error` when the line is gone."""
+    attributes = termios.tcgetattr(descriptor)
+    attributes[_CC][termios.VMIN] = 1
+    attributes[_CC][termios.VTIME] = 0
+    attributes[_CFLAG] &= ~termios.HUPCL
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+    os.set_blocking(descriptor, False)

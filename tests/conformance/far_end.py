@@ -1,0 +1,331 @@
+"""A simulated device as a process of its own, with a line that breaks on command and a witness that outlives it.
+
+The witness is a small file that the device writes at every tick and everybody can read: what current flows, whether
+the device has latched a fault, what it lost. It says what the device did when no frame can tell any more.
+
+A far end differs from another by its port alone (`PORTS`): everything else here serves any of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from rig.model import RigModel
+from sim_backend import pty
+from sim_backend.channel import Direction, FrameFault, Line
+from sim_backend.device import SimulatedDevice
+from sim_backend.real_time import Port, RealTime, sleep_until
+
+WAIT_S = 20.0  # for anything at all, on a loaded machine
+LONGEST_LIFE_S = 90.0  # of a device process whose test has died
+FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
+
+WITNESS = np.dtype(
+    [
+        ("ticks", "<i8"),
+        ("running", "<i8"),  # ticks in RUNNING
+        ("current", "<i8"),  # in force (quanta)
+        ("peak", "<i8"),  # largest current so far, either way
+        ("rises", "<i8"),  # ticks of a ramp in which the current rose
+        ("state", "<i8"),
+        ("fault", "<i8"),
+        ("first_fault", "<i8"),  # the first one ever
+        ("acted", "<i8"),  # faults of the line that have struck
+        # what the device's end of the protocol counted
+        ("lost", "<i8"),
+        ("bad_frames", "<i8"),
+        ("duplicated", "<i8"),
+        ("reordered", "<i8"),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """What goes wrong, `after` so many ticks of RUNNING; frames of a fault count from there, each way."""
+
+    after: int = 60
+    frames: tuple[FrameFault, ...] = ()
+    fault: Fault = Fault.NONE  # that the device finds
+    flood: bool = False  # noise without end, to the host
+
+
+# ---------------------------------------------------------------------- in the process of the device
+
+
+class WatchedDevice(SimulatedDevice):
+    """A device that keeps its witness."""
+
+    def __init__(self, model: RigModel, witness: np.ndarray, script: Script, **options: Any) -> None:
+        super().__init__(model, **options)
+        self.witness = witness
+        self._script = script
+        self._struck = False
+
+    def tick(self) -> bytes:
+        w = self.witness[0]
+        before = abs(self.current)
+        state = super().tick()
+        if self.connection.state is State.RUNNING:
+            w["running"] += 1
+        if self._watchdog.ramping and abs(self.current) > before:
+            w["rises"] += 1
+        if not self._struck and w["running"] > self._script.after and self._script.fault:
+            self._struck = True
+            if self._script.fault is Fault.EMERGENCY_STOP:
+                self.press_emergency_stop()
+            else:
+                self.inject_fault(self._script.fault)
+        w["current"] = self.current
+        w["peak"] = max(int(w["peak"]), abs(self.current))
+        w["state"] = self.connection.state
+        w["fault"] = self.fault
+        if self.fault and not w["first_fault"]:
+            w["first_fault"] = self.fault
+        statistics = self.connection.statistics
+        w["lost"] = statistics.lost
+        w["bad_frames"] = statistics.crc_errors + statistics.framing_errors + statistics.malformed
+        w["duplicated"] = statistics.duplicated
+        w["reordered"] = statistics.reordered
+        w["ticks"] += 1
+        return state
+
+
+class FaultyPort:
+    """A port whose line follows a script; `unplug` is what pulling the plug means for that port."""
+
+    def __init__(self, port: Port, device: WatchedDevice, script: Script, unplug: Callable[[], None]) -> None:
+        self._port = port
+        self._device = device
+        self._script = script
+        self._unplug = unplug
+        self._line = Line()
+        self._begun = self._gone = False
+        self._noise = np.random.default_rng(0)
+
+    def read(self, deadline_ns: int) -> bytes:
+        """As `Port.read`, behind the line."""
+        if self._gone:
+            sleep_until(deadline_ns)
+            return b""
+        data = self._port.read(deadline_ns)
+        self._begin()
+        tick = self._device.sample_index
+        self._line.send(Direction.TO_DEVICE, data, tick)
+        self._look()
+        return self._line.receive(Direction.TO_DEVICE, tick)
+
+    def write(self, frames: bytes) -> None:
+        """As `Port.write`, before the line."""
+        if not self._gone:
+            self._port.write(self._passed(frames))
+
+    def write_if_free(self, frame: bytes) -> None:
+        """As `Port.write_if_free`, before the line."""
+        if self._gone:
+            return
+        self._port.write_if_free(self._passed(frame))
+        if self._begun and self._script.flood:
+            self._port.write_if_free(self._noise.integers(0, 256, FLOOD_BYTES, np.uint8).tobytes())
+
+    def _passed(self, frames: bytes) -> bytes:
+        self._begin()
+        tick = self._device.sample_index
+        self._line.send(Direction.TO_HOST, frames, tick)
+        self._look()
+        return self._line.receive(Direction.TO_HOST, tick)
+
+    def _begin(self) -> None:
+        if not self._begun and self._device.witness[0]["running"] > self._script.after:
+            self._begun = True
+            self._line.add(
+                replace(fault, frame=fault.frame + self._line.frames[fault.direction])
+                for fault in self._script.frames
+            )
+
+    def _look(self) -> None:
+        self._device.witness[0]["acted"] = sum(self._line.acted.values())
+        if self._line.unplugged and not self._gone:
+            self._gone = True
+            self._unplug()
+
+
+@contextmanager
+def _pty_port() -> Iterator[tuple[str, Port, Callable[[], None]]]:
+    with pty._Port() as port:
+
+        def hang_up() -> None:
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, port._master)  # the last descriptor of the master goes: the other end hangs up
+            os.close(null)
+
+        yield f"serial://{port.path}", port, hang_up
+
+
+# name → context manager that opens the port in the device's process: (URL for the host, port, how to unplug it)
+PORTS: dict[str, Callable[[], AbstractContextManager[tuple[str, Port, Callable[[], None]]]]] = {
+    "pty": _pty_port
+}
+
+
+def _serve(port_name: str, model: RigModel, script: Script, witness_path: Path, rate: int, pipe: Any) -> None:
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    device = WatchedDevice(
+        model,
+        np.memmap(witness_path, WITNESS, mode="r+", shape=1),
+        script,
+        position_rate_default=rate,
+        position_rate_maximum=4_000,
+        keep_truth=False,
+    )
+    with PORTS[port_name]() as (url, port, unplug):
+        pipe.send(url)
+        RealTime(device, FaultyPort(port, device, script, unplug), stop).run(LONGEST_LIFE_S)
+
+
+# ---------------------------------------------------------------------- in the process of the test
+
+
+def processes() -> Any:
+    """Context of child processes that start at once: they are forked from one that has imported everything."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(
+        ["tests.conformance.far_end", "rig.experiments.trial", "rig.devices.serial"]
+    )
+    return context
+
+
+class FarEnd:
+    """A device process, its URL and its witness."""
+
+    _numbers = itertools.count()
+
+    def __init__(self, port: str, directory: Path, model: RigModel, script: Script, rate: int) -> None:
+        path = directory / f"witness-{next(self._numbers)}"
+        np.zeros(1, WITNESS).tofile(path)
+        self._witness = np.memmap(path, WITNESS, mode="r", shape=1)
+        context = processes()
+        receiver, sender = context.Pipe(duplex=False)
+        self.process = context.Process(
+            target=_serve, args=(port, model, script, path, rate, sender), name="far-end", daemon=True
+        )
+        self.process.start()
+        sender.close()
+        with receiver:
+            if not receiver.poll(WAIT_S):
+                self.close()
+                raise AssertionError("the device process does not start")
+            self.url: str = receiver.recv()
+
+    def __getitem__(self, name: str) -> int:
+        """Return what the device wrote down at its last tick."""
+        return int(self._witness[0][name])
+
+    def pause(self) -> None:
+        """Stop the process, as a debugger or a frozen computer does."""
+        os.kill(self.process.pid, signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        """Let it go on."""
+        os.kill(self.process.pid, signal.SIGCONT)
+
+    def kill(self) -> None:
+        """End it with no chance to say anything."""
+        self.process.kill()
+        self.process.join(WAIT_S)
+
+    def wait_for(self, what: Callable[[FarEnd], bool], text: str) -> None:
+        """Wait until the witness says so."""
+        deadline = time.monotonic() + WAIT_S
+        while not what(self):
+            assert time.monotonic() < deadline, f"{text}: {self._witness[0]}"
+            time.sleep(0.005)
+
+    def wait_for_rest(self) -> None:
+        """Wait until no current flows, none can, and a while more."""
+        self.wait_for(
+            lambda w: w["current"] == 0 and w["state"] not in (State.ARMED, State.RUNNING), "no rest"
+        )
+        ticks = self["ticks"]
+        self.wait_for(lambda w: w["ticks"] >= ticks + 20, "the device stands still")
+        assert self["current"] == 0
+        assert self["rises"] == 0, "a ramp only falls"
+
+    def close(self) -> None:
+        """End the process."""
+        if self.process.is_alive():
+            self.go_on()
+            self.process.terminate()
+            self.process.join(WAIT_S)
+        if self.process.is_alive():
+            self.kill()
+        self.process.close()
+
+
+class HostProcess:
+    """A host that runs one trial in a process of its own, to be killed, stopped and interrupted.
+
+    Attributes
+    ----------
+    process
+        The process.
+    """
+
+    def __init__(self, url: str, experiment: Any, recording: Path) -> None:
+        context = processes()
+        self._receiver, sender = context.Pipe(duplex=False)
+        self.process = context.Process(
+            target=_run_host, args=(url, experiment, recording, sender), name="host", daemon=True
+        )
+        self.process.start()
+        sender.close()
+
+    def ended(self) -> str:
+        """Wait for the end: the class of its error, "" without one, "killed" when it said nothing."""
+        self.process.join(WAIT_S)
+        assert not self.process.is_alive(), "the host does not end"
+        try:
+            return str(self._receiver.recv())
+        except EOFError:
+            return "killed"
+
+    def close(self) -> None:
+        """End the process, if it still runs."""
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join(WAIT_S)
+        self._receiver.close()
+        self.process.close()
+
+
+def _run_host(url: str, experiment: Any, recording: Path, pipe: Any) -> None:
+    from rig.devices import open_device  # noqa: PLC0415
+    from rig.errors import RigError  # noqa: PLC0415
+    from rig.experiments.trial import TrialRequest, run_trial  # noqa: PLC0415
+
+    said = ""
+    try:
+        with open_device(url) as device:
+            run_trial(
+                device,
+                TrialRequest(experiment=experiment, recording=recording, verified=True, seed=0, sealed=False),
+            )
+    except RigError as error:
+        said = type(error).__name__
+    pipe.send(said)

@@ -1,0 +1,369 @@
+"""Every fault again, in real time, over a real port: a device process at the other end of a line that breaks.
+
+Nothing here is asserted about latency, since the machine may be busy: a run either completes or ends with a typed error
+that says so, every wait is bounded by seconds, the device ends without current (its own witness says so), the recording
+reads, and what the line lost is counted.
+"""
+
+import os
+import resource
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from firmware_protocol.kernel import kernel
+from rig import config, presets
+from rig.devices import open_device
+from rig.errors import (
+    DeviceFaultError,
+    DeviceNotFoundError,
+    DeviceRefusedError,
+    GuardError,
+    LawError,
+    LinkLostError,
+    RecordingError,
+    RigError,
+    StoppedError,
+)
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.laws import Law
+from rig.plugs import LAW_SIGNATURE
+from rig.recording.reader import open_recording
+from rig.sample import Phase
+from sim_backend.channel import Direction, FrameFault, Kind
+from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
+
+BOUND_S = 15.0  # of everything that a host does after a fault, on a loaded machine
+RATE = 500
+EARLY = 30  # ticks of RUNNING before something breaks in the middle of a run
+
+SHORT = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {
+        "controller.position_rate": RATE,
+        "controller.velocity_rate": RATE,
+        "controller.parameters": {"cutoff_hz": 100.0},
+        "controller.command_lifetime_s": 0.02,
+        "trial.duration_s": 0.25,
+        "trial.release_s": 0.02,
+        "homing.settle_s": 0.02,
+        "verdict.tail_s": 0.1,
+        "verdict.lowpass_hz": 200.0,
+    },
+)
+LONG = config.override(SHORT, {"trial.duration_s": 60.0})
+MODEL = config.rig_model(SHORT)
+
+
+@pytest.fixture(params=sorted(PORTS))
+def far_end(request, tmp_path):
+    """Start devices behind a port; the suite runs over every kind of port that there is."""
+    started = []
+
+    def start(script=None):
+        started.append(FarEnd(request.param, tmp_path, MODEL, script or Script(), RATE))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.close()
+
+
+class Run:
+    """One trial on a far end: its error, its recording, and that everything was bounded."""
+
+    def __init__(self, device_end, directory, *, experiment=SHORT, law=None, progress=None):
+        self.far_end = device_end
+        self.path = directory / "trial.rigcap"
+        self.error = None
+        began = time.monotonic()
+        request = TrialRequest(
+            experiment=experiment,
+            recording=self.path,
+            verified=True,
+            seed=0,
+            law=law,
+            progress=progress,
+            sealed=False,
+        )
+        try:
+            with open_device(device_end.url) as device:
+                run_trial(device, request)
+        except RigError as error:
+            self.error = error
+        assert time.monotonic() - began < experiment.trial.duration_s + BOUND_S
+
+    @property
+    def counters(self):
+        return self.recording().trailer["counters"]
+
+    def recording(self):
+        return open_recording(self.path)
+
+    def check(self, *allowed):
+        """Without an error or with one of these; the device at rest; a recording that is whole."""
+        assert self.error is None or isinstance(self.error, allowed), self.error
+        if self.error is not None:
+            assert self.error.remedy or isinstance(self.error, StoppedError)
+        self.far_end.wait_for_rest()
+        if not self.path.exists():  # so busy that not even the questions before arming were answered in time
+            assert isinstance(self.error, LinkLostError)
+            assert self.far_end["peak"] == 0
+            pytest.skip(f"too busy to begin: {self.error}")
+        recording = self.recording()
+        assert recording.complete
+        assert not recording.lost
+        assert len(recording.rows) + self.counters["rows_dropped"] == self.counters["ticks"]
+        return self
+
+
+def broken(kind, direction, frame=0):
+    return Script(
+        after=EARLY,
+        frames=(FrameFault(kind=kind, direction=direction, frame=frame, byte=7, bit=3, ticks=3),),
+    )
+
+
+# ---------------------------------------------------------------------- the line
+
+COUNTER = {
+    Kind.DROP: "lost",
+    Kind.CORRUPT: "bad_frames",
+    Kind.TRUNCATE: "bad_frames",
+    Kind.DUPLICATE: "duplicated",
+    Kind.REORDER: "reordered",
+}
+
+
+def test_without_a_fault_it_completes_or_says_that_the_machine_was_too_busy(far_end, tmp_path):
+    device = far_end()
+    run = Run(device, tmp_path).check(LinkLostError)
+    if run.error is None:
+        assert device["peak"] > 0, "it did push"
+        assert device["bad_frames"] == 0
+        assert run.counters["bad_frames"] == 0
+
+
+@pytest.mark.parametrize("direction", Direction)
+@pytest.mark.parametrize("kind", [*COUNTER, Kind.DELAY])
+def test_one_bad_frame_costs_itself_and_is_counted_where_it_should_have_come(
+    kind, direction, far_end, tmp_path
+):
+    device = far_end(broken(kind, direction))
+    run = Run(device, tmp_path).check(LinkLostError)
+    if run.error is not None:
+        return  # the machine was too busy for this one
+    assert device["acted"] == 1
+    if kind is not Kind.DELAY:
+        counters = device if direction is Direction.TO_DEVICE else run.counters
+        assert counters[COUNTER[kind]] >= 1
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_silence_is_a_lost_link_and_a_ramp_to_zero(direction, far_end, tmp_path):
+    device = far_end(broken(Kind.SILENCE, direction))
+    run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
+    assert isinstance(run.error, LinkLostError)
+    assert device["first_fault"] in (Fault.LINK_LOST, Fault.NONE)
+    if direction is Direction.TO_DEVICE and device["acted"]:
+        assert device["first_fault"] == Fault.LINK_LOST
+
+
+def test_a_pulled_plug_is_a_lost_link(far_end, tmp_path):
+    device = far_end(broken(Kind.UNPLUG, Direction.TO_HOST))
+    run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
+    assert isinstance(run.error, LinkLostError)
+    assert run.recording().trailer["reason"] in {"link_closed", "link_silent", "device_fault"}
+    assert device["first_fault"] == Fault.LINK_LOST
+
+
+def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end, tmp_path):
+    run = Run(far_end(Script(after=EARLY, flood=True)), tmp_path)
+    run.check(LinkLostError)
+    if run.error is None:
+        assert run.counters["bad_frames"] > 10
+
+
+# ---------------------------------------------------------------------- the device
+
+
+@pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
+def test_a_fault_of_the_device_is_told_with_its_remedy(fault, far_end, tmp_path):
+    device = far_end(Script(after=EARLY, fault=fault))
+    run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
+    assert isinstance(run.error, LinkLostError)
+    if device["first_fault"] == fault and isinstance(run.error, DeviceFaultError):
+        assert fault.text in run.error.message
+        assert run.recording().rows["current_sent"][-1] == 0
+
+
+def test_a_device_that_dies_is_a_lost_link(far_end, tmp_path):
+    device = far_end()
+
+    def kill(ticks, phase):
+        if ticks > EARLY and device.process.is_alive():
+            device.kill()
+
+    run = Run(device, tmp_path, experiment=LONG, progress=kill)
+    assert isinstance(run.error, LinkLostError)
+    assert run.error.remedy
+    assert run.recording().complete
+
+
+def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_goes_on(far_end, tmp_path):
+    device = far_end()
+    paused = []
+
+    def pause(ticks, phase):
+        if ticks > EARLY and not paused:
+            device.pause()
+            paused.append(ticks)
+
+    run = Run(device, tmp_path, experiment=LONG, progress=pause)
+    device.go_on()
+    run.check(LinkLostError)
+    assert isinstance(run.error, LinkLostError)
+
+
+# ---------------------------------------------------------------------- the law
+
+
+@kernel(LAW_SIGNATURE)
+def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    return np.nan if state[1] > 30.0 else 0.0
+
+
+@kernel(LAW_SIGNATURE)
+def raises(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    if state[1] > 30.0:
+        raise ValueError("too deep for me")
+    return 0.0
+
+
+@pytest.mark.parametrize("function", [gives_nan, raises])
+def test_a_law_that_fails_ends_the_run_with_zero(function, far_end, tmp_path):
+    law = Law("bad", "for this test", function, 2, lambda wall: [])
+    run = Run(far_end(), tmp_path, experiment=LONG, law=law).check(LawError, LinkLostError)
+    assert run.error is not None
+    if isinstance(run.error, LawError):
+        assert run.recording().trailer["reason"] in {"nonfinite", "law_raised"}
+
+
+def test_leaving_the_window_ends_the_run_with_zero(far_end, tmp_path):
+    narrow = config.override(
+        LONG, {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "wall.damping": 0.0}
+    )
+    run = Run(far_end(), tmp_path, experiment=narrow).check(GuardError, LinkLostError)
+    assert run.error is not None
+
+
+# ---------------------------------------------------------------------- the host
+
+
+def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end, tmp_path):
+    device = far_end()
+
+    def break_down(ticks, phase):
+        if ticks > EARLY:
+            raise ZeroDivisionError("a bug in a progress bar")
+
+    error = None
+    try:
+        error = Run(device, tmp_path, experiment=LONG, progress=break_down).error
+    except ZeroDivisionError as own:
+        error = own
+    assert isinstance(error, ZeroDivisionError | LinkLostError)
+    device.wait_for_rest()
+    assert open_recording(tmp_path / "trial.rigcap").complete
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(number, far_end, tmp_path):
+    device = far_end()
+    sent = []
+
+    def interrupt(ticks, phase):
+        if ticks > EARLY and not sent:
+            sent.append(ticks)
+            signal.raise_signal(number)
+
+    run = Run(device, tmp_path, experiment=LONG, progress=interrupt).check(StoppedError, LinkLostError)
+    assert run.error is not None
+    assert run.recording().rows["phase"][-1] in (Phase.HOMING, Phase.TRIAL)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGSTOP])
+def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number, far_end, tmp_path):
+    """From outside, as a person, a session manager and the kernel send them; a stopped host is like a dead one."""
+    device, path = far_end(), tmp_path / "trial.rigcap"
+    host = HostProcess(device.url, LONG, path)
+    try:
+        device.wait_for(
+            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
+        )
+        os.kill(host.process.pid, number)
+        device.wait_for_rest()
+        if number == signal.SIGSTOP:
+            os.kill(host.process.pid, signal.SIGCONT)
+        said = host.ended()
+    finally:
+        host.close()
+    expected = {
+        signal.SIGINT: "StoppedError",
+        signal.SIGTERM: "StoppedError",
+        signal.SIGKILL: "killed",
+        signal.SIGSTOP: "DeviceFaultError",
+    }[number]
+    assert said in (expected, "LinkLostError", "DeviceFaultError")
+    recording = open_recording(path)
+    assert recording.complete == (said != "killed")
+    if said == "killed":
+        assert device["first_fault"] == Fault.LINK_LOST
+
+
+def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end, tmp_path):
+    """A limit on the size of files stands for it: the same path, with EFBIG for ENOSPC."""
+    device = far_end()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))
+    try:
+        run = Run(device, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert isinstance(run.error, RecordingError | LinkLostError)
+    device.wait_for_rest()
+    recording = run.recording()
+    assert not recording.complete or isinstance(run.error, LinkLostError)
+    assert (np.diff(recording.rows["tick"]) == 1).all()
+
+
+def test_a_device_that_somebody_else_has_open_is_refused_before_anything_moves(far_end, tmp_path):
+    device = far_end()
+    with open_device(device.url):
+        run = Run(device, tmp_path)
+    assert isinstance(run.error, DeviceNotFoundError)
+    assert device["running"] == 0
+    assert not (tmp_path / "trial.rigcap").exists()
+
+
+def test_after_every_fault_the_next_trial_finds_the_device_usable(far_end, tmp_path):
+    """The device has latched LINK_LOST for a host that vanished; the next one clears it and says so."""
+    device = far_end()
+    host = HostProcess(device.url, LONG, tmp_path / "first.rigcap")
+    try:
+        device.wait_for(
+            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
+        )
+        host.process.kill()
+        device.wait_for_rest()
+        host.ended()
+    finally:
+        host.close()
+    assert device["state"] in (State.FAULT, State.CONFIGURED)
+    Run(device, tmp_path).check(LinkLostError, DeviceRefusedError)
