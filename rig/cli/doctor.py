@@ -50,9 +50,9 @@ def doctor(
 ) -> None:
     """Say what this machine and a link can do, and what mends what they cannot; changes nothing.
 
-    The machine: rights, limits, kernel, timers, ports. With --url the device, too: who it is, the round trip, the rate
-    that a loop can have, the walls that are stable with that delay, and whether the wall of the experiment may be armed.
-    Commands that mend something are printed, never run.
+    The machine: rights, limits, kernel, timers, ports. With --url the device, too: who it is, the round trip, the
+    rate that a loop can have, the walls that are stable with that delay, and whether the wall of the experiment may be
+    armed. Commands that mend something are printed, never run.
 
     Exits with 2 when the wall must not be armed.
     """
@@ -162,7 +162,7 @@ def _link_pairs(link: LinkMeasurement) -> list[tuple[str, str]]:
     pairs = [
         ("questions", f"{link.sent} in {link.duration_s:.1f} s, {asked}"),
         ("round trip", _times(link.round_trip)),
-        ("there and back", _times(link.travel) if link.stamps_trusted else "not known: the device's stamps make no sense"),
+        ("there and back", _times(link.travel) if link.stamps_trusted else "not known: bad stamps of the device"),
     ]  # fmt: skip
     if not link.virtual:
         pairs.append(
@@ -172,9 +172,10 @@ def _link_pairs(link: LinkMeasurement) -> list[tuple[str, str]]:
             )
         )
         if link.travel.p999.high is None:
+            bounded = 100 * link.travel.bounded
             pairs.append(
-                ("", f"too few answers to bound p99.9: the longest bounds p{100 * link.travel.bounded:.4g}; measure longer")
-            )  # fmt: skip
+                ("", f"too few answers to bound p99.9: the longest bounds p{bounded:.5g}; measure longer")
+            )
     return [
         *pairs,
         ("lost", f"{link.lost} ({100 * link.loss_share:.2g} %), {link.late} late, {link.unsent} not taken, "

@@ -18,9 +18,9 @@ from rig.doctor.gate import Gate, Reason, gate
 from rig.doctor.in_effect import in_effect
 from rig.doctor.ports import Port, look_at_port, ports_here
 from rig.doctor.round_trip import LinkMeasurement, measure_link
-from rig.doctor.scheduled import scheduled
 from rig.doctor.walls import Supported, supported_walls
 from rig.errors import RealtimeError, RigError
+from rig.scheduling import obtained
 
 SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
 
@@ -237,7 +237,7 @@ def _measured(
     rate = (
         experiment.controller.position_rate if virtual else None
     )  # virtual time passes between questions only
-    with scheduled(experiment.host, virtual=virtual) as realtime:
+    with obtained(experiment.host, virtual=virtual) as realtime:
         return measure_link(device, seconds, rate, realtime=realtime, progress=progress)
 
 

@@ -1,4 +1,4 @@
-"""The arming gate: may this wall be rendered on this device, as its link was measured?
+"""The arming gate: whether a wall may be rendered on a device, as its link was measured.
 
 Refused is, on a real device,
 
@@ -20,13 +20,15 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from rig.config import Experiment, Host
+from rig.config import Experiment
+from rig.config.sections import Host
 from rig.controller import command_lifetime_s
 from rig.devices.framed import FramedDevice
 from rig.doctor.late_loops import LateLoops
 from rig.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.errors import ConfigError, PlanError
 from rig.sample import unit_of
+from rig.scheduling import obtained
 from rig.theory import k_max, passivity_bound
 from rig.theory.loop import NO_OPERATOR
 
@@ -120,7 +122,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         reasons.append(_too_many_lost(measurement))
     if measurement.travel.p999.high is None and not measurement.virtual:
         notes.append(
-            f"{measurement.travel.number} exchanges bound p{100 * measurement.travel.bounded:.4g} only (p99.9 needs "
+            f"{measurement.travel.number} exchanges bound p{100 * measurement.travel.bounded:.5g} only (p99.9 needs "
             f"{ENOUGH}): the longest one counts"
         )
     radius: dict[str, float] = {}
@@ -141,7 +143,10 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         notes += [loops.stand_in] if loops.stand_in else []
         notes += _on_homing(homing, delay)
         notes.append(_on_passivity(experiment, passive))
-    unstable = [hand for hand, value in radius.items() if wall.stiffness > 0.0 and value >= 1.0]
+    # without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift
+    unstable = [
+        hand for hand, value in radius.items() if value >= (1.0 if wall.stiffness > 0.0 else 1.0 + 1e-9)
+    ]
     if unstable:
         reasons.append(_unstable(experiment, delay, unstable, radius, limits))
     return Gate(
@@ -166,7 +171,7 @@ def _too_slow(travel_s: float, lifetime_s: float, delay: int) -> Reason:
     return Reason(
         f"the way to the device and back takes up to {1e3 * travel_s:.3g} ms ({delay} ticks), more than half of a "
         f"command's lifetime of {1e3 * lifetime_s:.3g} ms",
-        "run `rig doctor --url …`, which names what delays it; grant real-time scheduling, or choose a lower rate",
+        "run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or choose a lower rate",
     )
 
 
@@ -189,7 +194,9 @@ def _unstable(
     worst = max(radius.values())
     where = ", ".join("no hand" if hand == NO_OPERATOR else f"{hand} hand" for hand in hands)
     largest = min(limits.values())
-    less = f"choose --stiffness below {_rounded_down(largest)}" if largest > 0.0 else "choose another --damping"
+    less = (
+        f"choose --stiffness below {_rounded_down(largest)}" if largest > 0.0 else "choose another --damping"
+    )
     return Reason(
         f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g} is unstable at "
         f"{experiment.controller.position_rate} Hz with {delay} tick{'' if delay == 1 else 's'} of delay ({where}; "
@@ -218,7 +225,9 @@ def _on_homing(radius: Mapping[str, float], delay: int) -> list[str]:
 def _on_passivity(experiment: Experiment, passive: float) -> str:
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     says = "passive" if wall.stiffness <= passive else "not passive (which is not asked)"
-    return f"the wall is {says}: up to K = {max(0.0, passive):.4g} {unit} it would be, at this damping and delay"
+    return (
+        f"the wall is {says}: up to K = {max(0.0, passive):.4g} {unit} it would be, at this damping and delay"
+    )
 
 
 _MEASURED: WeakKeyDictionary[FramedDevice, LinkMeasurement] = WeakKeyDictionary()
@@ -233,8 +242,6 @@ def measured_once(
     """
     found = _MEASURED.get(device)
     if found is None:
-        from rig.scheduling import obtained  # noqa: PLC0415
-
         seconds = min(LONGEST_S, max(SHORTEST_S, 1.05 * ENOUGH / rate))
         if device.dictionary.simulated:
             seconds = SIMULATED_S

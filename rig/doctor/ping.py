@@ -1,7 +1,7 @@
-"""Clock exchanges one after another, as one compiled function without the GIL: how long a link takes, there and back.
+"""Clock exchanges one after another, as one compiled function without the GIL: how long a link takes there and back.
 
-It uses the plug points of the loop (`rig.plugs`), its codec and its way of waiting, so that what it measures is what the
-loop will meet: the same system calls, the same scheduling, the STATE frames of the device in between.
+It uses the plug points of the loop (`rig.plugs`), its codec and its way of waiting, so that what it measures is what
+the loop will meet: the same system calls, the same scheduling, the STATE frames of the device in between.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ EXCHANGE: Any = namedtuple(
     "ExchangeFields", ("host_sent", "device_received", "device_sent", "host_received")
 )(*range(4))
 
-_FLOATS, _INTS, _BYTES = types.float64[::1], types.int64[::1], types.uint8[::1]
+_INTS, _BYTES = types.int64[::1], types.uint8[::1]
 _TABLE = types.int64[:, ::1]
 _NONCES = 1 << 16
 
@@ -77,7 +77,7 @@ def _gather(
             return int(got)
         tally[TALLY.bytes_in] += got
         end = filled + got
-        start = np.int64(0)
+        start = 0
         while True:
             stop = codec.find_delimiter(received, start, end)
             if stop < 0:
@@ -94,11 +94,33 @@ def _gather(
         rest = end - start
         if rest > RECEIVE_BYTES // 2:  # noise without a delimiter
             tally[TALLY.bad_frames] += 1
-            rest = np.int64(0)
+            rest = 0
         for i in range(rest):
             received[i] = received[start + i]
         tally[TALLY.filled] = rest
     return came
+
+
+@kernel(
+    types.int64(
+        TRANSFER, WAIT, NOW, types.int64, types.int64, types.int64, types.int64,
+        _BYTES, _BYTES, _INTS, _INTS, _INTS, _INTS,
+    )
+)  # fmt: skip
+def _listen(
+    read: Any, wait: Any, now: Any, link: int, clock: int, until_ns: int, for_answer: int,
+    received: Any, raw: Any, header: Any, values: Any, answer: Any, tally: Any,
+) -> int:  # fmt: skip
+    """Take what comes until a moment, or until the answer is there if one is waited for: 1 if it came, 0, or -errno."""
+    while now(clock) < until_ns:
+        ready = wait(link, until_ns)
+        if ready > 0:
+            ready = _gather(read, link, received, raw, header, values, answer, tally)
+        if ready < 0:
+            return int(ready)
+        if ready == 1 and for_answer == 1:
+            return 1
+    return 0
 
 
 @kernel(
@@ -139,18 +161,14 @@ def ping(
     """
     time_ns = now(clock)
     while tally[TALLY.answered] < len(exchanges) and time_ns < until_ns:
-        due_ns = tally[TALLY.last_sent] + period_ns
-        while time_ns < due_ns and time_ns < until_ns:
-            ready = wait(link, min(due_ns, until_ns))
-            if ready > 0:
-                ready = _gather(read, link, received, raw, header, values, answer, tally)
-            if ready < 0:
-                return int(ready)
-            time_ns = now(clock)
+        due_ns = min(tally[TALLY.last_sent] + period_ns, until_ns)
+        came = _listen(read, wait, now, link, clock, due_ns, 0, received, raw, header, values, answer, tally)
+        if came < 0:
+            return int(came)
+        time_ns = now(clock)
         if time_ns >= until_ns:
             break
         tally[TALLY.nonce] = (tally[TALLY.nonce] + 1) % _NONCES
-        time_ns = now(clock)
         tally[TALLY.last_sent] = time_ns
         values[GET_TIME.nonce] = tally[TALLY.nonce]
         values[GET_TIME.host_sent] = time_ns
@@ -160,34 +178,29 @@ def ping(
         if taken < 0:
             return int(taken)
         tally[TALLY.bytes_out] += taken
-        if taken != size:
+        patience_ns = timeout_ns
+        if taken == size:
+            tally[TALLY.sent] += 1
+        else:
             tally[TALLY.unsent] += 1
-            wait(link, time_ns + RETRY_FULL_NS)
-            ready = _gather(read, link, received, raw, header, values, answer, tally)
-            if ready < 0:
-                return int(ready)
-            time_ns = now(clock)
-            continue
-        tally[TALLY.sent] += 1
-        came = np.int64(0)
-        waited_ns = time_ns
-        while came == 0 and waited_ns < time_ns + timeout_ns:
-            came = np.int64(wait(link, time_ns + timeout_ns))
-            if came > 0:
-                came = np.int64(_gather(read, link, received, raw, header, values, answer, tally))
-            if came < 0:
-                return int(came)
-            waited_ns = now(clock)
+            patience_ns = RETRY_FULL_NS
+        came = _listen(
+            read, wait, now, link, clock, time_ns + patience_ns, 1,
+            received, raw, header, values, answer, tally,
+        )  # fmt: skip
+        received_ns = now(clock)
+        if came < 0:
+            return int(came)
         if came == 1:
             row = tally[TALLY.answered]
             exchanges[row, EXCHANGE.host_sent] = time_ns
             exchanges[row, EXCHANGE.device_received] = answer[TIME.device_received]
             exchanges[row, EXCHANGE.device_sent] = answer[TIME.device_sent]
-            exchanges[row, EXCHANGE.host_received] = waited_ns
+            exchanges[row, EXCHANGE.host_received] = received_ns
             tally[TALLY.answered] = row + 1
-        else:
+        elif taken == size:
             tally[TALLY.lost] += 1
-        time_ns = waited_ns
+        time_ns = received_ns
     return int(tally[TALLY.answered])
 
 

@@ -1,4 +1,4 @@
-"""The round trip of a link, measured: how long a question and its answer take, how many are lost, what rate that carries.
+"""The round trip of a link, measured: how long a question and its answer take, how many are lost, what rate it carries.
 
 The device says how long it kept a question (two of the four stamps of a clock exchange). What is left of the round trip
 is the way there and back: what a sample and the command that answers it need in a loop, and what decides its delay. A
@@ -14,7 +14,7 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from rig.devices.framed import FramedDevice
 from rig.doctor.ping import EXCHANGE, RECEIVE_BYTES, TALLY, VALUES, ping
 from rig.doctor.quantiles import Distribution, values_needed
 from rig.errors import LinkLostError
+
+if TYPE_CHECKING:
+    from rig.scheduling import Realtime
 
 ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
 TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trial`)
@@ -38,14 +41,6 @@ HONEST = (
 )
 
 Progress = Callable[[float], None]
-
-
-class Realtime(Protocol):
-    """What the measurement needs of `rig.scheduling`: the thread that pings runs as the loop's would."""
-
-    def enter_thread(self) -> object:
-        """Put the calling thread under the loop's scheduling."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,6 +236,7 @@ class _Run:
         try:
             signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
             if realtime is not None:
+                realtime.prefault(self._exchanges)
                 realtime.enter_thread()
             end_ns = self._begun_ns + self._duration_ns
             while not self._stop.is_set():
@@ -256,10 +252,11 @@ class _Run:
 
     def _ping(self, exchanges: NDArray[np.int64], until_ns: int) -> None:
         port = self._port
-        result = ping(
+        arguments: tuple[Any, ...] = (
             *(port.read, port.write, port.wait, port.now, port.handle, port.clock_handle),
             *(until_ns, self._period_ns, round(TIMEOUT_S * 1e9), exchanges, self._tally, *self._buffers),
         )
+        result = ping(*arguments)
         if result < 0:
             failure = self._device.link.failure()
             raise LinkLostError(

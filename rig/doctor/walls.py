@@ -1,7 +1,7 @@
 """Which walls a measured link supports: the largest stable stiffness at some dampings and rates, in every hand.
 
-The rates: what the device does at most, what the link carries, what the round trip allows with one tick of delay, and the
-experiment's. At each the delay in ticks follows from the measured way there and back, and linear theory says what holds
+The rates: what the device does at most, what the link carries, what the round trip allows with one tick of delay, and
+the experiment's. At each the delay in ticks follows from the measured way there and back, and linear theory says what holds
 (`rig.theory`, `rig.doctor.late_loops`), uniform and dual-rate, with the experiment's estimator.
 """
 
@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from firmware_protocol import messages
+from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment
 from rig.doctor.late_loops import LateLoops
 from rig.doctor.round_trip import LinkMeasurement
@@ -21,7 +23,8 @@ from rig.theory import k_max_curve
 
 DIVIDER = 10  # position samples for one of velocity, where the experiment is uniform
 LOWEST_HZ, HIGHEST_HZ = 100, 200_000
-STATE_BYTES_SHARE = 0.7  # of a link's capacity that a loop may use, as in a plan
+LINK_SHARE = 0.7  # of a link's capacity that a loop may use, as in `rig.experiments.plan`
+STATE_BYTES = encoded_bytes(messages.State)  # of a loop's larger frame, on the wire
 
 Told = Callable[[float], None]
 
@@ -75,14 +78,12 @@ class Supported:
         return asdict(self) | {"k_max": rows}
 
 
-def candidate_rates(
-    experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int, bytes_per_tick: int
-) -> list[Rate]:
+def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int) -> list[Rate]:
     """Return the rates worth looking at, the slowest first, each once."""
     found = [Rate(experiment.controller.position_rate, "the experiment's")]
     fastest = rate_maximum
     if measurement.capacity is not None:
-        carried = int(STATE_BYTES_SHARE * measurement.capacity // bytes_per_tick)
+        carried = int(LINK_SHARE * measurement.capacity // STATE_BYTES)
         if carried < rate_maximum:
             found.append(Rate(_round(carried), "what the link carries"))
             fastest = carried
@@ -109,7 +110,6 @@ def supported_walls(
     experiment: Experiment,
     measurement: LinkMeasurement,
     rate_maximum: int,
-    bytes_per_tick: int,
     progress: Told | None = None,
 ) -> list[Supported]:
     """Compute the table.
@@ -122,12 +122,10 @@ def supported_walls(
         Of the link.
     rate_maximum
         Of the device (Hz).
-    bytes_per_tick
-        That a loop moves each way in a tick.
     progress
         Told the share that is done.
     """
-    rates = candidate_rates(experiment, measurement, rate_maximum, bytes_per_tick)
+    rates = candidate_rates(experiment, measurement, rate_maximum)
     wanted = [(rate, scheme) for rate in rates for scheme in _schemes(experiment, rate.hertz)]
     rows: list[Supported] = []
     for rate, scheme in wanted:
@@ -184,5 +182,5 @@ def _round(hertz: float) -> int:
     """Two digits, not above: a rate that divides by something."""
     if hertz < 100.0:
         return int(hertz)
-    scale = 10 ** (math.floor(math.log10(hertz)) - 1)
+    scale = int(10.0 ** (math.floor(math.log10(hertz)) - 1))
     return int(hertz // scale) * scale
