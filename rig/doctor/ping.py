@@ -168,7 +168,6 @@ def ping(
         time_ns = now(clock)
         if time_ns >= until_ns:
             break
-        tally[TALLY.nonce] = (tally[TALLY.nonce] + 1) % _NONCES
         tally[TALLY.last_sent] = time_ns
         values[GET_TIME.nonce] = tally[TALLY.nonce]
         values[GET_TIME.host_sent] = time_ns
@@ -200,6 +199,7 @@ def ping(
             tally[TALLY.answered] = row + 1
         elif taken == size:
             tally[TALLY.lost] += 1
+        tally[TALLY.nonce] = (tally[TALLY.nonce] + 1) % _NONCES  # what comes now answers nothing any more
         time_ns = received_ns
     return int(tally[TALLY.answered])
 

@@ -1,8 +1,8 @@
 """Which walls a measured link supports: the largest stable stiffness at some dampings and rates, in every hand.
 
 The rates: what the device does at most, what the link carries, what the round trip allows with one tick of delay, and
-the experiment's. At each the delay in ticks follows from the measured way there and back, and linear theory says what holds
-(`rig.theory`, `rig.doctor.late_loops`), uniform and dual-rate, with the experiment's estimator.
+the experiment's. At each the delay in ticks follows from the measured way there and back, and linear theory says what
+holds (`rig.theory`, `rig.doctor.late_loops`), uniform and dual-rate, with the experiment's estimator.
 """
 
 from __future__ import annotations
