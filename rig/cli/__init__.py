@@ -47,6 +47,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Identify a rig: signs, friction, inertia, damping, delay, first mode.",
     ),
     "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
+    "doctor": (
+        "rig.cli.doctor:doctor",
+        "Say what this machine and a link can do, which walls that supports, and what mends the rest.",
+    ),
     "preset": ("rig.cli.preset:preset", "List the built-in rigs, or print one as a file to start from."),
     "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
 }

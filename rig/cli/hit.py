@@ -6,13 +6,16 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rig.cli import compare as comparing
 from rig.cli import options, output
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.doctor.gate import Gate
 
 
 @click.command()
@@ -22,6 +25,11 @@ from rig.errors import RigError
     "--realtime", is_flag=True, help="In real time; a simulated rig then runs as a process of its own."
 )
 @click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
+@click.option(
+    "--arm-anyway",
+    is_flag=True,
+    help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+)
 @click.option(
     "-o",
     "--output",
@@ -39,6 +47,7 @@ def hit(
     url: str | None,
     realtime: bool,
     verified: bool,
+    arm_anyway: bool,
     directory: Path,
     plot: bool,
     compare: bool,
@@ -78,6 +87,7 @@ def hit(
         changes=changes,
         realtime=realtime,
         verified=verified,
+        arm_anyway=arm_anyway,
         output=directory,
     )
     done: list[dict[str, Any]] = []
@@ -88,6 +98,8 @@ def hit(
                 bars.stop()
                 picture = artist.draw(result.recording)
                 done.append({**result.as_mapping(), "picture": picture})
+                if len(done) == 1:
+                    _say_gate(result.gate)
                 if not as_json:
                     _print_result(result, picture, output.differences(experiment, result.experiment, changes))
         except RigError as error:
@@ -154,6 +166,14 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
         click.echo(f"  for real time: {', '.join(changed)}")
     pairs = output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
     _print_pairs(pairs, result.recording, picture)
+
+
+def _say_gate(gate: Gate | None) -> None:
+    """Say what speaks against arming where it was armed all the same: a simulated rig, or --arm-anyway."""
+    if gate is None or gate.armable:
+        return
+    why = "--arm-anyway" if gate.forced and not gate.simulated else "a real rig would be refused"
+    click.echo(f"rig: armed although ({why}): {gate.text}", err=True)
 
 
 def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> None:

@@ -1,1 +1,10 @@
-"""What this machine and a link can do, and what would mend what they cannot."""
+"""What this machine and a link can do, and what would mend what they cannot.
+
+    from rig.doctor.examine import Question, examine
+
+* `finding`, `machine`, `ports`: what is looked at without a device
+* `ping`, `round_trip`, `quantiles`: the link, measured by the loop's own means
+* `late_loops`, `walls`: what linear theory makes of its delay
+* `gate`: whether a wall may be armed there
+* `examine`: all of it, as `rig doctor` prints it
+"""

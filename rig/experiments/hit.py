@@ -14,6 +14,8 @@ from rig import config, devices
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
 from rig.devices.local import serve_locally
+from rig.doctor.gate import Gate, check_armable
+from rig.doctor.in_effect import in_effect
 from rig.errors import ConfigError, PlanError
 from rig.experiments.judgement import as_trailer, judge
 from rig.experiments.plan import Check, Outcome, link_checks, make_plan
@@ -22,8 +24,6 @@ from rig.laws import Law
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
 from rig.verdict import Verdict
-
-RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +51,8 @@ class HitRequest:
         Open device to use instead of `url`; it stays open.
     reference_count
         Count at position zero of a real rig. None: its handle is at zero now.
+    arm_anyway
+        Arm a wall that the link, as measured, makes dangerous (`rig.doctor.gate`); it is said and recorded.
     """
 
     experiment: Experiment
@@ -62,6 +64,7 @@ class HitRequest:
     law: Law | None = None
     device: FramedDevice | None = None
     reference_count: int | None = None
+    arm_anyway: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +77,7 @@ class HitResult:
     verdict_true: Verdict | None
     counters: dict[str, int]
     cleared_fault: str | None  # what an earlier run had left latched on the device
+    gate: Gate | None = None  # what speaks for and against arming on this link; None in virtual time
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -96,6 +100,7 @@ class HitResult:
             "thresholds": asdict(config.verdict_limits(self.experiment)),
             "counters": self.counters,
             "cleared_fault": self.cleared_fault,
+            "gate": None if self.gate is None else self.gate.as_mapping(),
         }
 
 
@@ -132,6 +137,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         _check_person(experiment, device)
         if request.law is not None:
             experiment = replace(experiment, wall=replace(experiment.wall, law=request.law.name))
+        gate = check_armable(device, experiment, anyway=request.arm_anyway)
         with plain_errors("make", request.output):
             request.output.mkdir(parents=True, exist_ok=True)
         stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
@@ -150,12 +156,13 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                     trial,
                     recording=_free_name(request.output, f"{stem}-{repeat + 1}"),
                     progress=watch(repeat, experiment) if watch else None,
-                    extra={"repeat": repeat + 1},
+                    extra={"repeat": repeat + 1, **({} if gate is None else {"gate": gate.as_mapping()})},
                 ),
+                gate,
             )
 
 
-def _one(device: FramedDevice, trial: TrialRequest) -> HitResult:
+def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitResult:
     verdicts: list[tuple[Verdict, Verdict | None]] = []
 
     def judged(recording: Recording) -> dict[str, Any]:
@@ -172,6 +179,7 @@ def _one(device: FramedDevice, trial: TrialRequest) -> HitResult:
         verdict_true=true,
         counters=end.counters,
         cleared_fault=None if fault is None else fault.text,
+        gate=gate,
     )
 
 
@@ -200,13 +208,7 @@ def _opened(request: HitRequest) -> Iterator[FramedDevice]:
 
 
 def _experiment_for(request: HitRequest, device: FramedDevice) -> Experiment:
-    """The experiment in effect on this device: in real time its gentler variant at the device's own rate."""
-    if device.link.clock.virtual:
-        return config.override(request.experiment, request.changes)
-    changes: dict[str, Any] = dict(request.experiment.realtime)
-    if not any(key in request.changes for key in RATES):
-        changes.update(dict.fromkeys(RATES, device.dictionary.position_rate_default))
-    return config.override(request.experiment, {**changes, **request.changes}, "real time and command line")
+    return in_effect(request.experiment, device, request.changes)
 
 
 def _reference_count(request: HitRequest, device: FramedDevice) -> int:
