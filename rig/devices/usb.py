@@ -321,14 +321,7 @@ class UsbLink:
     def port(self) -> LoopPort:
         """Return the transfers for the loop."""
         read, write, wait, handle = self._transfers.plugs()
-        return LoopPort(
-            read=read,
-            write=write,
-            wait=wait,
-            handle=handle,
-            now=self.clock.now_plug,
-            clock_handle=self.clock.handle,
-        )
+        return LoopPort.on(self.clock, read=read, write=write, wait=wait, handle=handle)
 
     def failure(self) -> BaseException | None:
         """Return None: a real far end keeps its failures to itself."""

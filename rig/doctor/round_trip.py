@@ -273,6 +273,7 @@ class _Run:
                 next_command=connection.sequence_to_send(messages.Command),
                 newest_state=newest,
                 state=int(connection.state),
+                nonce=self._device.nonce,
             )
 
     def measured(self, simulated: bool, time_unit_ns: float) -> LinkMeasurement:

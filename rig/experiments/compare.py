@@ -24,7 +24,7 @@ from rig import config, controller
 from rig.config import Experiment
 from rig.errors import ConfigError, DeviceNotFoundError
 from rig.experiments.impact import Impact, ImpactNumbers, mean, measure
-from rig.experiments.replay import replay_rows
+from rig.experiments.replay import NO_SETS, replay_rows
 from rig.sample import ROW
 from rig.schemes import Scheme
 from rig.step import ENDS_RUN, TRIAL, Controller
@@ -299,7 +299,7 @@ def _rows(law: Controller, plant: Any, trace: Any) -> NDArray[np.void]:
     units = np.rint(np.minimum(trace.states[:, plant.edge_age] * (1e9 / TIME_UNIT_NS), OLDEST_EDGE))
     rows["edge_age"] = units.astype(np.int64) * round(1000 * TIME_UNIT_NS) // 1000
     again = rows.copy()
-    replay_rows(law.estimator.estimator.update, law.law.law.function, rows, again, *law.arguments())
+    replay_rows(law.estimator.estimator.update, law.law.law.function, rows, again, NO_SETS, *law.arguments())
     return again
 
 

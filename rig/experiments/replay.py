@@ -44,6 +44,8 @@ COMPUTED = (
 _TIMING = int(RowFlag.LATE | RowFlag.GAP)  # noticed by the loop, not by the law
 
 
+NO_SETS = np.zeros((0, 1))  # of a run whose parameters stayed as they were
+
 _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
 
@@ -177,7 +179,7 @@ def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | No
     if law is not None or any(key.startswith("wall.") for key in changes or ()):
         sets = []
     rows = [[one["tick"], one["wall_position"], *one["parameters"]] for one in sets]
-    return np.array(rows, dtype=np.float64) if rows else np.zeros((0, 1))
+    return np.array(rows, dtype=np.float64) if rows else NO_SETS
 
 
 def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> Controller:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numba
 import pytest
 
-from sim_backend.usb import UsbShape
 from tests.system.usb import checks
 from tests.system.usb.bench import Bus, Child, build
 
