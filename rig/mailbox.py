@@ -205,6 +205,11 @@ class Mailbox:
         RigError
             Another process holds the mailbox, stopped in the middle.
         """
+        with self.alone():
+            return self.post_alone(values)
+
+    def post_alone(self, values: ArrayLike) -> int:
+        """`post`, for whoever is `alone` already."""
         numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
         if len(numbers) > SET_FLOATS:
             raise ConfigError(
@@ -213,11 +218,11 @@ class Mailbox:
             )
         if np.isnan(numbers).any():
             raise ConfigError("a parameter for a running loop is not a number", remedy="give finite values")
-        with self._alone():
-            return int(post_set(self._address, numbers))
+        return int(post_set(self._address, numbers))
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
+    def alone(self) -> Iterator[None]:
+        """Keep other writers away, of this process and of others, for as long as the block takes."""
         with _writers:
             if self._descriptor < 0:
                 yield

@@ -3,13 +3,14 @@
 Layout (version 2), every part at a multiple of 64 bytes::
 
     control words   `WORDS` int64                                 what they say stands below
-    info            `INFO_BYTES`; UTF-8 JSON, its length in word INFO_LENGTH
-    mailbox         `rig.mailbox.MAILBOX_BYTES`                   parameters on their way to the loop
+    info            2 × `INFO_BYTES`; one is UTF-8 JSON, the other is free
+    mailbox         `MAILBOX_BYTES` for `rig.mailbox`: parameters on their way to the loop
     rows            `capacity` rows of `rig.sample.ROW`
 
-Every word has one writer; all sides load and store words through `rig.words`. Words 0 to 3 keep their places in all
-versions, so that a run can be stopped whatever version started it. The info is written once, before anybody else can
-see the block: which experiment runs, on which device, into which recording.
+Every word has one writer; all sides load and store words through `rig.words`. Words 0 to 3 and 7 keep their places in
+all versions, so that a run can be stopped whatever version started it. The info says which experiment runs, on which
+device, into which recording; who posts parameters writes the info that goes with them into the free half, and then
+changes the word INFO: the length of the JSON in bits 0–19, which half in bit 20, above them how often it was changed.
 
 The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and
 publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
@@ -27,22 +28,24 @@ import json
 import mmap
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.errors import RigError
-from rig.mailbox import MAILBOX_BYTES, Mailbox, clear
 from rig.sample import ROW
-from rig.words import read_word, write_word
+
+if TYPE_CHECKING:
+    from rig.mailbox import Mailbox
 
 LAYOUT_VERSION = 2
 WORDS = 64
 INFO_BYTES = 65536
+MAILBOX_BYTES = 2048  # rig.mailbox needs less, and must not be loaded to find the rows
 NAME = "haptic-rig"
 LINK = f"/memfd:{NAME} (deleted)"
 
@@ -60,7 +63,7 @@ RECORDER_ERROR = 9  # recorder    0, or the errno that stopped the recorder
 RECORDED = 10  # recorder    rows that are in the file
 END_REASON = 11  # loop        why the loop ended (rig.loop.host.EndReason)
 END_ERRNO = 12  # loop        errno behind a broken link, else 0
-INFO_LENGTH = 13  # creator     bytes of the info's JSON
+INFO = 13  # who posts   length and place of the info
 CREATED = 14  # creator     when the block was made (ns, CLOCK_REALTIME)
 ROW_BYTES = 15  # creator     bytes of a row
 # Counters of the link, written by the loop.
@@ -78,10 +81,15 @@ STALE = 26  # ticks of a host-paced loop, or periods of waiting, without a fresh
 OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
 EXCHANGES = 28  # clock exchanges completed
 PARAMETER_SET = 29  # number of the parameter set in force
+CREATOR = 63  # creator     its process, as it calls itself
 
 _INFO_AT = WORDS * 8
-_MAILBOX_AT = _INFO_AT + INFO_BYTES
+_MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES
 _ROWS_AT = _MAILBOX_AT + MAILBOX_BYTES
+_INFO_LENGTH = 0xFFFFF
+_INFO_HALF = 1 << 20
+_INFO_CHANGES = 32
+_INFO_TRIES = 10
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
 
 
@@ -102,7 +110,7 @@ class Ring:
         self.buffer = buffer
         self.descriptor = descriptor
         self.words: NDArray[np.int64] = buffer[:_INFO_AT].view(np.int64)
-        rows = (len(buffer) - _ROWS_AT) // ROW.itemsize
+        rows = max(0, (len(buffer) - _ROWS_AT) // ROW.itemsize)
         self.rows: NDArray[np.void] = buffer[_ROWS_AT : _ROWS_AT + rows * ROW.itemsize].view(ROW)
         self._closed = False
 
@@ -124,17 +132,14 @@ class Ring:
         RigError
             More info than fits, or no memory.
         """
-        text = json.dumps(dict(info or {})).encode()
-        if len(text) > INFO_BYTES:
-            raise RigError(
-                f"{len(text)} bytes of information about a run, where {INFO_BYTES} fit",
-                remedy="shorten the tables of the experiment",
-            )
+        from rig.mailbox import clear  # noqa: PLC0415  (numba only when a loop is built)
+
+        text = _json_of(info or {})
         size = _ROWS_AT + capacity * ROW.itemsize
         ring = cls(*_shared_memory(size)) if shared else cls(_plain_memory(size))
-        ring.buffer[_INFO_AT : _INFO_AT + len(text)] = np.frombuffer(text, np.uint8)
-        ring.put(INFO_LENGTH, len(text))
+        _write_info(ring, text)
         ring.put(CREATED, time.time_ns())
+        ring.put(CREATOR, os.getpid())
         ring.put(ROW_BYTES, ROW.itemsize)
         clear(ring.mailbox)
         ring.put(VERSION, LAYOUT_VERSION)
@@ -159,13 +164,13 @@ class Ring:
             ):
                 raise RigError(f"{path} is not the memory of a running loop", remedy="nothing is to be done")
             size = os.fstat(descriptor).st_size
-            if size < _ROWS_AT:
+            if size < _INFO_AT:
                 raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
             ring = cls(_mapped(descriptor, size), descriptor)
         except BaseException:
             os.close(descriptor)
             raise
-        if ring.get(VERSION) == 0:
+        if ring.peek(VERSION) == 0:
             ring.close()
             raise RigError(f"{path} is still being made", remedy="try again")
         return ring
@@ -193,26 +198,85 @@ class Ring:
     @property
     def info(self) -> dict[str, Any]:
         """What the creator said about the run; empty when it said nothing, or in another version's words."""
-        if self.get(VERSION) != LAYOUT_VERSION or self._closed:
-            return {}
-        length = min(max(0, self.get(INFO_LENGTH)), INFO_BYTES)
-        try:
-            value = json.loads(self.buffer[_INFO_AT : _INFO_AT + length].tobytes())
-        except ValueError:
-            return {}
-        return value if isinstance(value, dict) else {}
+        return self.info_and_word()[0]
+
+    def info_and_word(self) -> tuple[dict[str, Any], int]:
+        """The info, and the word INFO that it was read by: what `replace` wants to see unchanged."""
+        word = self.peek(INFO)
+        for _ in range(_INFO_TRIES):
+            text = self._info_text(word)
+            before, word = word, self.peek(INFO)
+            if before == word:  # else it was written to twice meanwhile, perhaps where we read
+                with suppress(ValueError):
+                    value = json.loads(text)
+                    return (value if isinstance(value, dict) else {}), word
+                break
+        return {}, word
 
     def get(self, word: int) -> int:
         """Load a control word; once closed, what it was then."""
+        from rig.words import read_word  # noqa: PLC0415
+
         return int(read_word(self.words.ctypes.data + 8 * word))
 
     def put(self, word: int, value: int) -> None:
         """Store a control word; once closed, nobody else sees it."""
+        from rig.words import write_word  # noqa: PLC0415
+
         write_word(self.words.ctypes.data + 8 * word, value)
+
+    def peek(self, word: int) -> int:
+        """Load a control word without compiled code, which a command that must act at once has no time to load.
+
+        Never torn, but nothing may be concluded from it about other memory that is being written.
+        """
+        return int(self.words[word])
+
+    def ask_to_stop(self) -> None:
+        """Set the stop word, unless it is set. Without compiled code, as `peek`: nothing else is published by it."""
+        if self.words[STOP] == 0:
+            self.words[STOP] = 1
+
+    def writer(self) -> Mailbox:
+        """The mailbox to post into."""
+        from rig.mailbox import Mailbox  # noqa: PLC0415
+
+        return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
 
     def post(self, values: ArrayLike) -> int:
         """Hand the loop a set of parameters; returns its number (`rig.mailbox.Mailbox.post`)."""
-        return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer).post(values)
+        return self.writer().post(values)
+
+    def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
+        """Post a set together with the info that goes with it, unless somebody else has changed the info meanwhile.
+
+        Parameters
+        ----------
+        values
+            The set.
+        info
+            Makes all of the new info, given the number of the set; it is called at once or never.
+        word
+            From `info_and_word`, when what is changed here was read.
+
+        Returns
+        -------
+        int
+            Number of the set; 0 when the info was changed meanwhile and nothing was posted.
+        """
+        writer = self.writer()
+        with writer.alone():
+            if self.get(INFO) != word:
+                return 0
+            # The info first: killed in between, the next set makes good what this one did not say.
+            _write_info(self, _json_of(info(writer.posted + 1)))
+            return writer.post_alone(values)
+
+    def _info_text(self, word: int) -> bytes:
+        if self._closed or self.peek(VERSION) != LAYOUT_VERSION:
+            return b"{}"
+        place = _INFO_AT + (INFO_BYTES if word & _INFO_HALF else 0)
+        return self.buffer[place : place + min(word & _INFO_LENGTH, INFO_BYTES)].tobytes()
 
     def last_rows(self, count: int) -> NDArray[np.void]:
         """Copy the newest `count` rows, oldest first: the black box that an error carries."""
@@ -247,6 +311,25 @@ class Ring:
     def __del__(self) -> None:
         with suppress(Exception):  # half made, or at the end of the interpreter
             self.close()
+
+
+def _json_of(info: Mapping[str, Any]) -> bytes:
+    text = json.dumps(dict(info)).encode()
+    if len(text) > INFO_BYTES:
+        raise RigError(
+            f"{len(text)} bytes of information about a run, where {INFO_BYTES} fit",
+            remedy="shorten the tables of the experiment",
+        )
+    return text
+
+
+def _write_info(ring: Ring, text: bytes) -> None:
+    """Write the free half, then say that it is the one."""
+    word = ring.get(INFO)
+    half = ~word & _INFO_HALF
+    place = _INFO_AT + (INFO_BYTES if half else 0)
+    ring.buffer[place : place + len(text)] = np.frombuffer(text, np.uint8)
+    ring.put(INFO, (word >> _INFO_CHANGES) + 1 << _INFO_CHANGES | half | len(text))
 
 
 def _plain_memory(size: int) -> NDArray[np.uint8]:

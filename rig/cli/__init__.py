@@ -29,9 +29,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.reproduce:reproduce",
         "Reproduce a paper: figures, claims and open ideas, as one report.",
     ),
+    "stop": ("rig.cli.stop:stop", "Stop the loops that run in real time, from any terminal."),
+    "set": ("rig.cli.set:set_", "Change the wall of a loop that runs in real time."),
     "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),
     "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
+    "recover": ("rig.cli.recover:recover", "Seal what a crash left unsealed, and say what it cost."),
     "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
     "theory": (
         "rig.cli.theory:theory",

@@ -129,6 +129,17 @@ def changes(
     return changed
 
 
+def key_values(texts: tuple[str, ...]) -> dict[str, Any]:
+    """Return arguments KEY=VALUE by key, values as TOML has them."""
+    changed: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise ConfigError(f"{text}: no value", remedy="write key=value, like wall.pull=allow")
+        changed[key.strip()] = _value(value.strip())
+    return changed
+
+
 def parse_rate(text: str) -> tuple[int, int]:
     """Rates of an option ``--rate``, in Hz, as schemes have them."""
     from rig.schemes import parse_rates  # noqa: PLC0415

@@ -10,11 +10,13 @@ file different, only whole blocks are written before the end.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import sys
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -35,7 +37,8 @@ from rig.system import EIO, descriptor_write, last_error, monotonic_now, sleep_u
 from rig.words import load_word, store_word
 
 FLUSH_S = 0.25
-SYNC_NS = 1_000_000_000
+SYNC_NS = 500_000_000
+AT_RISK_S = 1.0  # of a run in real time, when the power goes: flushed and synced with the next block but two
 POLL_NS = 2_000_000
 POLL_VIRTUAL_NS = 200_000
 PATIENCE = 1000  # tries to write to a descriptor that takes nothing
@@ -304,9 +307,14 @@ class Recorder:
 
 
 def _create(path: Path, header: bytes) -> int:
-    """Make a new file that begins with the header; leaves nothing behind when it cannot."""
+    """Make a new file that begins with the header; leaves nothing behind when it cannot.
+
+    It is locked as long as it is open, which tells a file that is being written from one that a crash cut off.
+    """
     with plain_errors("write", path):
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         try:
             _write(descriptor, header)
         except OSError:

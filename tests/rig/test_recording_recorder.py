@@ -18,10 +18,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.errors import LawError, RecordingError
+from rig.experiments.recover import recover
 from rig.recording.capture import pack_header
 from rig.recording.reader import open_recording
-from rig.recording.recorder import Recorder, sync, write_all
+from rig.recording.recorder import AT_RISK_S, Recorder, sync, write_all
 from rig.ring import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS, Ring
+from rig.running import running
 from rig.sample import ROW
 from tests.conformance.recording import example_header, example_rows
 
@@ -274,6 +276,45 @@ def test_rows_written_survive_the_death_of_the_process(tmp_path: Path) -> None:
     expected = example_rows(4096)
     for name in ("position", "device_time", "applied_at"):
         assert found.column(name).tobytes() == np.resize(expected[name], len(found)).tobytes()
+
+
+def test_kill_in_real_time_costs_at_most_the_last_second_and_leaves_no_memory_behind(tmp_path: Path) -> None:
+    """The ring in shared memory, as a loop in real time has it; times are those of the rows themselves."""
+    path = tmp_path / "trial.rigcap"
+    body = """
+        ring = Ring.allocate(4096, info={"recording": sys.argv[1]}, shared=True)
+        now = time.monotonic_ns()
+        pause = 0
+        with Recorder(sys.argv[1], example_header(), ring) as recorder:
+            while True:
+                before, now = now, time.monotonic_ns()
+                pause = max(pause, now - before)
+                rows["host_time"][(written + np.arange(10)) % ring.capacity] = now
+                put(10)
+                print(now, recorder.rows, pause, flush=True)
+                time.sleep(0.002)
+        """
+    with run_python(body, path) as process:
+        assert process.stdout is not None
+        first = newest = recorded = pause = 0
+        for line in process.stdout:
+            newest, recorded, pause = map(int, line.split())
+            first = first or newest
+            if newest - first > 1_500_000_000 and recorded:
+                break
+        (loop,) = [loop for loop in running() if loop.pid == process.pid]
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert loop.pid not in [other.pid for other in running(done=True)]
+    found = open_recording(path)
+    assert not found.complete
+    assert len(found) >= recorded > 0
+    assert found.column("tick").tolist() == list(range(len(found)))
+    if pause < 200_000_000:  # else the machine stood still, perhaps for the recorder too
+        assert newest - found.column("host_time")[-1] < 1_000_000_000 * AT_RISK_S
+    (recovered,) = recover([tmp_path])
+    assert recovered.outcome == "sealed"
+    assert recovered.rows == len(found)
 
 
 def test_a_full_disk_keeps_the_rows_before(tmp_path: Path) -> None:

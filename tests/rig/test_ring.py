@@ -5,6 +5,8 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import subprocess
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -86,6 +88,10 @@ def descriptors_of_rings():
     return found
 
 
+def path_of(ring):
+    return f"/proc/self/fd/{ring.descriptor}"
+
+
 def mappings_of_rings():
     return Path("/proc/self/maps").read_text().count(f"memfd:{words.NAME}")
 
@@ -97,7 +103,8 @@ def test_a_new_ring_is_empty_and_says_its_layout(shared):
         assert ring.get(words.ROW_BYTES) == ROW.itemsize
         assert abs(ring.get(words.CREATED) - time.time_ns()) < 60e9
         assert ring.capacity == 10
-        named = {words.VERSION, words.ROW_BYTES, words.CREATED, words.INFO_LENGTH}
+        assert ring.get(words.CREATOR) == os.getpid()
+        named = {words.VERSION, words.ROW_BYTES, words.CREATED, words.INFO, words.CREATOR}
         assert not any(ring.get(word) for word in range(WORDS) if word not in named)
         assert not ring.rows.view(np.uint8).any()
         assert ring.info == {}
@@ -106,7 +113,8 @@ def test_a_new_ring_is_empty_and_says_its_layout(shared):
 
 def test_the_ring_is_one_block_so_that_it_can_be_shared_memory():
     ring = Ring.allocate(4, info={"url": "sim://"})
-    assert ring.buffer.nbytes == WORDS * 8 + words.INFO_BYTES + MAILBOX_BYTES + 4 * ROW.itemsize
+    assert ring.buffer.nbytes == WORDS * 8 + 2 * words.INFO_BYTES + words.MAILBOX_BYTES + 4 * ROW.itemsize
+    assert MAILBOX_BYTES <= words.MAILBOX_BYTES
     ring.put(words.HEAD, 3)
     ring.rows["tick"][2] = 77
     again = Ring(ring.buffer)
@@ -130,7 +138,7 @@ def test_another_opening_of_shared_memory_sees_the_same_words_rows_and_info():
     info = {"url": "serial:///dev/ttyACM0", "experiment": {"wall": {"stiffness": 560.0}}, "name": "Prüfstand"}
     with Ring.allocate(100, info=info, shared=True) as ring:
         ring.rows["tick"][99] = 5
-        with Ring.attach(f"/proc/self/fd/{ring.descriptor}") as other:
+        with Ring.attach(path_of(ring)) as other:
             assert other.info == info
             assert other.capacity == 100
             assert other.rows["tick"][99] == 5
@@ -207,12 +215,74 @@ def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path):
 
 def test_damaged_info_is_no_info():
     ring = Ring.allocate(1, info={"a": 1})
+    half = ring.get(words.INFO) & 1 << 20
+    place = WORDS * 8 + (words.INFO_BYTES if half else 0)
     for text in (b"{", b"\xff\xfe", b"[1]", b""):
-        ring.buffer[WORDS * 8 : WORDS * 8 + len(text)] = np.frombuffer(text, np.uint8)
-        ring.put(words.INFO_LENGTH, len(text))
+        ring.buffer[place : place + len(text)] = np.frombuffer(text, np.uint8)
+        ring.put(words.INFO, half | len(text))
         assert ring.info == {}
-    ring.put(words.INFO_LENGTH, -5)
+    ring.put(words.INFO, -5)
     assert ring.info == {}
+
+
+def test_info_changes_with_its_parameters_and_only_for_who_saw_the_last_change():
+    with Ring.allocate(1, info={"n": 0}, shared=True) as ring, Ring.attach(path_of(ring)) as other:
+        for n in range(1, 5):
+            (seen, word), (_, stale) = ring.info_and_word(), other.info_and_word()
+            assert seen == {"n": n - 1}
+            assert ring.replace([n], lambda number: {"n": number}, word) == n
+            assert other.info == {"n": n}
+            assert other.replace([99.0], lambda number: {"n": 99}, stale) == 0
+            assert other.info == {"n": n}
+
+
+def test_info_is_never_seen_half_written():
+    """A writer changes it as fast as it can; every reading is one whole mapping, and none is older than the last."""
+    ring = Ring.allocate(1, info={"n": 0, "text": ""})
+    done = threading.Event()
+
+    def write():
+        n = 0
+        while not done.is_set():
+            n += 1
+            ring.replace([n], lambda n: {"n": n, "text": str(n) * (n % 50)}, ring.info_and_word()[1])
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    newest, seen, deadline = 0, 0, time.monotonic() + JOIN_S
+    while seen < 300 and time.monotonic() < deadline:
+        info = ring.info
+        if not info:  # changed ten times under our eyes: said aloud, not made up
+            continue
+        assert info["text"] == str(info["n"]) * (info["n"] % 50)
+        assert info["n"] >= newest
+        seen += info["n"] > newest
+        newest = info["n"]
+        time.sleep(0)
+    done.set()
+    thread.join(JOIN_S)
+    assert seen > 0
+
+
+def test_stopping_needs_no_compiled_code():
+    """A command that stops a person's rig must not wait for a compiler first."""
+    program = """
+import sys
+from rig.ring import Ring
+with Ring.attach(sys.argv[1]) as ring:
+    ring.ask_to_stop()
+    print(ring.info["url"], "numba" in sys.modules)
+"""
+    with Ring.allocate(1, info={"url": "sim://"}, shared=True) as ring:
+        path = f"/proc/{os.getpid()}/fd/{ring.descriptor}"
+        done = subprocess.run(
+            [sys.executable, "-c", program, path], capture_output=True, text=True, timeout=60, check=True
+        )
+        assert done.stdout.split() == ["sim://", "False"]
+        assert ring.get(words.STOP) == 1
+        ring.put(words.STOP, 7)
+        ring.ask_to_stop()
+        assert ring.get(words.STOP) == 7  # who stopped it first is who stopped it
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 2**63 - 1, -(2**63)])

@@ -1,0 +1,73 @@
+"""``rig recover``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rig.cli import options, output
+
+if TYPE_CHECKING:
+    from rig.experiments.recover import Recovered
+
+
+@click.command()
+@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="PATH…")
+@options.json_option
+def recover(paths: tuple[Path, ...], as_json: bool) -> None:
+    """Seal what a crash left: captures (.rigcap) at PATH, or anywhere below it, without their sealed file.
+
+    Says for each what the crash cost. What a running loop still writes is left alone; nothing is overwritten.
+    """
+    with output.compiling():
+        from rig.experiments import recover as recovering  # noqa: PLC0415  (imports compile)
+
+    with _bar(quiet=as_json) as progress:
+        results = recovering.recover(paths, progress=progress)
+    error = recovering.failed(results)
+    if as_json:
+        facts = None if error is None else output.error_facts(error)
+        output.print_json({"captures": [result.as_mapping() for result in results], "error": facts})
+    elif not results:
+        click.echo("nothing to recover: every recording there is sealed")
+    else:
+        for result in results:
+            click.echo(_line(result))
+    if error is not None:
+        error.told = as_json
+        raise error
+
+
+@contextmanager
+def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
+    """Show on a terminal which capture of how many is at work."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import BarColumn, Progress, TextColumn  # noqa: PLC0415
+
+    columns = (TextColumn("recovering"), BarColumn(), TextColumn("{task.fields[name]}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task("recovering", total=None, name="")
+        yield lambda done, count, path: bars.update(task, completed=done, total=count, name=path.name)
+
+
+def _line(result: Recovered) -> str:
+    if result.recording is None:
+        return f"{result.capture}: {result.outcome}: {result.reason}"
+    said = [f"{result.rows:,} rows, {result.duration_s:.3g} s"]
+    if result.rows_lost:
+        said.append(f"{result.rows_lost:,} rows in the middle are damaged")
+    if result.complete:
+        said.append("complete")
+    elif result.lost_at_most_s is None:
+        said.append("the end of the simulation is missing")
+    if result.lost_at_most_s:
+        said.append(f"at most {result.lost_at_most_s:.3g} s lost")
+    return f"{result.recording}: {', '.join(said)}"

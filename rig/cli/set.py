@@ -1,0 +1,50 @@
+"""``rig set``."""
+
+from __future__ import annotations
+
+import click
+
+from rig.cli import options, output
+
+
+@click.command("set")
+@click.argument("changes", nargs=-1, required=True, metavar="KEY=VALUE…")
+@click.option("--pid", type=click.IntRange(1), help="Process of the loop, when several run.")
+@click.option(
+    "--wait",
+    "patience_s",
+    type=click.FloatRange(0.0, 3600.0),
+    default=10.0,
+    show_default=True,
+    help="How long to watch for the loop to take it over (s).",
+)
+@options.json_option
+def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: bool) -> None:
+    """Change the wall of the loop that runs in real time: stiffness, damping, position, pull, damping_on.
+
+    The change passes the checks of a plan first. The loop takes it over when the handle is outside the wall, all
+    of it in one tick. Example: rig set stiffness=400 damping=0.5
+    """
+    values = options.key_values(changes)
+    with output.compiling():
+        from rig.experiments import live  # noqa: PLC0415  (imports compile)
+
+    def posted(number: int) -> None:
+        if not as_json:
+            click.echo(
+                f"parameter set {number}: on its way; it comes in force when the handle is outside the wall",
+                err=True,
+            )
+
+    done = live.change_wall(values, pid, patience_s=patience_s, posted=posted)
+    if as_json:
+        output.print_json(done.as_mapping())
+        return
+    said = ", ".join(f"{key} = {value}" for key, value in done.changes.items())
+    if done.in_force:
+        end = "in force"
+    elif done.ended:
+        end = "not in force: the loop ended before"
+    else:
+        end = "not in force yet: the handle stays inside the wall; it will be when it leaves"
+    click.echo(f"process {done.pid}, parameter set {done.number}: {said}: {end}")

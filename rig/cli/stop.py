@@ -1,0 +1,58 @@
+"""``rig stop``."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import click
+
+from rig import running
+from rig.cli import options, output
+from rig.errors import RigError
+
+
+@click.command()
+@click.argument("pid", required=False, type=click.IntRange(1))
+@click.option("--list", "only_list", is_flag=True, help="List the loops that run; stop none.")
+@options.json_option
+def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
+    """Stop the loops that run in real time, all of this user or that of process PID: zero effort within a tick.
+
+    Their programs then come to rest, close their recordings and end by themselves.
+    """
+    if only_list:
+        loops = [loop for loop in running.running() if pid is None or loop.pid == pid]
+        _show({"loops": [loop.as_mapping() for loop in loops]}, "no loop runs in real time", as_json)
+        return
+    stopped = running.stop(pid)
+    nothing = "no loop runs in real time: nothing to stop"
+    _show({"loops": [loop.as_mapping() for loop in stopped]}, nothing, as_json)
+    deaf = [str(one.loop.pid) for one in stopped if not one.ended]
+    if deaf:
+        error = RigError(
+            f"process {', '.join(deaf)} was told to stop but has not said that it did",
+            remedy=f"cut the motor's power; then kill -9 {' '.join(deaf)}, and the device's watchdog takes over",
+        )
+        error.told = as_json
+        raise error
+
+
+def _show(found: dict[str, Any], nothing: str, as_json: bool) -> None:
+    if as_json:
+        output.print_json(found)
+    elif found["loops"]:
+        for loop in found["loops"]:
+            click.echo(_line(loop))
+    else:
+        click.echo(nothing)
+
+
+def _line(loop: dict[str, Any]) -> str:
+    """``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, 3 s, recordings/….rigcap``."""
+    did = {None: "runs,", True: "stopped after", False: "told to stop after"}[loop.get("ended")]
+    said = [f"process {loop['pid']}: {did} {loop['ticks']:,} ticks ({loop['phase']})"]
+    if loop["since"]:
+        said.append(f"since {time.strftime('%H:%M:%S', time.localtime(loop['since']))}")
+    said += [loop[key] for key in ("url", "recording") if loop[key]]
+    return ", ".join(said)

@@ -1,0 +1,206 @@
+"""After a crash: find the captures that nobody sealed, say what was lost, and seal them.
+
+A capture that is still being written is left alone: its writer holds a lock on it, and a loop in real time names its
+recording in its shared memory until it has sealed it. Nothing is overwritten, and a capture goes only after its sealed
+file has been read back and is equal (`rig.recording.seal`).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from rig import running
+from rig.errors import ConfigError, RecordingError, RigError
+from rig.recording.capture import SUFFIX
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from rig.recording.recorder import AT_RISK_S
+from rig.recording.seal import seal
+
+SEALED_SUFFIX = ".parquet"
+SEALING_S = 5.0  # a run that ended as it should seals its recording within this time
+
+Progress = Callable[[int, int, Path], None]  # captures done, all of them, the one that is next
+
+
+class Outcome(StrEnum):
+    """What became of a capture."""
+
+    SEALED = "sealed"
+    IN_USE = "in use"  # somebody writes or seals it
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """One capture, and what the crash cost.
+
+    Attributes
+    ----------
+    capture
+        Where it was.
+    outcome
+        What became of it.
+    recording
+        The sealed file, if it was sealed.
+    rows
+        Rows that are there.
+    rows_lost
+        Rows that damage in the middle of the file cost.
+    duration_s
+        Length of what is there (s).
+    lost_at_most_s
+        Time of the run that may be missing at its end and in the middle (s); None when nobody can tell, for a
+        simulation in virtual time, which can be run again.
+    complete
+        Whether the writer came to its end; then nothing is missing there.
+    reason
+        Why it was not sealed, and what to do.
+    """
+
+    capture: Path
+    outcome: Outcome
+    recording: Path | None = None
+    rows: int = 0
+    rows_lost: int = 0
+    duration_s: float = 0.0
+    lost_at_most_s: float | None = 0.0
+    complete: bool = False
+    reason: str = ""
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        found = {name: getattr(self, name) for name in self.__slots__}
+        return {name: str(value) if isinstance(value, Path) else value for name, value in found.items()}
+
+
+def unsealed(paths: Iterable[str | Path]) -> list[Path]:
+    """Captures at these places: a file as named, a directory with all below it that have no sealed file beside them.
+
+    Raises
+    ------
+    ConfigError
+        A place that does not exist.
+    """
+    found: dict[Path, None] = {}
+    for path in map(Path, paths):
+        if path.is_dir():
+            inside = sorted(path.rglob(f"*{SUFFIX}"))
+            found |= dict.fromkeys(p for p in inside if not p.with_suffix(SEALED_SUFFIX).exists())
+        elif path.exists():
+            found[path] = None
+        else:
+            raise ConfigError(
+                f"{path} does not exist", remedy="name a capture or a directory with recordings"
+            )
+    return list(found)
+
+
+def recover(paths: Iterable[str | Path], *, progress: Progress | None = None) -> list[Recovered]:
+    """Seal the captures at these places, one after the other; what cannot be sealed stays as it is.
+
+    Raises
+    ------
+    ConfigError
+        A place that does not exist.
+    """
+    captures = unsealed(paths)
+    results = []
+    for done, capture in enumerate(captures):
+        if progress is not None:
+            progress(done, len(captures), capture)
+        results.append(_recover(capture))
+    return results
+
+
+def _recover(capture: Path) -> Recovered:
+    try:
+        with _alone(capture) as alone:
+            user = None if alone else "another process writes it"
+            user = user or _user_of(capture)
+            if user is not None:
+                return Recovered(capture, Outcome.IN_USE, reason=f"{user}; recover it when that has ended")
+            recording = open_recording(capture)
+            fresh = recording.complete and time.time() - capture.stat().st_mtime < SEALING_S
+            if fresh:
+                reason = f"it ended just now, its run may be sealing it; try again in {SEALING_S:g} s"
+                return Recovered(capture, Outcome.IN_USE, reason=reason)
+            return _with_cost(capture, seal(capture), recording)
+    except OSError as error:
+        return Recovered(capture, Outcome.FAILED, reason=f"cannot read it: {error.strerror}")
+    except RigError as error:
+        return Recovered(capture, Outcome.FAILED, reason=str(error))
+
+
+def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
+    """What there is and what is not; `sealed` is the capture itself where Parquet cannot be written."""
+    tick_s = _tick_s(recording)
+    missing = sum(loss.rows or 0 for loss in recording.lost)
+    at_risk_s: float | None = missing * tick_s
+    if not recording.complete:
+        virtual = (recording.header.get("clocks") or {}).get("kind") == "virtual"
+        at_risk_s = None if virtual else missing * tick_s + AT_RISK_S
+    done = sealed != capture
+    return Recovered(
+        capture=capture,
+        outcome=Outcome.SEALED if done else Outcome.FAILED,
+        recording=sealed if done else None,
+        rows=len(recording),
+        rows_lost=missing,
+        duration_s=len(recording) * tick_s,
+        lost_at_most_s=at_risk_s,
+        complete=recording.complete,
+        reason="" if done else "sealing needs pyarrow; the capture can be read as it is",
+    )
+
+
+def _tick_s(recording: Recording) -> float:
+    """Period of the loop (s); 0 when the header does not tell."""
+    rate = ((recording.experiment.get("controller") or {}).get("position_rate")) or 0
+    return 1.0 / rate if rate > 0 else 0.0
+
+
+@contextmanager
+def _alone(capture: Path) -> Iterator[bool]:
+    """Hold the lock that a writer holds; yields False when somebody has it. Raises `OSError` when it is gone."""
+    descriptor = os.open(capture, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        except OSError:  # a file system without locks: what we know of loops must do
+            pass
+        yield True
+    finally:
+        os.close(descriptor)
+
+
+def _user_of(capture: Path) -> str | None:
+    """The loop whose recording this is, in words; also one that has ended and is about to seal it."""
+    for loop in running.running(done=True):
+        named = loop.info.get("recording")
+        if not isinstance(named, str):
+            continue
+        with suppress(OSError):
+            if (Path(f"/proc/{loop.pid}/cwd") / named).samefile(capture):
+                return f"process {loop.pid} writes it"
+    return None
+
+
+def failed(results: Iterable[Recovered]) -> RecordingError | None:
+    """The error that stands for all captures that could not be sealed, if there are any."""
+    broken = [result for result in results if result.outcome == Outcome.FAILED]
+    if not broken:
+        return None
+    names = ", ".join(str(result.capture) for result in broken)
+    return RecordingError(f"not recovered: {names}", remedy="see why above; the captures are untouched")

@@ -1,0 +1,61 @@
+"""A process with a loop that does nothing but count, in shared memory: what other terminals look at and stop."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+
+# Arguments: info (JSON), what it does: "obey", or "deaf" to ignore the stop word. It takes parameters, and commits
+# them unless its info says "inside". It ends when standard input does.
+PROGRAM = """
+import json, sys, threading, time
+import numpy as np
+from rig import ring as words
+from rig.mailbox import SET_FLOATS, take
+from rig.ring import Ring
+
+info, kind = json.loads(sys.argv[1]), sys.argv[2]
+ring = Ring.allocate(16, info=info, shared=True)
+ended = threading.Event()
+threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+ring.put(words.PHASE, 3)
+print("ready", flush=True)
+into = np.zeros(SET_FLOATS)
+ticks = 0
+while not ended.is_set() and (kind == "deaf" or ring.get(words.STOP) == 0):
+    ticks += 1
+    ring.put(words.TICKS, ticks)
+    number = take(ring.mailbox, into)
+    if number and not info.get("inside"):
+        print(json.dumps({"set": number, "values": into[:8].tolist()}), flush=True)
+        ring.put(words.PARAMETER_SET, number)
+    time.sleep(0.001)
+if kind != "deaf":
+    ring.put(words.LOOP_DONE, 1)
+print("done", flush=True)
+ended.wait()
+"""
+
+
+@contextmanager
+def loop_process(info: dict[str, Any] | None = None, kind: str = "obey") -> Iterator[subprocess.Popen[str]]:
+    """Start it, yield it when its loop runs, and leave nothing of it behind."""
+    command = [sys.executable, "-c", PROGRAM, json.dumps(info or {}), kind]
+    process = subprocess.Popen(
+        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == "ready"
+        yield process
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()

@@ -1,0 +1,44 @@
+"""The disk stalls and Python holds its lock: the ring takes what comes, and what it cannot take is counted."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+from tests.conformance.stalled_disk import DiskRun, record_on_a_pausing_disk
+
+pytestmark = pytest.mark.skipif(
+    numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
+)
+
+RATE = 10_000
+MEMORY = 32_000_000  # far less than the rows of a run; garbage and stacks of threads
+
+
+def check(run: DiskRun, made: int) -> None:
+    """What must hold whatever the machine did: every row arrived, whole and in order, or was counted."""
+    assert (run.made, run.error, run.bad) == (made, 0, 0)
+    assert run.arrived == run.recorded == made - run.dropped
+    assert run.missing == run.dropped
+    assert run.grown_bytes < MEMORY
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool) -> None:
+    """At 10 kHz, with the ring of 5 s that a trial has."""
+    run = record_on_a_pausing_disk(2.5, rate_hz=RATE, pauses=[(0.6, 1.0)], shared=shared)
+    check(run, round(2.5 * RATE))
+    assert run.longest_hold_s > 0.9
+    if run.worst_late_s < 1.0:  # else the machine stood still, and rows came in a burst
+        assert run.dropped == 0
+        assert run.fullest > 0.5 * RATE  # the ring did carry the stall
+
+
+def test_a_stall_longer_than_the_ring_costs_what_the_ring_cannot_hold_and_no_more() -> None:
+    """A model of 6 s against 5 s: all rows that there was room for arrive, the others are counted."""
+    run = record_on_a_pausing_disk(2.0, rate_hz=RATE, pauses=[(0.4, 1.0)], ring_s=0.25)
+    check(run, 2 * RATE)
+    assert run.fullest == 0.25 * RATE
+    # Of a second's rows the ring holds a quarter; a block, the pipe and its reader hold some thousands more.
+    if run.worst_late_s < 0.1:
+        assert 0 < run.dropped < 0.8 * RATE
