@@ -32,6 +32,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("rig.cli.plan:plan", "List what an experiment will do and check it; touches no device."),
     "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
+    "timing": (
+        "rig.cli.timing:timing",
+        "Show where the time of each tick of a recording went, and its worst ticks.",
+    ),
     "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
     "theory": (
         "rig.cli.theory:theory",
