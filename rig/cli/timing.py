@@ -120,6 +120,12 @@ def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
     if summary.within_tick:
         text = f"{summary.within_tick} commands came within the tick in which they were sent: taken as applied at once"
         pairs.append(("", text))
+    out = summary.stages["transport_out"]
+    if out is not None and out.negative:
+        text = (
+            f"{out.negative} commands seem applied before they were sent: the device ran behind its own clock"
+        )
+        pairs.append(("", text))
     return pairs
 
 

@@ -87,6 +87,7 @@ def _draw_worst(axes: Any, summary: TimingSummary) -> None:
     else:
         _say(axes, "no tick took any time")
     axes.set_xlabel("time from the sample (µs); the mark is the lateness")
+    axes.set_axisbelow(True)
     style.tidy(axes, "worst ticks")
 
 
@@ -114,6 +115,7 @@ def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
             ledger.period_ns * US, color=style.WALL, linewidth=0.8, linestyle="--", label="one period"
         )
         axes.legend(frameon=False, fontsize=8, ncols=3, loc="upper right")
+        axes.set_ylim(bottom=min(0.0, longest.min() * US))
     axes.set_xlabel("time from the first sample (s)")
     style.tidy(axes, "time (µs)")
 
