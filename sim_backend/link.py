@@ -32,11 +32,15 @@ OPTIONS: dict[str, type] = {
     "offset": float,
     "position_rate_default": int,
     "position_rate_maximum": int,
+    "clock_ppm": float,
 }
+CLOCK_PPM_MAXIMUM = 1000.0
 BUFFER_BYTES = 1 << 16  # of input that nobody reads, as of a driver; what comes then is lost
 
 _TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+_BILLION = 1_000_000_000
+_UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
 _URL = DeviceUrl("sim", "", {}, "sim://")
 
 
@@ -44,7 +48,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     """Open ``sim://name?seed=3&offset=0.25``: a fresh simulated device, at rest, powered up at this moment.
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
-    0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz).
+    0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by
+    which the device's clock runs fast.
 
     Raises
     ------
@@ -56,7 +61,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     options = _parse(url)
     if "offset" in options:
         model = _with_offset(url, model, options.pop("offset"))
-    return MemoryLink(SimulatedDevice(model, **options), url=url)
+    clock_ppm = options.pop("clock_ppm", 0.0)
+    return MemoryLink(SimulatedDevice(model, **options), url=url, clock_ppm=clock_ppm)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
@@ -83,12 +89,13 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         "offset": lambda value: 0.0 <= value < 1.0,
         "position_rate_default": lambda value: 50 <= value <= 50_000,
         "position_rate_maximum": lambda value: 50 <= value <= 50_000,
+        "clock_ppm": lambda value: abs(value) <= CLOCK_PPM_MAXIMUM,
     }
     for name, value in options.items():
         if not allowed[name](value):
             raise ConfigError(
                 f"{url.text}: {name} = {value} is out of range",
-                remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, a seed is not negative",
+                remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, clock_ppm in ±1000, a seed is not negative",
             )
 
 
@@ -107,6 +114,8 @@ class MemoryLink:
         What goes wrong, and when; None for a line that never fails.
     url
         How it was named.
+    clock_ppm
+        By how much the device's clock, and its whole world with it, runs faster than the link's (1e-6).
 
     Attributes
     ----------
@@ -121,7 +130,12 @@ class MemoryLink:
     bytes_per_second: float | None = None
 
     def __init__(
-        self, device: SimulatedDevice, faults: Faults | None = None, *, url: DeviceUrl = _URL
+        self,
+        device: SimulatedDevice,
+        faults: Faults | None = None,
+        *,
+        url: DeviceUrl = _URL,
+        clock_ppm: float = 0.0,
     ) -> None:
         self.url = url
         self.clock = VirtualClock()
@@ -131,6 +145,7 @@ class MemoryLink:
         self._device_faults = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
         self._ticks = 0
         self._start_ns = device.elapsed_ns
+        self._pace = _BILLION + round(clock_ppm * 1000)  # device nanoseconds in a second of the link
         self._arrived = bytearray()
         self._failure: BaseException | None = None
         self._closed = False
@@ -153,7 +168,7 @@ class MemoryLink:
             self.line.send(Direction.TO_DEVICE, data, self._ticks)
             self._check_open()
             data = self.line.receive(Direction.TO_DEVICE, self._ticks)
-        self._to_host(self.device.receive(data))
+        self._to_host(self.device.receive(data, received_at=self._device_time()))
 
     def port(self) -> LoopPort:
         """Return the plug functions of the loop: callbacks that come back into this object."""
@@ -181,7 +196,15 @@ class MemoryLink:
         self._catch_up()
 
     def _next_tick_ns(self) -> int:
-        return self.device.next_tick_ns - self._start_ns
+        """When the next sample is due on the link's clock: not before it is on the device's."""
+        return -((self._start_ns - self.device.next_tick_ns) * _BILLION // self._pace)
+
+    def _device_time(self) -> int:
+        """Device time now, between its samples too (1/16 µs)."""
+        device = self.device
+        elapsed_ns = self._start_ns + self.clock.now_ns() * self._pace // _BILLION
+        since_boot_ns = elapsed_ns - (device.elapsed_ns - device.time_ns)
+        return max(device.time, since_boot_ns * _UNITS // _UNITS_NS)
 
     def _catch_up(self) -> None:
         """Bring the device to the clock's time, which the host may have moved by sleeping."""

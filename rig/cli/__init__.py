@@ -35,6 +35,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "show": ("rig.cli.show:show", "Show what a recording holds, its verdict and its picture."),
     "replay": ("rig.cli.replay:replay", "Run a recording's inputs through the same or another law."),
     "recover": ("rig.cli.recover:recover", "Seal what a crash left unsealed, and say what it cost."),
+    "timing": (
+        "rig.cli.timing:timing",
+        "Show where the time of each tick of a recording went, and its worst ticks.",
+    ),
     "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
     "theory": (
         "rig.cli.theory:theory",

@@ -9,6 +9,9 @@ import click
 
 from rig.cli import options, output
 
+EXCHANGES, EXCHANGES_S = 20, 1.0  # of the clocks: enough for the drift to a few ppm
+VIRTUAL_S = 0.1  # where time costs computing, and nothing disturbs an exchange
+
 
 @click.command()
 @click.argument("url", required=False)
@@ -20,8 +23,8 @@ def devices(url: str | None, as_json: bool) -> None:
         output.print_json(facts)
         return
     if url:
-        port, problems = facts.pop("port"), facts.pop("problems")
-        output.print_pairs([(name, str(value)) for name, value in facts.items()])
+        port, problems, clock = facts.pop("port"), facts.pop("problems"), facts.pop("clock")
+        output.print_pairs([(name, str(value)) for name, value in facts.items()] + output.clock_pairs(clock))
         output.print_pairs([(f"port {name}", str(value)) for name, value in (port or {}).items() if value])
         for problem in problems:
             click.echo(f"rig: {problem}", err=True)
@@ -52,7 +55,8 @@ def _ask(url: str) -> dict[str, Any]:
     with output.compiling():
         from rig.devices import open_device  # noqa: PLC0415
     with open_device(url) as device:
-        dictionary, offset = device.dictionary, device.clock_offset()
+        dictionary = device.dictionary
+        clock = device.clock(EXCHANGES, over_s=VIRTUAL_S if device.link.clock.virtual else EXCHANGES_S)
         fault = device.fault_report() if device.connection.state.name == "FAULT" else None
         return {
             "url": url,
@@ -65,8 +69,7 @@ def _ask(url: str) -> dict[str, Any]:
             "current_quantum_a": dictionary.current_quantum_a,
             "position_rate_default": dictionary.position_rate_default,
             "position_rate_maximum": dictionary.position_rate_maximum,
-            "clock_offset_ns": offset.offset_ns,
-            "clock_uncertainty_ns": offset.uncertainty_ns,
+            "clock": clock.as_mapping(),
             **_port(device.link),
         }
 

@@ -13,6 +13,9 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, State
@@ -21,10 +24,13 @@ from firmware_protocol.faults import Status
 from firmware_protocol.packing import type_id_of, unpack_fault_entries
 from firmware_protocol.parameters import ParameterError, Value, block_crc, decode_block, encode_block
 from firmware_protocol.transfer import PageReader, set_parameters
+from rig.clock_fit import EXCHANGE, ClockFit, fit_clock
 from rig.devices.device import Link
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 
 STOP_FRAMES = 5
+EXCHANGES = 8  # of the clock, when nobody says how many
+GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
 COUNT_TIMEOUT_S = 0.5
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
@@ -37,14 +43,6 @@ class Echo:
     values: dict[str, Value]
     crc: int
     sample_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class ClockOffset:
-    """Host clock minus device clock at one moment (ns), with the uncertainty of half a round trip."""
-
-    offset_ns: int
-    uncertainty_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +76,9 @@ class FramedDevice:
         self._crc: int | None = None  # of the parameters in force; None: not ours, or not known
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self._session = 0  # used last
+        self._said_ns = self._heard_ns = (
+            0  # host time of the last request's first frame, and of the last bytes read
+        )
 
     # ------------------------------------------------------------------ who is there
 
@@ -242,21 +243,33 @@ class FramedDevice:
 
     # ------------------------------------------------------------------ asking
 
-    def clock_offset(self, exchanges: int = 8) -> ClockOffset:
-        """Host clock minus device clock, from the exchange with the shortest round trip of several."""
-        best: ClockOffset | None = None
-        tick_ns = self.dictionary.time_unit_ns
-        for _ in range(exchanges):
-            sent = self.link.clock.now_ns()
-            reply = self._ask(m.GetTime(self._next_nonce(), sent), m.Time)
-            received = self.link.clock.now_ns()
-            on_device = round((reply.device_sent - reply.device_received) * tick_ns)
-            middle = round((reply.device_received + reply.device_sent) / 2 * tick_ns)
-            sample = ClockOffset((sent + received) // 2 - middle, max(0, received - sent - on_device) // 2)
-            if best is None or sample.uncertainty_ns < best.uncertainty_ns:
-                best = sample
-        assert best is not None
-        return best
+    def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
+        """Compare the clocks: so many exchanges of four stamps, dtype `rig.clock_fit.EXCHANGE`.
+
+        They follow each other at once, or at odd distances over `over_s` (s), so that they do not beat with the
+        frames of a bus or the ticks of the device. Raises as every question does.
+        """
+        stamps = np.zeros(exchanges, EXCHANGE)
+        tick_ps = round(self.dictionary.time_unit_ns * 1000)
+        start_ns = self.link.clock.now_ns()
+        for number, row in enumerate(stamps):
+            place = (number + number * GOLDEN % 1.0) / max(1, exchanges - 1)
+            self._listen_until(start_ns + round(min(1.0, place) * over_s * 1e9))
+            reply = self._ask(m.GetTime(self._next_nonce(), self.link.clock.now_ns()), m.Time)
+            row["host_sent"], row["host_received"] = self._said_ns, self._heard_ns
+            row["device_received"] = reply.device_received * tick_ps // 1000
+            row["device_sent"] = reply.device_sent * tick_ps // 1000
+        return stamps
+
+    def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
+        """Host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
+        return fit_clock(self.exchange_clock(exchanges, over_s=over_s))
+
+    def _listen_until(self, deadline_ns: int) -> None:
+        """Let time pass, and throw away what the device says meanwhile, so that it does not stand before an answer."""
+        remaining_ns = deadline_ns - self.link.clock.now_ns()
+        for _ in self._events(max(0, remaining_ns) * 1e-9):
+            pass
 
     def explain_fault(self, code: int) -> FaultReport:
         """Say in words what a fault code means, without asking the device."""
@@ -311,9 +324,11 @@ class FramedDevice:
         raise self._refusal(event.message)
 
     def _transact(self, request: m.Message, session: int | None) -> Received:
-        for patience_s in (*RETRY_AFTER_S, RETRY_AFTER_S[-1]):
+        for attempt, patience_s in enumerate((*RETRY_AFTER_S, RETRY_AFTER_S[-1])):
             with self._understood():
                 frame = self.connection.send(request, session=session)
+            if attempt == 0:  # a late answer may be to the first: then this is what it took
+                self._said_ns = self.link.clock.now_ns()
             self.link.write(frame)
             for event in self._events(patience_s):
                 if _answers(event.message, request):
@@ -328,7 +343,9 @@ class FramedDevice:
         """Yield what the device says until the time is over."""
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
-            self.connection.receive_data(self.link.read(remaining * 1e-9))
+            data = self.link.read(remaining * 1e-9)
+            self._heard_ns = self.link.clock.now_ns()
+            self.connection.receive_data(data)
             while True:
                 with self._understood():
                     event = self.connection.next_event()

@@ -228,7 +228,6 @@ def _header(
     device: FramedDevice, request: TrialRequest, controller: Controller, echo: Echo, realtime: Realtime
 ) -> dict[str, Any]:
     experiment, dictionary = request.experiment, device.dictionary
-    offset = device.clock_offset()
     return make_header(
         rig=experiment.rig.name,
         motion=experiment.rig.motion,
@@ -243,7 +242,10 @@ def _header(
             "parameters_crc": echo.crc,
             "parameters_since": echo.sample_index,
         },
-        clocks={"kind": "virtual" if device.link.clock.virtual else "monotonic", **asdict(offset)},
+        clocks={
+            "kind": "virtual" if device.link.clock.virtual else "monotonic",
+            **device.clock().as_mapping(),
+        },
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
         initial_state=controller.as_mapping(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import rig.cli
@@ -590,36 +591,71 @@ def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping():
 # ---------------------------------------------------------------------- asking
 
 
-def test_the_clock_offset_is_exact_in_virtual_time():
-    """Both clocks run at one rate; the device was switched on before the host, and samples its time each tick."""
+def test_the_clock_is_exact_in_virtual_time():
+    """Both clocks run at one rate; the device was switched on before the host."""
     simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
     for _ in range(2345):
         simulated.tick()
     device = FramedDevice(MemoryLink(simulated))
     device.identify()
-    device.link.clock.sleep_until(10_000_000)
-    offset = device.clock_offset()
-    true_ns = device.link.clock.now_ns() - simulated.elapsed_ns
-    assert offset.offset_ns == pytest.approx(true_ns, abs=100)
-    assert offset.offset_ns == pytest.approx(-2_345_000_000, abs=100)
-    assert offset.uncertainty_ns == 0
+    device.link.clock.sleep_until(10_300_000)
+    fit = device.clock()
+    assert fit.offset_ns == pytest.approx(-2_345_000_000, abs=100)
+    assert (fit.round_trip_ns, fit.asymmetry_bound_ns, fit.used, fit.rejected) == (0, 0, 8, 0)
+    assert device.link.clock.now_ns() == 10_300_000, "exchanges without a pause cost no virtual time"
+    assert fit.drift_sd_ppm == pytest.approx(100.0)
+    spread = device.clock(20, over_s=0.5)
+    assert device.link.clock.now_ns() == pytest.approx(510_300_000, abs=1)
+    assert abs(spread.drift_ppm) <= 3 * spread.drift_sd_ppm < 1.0
+    assert spread.offset_ns == pytest.approx(-2_345_000_000, abs=100)
 
 
-def test_the_best_of_several_exchanges_counts():
-    """Answers that wait on the way make a round trip long; the offset then comes from one that did not wait."""
+def test_exchanges_lie_at_odd_distances():
+    """Even ones would beat with the ticks of the device."""
+    _, wire, device = make()
+    stamps = device.exchange_clock(20, over_s=1.0)
+    distances = np.diff(stamps["host_sent"])
+    assert stamps["host_sent"][-1] - stamps["host_sent"][0] == pytest.approx(1e9, abs=2)
+    assert (distances > 0).all()
+    for period_ns in (1_000_000, 10_000_000):  # frames of a bus, STATE of a device that nobody has armed
+        phases = np.sort(stamps["host_sent"] % period_ns) / period_ns
+        assert np.diff(phases, append=1.0 + phases[0]).max() < 0.25
+    asked = [message.host_sent for message in wire.messages() if isinstance(message, m.GetTime)]
+    assert asked == stamps["host_sent"].tolist()
+
+
+def test_answers_that_waited_do_not_count():
+    """Answers that wait on the way make a round trip long; the offset then comes from those that did not wait."""
     _, wire, device = make(faults=Faults())
-    device.identify()
+    assert device.dictionary.simulated
     asked = wire.link.line.frames[Direction.TO_HOST]
     delays = tuple(
         FrameFault(kind=Kind.DELAY, direction=Direction.TO_HOST, frame=asked + later, ticks=3)
         for later in (0, 1, 4)
     )
     _, wire, device = make(faults=Faults(frames=delays))
-    device.identify()
-    offset = device.clock_offset(8)
+    assert device.dictionary.simulated
+    fit = device.clock(8)
     assert wire.link.line.acted[Kind.DELAY] == 3
     assert wire.clock.now_ns() >= 3_000_000
-    assert (offset.offset_ns, offset.uncertainty_ns) == (0, 0)
+    assert fit.rejected == 3
+    assert fit.offset_ns == pytest.approx(0, abs=100)
+    assert fit.asymmetry_bound_ns == 0
+
+
+def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on():
+    """The answer may be to either: its round trip is counted long, and so weighs nothing."""
+    _, wire, device = make(faults=Faults())
+    assert device.dictionary.simulated
+    asked = wire.link.line.frames[Direction.TO_DEVICE]
+    lost = FrameFault(kind=Kind.DROP, direction=Direction.TO_DEVICE, frame=asked + 1)
+    _, wire, device = make(faults=Faults(frames=(lost,)))
+    assert device.dictionary.simulated
+    stamps = device.exchange_clock(4)
+    trips = stamps["host_received"] - stamps["host_sent"]
+    assert trips[1] >= RETRY_AFTER_S[0] * 1e9
+    assert (np.delete(trips, 1) == 0).all()
+    assert (np.diff(stamps["device_received"]) >= 0).all()
 
 
 def test_the_fault_report_pages_through_the_whole_ring_of_ticks():

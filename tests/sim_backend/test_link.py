@@ -93,7 +93,8 @@ def test_the_device_never_passes_a_sample_before_the_answer_to_it_is_delivered(s
             current = number
             host.command(current)
         elif step == "ask":
-            assert host.ask(m.GetTime(host.nonce(), 0)).device_sent == link.device.time
+            stamp = host.ask(m.GetTime(host.nonce(), 0)).device_sent
+            assert link.device.time <= stamp == link.clock.now_ns() * 2 // 125, "between the ticks too"
         elif step == "sleep":
             link.clock.sleep_until(link.clock.now_ns() + round(1.5 * TICK_S * 1e9))
 
@@ -393,3 +394,40 @@ def test_a_killed_host_leaves_a_device_that_the_next_one_can_use() -> None:
     host.disarm(clear_fault=True)
     host.begin(session=2)
     assert host.next_state().state == State.ARMED
+
+
+# ---------------------------------------------------------------------- a clock that drifts
+
+
+@pytest.mark.parametrize("ppm", [-200.0, -0.001, 0.0, 50.0, 200.0, 1000.0])
+def test_the_device_ticks_by_its_own_clock(ppm: float) -> None:
+    """After a second of the link a device that runs fast has passed a second and a few parts in a million."""
+    link = MemoryLink(SimulatedDevice(rotary_rig(), position_rate_default=10_000), clock_ppm=ppm)
+    link.elapse(2.0)
+    exact_ns = 2e9 * (1 + ppm * 1e-6)
+    assert exact_ns - 100_000 - 63 <= link.device.elapsed_ns <= exact_ns + 1e-3
+    assert link.device.next_tick_ns > exact_ns - 63
+
+
+def test_stamps_lie_between_the_ticks() -> None:
+    """A question that comes between two samples is stamped when it comes, on the device's clock."""
+    link = MemoryLink(SimulatedDevice(rotary_rig(), position_rate_default=1_000), clock_ppm=100.0)
+    host = Host(link)
+    host.identify()
+    for at_ns in (1_234_567, 400_000_000, 1_000_000_001):
+        link.clock.sleep_until(at_ns)
+        reply = host.ask(m.GetTime(host.nonce(), 0))
+        true = at_ns * 1.0001 / 62.5
+        assert true - 1 <= reply.device_received <= reply.device_sent <= true + 1e-6
+
+
+@pytest.mark.parametrize("text", ["clock_ppm=1001", "clock_ppm=nan", "clock_ppm=fast"])
+def test_a_clock_that_no_crystal_has_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="clock_ppm"):
+        open_link(DeviceUrl.parse(f"sim://test?{text}"), rotary_rig())
+
+
+def test_the_clock_of_a_url_reaches_the_device() -> None:
+    link = open_link(DeviceUrl.parse("sim://test?clock_ppm=-500"), rotary_rig())
+    link.elapse(10.0)
+    assert link.device.elapsed_ns == pytest.approx(10e9 * (1 - 500e-6), abs=1e6)

@@ -1,0 +1,141 @@
+"""``rig timing``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rig.cli import options, output
+
+if TYPE_CHECKING:
+    from rig.timing import Quantile, TimingSummary
+
+_COUNTS = {
+    "late": "late by more than a period",
+    "lost": "samples lost",
+    "skipped": "samples skipped for a newer one",
+    "stale": "ticks without a fresh sample",
+    "duplicated": "samples twice",
+    "reordered": "samples out of order",
+    "overruns": "grid points overrun",
+    "unsent": "commands that the link did not take",
+    "rows_dropped": "rows not recorded",
+}
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--plot/--no-plot", default=True, help="Draw a picture.")
+@click.option(
+    "-o", "--output", "picture", type=click.Path(path_type=Path),
+    help="PNG to write. [beside the recording]",
+)  # fmt: skip
+@options.json_option
+def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> None:
+    """Show where the time of each tick in RECORDING went: sampled, received, computed, sent, applied.
+
+    Sampled and applied are times of the device, put on the host's clock by the exchanges of the run; without them only
+    the host's share is known.
+    """
+    from rig.experiments.timing import timing_of  # noqa: PLC0415
+
+    found = timing_of(recording)
+    drawn = None
+    if plot:
+        from rig.plots.timing import draw_timing  # noqa: PLC0415
+
+        target = picture or recording.with_name(f"{recording.stem}-timing.png")
+        drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
+    if as_json:
+        mapping = found.summary.as_mapping()
+        output.print_json({**mapping, "picture": None if drawn is None else str(drawn)})
+        return
+    _print(recording, found.summary)
+    if drawn is not None:
+        click.echo("picture")
+        output.print_pairs([(str(drawn), "")])
+
+
+def _print(recording: Path, summary: TimingSummary) -> None:
+    rate = f"one every {output.duration(summary.period_ns)}"
+    click.echo(f"{recording}: {summary.ticks} ticks in {summary.duration_s:.4g} s, {rate}")
+    output.print_table([("stage", "ticks", "least", "p50", "p99", "p99.9", "longest"), *_stages(summary)])
+    click.echo("counted apart")
+    output.print_pairs(_counts(summary))
+    click.echo("clock")
+    output.print_pairs(_clock(summary))
+    if summary.worst:
+        click.echo("worst ticks")
+        output.print_table(_worst(summary))
+
+
+def _stages(summary: TimingSummary) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for name, stage in summary.stages.items():
+        if stage is None:
+            rows.append((_label(name), "0", "", "unknown", "", "", ""))
+            continue
+        quantiles = (_shown(quantile) for quantile in stage.quantiles.values())
+        ends = output.duration(stage.minimum), output.duration(stage.maximum)
+        rows.append((_label(name), str(stage.ticks), ends[0], *quantiles, ends[1]))
+    return rows
+
+
+def _label(name: str) -> str:
+    from rig.timing import STAGES  # noqa: PLC0415
+
+    return STAGES[name][2] if name in STAGES else "late on the grid of the samples"
+
+
+def _shown(quantile: Quantile) -> str:
+    """A quantile, with the upper bound at 95 % where the ticks suffice for one: ``87 µs (≤ 93 µs)``."""
+    text = output.duration(quantile.value)
+    if quantile.high is None or quantile.high == quantile.value:
+        return text
+    return f"{text} (≤ {output.duration(quantile.high)})"
+
+
+def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
+    pairs = [
+        (text, "not recorded" if summary.counts[name] is None else str(summary.counts[name]))
+        for name, text in _COUNTS.items()
+    ]
+    return [
+        *pairs,
+        ("samples that the law did not see", str(summary.passed_over)),
+        ("commands never seen in force", str(summary.never_in_force)),
+        ("commands sent at the end, unanswered", str(summary.unanswered)),
+    ]
+
+
+def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
+    if summary.clock is None or summary.clock_sd_ns is None:
+        return [
+            ("none", "the run exchanged no stamps: when samples were taken and commands applied is unknown")
+        ]
+    doubt = output.duration(summary.clock_sd_ns)
+    pairs = [*output.clock_pairs(summary.clock.as_mapping()), ("sampled, applied", f"± {doubt} at worst")]
+    if summary.within_tick:
+        text = f"{summary.within_tick} commands came within the tick in which they were sent: taken as applied at once"
+        pairs.append(("", text))
+    out = summary.stages["transport_out"]
+    if out is not None and out.negative:
+        text = (
+            f"{out.negative} commands seem applied before they were sent: the device ran behind its own clock"
+        )
+        pairs.append(("", text))
+    return pairs
+
+
+def _worst(summary: TimingSummary) -> list[tuple[str, ...]]:
+    from rig.timing import LATENESS  # noqa: PLC0415
+
+    names = ("transport_in", "law", "send", "transport_out", "whole", LATENESS)
+    rows: list[tuple[str, ...]] = [("tick", "at", "in", "law", "send", "out", "whole", "late")]
+    for bad in summary.worst:
+        lengths = (bad.stages[name] for name in names)
+        shown = ("?" if length is None else output.duration(length) for length in lengths)
+        rows.append((str(bad.tick), f"{bad.time_s:.4f} s", *shown))
+    return rows

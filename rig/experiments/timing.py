@@ -1,0 +1,40 @@
+"""What a recording says of time: the latency ledger, added up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.recording.data import Recording
+from rig.recording.ledger import ledger_of
+from rig.recording.reader import open_recording
+from rig.timing import Ledger, TimingSummary, summarise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timing:
+    """The ledger of a recording and its summary."""
+
+    ledger: Ledger
+    summary: TimingSummary
+
+
+def timing(recording: Recording | str | Path) -> TimingSummary:
+    """Add up the latency ledger of a recording, sealed or still a capture.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, lacks a column of the ledger, or has no rows.
+    RigError
+        The clock in its trailer makes no sense.
+    """
+    return timing_of(recording).summary
+
+
+def timing_of(recording: Recording | str | Path) -> Timing:
+    """Return the ledger too, for a picture; parameters and errors as `timing`."""
+    if not isinstance(recording, Recording):
+        recording = open_recording(recording)
+    ledger = ledger_of(recording)
+    return Timing(ledger, summarise(ledger, (recording.trailer or {}).get("counters")))

@@ -1,0 +1,229 @@
+"""From a simulated clock that drifts to what a recording says of time: the truth is known at every step."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("recordings are made by the compiled loop", allow_module_level=True)
+
+import rig.cli
+from rig import config, presets
+from rig.clock_fit import ClockFit, as_exchanges, fit_clock
+from rig.devices.framed import FramedDevice
+from rig.experiments.timing import timing
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.recording.capture import write_capture
+from rig.recording.reader import open_recording
+from rig.timing import NEEDED
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.rigs import rotary_rig
+
+HIT = config.override(
+    presets.load("koul-compliant"),
+    {"trial.duration_s": 0.3, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.1},
+)
+
+
+class Slow:
+    """A link on which both ways take time, at least so long and exponentially longer: virtual time that passes."""
+
+    def __init__(self, link, *, out_ns, back_ns, jitter_ns, seed=0):
+        self.link, self.url, self.clock = link, link.url, link.clock
+        self.bytes_per_second = None
+        self._ways, self._jitter, self._rng = (out_ns, back_ns), jitter_ns, np.random.default_rng(seed)
+
+    def _pass(self, way):
+        wait = self._ways[way] + round(self._rng.exponential(1.0) * self._jitter[way])
+        self.clock.sleep_until(self.clock.now_ns() + wait)
+
+    def write(self, data):
+        self._pass(0)
+        self.link.write(data)
+
+    def read(self, timeout_s):
+        data = self.link.read(timeout_s)
+        if data:
+            self._pass(1)
+        return data
+
+    def close(self):
+        self.link.close()
+
+
+def up_for(ticks):
+    simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
+    for _ in range(ticks):
+        simulated.tick()
+    return simulated
+
+
+@pytest.mark.parametrize("ppm", [-200.0, -37.5, 0.0, 50.0, 200.0])
+@pytest.mark.parametrize(
+    "delays",
+    [
+        {"out_ns": 20_000, "back_ns": 20_000, "jitter_ns": (0.0, 0.0)},
+        {"out_ns": 15_000, "back_ns": 95_000, "jitter_ns": (10_000.0, 40_000.0)},
+        {"out_ns": 90_000, "back_ns": 5_000, "jitter_ns": (30_000.0, 0.0)},
+    ],
+    ids=["quiet", "asymmetric", "out-waits"],
+)
+def test_exchanges_over_a_link_find_offset_and_drift(ppm, delays):
+    """Within what the fit says of itself; before, during and after the exchanges."""
+    simulated = up_for(777)
+    link = Slow(MemoryLink(simulated, clock_ppm=ppm), **delays, seed=int(ppm) + 500)
+    start_ns = simulated.elapsed_ns
+    fit = FramedDevice(link).clock(40, over_s=4.0)
+    device_ns = start_ns + np.array([0, 2 * 10**9, 4 * 10**9])
+    truth_ns = (device_ns - start_ns) / (1.0 + ppm * 1e-6)
+    errors = np.abs(fit.host_of(device_ns) - truth_ns)
+    assert (errors <= 3.0 * fit.sd_of(device_ns) + fit.asymmetry_bound_ns).all()
+    assert abs(fit.drift_ppm - (1.0 / (1.0 + ppm * 1e-6) - 1.0) * 1e6) <= 3.0 * fit.drift_sd_ppm
+    assert fit.drift_sd_ppm < 10.0, "and it says something"
+    least = delays["out_ns"] + delays["back_ns"]
+    assert 0.5 * least <= fit.asymmetry_bound_ns <= 0.5 * least + 25_000
+
+
+def hit(directory, ppm, *, sealed=True, ticks_before=0):
+    simulated = SimulatedDevice(config.rig_model(HIT))
+    for _ in range(ticks_before):
+        simulated.tick()
+    with FramedDevice(MemoryLink(simulated, clock_ppm=ppm)) as device:
+        request = TrialRequest(
+            experiment=HIT, recording=directory / "hit.rigcap", verified=True, seed=0, sealed=sealed
+        )
+        return run_trial(device, request).recording
+
+
+@pytest.mark.parametrize("ppm", [0.0, 120.0, -120.0])
+def test_a_recording_knows_both_clocks(tmp_path, ppm):
+    """In lock-step a sample is received when it is taken, and answered at once: the ledger must find that again."""
+    recording = open_recording(hit(tmp_path, ppm, ticks_before=1000))
+    fit = ClockFit.from_mapping(recording.trailer["clock"])
+    assert fit.used >= 3
+    assert abs(fit.drift_ppm + ppm) <= 3.0 * fit.drift_sd_ppm + 0.02
+    assert fit == fit_clock(as_exchanges(recording.trailer["exchanges"]))
+    allowed = 3.0 * fit.sd_of(recording.rows["device_time"]) + 63
+    assert (np.abs(recording.rows["sampled_at"] - recording.rows["received_at"]) <= allowed).all()
+    applied, sent = recording.rows["applied_at"], recording.rows["sent_at"]
+    seen = applied != 0
+    assert seen[:-1].all()
+    assert (np.abs(applied - sent)[seen] <= allowed[seen]).all()
+    whole = recording.trailer["timing"]["stages"]["whole"]
+    assert whole["ticks"] == len(recording) - 1
+    assert max(abs(whole["minimum"]), whole["maximum"]) <= 2 * allowed.max()
+
+
+def test_equal_seeds_still_give_equal_bits(tmp_path):
+    files = []
+    for number in range(2):
+        (tmp_path / str(number)).mkdir()
+        files.append(open_recording(hit(tmp_path / str(number), 75.0)))
+    first, second = files
+    assert first.rows.tobytes() == second.rows.tobytes()
+    assert first.trailer["timing"] == second.trailer["timing"]
+
+
+# ---------------------------------------------------------------------- rig timing
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory):
+    return hit(tmp_path_factory.mktemp("sealed"), 50.0)
+
+
+@pytest.fixture
+def command(capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+def test_timing_prints_stages_counts_and_clock_and_draws(command, sealed, tmp_path):
+    code, out, err = command("timing", sealed, "-o", tmp_path / "when.png")
+    assert code == 0, err
+    for words in ("sampled to applied", "p99.9", "samples lost", "never seen in force", "clock drift", "ppm"):
+        assert words in out
+    assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_timing_as_json_is_what_the_trailer_has(command, sealed, tmp_path):
+    code, out, _ = command("timing", sealed, "--json", "--no-plot")
+    assert code == 0
+    facts = json.loads(out)
+    assert facts.pop("picture") is None
+    assert facts == open_recording(sealed).trailer["timing"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_capture_and_what_is_sealed_from_it_say_the_same(tmp_path):
+    capture = hit(tmp_path, 50.0, sealed=False)
+    assert capture.suffix == ".rigcap"
+    before = timing(capture)
+    (tmp_path / "sealed").mkdir()
+    assert timing(hit(tmp_path / "sealed", 50.0)).as_mapping() == before.as_mapping()
+
+
+def changed(sealed, path, **changes):
+    recording = dataclasses.replace(open_recording(sealed), **changes)
+    with open(path, "wb") as file:
+        write_capture(file, recording)
+    return path
+
+
+def test_a_run_cut_off_has_the_hosts_share_alone(command, sealed, tmp_path):
+    """Its process was killed: no trailer, no clock."""
+    path = changed(sealed, tmp_path / "cut.rigcap", trailer=None, complete=False)
+    code, out, _ = command("timing", path)
+    assert code == 0
+    assert "unknown" in out
+    assert "no stamps" in out
+    assert (tmp_path / "cut-timing.png").exists()
+    assert timing(path).stages["law"].ticks > 100
+
+
+def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tmp_path):
+    recording = open_recording(sealed)
+    names = [name for name in recording.names if name not in ("command_in_force", *recording.names[-5:])]
+    columns = [c for c in recording.header["schema"]["columns"] if c["name"] in names]
+    offset = 0
+    for number, column in enumerate(columns):
+        columns[number] = {**column, "offset": offset}
+        offset += 8
+    rows = np.zeros(len(recording), [(name, recording.rows.dtype[name]) for name in names])
+    header = {**recording.header, "schema": {"row_bytes": offset, "columns": columns}}
+    assert "command_in_force" in NEEDED
+    old = changed(sealed, tmp_path / "old.rigcap", rows=rows, header=header)
+    code, out, err = command("timing", old)
+    assert (code, out) == (9, "")
+    assert "no column command_in_force" in err
+    empty = changed(sealed, tmp_path / "empty.rigcap", rows=recording.rows[:0])
+    code, _, err = command("timing", empty)
+    assert code == 9
+    assert "no rows" in err
+    broken = changed(sealed, tmp_path / "broken.rigcap", trailer={"clock": {"drift_ppm": 1.0}})
+    code, _, err = command("timing", broken)
+    assert code == 1
+    assert "makes no sense" in err
+    assert command("timing", tmp_path / "nothere.parquet")[0] == 9
+
+
+def test_devices_says_how_the_clocks_stand(command):
+    code, out, _ = command("devices", "sim://koul-compliant?clock_ppm=50")
+    assert code == 0
+    assert "clock drift" in out
+    code, out, _ = command("devices", "sim://koul-compliant?clock_ppm=50", "--json")
+    clock = ClockFit.from_mapping(json.loads(out)["clock"])
+    assert clock.drift_ppm == pytest.approx(-50.0, abs=3 * clock.drift_sd_ppm)
