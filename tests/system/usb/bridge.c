@@ -35,7 +35,10 @@
 #define IN_ENDPOINT 0x80
 
 struct text { unsigned char bytes[256]; int length; };
-struct entry { UMockdevIoctlData *urb, *buffer; }; /* a submitted transfer; the client's address is in urb */
+struct entry { /* a submitted transfer; its address in the client's memory is in urb */
+    UMockdevIoctlData *urb, *buffer;
+    UMockdevIoctlClient *owner;
+};
 struct queue { struct entry entries[URBS]; int count; };
 
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
@@ -50,7 +53,9 @@ static int terminal = -1;        /* our descriptor of the node's terminal */
 static int present, number = 1;  /* plugged in; device number on the bus */
 static char path[256], node[64];
 static int stopped_in, stopped_out; /* endpoint halted until CLEAR_HALT */
-static int silent, short_writes, busy, claimed, clients, cleared, detached, overflow_next, broken_next;
+static int refuse_in, refuse_out;   /* one transfer has still to learn of it; the others stay where they are */
+static int silent, short_writes, busy, cleared, detached, overflow_next, broken_next;
+static UMockdevIoctlClient *claimer;
 static long long happened; /* when the last command took effect */
 static char driver[32]; /* kernel driver that holds the interface, or "" */
 
@@ -116,7 +121,13 @@ static int fail(int in, int status)
 static void move(void)
 {
     int index;
-    if (silent || !present)
+    if (!present)
+        return;
+    if (refuse_in)
+        refuse_in = !fail(1, -EPIPE);
+    if (refuse_out)
+        refuse_out = !fail(0, -EPIPE);
+    if (silent)
         return;
     while (!stopped_out && (index = first(0)) >= 0) {
         struct entry *entry = &pending.entries[index];
@@ -165,10 +176,10 @@ static void control(struct entry entry)
     show_ready();
 }
 
-static int submit(UMockdevIoctlData *data)
+static int submit(UMockdevIoctlClient *client, UMockdevIoctlData *data)
 {
     struct usbdevfs_urb *urb = (struct usbdevfs_urb *)data->data;
-    struct entry entry = {g_object_ref(data), NULL};
+    struct entry entry = {g_object_ref(data), NULL, client};
     entry.buffer = umockdev_ioctl_data_resolve(data, offsetof(struct usbdevfs_urb, buffer), urb->buffer_length, NULL);
     if (urb->type == USBDEVFS_URB_TYPE_CONTROL) {
         control(entry);
@@ -189,23 +200,36 @@ static int discard(unsigned long address)
     return EINVAL;
 }
 
-static int reap(UMockdevIoctlData *into)
+/* Index of the first entry that a client has in a queue, or -1. */
+static int owned(struct queue *queue, UMockdevIoctlClient *client)
 {
-    if (!finished.count)
+    for (int i = 0; i < queue->count; i++)
+        if (queue->entries[i].owner == client)
+            return i;
+    return -1;
+}
+
+static int reap(UMockdevIoctlClient *client, UMockdevIoctlData *into)
+{
+    int index = owned(&finished, client);
+    if (index < 0)
         return present ? EAGAIN : ENODEV;
-    struct entry entry = take(&finished, 0);
+    struct entry entry = take(&finished, index);
     umockdev_ioctl_data_set_ptr(into, 0, entry.urb);
     g_object_unref(entry.urb);
     show_ready();
     return 0;
 }
 
-static void forget(void)
+static void forget(UMockdevIoctlClient *client)
 {
-    while (pending.count)
-        g_object_unref(take(&pending, 0).urb);
-    while (finished.count)
-        g_object_unref(take(&finished, 0).urb);
+    int index;
+    while ((index = owned(&pending, client)) >= 0)
+        g_object_unref(take(&pending, index).urb);
+    while ((index = owned(&finished, client)) >= 0)
+        g_object_unref(take(&finished, index).urb);
+    if (claimer == client)
+        claimer = NULL;
     show_ready();
 }
 
@@ -219,7 +243,7 @@ static int answer(UMockdevIoctlClient *client)
     if (_IOC_SIZE(request))
         data = umockdev_ioctl_data_resolve(argument, 0, _IOC_SIZE(request), NULL);
     if (request == USBDEVFS_REAPURB || request == USBDEVFS_REAPURBNDELAY)
-        return reap(data);
+        return reap(client, data);
     if (!present)
         return ENODEV;
     switch (request) {
@@ -228,14 +252,14 @@ static int answer(UMockdevIoctlClient *client)
             USBDEVFS_CAP_NO_PACKET_SIZE_LIM | USBDEVFS_CAP_BULK_SCATTER_GATHER | USBDEVFS_CAP_REAP_AFTER_DISCONNECT;
         return 0;
     case USBDEVFS_SUBMITURB:
-        return submit(data);
+        return submit(client, data);
     case USBDEVFS_CLAIMINTERFACE:
-        if (busy || driver[0])
+        if (busy || driver[0] || (claimer && claimer != client))
             return EBUSY;
-        claimed = 1;
+        claimer = client;
         return 0;
     case USBDEVFS_RELEASEINTERFACE:
-        claimed = 0;
+        claimer = NULL;
         return 0;
     case USBDEVFS_GETDRIVER:
         if (!driver[0])
@@ -277,22 +301,12 @@ static gboolean handle_ioctl(UMockdevIoctlBase *base, UMockdevIoctlClient *clien
     return TRUE;
 }
 
-static void client_connected(UMockdevIoctlBase *base, UMockdevIoctlClient *client, gpointer unused)
-{
-    (void)base, (void)client, (void)unused;
-    pthread_mutex_lock(&lock);
-    clients++;
-    pthread_mutex_unlock(&lock);
-}
-
 /* A program that ends without a word leaves its transfers to the kernel, which drops them. */
 static void client_vanished(UMockdevIoctlBase *base, UMockdevIoctlClient *client, gpointer unused)
 {
-    (void)base, (void)client, (void)unused;
+    (void)base, (void)unused;
     pthread_mutex_lock(&lock);
-    clients--;
-    claimed = 0;
-    forget();
+    forget(client);
     pthread_mutex_unlock(&lock);
 }
 
@@ -301,7 +315,7 @@ static int plug(void)
     char *text;
     UMockdevIoctlBase *base = umockdev_ioctl_base_new();
     if (present)
-        return 0;
+        return 1;
     number++;
     snprintf(node, sizeof node, "/dev/bus/usb/001/%03d", number);
     snprintf(path, sizeof path, "/sys/devices/pci0000:00/usb1/1-1");
@@ -312,7 +326,6 @@ static int plug(void)
                  number, node, number, number, descriptors) < 0)
         return 0;
     g_signal_connect(base, "handle-ioctl", G_CALLBACK(handle_ioctl), NULL);
-    g_signal_connect(base, "client-connected", G_CALLBACK(client_connected), NULL);
     g_signal_connect(base, "client-vanished", G_CALLBACK(client_vanished), NULL);
     if (!umockdev_testbed_add_from_string(testbed, text, NULL) ||
         !umockdev_testbed_attach_ioctl(testbed, node, base, NULL))
@@ -324,7 +337,7 @@ static int plug(void)
     pthread_mutex_lock(&lock);
     terminal = open(file, O_RDWR | O_NOCTTY | O_CLOEXEC);
     present = 1;
-    silent = stopped_in = stopped_out = 0;
+    silent = stopped_in = stopped_out = refuse_in = refuse_out = 0;
     show_ready();
     pthread_mutex_unlock(&lock);
     umockdev_testbed_uevent(testbed, path, "add");
@@ -345,7 +358,7 @@ static int unplug(void)
     int nothing = open("/dev/null", O_RDWR | O_CLOEXEC);
     dup2(nothing, umockdev_testbed_get_dev_fd(testbed, node)); /* the master closes; the test bed keeps its number */
     close(nothing);
-    claimed = 0;
+    claimer = NULL;
     pthread_mutex_unlock(&lock);
     umockdev_testbed_uevent(testbed, path, "remove");
     umockdev_testbed_remove_device(testbed, path);
@@ -363,11 +376,11 @@ static int obey(char *line)
         return plug();
     pthread_mutex_lock(&lock);
     if (!strcmp(line, "stall in")) {
-        stopped_in = 1;
-        done = fail(1, -EPIPE);
+        stopped_in = refuse_in = 1;
+        move();
     } else if (!strcmp(line, "stall out")) {
-        stopped_out = 1;
-        fail(0, -EPIPE);
+        stopped_out = refuse_out = 1;
+        move();
     } else if (!strcmp(line, "overflow"))
         overflow_next = 1;
     else if (!strcmp(line, "broken"))
@@ -387,19 +400,12 @@ static int obey(char *line)
     else if (!strncmp(line, "driver ", 7))
         snprintf(driver, sizeof driver, "%.31s", line + 7);
     else if (!strcmp(line, "status"))
-        printf("clients %d pending %d claimed %d cleared %d detached %d\n", clients, pending.count, claimed, cleared,
+        printf("pending %d claimed %d cleared %d detached %d\n", pending.count, claimer != NULL, cleared,
                detached);
     else
         done = 0;
     pthread_mutex_unlock(&lock);
     return done;
-}
-
-/* An OUT transfer that meets a halted endpoint fails when it gets there. */
-static void refuse_stalled(void)
-{
-    while (stopped_out && fail(0, -EPIPE))
-        ;
 }
 
 int main(int argc, char **argv)
@@ -419,7 +425,6 @@ int main(int argc, char **argv)
     printf("root %s\n", umockdev_testbed_get_root_dir(testbed));
     for (;;) {
         pthread_mutex_lock(&lock);
-        refuse_stalled();
         int listen = present && !silent && !stopped_in && first(1) >= 0;
         int speak = present && !silent && !stopped_out && first(0) >= 0;
         pthread_mutex_unlock(&lock);
@@ -446,7 +451,8 @@ int main(int argc, char **argv)
             }
             line[filled] = 0;
             filled = 0;
-            printf(obey(line) ? "ok %lld\n" : "error\n", happened);
+            int done = obey(line);
+            printf(done ? "ok %lld\n" : "error\n", happened);
         }
     }
 }

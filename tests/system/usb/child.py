@@ -22,6 +22,8 @@ def main() -> None:
             answer = {"failure": traceback.format_exc()}
         bench.tidy()
         said.write(json.dumps(answer) + "\n")
+    bench.close()
+    said.close()
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ if numba.config.DISABLE_JIT:
     pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
 
 SECONDS = 5_000.0  # ms
+RATE = 200  # Hz: each ioctl of the emulated bus costs about 0.1 ms
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=["queued", "plain"])
 def child(request: pytest.FixtureRequest, program: Path) -> Iterator[Child]:
-    bus = Bus(program)
+    bus = Bus(program, rate=RATE)
     try:
         process = Child(bus, request.param)
         yield process
@@ -90,3 +91,24 @@ def test_a_device_is_listed_with_its_url(child: Child) -> None:
 def test_the_slow_way_is_said(child: Child) -> None:
     note = child.check("says_how_it_works")
     assert note == "" or "the URL asks for it" in note
+
+
+URLS = [checks.URL, f"{checks.URL}?transfers=plain"]
+SETTINGS = ["--set", "sampling.position_rate=500", "--set", "verdict.late_fraction=0.9"]
+
+
+@pytest.mark.parametrize("url", URLS)
+def test_a_whole_hit(program: Path, tmp_path: Path, url: str) -> None:
+    """Homing, wall, judgement and recording; or, on a machine that has no time, a typed loss, counted and recorded."""
+    code, told = _hit(program, tmp_path, url)
+    assert code in (0, LinkLostError.exit_code, DeviceFaultError.exit_code)
+    (path,) = tmp_path.glob("*.parquet")
+    rows = reader.read(path)
+    assert len(rows) > 50
+    assert told["error"] is None or told["error"]["kind"] in ("LinkLostError", "DeviceFaultError")
+
+
+@pytest.mark.parametrize("url", URLS)
+def test_a_plug_pulled_in_a_hit(program: Path, tmp_path: Path, url: str) -> None:
+    code, told = _hit(program, tmp_path, url, "unplug")
+    assert code in (LinkLostError.exit_code, DeviceFaultError.exit_code)
