@@ -356,7 +356,7 @@ def test_rules_are_well_formed_and_match_before_they_assign(rigs):
             assert True in matches
     for vendor, product in rigs:
         assert f'"{vendor:04x}", ATTR{{idProduct}}=="{product:04x}"' in text
-    assert text.count("haptic-rig-$attr{serial}") == len(set(rigs))
+    assert text.count("haptic-rig-$env{ID_SERIAL_SHORT}") == len(set(rigs))
 
 
 def test_rules_do_what_rigs_want():
