@@ -15,7 +15,7 @@ import sys
 import textwrap
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,12 +55,13 @@ def latency_requests() -> int:
     return held
 
 
-def all_threads() -> list[tuple[int, tuple[int, ...]]]:
-    """Policy and processors of each thread of this process."""
-    return sorted(
-        (os.sched_getscheduler(int(task)), tuple(sorted(os.sched_getaffinity(int(task)))))
-        for task in os.listdir("/proc/self/task")
-    )
+def all_threads() -> set[tuple[int, tuple[int, ...]]]:
+    """Policies and processors of the threads of this process."""
+    found = set()
+    for task in map(int, os.listdir("/proc/self/task")):
+        with suppress(ProcessLookupError):  # a thread that was joined is still here for a moment
+            found.add((os.sched_getscheduler(task), tuple(sorted(os.sched_getaffinity(task)))))
+    return found
 
 
 def state() -> tuple[object, ...]:
@@ -308,11 +309,13 @@ def test_off_and_virtual_time_touch_nothing(asked, virtual):
     with obtained(Asked(asked, priority=99, cpu=4095), virtual=virtual) as realtime:
         realtime.enter_thread()
         realtime.prefault(np.zeros(10))
-        assert (state(), all_threads()) == (before, threads)
+        assert state() == before
+        assert all_threads() <= threads
         realtime.leave_thread()
         assert realtime.messages == []
         assert (realtime.report == {}) == virtual
-    assert (state(), all_threads()) == (before, threads)
+    assert state() == before
+    assert all_threads() <= threads
 
 
 @pytest.mark.parametrize("asked", ["try", "off"])
