@@ -2,7 +2,8 @@
 
     from rig.doctor.examine import Question, examine
 
-* `finding`, `machine`, `ports`: what is looked at without a device
+* `machine`: the checks of this computer; `subject`, `limits`, `kernel`, `access`, `wake_up`, `udev` are its parts
+* `finding`, `ports`: what is looked at without a device
 * `ping`, `round_trip`, `quantiles`: the link, measured by the loop's own means
 * `late_loops`, `walls`: what linear theory makes of its delay
 * `gate`: whether a wall may be armed there

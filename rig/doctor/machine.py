@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rig.config.sections import Host
 from rig.doctor import access, kernel, limits
 from rig.doctor.finding import Finding
 from rig.doctor.subject import Machine
+from rig.doctor.udev import udev_rules
+from rig.scheduling import Request
+
+__all__ = ["CHECKS", "machine_checks", "udev_rules"]
 
 CHECKS: tuple[Callable[[Machine], Finding], ...] = (
     limits.priority,
@@ -27,17 +32,21 @@ CHECKS: tuple[Callable[[Machine], Finding], ...] = (
 )
 
 
-def machine_checks(machine: Machine | None = None, *, seconds: float = 1.0) -> list[Finding]:
+def machine_checks(
+    host: Request | None = None, *, machine: Machine | None = None, seconds: float = 1.0
+) -> list[Finding]:
     """Look at everything, and measure wake-ups.
 
     Parameters
     ----------
+    host
+        What an experiment asks for (``experiment.host``); left out: the defaults.
     machine
-        What to look at, with what ``experiment.host`` asks; left out: this machine, asked as by default.
+        What to look at instead of this machine; it brings its own `host`.
     seconds
         How long wake-ups are measured; 0: not at all.
     """
-    machine = machine or Machine()
+    machine = machine or Machine(request=host or Host())
     findings = [check(machine) for check in CHECKS]
     if seconds > 0:
         from rig.doctor import wake_up  # noqa: PLC0415  (numba only when something is measured)

@@ -20,8 +20,8 @@ SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{vendor}", AT
 ENV{{ID_MM_DEVICE_IGNORE}}="1", GROUP="dialout", MODE="0660", TAG+="uaccess"
 SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", \
 ENV{{ID_MM_DEVICE_IGNORE}}="1", ENV{{ID_MM_PORT_IGNORE}}="1", GROUP="dialout", MODE="0660", TAG+="uaccess"
-SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", ATTRS{{serial}}=="?*", \
-SYMLINK+="haptic-rig-$attr{{serial}}"
+SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", ENV{{ID_SERIAL_SHORT}}=="?*", \
+SYMLINK+="haptic-rig-$env{{ID_SERIAL_SHORT}}"
 
 """
 _TAIL = f"""\

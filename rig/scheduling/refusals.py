@@ -26,10 +26,10 @@ LIMITS_COMMAND = (
 )
 RULES_FILE = "/etc/udev/rules.d/70-haptic-rig.rules"
 RULES_COMMAND = (
-    f"rig doctor --print-udev | sudo tee {RULES_FILE}"
+    f"sudo groupadd -f {GROUP} && rig doctor --print-udev | sudo tee {RULES_FILE}"
     " && sudo udevadm control --reload && sudo udevadm trigger"
 )
-AGAIN = "then log in again"
+AGAIN = "log in again"
 ROOM = 256 * 2**20  # bytes that a run may still map; beyond its limit the kernel refuses memory altogether
 _MIB = 2**20
 
@@ -48,7 +48,7 @@ class Refusal:
     @property
     def remedy(self) -> str:
         """The command as a sentence."""
-        return ", ".join(part for part in (f"To mend it: {self.command}", self.afterwards) if part)
+        return f"To mend it: {self.command}" + (f", then {self.afterwards}" if self.afterwards else "")
 
 
 def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Refusal:
@@ -61,7 +61,7 @@ def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> 
     return group_refusal(what, root) or Refusal(
         f"{what}: {os.strerror(number)}, though the limits allow it; a container or a control group stands before it",
         "echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs",
-        "then start again from the same shell (in a container: run it with --cap-add=SYS_NICE --ulimit rtprio=98)",
+        "start again from the same shell (in a container: run it with --cap-add=SYS_NICE --ulimit rtprio=98)",
     )
 
 

@@ -10,9 +10,11 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.cli.doctor import doctor
 from rig.config.sections import Host
 from rig.doctor import access, kernel, limits
 from rig.doctor.finding import Finding, Outcome
@@ -64,7 +66,7 @@ def group_of(path: Path) -> str:
 
 
 def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(tree):
-    findings = machine_checks(tree.machine(ORDINARY), seconds=0)
+    findings = machine_checks(machine=tree.machine(ORDINARY), seconds=0)
     assert len(findings) == len(CHECKS)
     assert len({finding.name for finding in findings}) == len(CHECKS)
     for finding in findings:
@@ -93,12 +95,14 @@ def test_any_text_in_any_file_gives_findings(tmp_path_factory, text):
         path = tree.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(text.replace("-", " ").encode(errors="surrogatepass"))
-    assert len(machine_checks(tree.machine(ORDINARY), seconds=0)) == len(CHECKS)
+    assert len(machine_checks(machine=tree.machine(ORDINARY), seconds=0)) == len(CHECKS)
 
 
 def test_every_problem_of_an_ordinary_user_has_its_command(tree):
     tree.with_files({"dev/ttyACM0": "", "dev/cpu_dma_latency": "", f"{CPU}/online": "0-1"})
-    for finding in machine_checks(tree.machine(ORDINARY, may_open=False, realtime="enforce"), seconds=0):
+    for finding in machine_checks(
+        machine=tree.machine(ORDINARY, may_open=False, realtime="enforce"), seconds=0
+    ):
         if finding.outcome == PROBLEM:
             assert finding.command
             assert "\n" not in finding.command
@@ -356,7 +360,7 @@ def test_rules_are_well_formed_and_match_before_they_assign(rigs):
             assert True in matches
     for vendor, product in rigs:
         assert f'"{vendor:04x}", ATTR{{idProduct}}=="{product:04x}"' in text
-    assert text.count("haptic-rig-$attr{serial}") == len(set(rigs))
+    assert text.count("haptic-rig-$env{ID_SERIAL_SHORT}") == len(set(rigs))
 
 
 def test_rules_do_what_rigs_want():
@@ -420,3 +424,16 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused(wake_up):
         "1000 at 1 kHz as SCHED_OTHER: half within 25 µs, 99 % within 2500 µs, worst 8000 µs"
         "; 3 periods slept through; SCHED_FIFO 80 is refused"
     )
+
+
+# ---------------------------------------------------------------------- the command
+
+
+def test_the_command_prints_the_rules_and_nothing_else():
+    result = CliRunner().invoke(doctor, ["--print-udev"])
+    assert result.exit_code == 0
+    assert result.stdout == udev_rules()
+
+
+def test_the_checks_take_what_the_experiment_asks():
+    assert machine_checks(Host(cpu=4095), seconds=0) != machine_checks(Host(), seconds=0)

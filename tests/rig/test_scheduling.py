@@ -15,7 +15,7 @@ import sys
 import textwrap
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,12 +55,13 @@ def latency_requests() -> int:
     return held
 
 
-def all_threads() -> list[tuple[int, tuple[int, ...]]]:
-    """Policy and processors of each thread of this process."""
-    return sorted(
-        (os.sched_getscheduler(int(task)), tuple(sorted(os.sched_getaffinity(int(task)))))
-        for task in os.listdir("/proc/self/task")
-    )
+def all_threads() -> set[tuple[int, tuple[int, ...]]]:
+    """Policies and processors of the threads of this process."""
+    found = set()
+    for task in map(int, os.listdir("/proc/self/task")):
+        with suppress(ProcessLookupError):  # a thread that was joined is still here for a moment
+            found.add((os.sched_getscheduler(task), tuple(sorted(os.sched_getaffinity(task)))))
+    return found
 
 
 def state() -> tuple[object, ...]:
@@ -88,9 +89,9 @@ def in_thread(function):
 def granted():
     """A machine that grants everything to this process."""
     with obtained(Asked()) as realtime:
-        messages = realtime.messages
-    if messages:
-        pytest.skip(f"this process may not schedule in real time: {messages[0]}")
+        refused = realtime.refusals
+    if refused:
+        pytest.skip(f"this process may not schedule in real time: {refused[0].text}")
 
 
 @pytest.fixture(autouse=True)
@@ -308,11 +309,13 @@ def test_off_and_virtual_time_touch_nothing(asked, virtual):
     with obtained(Asked(asked, priority=99, cpu=4095), virtual=virtual) as realtime:
         realtime.enter_thread()
         realtime.prefault(np.zeros(10))
-        assert (state(), all_threads()) == (before, threads)
+        assert state() == before
+        assert all_threads() <= threads
         realtime.leave_thread()
         assert realtime.messages == []
         assert (realtime.report == {}) == virtual
-    assert (state(), all_threads()) == (before, threads)
+    assert state() == before
+    assert all_threads() <= threads
 
 
 @pytest.mark.parametrize("asked", ["try", "off"])
@@ -423,7 +426,7 @@ def test_enforce_names_all_that_is_missing_and_changes_nothing():
     found = child(ENFORCE)
     for text in ("SCHED_FIFO 70", "memory is not locked", "limits.d", 'host.realtime = "try"'):
         assert text in found["error"]
-    assert found["error"].count("sudo groupadd") == 1  # one command for both limits
+    assert found["error"].count(refusals.LIMITS_COMMAND) == 1  # one command for both limits
     assert found["as before"]
 
 
@@ -491,6 +494,8 @@ def test_a_control_group_without_a_share_of_real_time_refuses_even_root():
     parent = Path("/sys/fs/cgroup/cpu")
     if not (parent / "cpu.rt_runtime_us").exists() or not os.access(parent, os.W_OK):
         pytest.skip("this kernel has no shares of real time for control groups (RT_GROUP_SCHED, version 1)")
+    if not Rights.here().may_schedule(Asked().priority):
+        pytest.skip("this process may not schedule in real time anyway")
     group = parent / f"rig-test-{os.getpid()}"
     group.mkdir()
     try:
