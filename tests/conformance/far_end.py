@@ -276,6 +276,7 @@ class FarEnd:
         if self.process.is_alive():
             self.kill()
         self.process.close()
+        self._witness = self._witness.copy()  # the file goes, what it said stays
 
 
 class HostProcess:

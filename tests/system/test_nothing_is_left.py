@@ -1,0 +1,302 @@
+"""After any exit a process holds what it held before: no thread, descriptor, child, shared memory, scheduling change.
+
+Each kind of exit runs in virtual and in real time, after one run that has imported and started whatever stays for
+good. What a kill -9 leaves is looked at from outside.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+
+import numpy as np
+import pytest
+
+import rig.cli
+from firmware_protocol.faults import Fault
+from firmware_protocol.kernel import kernel
+from rig import config, presets
+from rig.devices import open_device
+from rig.devices.framed import FramedDevice
+from rig.errors import (
+    DeviceFaultError,
+    DeviceNotFoundError,
+    LawError,
+    LinkLostError,
+    RealtimeError,
+    RecordingError,
+    RigError,
+    StoppedError,
+)
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.laws import Law
+from rig.plugs import LAW_SIGNATURE
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.census import MARK, Census, marked, nothing_left
+from tests.conformance.far_end import FarEnd, Script
+
+WAIT_S = 30.0
+RATE = 500
+NO_SUCH_CPU = 4_095
+
+REAL = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {
+        "controller.position_rate": RATE,
+        "controller.velocity_rate": RATE,
+        "controller.parameters": {"cutoff_hz": 100.0},
+        "controller.command_lifetime_s": 0.02,
+        "trial.duration_s": 0.15,
+        "trial.release_s": 0.02,
+        "homing.settle_s": 0.02,
+        "verdict.tail_s": 0.05,
+        "verdict.lowpass_hz": 200.0,
+    },
+)
+MODEL = config.rig_model(REAL)
+
+
+@kernel(LAW_SIGNATURE)
+def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    return np.nan if state[1] > 15.0 else 0.0
+
+
+@kernel(LAW_SIGNATURE)
+def raises(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    if state[1] > 15.0:
+        raise ValueError("too deep for me")
+    return 0.0
+
+
+def law_of(function):
+    return Law("bad", "for this test", function, 2, lambda wall: [])
+
+
+class CallbackError(Exception):
+    """What a caller's own code raises in the middle of a run."""
+
+
+def breaks_down(ticks, phase):
+    raise CallbackError
+
+
+def interrupts(number):
+    sent = []
+
+    def progress(ticks, phase):
+        if not sent:
+            sent.append(number)
+            signal.raise_signal(number)
+
+    return progress
+
+
+LONG = {"trial.duration_s": 30.0}
+
+# kind of exit → (changes of the experiment, more of the request, errors that may end it)
+EXITS = {
+    "finished": ({}, {}, ()),
+    "ctrl-c": (LONG, {"progress": lambda: interrupts(signal.SIGINT)}, (StoppedError,)),
+    "sigterm": (LONG, {"progress": lambda: interrupts(signal.SIGTERM)}, (StoppedError,)),
+    "exception": (LONG, {"progress": lambda: breaks_down}, (CallbackError,)),
+    "law raises": (LONG, {"law": lambda: law_of(raises)}, (LawError,)),
+    "law gives NaN": (LONG, {"law": lambda: law_of(gives_nan)}, (LawError,)),
+    "no such cpu": ({"host.realtime": "enforce", "host.cpu": NO_SUCH_CPU}, {}, (RealtimeError,)),
+    "tries": ({"host.realtime": "try"}, {}, ()),
+    "changes nothing": ({"host.realtime": "off"}, {}, ()),
+}
+
+
+def test_the_census_sees_what_is_left(tmp_path):
+    """Each of these would go unnoticed if the looking did not work."""
+    import threading  # noqa: PLC0415
+
+    before = Census.of_self()
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait, daemon=True)
+    thread.start()
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    memory = os.memfd_create("haptic-rig")
+    slack = before.timer_slack_ns
+    with open("/proc/self/timerslack_ns", "w") as file:
+        file.write(str(slack + 1000))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
+    try:
+        changes = before.changes(Census.of_self())
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        with open("/proc/self/timerslack_ns", "w") as file:
+            file.write(str(slack))
+        os.close(memory)
+        child.communicate(b"\n")
+        done.set()
+        thread.join()
+    assert {"threads", "tasks", "children", "descriptors", "timer_slack_ns", "blocked"} <= set(changes)
+    with nothing_left():
+        pass
+
+
+def run(device, directory, changes, more, allowed):
+    """One trial to its end, of whatever kind."""
+    request = TrialRequest(
+        experiment=config.override(REAL, changes),
+        recording=directory / f"{uuid.uuid4().hex}.rigcap",
+        verified=True,
+        seed=0,
+        **{name: make() for name, make in more.items()},
+    )
+    with contextlib.suppress(*allowed):
+        run_trial(device, request)
+
+
+# ---------------------------------------------------------------------- virtual time
+
+
+def in_memory(faults=None):
+    return FramedDevice(MemoryLink(SimulatedDevice(MODEL), faults or Faults()))
+
+
+@pytest.fixture
+def warm(tmp_path):
+    """One run has been: what is started once and stays for good is there."""
+    with in_memory() as device:
+        run(device, tmp_path, *EXITS["finished"])
+
+
+@pytest.mark.parametrize("exit_kind", EXITS)
+def test_nothing_is_left_in_virtual_time(exit_kind, warm, tmp_path):
+    with nothing_left(), in_memory() as device:
+        run(device, tmp_path, *EXITS[exit_kind])
+
+
+FAULTS = {
+    "unplugged": Faults(frames=(FrameFault(kind=Kind.UNPLUG, direction=Direction.TO_HOST, frame=120),)),
+    "silence": Faults(frames=(FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=120),)),
+    "never there": Faults(frames=(FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=0),)),
+    "device fault": Faults(device=(DeviceFault(60, Fault.EMERGENCY_STOP),)),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_nothing_is_left_of_a_lost_link_in_virtual_time(fault, warm, tmp_path):
+    with nothing_left(), in_memory(FAULTS[fault]) as device:
+        run(device, tmp_path, LONG, {}, (RigError,))
+
+
+def test_nothing_is_left_of_a_recording_that_cannot_be_made(warm, tmp_path):
+    path = tmp_path / "there.rigcap"
+    path.touch()
+    with nothing_left(), in_memory() as device, pytest.raises(RecordingError):
+        run_trial(device, TrialRequest(experiment=REAL, recording=path, verified=True, seed=0))
+
+
+# ---------------------------------------------------------------------- real time
+
+
+@pytest.fixture
+def far_end(tmp_path):
+    """Start device processes; the one that they are forked from stays."""
+    started = []
+
+    def start(script=None):
+        started.append(FarEnd("pty", tmp_path, MODEL, script or Script(), RATE))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.close()
+
+
+@pytest.mark.parametrize("exit_kind", EXITS)
+def test_nothing_is_left_in_real_time(exit_kind, warm, far_end, tmp_path):
+    device_end = far_end()
+    changes, more, allowed = EXITS[exit_kind]
+    with nothing_left(), open_device(device_end.url) as device:
+        run(device, tmp_path, changes, more, (*allowed, LinkLostError))
+
+
+@pytest.mark.parametrize("kind", [Kind.UNPLUG, Kind.SILENCE])
+def test_nothing_is_left_of_a_lost_link_in_real_time(kind, warm, far_end, tmp_path):
+    fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=0)
+    device_end = far_end(Script(after=20, frames=(fault,)))
+    with nothing_left(), open_device(device_end.url) as device:
+        run(device, tmp_path, LONG, {}, (LinkLostError,))
+
+
+def test_nothing_is_left_of_a_port_that_does_not_open(warm, far_end):
+    device_end = far_end()
+    with open_device(device_end.url), nothing_left(), pytest.raises(DeviceNotFoundError):
+        open_device(device_end.url)
+
+
+QUICK = [
+    "hit",
+    "--no-plot",
+    "--duration",
+    "0.2",
+    "--set",
+    "verdict.tail_s=0.1",
+    "--set",
+    "trial.release_s=0.02",
+]
+
+
+def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    command = [*QUICK, "--realtime"]
+    rig.cli.run(command)  # what multiprocessing starts once, stays
+    with nothing_left():
+        code = rig.cli.run(command)
+    assert code in (0, LinkLostError.exit_code, DeviceFaultError.exit_code), capfd.readouterr().err
+
+
+# ---------------------------------------------------------------------- from outside
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number, tmp_path):
+    """The device's process, the one that draws, and whatever multiprocessing started all go, whoever dies first."""
+    mark = uuid.uuid4().hex
+    before = set(os.listdir("/dev/shm"))
+    with open(tmp_path / "said", "wb") as said:
+        command = subprocess.Popen(
+            [sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60"],
+            cwd=tmp_path,
+            env={**os.environ, MARK: mark},
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+        )
+        try:
+            wait_until(
+                lambda: grown(tmp_path) or command.poll() is not None, lambda: "the trial does not begin"
+            )
+            assert len(marked(mark)) >= 2 or command.poll() is not None, "host and device at least"
+            command.send_signal(number)
+            command.wait(WAIT_S)
+        finally:
+            command.kill()
+            command.wait()
+    wait_until(lambda: not marked(mark), lambda: f"still there: {marked(mark)}")
+    ours = {name for name in set(os.listdir("/dev/shm")) - before if "haptic" in name or "rig" in name}
+    assert not ours
+    assert b"Traceback" not in (tmp_path / "said").read_bytes()
+
+
+def grown(directory):
+    """Whether a capture has rows."""
+    return any(path.stat().st_size > 40_000 for path in directory.glob("recordings/*.rigcap"))
+
+
+def wait_until(what, text):
+    deadline = time.monotonic() + WAIT_S
+    while not what():
+        assert time.monotonic() < deadline, text()
+        time.sleep(0.02)
