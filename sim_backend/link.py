@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -128,6 +128,7 @@ class MemoryLink:
     """
 
     bytes_per_second: float | None = None
+    messages: Sequence[str] = ()
 
     def __init__(
         self,

@@ -79,5 +79,5 @@ def _port(link: Any) -> dict[str, Any]:
     facts = getattr(link, "facts", None)
     return {
         "port": None if facts is None else facts.as_mapping(),
-        "problems": list(getattr(link, "messages", [])),
+        "problems": list(link.messages),
     }

@@ -100,6 +100,8 @@ def hit(
                 done.append({**result.as_mapping(), "picture": picture})
                 if len(done) == 1:
                     _say_gate(result.gate)
+                    for message in result.messages:
+                        click.echo(f"rig: {message}", err=True)
                 if not as_json:
                     _print_result(result, picture, output.differences(experiment, result.experiment, changes))
         except RigError as error:

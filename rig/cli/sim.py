@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -46,5 +47,5 @@ def serve(preset: str, rate: int | None, seed: int, as_json: bool) -> None:
                 f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}", err=True
             )
 
-    chosen = {} if rate is None else {"rate": rate}
+    chosen: dict[str, Any] = {} if rate is None else {"rate": rate}
     serve_scheme("sim", config.rig_model(experiment), seed=seed, announce=announce, **chosen)

@@ -7,7 +7,7 @@ shipped code, whether a board, a process behind a pseudo-terminal or the simulat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 from urllib.parse import parse_qsl, urlsplit
@@ -80,6 +80,7 @@ class Link(Protocol):
     url: DeviceUrl
     clock: Clock
     bytes_per_second: float | None  # capacity each way, None when it is not a limit
+    messages: Sequence[str]  # what could not be obtained, each with its remedy: for the user to read
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, waiting at most `timeout_s` for the first byte; empty at the time-out."""

@@ -12,6 +12,7 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -19,6 +20,7 @@ from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl
 from rig.errors import ConfigError, DeviceNotFoundError
 from rig.model import RigModel
+from rig.scheduling import obtained
 
 SERVERS = {"sim": "sim_backend.pty:serve"}
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
@@ -26,8 +28,20 @@ STOP_TIMEOUT_S = 5.0
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
-def serve(scheme: str, model: RigModel, **options: Any) -> None:
+@dataclass(frozen=True, slots=True)
+class Board:
+    """Scheduling of a simulated device: a board's timer waits for nobody, so it comes before any host's loop."""
+
+    realtime: str = "try"
+    priority: int = 90
+    cpu: int | None = None
+
+
+def serve(scheme: str, model: RigModel, *, realtime: str = "try", **options: Any) -> None:
     """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
+
+    The calling thread gets real-time scheduling for as long as it serves, where that is granted; ``realtime="off"``
+    asks for none.
 
     Raises `ConfigError` when no backend serves this scheme, `DeviceNotFoundError` when it does not load.
     """
@@ -39,7 +53,12 @@ def serve(scheme: str, model: RigModel, **options: Any) -> None:
         raise DeviceNotFoundError(
             f"{SERVERS[scheme]} does not load: {error}", remedy="reinstall it"
         ) from error
-    server(model, **options)
+    with obtained(Board(realtime)) as granted:
+        granted.enter_thread()
+        try:
+            server(model, **options)
+        finally:
+            granted.leave_thread()
 
 
 def _check_served(scheme: str) -> None:
@@ -47,10 +66,10 @@ def _check_served(scheme: str) -> None:
         raise ConfigError(f"{scheme}:// cannot be served", remedy=f"known: {', '.join(SERVERS)}")
 
 
-def _child(scheme: str, model: RigModel, seed: int, pipe: Any) -> None:
+def _child(scheme: str, model: RigModel, seed: int, realtime: str, pipe: Any) -> None:
     os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
     _die_with_parent()
-    serve(scheme, model, seed=seed, announce=pipe.send)
+    serve(scheme, model, realtime=realtime, seed=seed, announce=pipe.send)
 
 
 def _die_with_parent() -> None:
@@ -60,10 +79,10 @@ def _die_with_parent() -> None:
 
 
 @contextmanager
-def serve_locally(url: str, model: RigModel, *, seed: int = 0) -> Iterator[str]:
+def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "try") -> Iterator[str]:
     """Start a device process and yield the URL of its port; the process ends with the context.
 
-    A name in the URL wins over `model`, as in virtual time.
+    A name in the URL wins over `model`, as in virtual time. `realtime` as in `serve`.
 
     Raises
     ------
@@ -83,7 +102,7 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0) -> Iterator[str]:
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(
-        target=_child, args=(parsed.scheme, described, seed, sender), name="rig-device", daemon=True
+        target=_child, args=(parsed.scheme, described, seed, realtime, sender), name="rig-device", daemon=True
     )
     process.start()
     sender.close()

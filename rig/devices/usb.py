@@ -302,6 +302,11 @@ class UsbLink:
         """What a user should know of how the bytes move; empty when all is well."""
         return self._transfers.note
 
+    @property
+    def messages(self) -> list[str]:
+        """What could not be obtained, for the user to read."""
+        return [self.note] if self.note else []
+
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, waiting at most `timeout_s` for the first byte."""
         self._check_open()

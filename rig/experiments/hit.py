@@ -78,6 +78,7 @@ class HitResult:
     counters: dict[str, int]
     cleared_fault: str | None  # what an earlier run had left latched on the device
     gate: Gate | None = None  # what speaks for and against arming on this link; None in virtual time
+    messages: tuple[str, ...] = ()  # what this computer or the port did not grant, each with its remedy
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -101,6 +102,7 @@ class HitResult:
             "counters": self.counters,
             "cleared_fault": self.cleared_fault,
             "gate": None if self.gate is None else self.gate.as_mapping(),
+            "messages": list(self.messages),
         }
 
 
@@ -180,6 +182,7 @@ def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitRes
         counters=end.counters,
         cleared_fault=None if fault is None else fault.text,
         gate=gate,
+        messages=(*device.link.messages, *end.messages),
     )
 
 
@@ -198,7 +201,12 @@ def _opened(request: HitRequest) -> Iterator[FramedDevice]:
     model = config.rig_model(config.override(experiment, request.changes))
     if request.realtime:
         with (
-            serve_locally(url, model, seed=request.experiment.trial.seed) as port,
+            serve_locally(
+                url,
+                model,
+                seed=request.experiment.trial.seed,
+                realtime="off" if experiment.host.realtime == "off" else "try",
+            ) as port,
             devices.open_device(port) as device,
         ):
             yield device

@@ -67,11 +67,12 @@ class TrialRequest:
 
 @dataclass(frozen=True, slots=True)
 class TrialEnd:
-    """How a trial ended: the sealed recording, the reason, and the counters of the link."""
+    """How a trial ended: the sealed recording, the reason, the counters of the link, what was not granted."""
 
     recording: Path
     reason: EndReason
     counters: dict[str, int]
+    messages: tuple[str, ...] = ()
 
 
 def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
@@ -123,7 +124,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     if error is not None:
         error.recording = path
         raise error from end.error
-    return TrialEnd(path, end.reason, end.counters)
+    return TrialEnd(path, end.reason, end.counters, tuple(realtime.messages))
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
