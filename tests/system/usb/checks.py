@@ -107,7 +107,7 @@ def says_how_it_works(bench: Bench) -> str:
 
 def is_listed(bench: Bench) -> list[dict[str, Any]]:
     return [
-        {"url": device.url, "name": device.name, "path": device.path, "is_rig": device.is_rig}
+        {"url": device.url, "name": device.product, "path": device.path, "is_rig": device.is_rig}
         for device in available_devices()
     ]
 
