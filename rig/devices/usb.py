@@ -44,19 +44,19 @@ _HUB_CLASS = 9
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """A device on the bus. `is_rig`: it has an interface that could be a rig's; `path` is its place in sysfs."""
+    """A device on the bus: what it says of itself, its place in sysfs, and whether an interface could be a rig's."""
 
-    vendor: int
-    product: int
+    vid: int
+    pid: int
     serial: str
-    name: str
+    product: str
     path: str
     is_rig: bool
 
     @property
     def url(self) -> str:
         """How to open it."""
-        place = f"usb://{self.vendor:04x}:{self.product:04x}"
+        place = f"usb://{self.vid:04x}:{self.pid:04x}"
         return f"{place}/{self.serial}" if self.serial else place
 
 
@@ -165,7 +165,7 @@ def _chosen(bus: Bus, url: DeviceUrl, vendor: int, product: int, serial: str) ->
 
 def _rigs(bus: Bus) -> str:
     described = [_description(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
-    found = [f"{device.url} ({device.name or 'no name'})" for device in described if device.is_rig]
+    found = [f"{device.url} ({device.product or 'no name'})" for device in described if device.is_rig]
     return f"Rigs here: {', '.join(found)}" if found else "No USB device here looks like a rig"
 
 
@@ -176,10 +176,10 @@ def _description(device: Any) -> UsbDevice:
     )
     is_rig = _pipes(device) is not None
     return UsbDevice(
-        vendor=device.idVendor,
-        product=device.idProduct,
+        vid=device.idVendor,
+        pid=device.idProduct,
         serial=_text(device, "serial", ask=is_rig),
-        name=_text(device, "product", ask=is_rig),
+        product=_text(device, "product", ask=is_rig),
         path=path,
         is_rig=is_rig,
     )

@@ -138,12 +138,12 @@ class Child:
     def __init__(self, bus: Bus, transfers: str) -> None:
         self._process = bus.start("-m", "tests.system.usb.child", transfers, stdin=subprocess.PIPE)
 
-    def check(self, name: str) -> Any:
-        """Do one check and return what it found; its failure is ours."""
+    def check(self, *words: str) -> Any:
+        """Do one check, with its arguments, and return what it found; its failure is ours."""
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
-        process.stdin.write(name + "\n")
+        process.stdin.write(" ".join(words) + "\n")
         process.stdin.flush()
         line = process.stdout.readline()
         assert line, f"the child ended with {process.wait(WAIT_S)}"

@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from rig.errors import (
     UnpluggedError,
 )
 from rig.plugs import TRANSFER
+from rig.recording.reader import open_recording
 from tests.conformance.device import check_device
 from tests.conformance.host import Host
 from tests.conformance.link import check_link, listen
@@ -105,7 +107,7 @@ def says_how_it_works(bench: Bench) -> str:
 
 def is_listed(bench: Bench) -> list[dict[str, Any]]:
     return [
-        {"url": device.url, "name": device.name, "path": device.path, "is_rig": device.is_rig}
+        {"url": device.url, "name": device.product, "path": device.path, "is_rig": device.is_rig}
         for device in available_devices()
     ]
 
@@ -330,3 +332,39 @@ def round_trips(bench: Bench) -> dict[str, float]:
         host.ask(m.Identify(host.nonce(), 0))
         times.append((time.perf_counter() - begun) * 1e3)
     return {"median": float(np.median(times)), "worst": max(times)}
+
+
+def unplugged_in_a_trial(bench: Bench, directory: str) -> dict[str, Any]:
+    """The plug is pulled in the middle of a run of the loop: one error, and a recording that can be read."""
+    from rig import config, presets  # noqa: PLC0415
+    from rig.devices import open_device  # noqa: PLC0415
+    from rig.experiments.trial import TrialRequest, run_trial  # noqa: PLC0415
+
+    changes = {"trial.duration_s": 30.0, "controller.position_rate": 500, "controller.velocity_rate": 500}
+    experiment = config.override(config.with_realtime(presets.load("koul-compliant")), changes)
+    happened: list[int] = []
+
+    def pull(ticks: int, phase: int) -> None:
+        if ticks > 20 and not happened:
+            happened.append(bench.order("unplug"))
+
+    path = Path(directory) / "unplugged.rigcap"
+    request = TrialRequest(
+        experiment=experiment, recording=path, verified=True, seed=0, progress=pull, sealed=False
+    )
+    with open_device(bench.url) as device:
+        try:
+            run_trial(device, request)
+        except LinkLostError as error:
+            ended_ns = time.monotonic_ns()
+            recording = open_recording(path)
+            return {
+                "kind": type(error).__name__,
+                "errno": (error.statistics or {}).get("errno"),
+                "remedy": error.remedy,
+                "rows": len(recording.rows),
+                "ticks": (error.statistics or {}).get("ticks"),
+                "complete": recording.complete,
+                "after_ms": (ended_ns - happened[0]) * 1e-6 if happened else None,
+            }
+    raise AssertionError("the trial ended though the device was gone")

@@ -1,4 +1,4 @@
-"""The child of the USB tests: does checks by name, one a line, and tells their outcome in a line of JSON."""
+"""The child of the USB tests: does checks, one a line with its arguments, and tells their outcome in a line of JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def main() -> None:
     bench = checks.Bench(sys.argv[1])
     for line in sys.stdin:
         try:
-            answer = {"found": getattr(checks, line.strip())(bench)}
+            name, *arguments = line.split()
+            answer = {"found": getattr(checks, name)(bench, *arguments)}
         except BaseException:
             answer = {"failure": traceback.format_exc()}
         bench.tidy()

@@ -5,14 +5,19 @@ The bus is umockdev's (`bridge.c`), the device the simulated one. Nothing is ass
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numba
 import pytest
 
+from rig import config, presets
+from rig.errors import DeviceFaultError, LinkLostError
+from rig.recording.reader import open_recording
+from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.system.usb import checks
-from tests.system.usb.bench import Bus, Child, build
+from tests.system.usb.bench import WAIT_S, Bus, Child, build
 
 if numba.config.DISABLE_JIT:
     pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
@@ -93,22 +98,67 @@ def test_the_slow_way_is_said(child: Child) -> None:
     assert note == "" or "the URL asks for it" in note
 
 
-URLS = [checks.URL, f"{checks.URL}?transfers=plain"]
-SETTINGS = ["--set", "sampling.position_rate=500", "--set", "verdict.late_fraction=0.9"]
+# ---------------------------------------------------------------------- a whole run of the loop
 
 
-@pytest.mark.parametrize("url", URLS)
-def test_a_whole_hit(program: Path, tmp_path: Path, url: str) -> None:
-    """Homing, wall, judgement and recording; or, on a machine that has no time, a typed loss, counted and recorded."""
-    code, told = _hit(program, tmp_path, url)
-    assert code in (0, LinkLostError.exit_code, DeviceFaultError.exit_code)
+@pytest.fixture(scope="module")
+def rig(program: Path) -> Iterator[Bus]:
+    """The compliant rig on the bus, with the shape of high speed."""
+    model = config.rig_model(presets.load("koul-compliant"))
+    bus = Bus(program, UsbShape(packet=HIGH_SPEED_PACKET), model)
+    yield bus
+    bus.close()
+
+
+@pytest.mark.parametrize("transfers", ["queued", "plain"])
+def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(
+    rig: Bus, tmp_path: Path, transfers: str
+) -> None:
+    child = Child(rig, transfers)
+    try:
+        found = child.check("unplugged_in_a_trial", str(tmp_path))
+    finally:
+        child.close()
+    print(found)
+    assert found["complete"]
+    assert found["remedy"]
+    assert found["rows"] <= found["ticks"]
+    if found["after_ms"] is None:  # this machine was too busy to keep the device alive until then
+        assert found["kind"] in ("LinkLostError", "DeviceFaultError")
+    else:
+        assert found["kind"] in ("UnpluggedError", "DeviceFaultError")
+        assert found["after_ms"] < SECONDS
+
+
+@pytest.mark.parametrize("url", [checks.URL, f"{checks.URL}/0001?transfers=plain"])
+def test_a_hit_from_the_command_line(rig: Bus, tmp_path: Path, url: str) -> None:
+    """It is judged, or ends with a typed loss; either way it is recorded and every tick is accounted for."""
+    rates = [
+        "--rate",
+        "500",
+        "--set",
+        "verdict.late_fraction=0.9",
+        "--set",
+        "controller.command_lifetime_s=0.02",
+    ]
+    host = rig.start(
+        "-m", "rig", "hit", "--url", url, "--verified", "--no-plot", "--json", *rates, "-o", str(tmp_path)
+    )
+    said, _ = host.communicate(timeout=WAIT_S)
+    told = json.loads(said)
     (path,) = tmp_path.glob("*.parquet")
-    rows = reader.read(path)
-    assert len(rows) > 50
-    assert told["error"] is None or told["error"]["kind"] in ("LinkLostError", "DeviceFaultError")
-
-
-@pytest.mark.parametrize("url", URLS)
-def test_a_plug_pulled_in_a_hit(program: Path, tmp_path: Path, url: str) -> None:
-    code, told = _hit(program, tmp_path, url, "unplug")
-    assert code in (LinkLostError.exit_code, DeviceFaultError.exit_code)
+    recording = open_recording(path)
+    assert len(recording.rows) > 0
+    counters = recording.trailer["counters"]
+    assert counters["ticks"] == counters["commands"] + counters["unsent"]
+    assert counters["bad_frames"] == 0
+    if told["error"] is None:
+        assert host.returncode == 0
+        assert told["hits"]
+    else:
+        assert (
+            host.returncode
+            == told["error"]["exit_code"]
+            in (LinkLostError.exit_code, DeviceFaultError.exit_code)
+        )
+        assert told["error"]["remedy"]
