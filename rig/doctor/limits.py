@@ -11,7 +11,7 @@ from rig.scheduling.facts import rt_period_us, rt_runtime_us, status_kilobytes, 
 
 
 def priority(machine: Machine) -> Finding:
-    """Whether limits and control group allow SCHED_FIFO."""
+    """Whether SCHED_FIFO is granted: limits and control group say why not, and a thread that ends at once tries it."""
     name = "real-time priority"
     why = "an ordinary thread waits behind other programs, for milliseconds when the machine is busy"
     wanted = machine.request.priority
@@ -19,7 +19,12 @@ def priority(machine: Machine) -> Finding:
         refusal = refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root)
         return machine.refused(name, refusal, why)
     group = refusals.group_refusal(f"SCHED_FIFO {wanted} is refused", machine.root)
-    return machine.refused(name, group, why) if group else ok(name, f"SCHED_FIFO {wanted} is allowed", why)
+    refused = [group] if group else machine.tried(wanted, None)[1]
+    return (
+        machine.refused(name, refused[0], why)
+        if refused
+        else ok(name, f"SCHED_FIFO {wanted} is granted", why)
+    )
 
 
 def memory(machine: Machine) -> Finding:

@@ -11,6 +11,7 @@ from rig.config.sections import Host
 from rig.doctor.finding import Finding, Outcome
 from rig.scheduling import Refusal, Request, Rights
 from rig.scheduling.facts import ROOT
+from rig.scheduling.thread import tried
 
 
 def openable(path: Path) -> bool:
@@ -26,6 +27,9 @@ class Machine:
     root: Path = ROOT  # where /proc, /sys, /dev and /etc hang
     rights: Rights = field(default_factory=Rights.here)
     openable: Callable[[Path], bool] = openable
+    tried: Callable[[int, int | None], tuple[object, list[Refusal]]] = (
+        tried  # with a priority and a processor
+    )
 
     @property
     def severity(self) -> Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import json
 import re
@@ -36,6 +37,7 @@ class Tree:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.refusals: list[refusals.Refusal] = []
 
     def with_files(self, files: dict[str, str]) -> Tree:
         for name, text in files.items():
@@ -50,6 +52,7 @@ class Tree:
             root=self.root,
             rights=rights,
             openable=lambda path: path.exists() and may_open,
+            tried=lambda priority, cpu: (None, self.refusals),
         )
 
 
@@ -150,6 +153,14 @@ def test_a_control_group_needs_a_share_of_real_time(tree, files, outcome):
     finding = limits.priority(tree.with_files(GROUP | files).machine())
     assert finding.outcome == outcome
     assert finding.command == (f"echo 100000 | sudo tee /{SHARE}" if outcome == WARNING else "")
+
+
+def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree):
+    tree.refusals = [refusals.of_policy(80, ALLOWED, errno.EPERM, tree.root)]
+    finding = limits.priority(tree.machine())
+    assert finding.outcome == WARNING
+    assert "a container or a control group" in finding.text
+    assert finding.command
 
 
 def test_the_group_of_a_container_is_the_root_of_its_mount(tree):
