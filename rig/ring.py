@@ -23,6 +23,7 @@ stays behind whoever dies. Other processes of the user find it as ``/proc/PID/fd
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import mmap
@@ -86,6 +87,7 @@ CREATOR = 63  # creator     its process, as it calls itself
 _INFO_AT = WORDS * 8
 _MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES
 _ROWS_AT = _MAILBOX_AT + MAILBOX_BYTES
+_MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
 _INFO_LENGTH = 0xFFFFF
 _INFO_HALF = 1 << 20
 _INFO_CHANGES = 32
@@ -343,7 +345,7 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
     """Zeroed bytes of an anonymous file, all of them there: later there is nobody to tell that memory is short."""
     descriptor = -1
     try:
-        descriptor = os.memfd_create(NAME, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        descriptor = _memfd()
         os.posix_fallocate(descriptor, 0, size)
         fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
         return _mapped(descriptor, size), descriptor
@@ -353,6 +355,17 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
         raise RigError(
             f"no shared memory of {size / 1e6:.0f} MB: {error.strerror}", remedy="free some memory"
         ) from error
+
+
+def _memfd() -> int:
+    """An anonymous file, never to be run as a program: newer kernels want that said, older ones do not know it."""
+    flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
+    try:
+        return os.memfd_create(NAME, flags | _MFD_NOEXEC_SEAL)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        return os.memfd_create(NAME, flags)
 
 
 def _mapped(descriptor: int, size: int) -> NDArray[np.uint8]:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,25 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
     finally:
         for _, ring in asked:
             ring.close()
+
+
+def hidden() -> list[int]:
+    """Processes that were started as ``rig`` and that this user may not look into: they may run a loop too."""
+    found = []
+    for directory in _PROC.iterdir():
+        if not directory.name.isdecimal():
+            continue
+        with suppress(OSError):
+            words = (directory / "cmdline").read_bytes().split(b"\0")
+            if _is_rig(words) and not os.access(directory / "fd", os.R_OK | os.X_OK):
+                found.append(int(directory.name))
+    return sorted(found)
+
+
+def _is_rig(words: list[bytes]) -> bool:
+    """Whether a command line is ``rig …``, ``python …/rig …`` or ``python … -m rig …``."""
+    started = [os.path.basename(word) for word in words[:2]]
+    return b"rig" in started or any(pair == (b"-m", b"rig") for pair in pairwise(words))
 
 
 def the_loop(pid: int | None = None) -> RunningLoop:

@@ -23,11 +23,11 @@ def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
     """
     if only_list:
         loops = [loop for loop in running.running() if pid is None or loop.pid == pid]
-        _show({"loops": [loop.as_mapping() for loop in loops]}, "no loop runs in real time", as_json)
+        _show([loop.as_mapping() for loop in loops], "no loop runs in real time", as_json)
         return
     stopped = running.stop(pid)
     nothing = "no loop runs in real time: nothing to stop"
-    _show({"loops": [loop.as_mapping() for loop in stopped]}, nothing, as_json)
+    _show([one.as_mapping() for one in stopped], nothing, as_json)
     deaf = [str(one.loop.pid) for one in stopped if not one.ended]
     if deaf:
         error = RigError(
@@ -38,14 +38,20 @@ def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
         raise error
 
 
-def _show(found: dict[str, Any], nothing: str, as_json: bool) -> None:
+def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
+    """Print the loops; those that this user cannot see are never passed over in silence."""
+    hidden = running.hidden()
     if as_json:
-        output.print_json(found)
-    elif found["loops"]:
-        for loop in found["loops"]:
-            click.echo(_line(loop))
-    else:
+        output.print_json({"loops": loops, "hidden": hidden})
+        return
+    for loop in loops:
+        click.echo(_line(loop))
+    if not loops:
         click.echo(nothing)
+    for pid in hidden:
+        click.echo(
+            f"rig: process {pid} may run one too, but is not yours to look into: sudo rig stop", err=True
+        )
 
 
 def _line(loop: dict[str, Any]) -> str:

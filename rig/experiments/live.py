@@ -102,15 +102,13 @@ def change_wall(
         return LiveChange(loop.pid, number, meant, wall, in_force, bool(ring.get(LOOP_DONE)))
 
 
-def parameter_set(
-    experiment: Experiment, *, current_quantum_a: float, reference_count: int, law: str | None = None
-) -> list[float]:
+def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference_count: int) -> list[float]:
     """Numbers of a set for the loop: the wall's position, then the parameters of its law.
 
     Raises
     ------
     ConfigError
-        The law cannot be designed so, or `law`, the one that runs, is not the one that the experiment names.
+        The law cannot be designed so.
     PlanError
         A plan of this experiment would be refused.
     """
@@ -124,12 +122,6 @@ def parameter_set(
     made = controller.for_experiment(
         experiment, current_quantum_a=current_quantum_a, reference_count=reference_count
     )
-    name = made.law.law.name
-    if law is not None and law != name:
-        raise ConfigError(
-            f"the loop runs the law {law}, which its program gave it; the experiment only knows {name}",
-            remedy="change it from that program",
-        )
     return [float(made.control[0]["wall_position"]), *made.law.parameters.tolist()]
 
 
@@ -152,13 +144,17 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
             raise RigError(
                 "the loop does not say which experiment it runs", remedy="change it from its own program"
             )
+        if info.get("law"):
+            raise ConfigError(
+                "the law of this loop was given by its program, which alone knows its parameters",
+                remedy="change it from there",
+            )
         running_now = config.experiment_from_mapping(info["experiment"], "the running experiment")
         experiment = config.override(running_now, changes, "the change")
         values = parameter_set(
             experiment,
             current_quantum_a=info["current_quantum_a"],
             reference_count=info.get("reference_count", 0),
-            law=info.get("law"),
         )
         if ring.get(LOOP_DONE):
             raise RigError("the loop has ended", remedy="start another one")

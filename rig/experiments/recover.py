@@ -133,11 +133,20 @@ def _recover(capture: Path) -> Recovered:
             if fresh:
                 reason = f"it ended just now, its run may be sealing it; try again in {SEALING_S:g} s"
                 return Recovered(capture, Outcome.IN_USE, reason=reason)
-            return _with_cost(capture, seal(capture), recording)
+            sealed = seal(capture)
+            _remove_drafts(sealed)
+            return _with_cost(capture, sealed, recording)
     except OSError as error:
         return Recovered(capture, Outcome.FAILED, reason=f"cannot read it: {error.strerror}")
     except RigError as error:
         return Recovered(capture, Outcome.FAILED, reason=str(error))
+
+
+def _remove_drafts(sealed: Path) -> None:
+    """Remove what a sealing left that was killed half-way (`rig.recording.files.whole_file`)."""
+    for path in sealed.parent.iterdir():
+        if path.name.startswith(f".{sealed.name}.") and path.name.endswith(".draft"):
+            path.unlink(missing_ok=True)
 
 
 def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:

@@ -35,7 +35,7 @@ def info_of(experiment: Any = EXPERIMENT, **more: Any) -> dict[str, Any]:
         "experiment": as_mapping(experiment),
         "current_quantum_a": QUANTUM_A,
         "reference_count": 12,
-        "law": "spring-damper",
+        "law": False,
         **more,
     }
 
@@ -135,7 +135,7 @@ def test_what_must_not_be_changed_is_refused_and_nothing_is_posted(
     ("info", "said"),
     [
         ({}, "does not say which experiment"),
-        (info_of(law="my own"), "runs the law my own, which its program gave it"),
+        (info_of(law=True), "was given by its program"),
         (info_of(experiment=EXPERIMENT) | {"experiment": {"wall": {}}}, "the running experiment"),
     ],
 )

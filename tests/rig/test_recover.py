@@ -138,6 +138,16 @@ def test_a_crash_of_the_sealing_itself_is_finished(tmp_path: Path) -> None:
     assert not capture.exists()
 
 
+def test_a_draft_of_a_sealing_that_was_killed_goes_with_the_capture(tmp_path: Path) -> None:
+    write(tmp_path / "trial.rigcap")
+    mine, other = tmp_path / ".trial.parquet.4711.draft", tmp_path / ".trial-2.parquet.4711.draft"
+    for draft in (mine, other):
+        draft.write_text("half")
+    assert one(tmp_path).outcome == Outcome.SEALED
+    assert not mine.exists()
+    assert other.exists()
+
+
 @pytest.mark.parametrize("damage", [b"", b"\x89RIGCAP\n", b"something else"])
 def test_what_is_no_capture_any_more_is_named_and_the_others_are_still_sealed(
     tmp_path: Path, damage: bytes

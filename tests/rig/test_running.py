@@ -149,6 +149,43 @@ print([loop.pid for loop in running.running()])
         assert ring.get(words.STOP) == 0
 
 
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become somebody else")
+def test_a_rig_of_somebody_else_is_never_passed_over_in_silence() -> None:
+    """Without rights nobody can tell whether it runs a loop; a person who wants to stop one must hear of it."""
+    program = f"""
+import os, sys
+sys.path[:0] = {sys.path!r}
+import rig.cli.stop
+os.setgid(65534); os.setuid(65534)
+sys.exit(rig.cli.run(["stop"]))
+"""
+    with subprocess.Popen(["rig", "60"], executable="/bin/sleep") as other:
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+            )
+            assert done.returncode == 0
+            assert f"process {other.pid} may run one too" in done.stderr
+            assert other.pid not in running.hidden()  # root sees all
+        finally:
+            other.kill()
+
+
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [
+        ("rig stop", True),
+        ("/usr/bin/python3 /home/me/.local/bin/rig hit", True),
+        ("python -X dev -m rig hit", True),
+        ("vim rig/running.py", False),
+        ("python -m rigging", False),
+        ("", False),
+    ],
+)
+def test_a_rig_is_known_by_its_command_line(command: str, meant: bool) -> None:
+    assert running._is_rig(command.encode().split(b" ")) == meant
+
+
 def rig_stop(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "rig", "stop", *arguments]
     root = Path(__file__).parents[2]
@@ -172,10 +209,11 @@ def test_the_command_is_content_when_nothing_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(running, "stop", lambda pid: [])
+    monkeypatch.setattr(running, "hidden", list)
     assert rig.cli.run(["stop"]) == 0
     assert capsys.readouterr().out == "no loop runs in real time: nothing to stop\n"
     assert rig.cli.run(["stop", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"loops": []}
+    assert json.loads(capsys.readouterr().out) == {"loops": [], "hidden": []}
 
 
 def test_the_command_says_when_a_loop_does_not_listen(

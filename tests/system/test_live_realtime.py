@@ -1,0 +1,125 @@
+"""A hit in real time and another terminal: it sees the loop, changes its wall, stops it, saves what a crash left."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numba
+import pytest
+
+import rig.experiments.hit  # noqa: F401  (compiles the loop before anybody waits for it)
+from rig.config import experiment_from_mapping
+from rig.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
+from rig.experiments.live import change_wall, parameter_set
+from rig.experiments.recover import Outcome, recover
+from rig.recording.reader import open_recording
+from rig.ring import LINK
+from rig.running import RunningLoop, running, stop
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 60.0
+LOST = (
+    LinkLostError.exit_code,
+    DeviceFaultError.exit_code,
+)  # what a machine without time for a loop makes of it
+
+
+@contextmanager
+def hit(directory: Path) -> Iterator[tuple[subprocess.Popen[str], RunningLoop]]:
+    """A hit of a simulated rig in real time that waits long before its wall; yields it when its loop steps."""
+    options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--no-plot", "--json"]
+    command = [sys.executable, "-m", "rig", "hit", "--realtime", "-o", str(directory), *options]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process, stepping(process)
+    finally:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def stepping(process: subprocess.Popen[str]) -> RunningLoop:
+    """The loop of a process, once it has made a thousand steps."""
+    deadline = time.monotonic() + PATIENCE_S
+    while process.poll() is None and time.monotonic() < deadline:
+        for loop in running():
+            if loop.pid == process.pid and loop.ticks > 1000:
+                return loop
+        time.sleep(0.02)
+    if process.poll() in LOST:
+        pytest.skip("the link was lost before a thousand steps: this machine has no time for a loop")
+    raise AssertionError(f"no loop: {process.communicate()}")
+
+
+def test_another_terminal_changes_the_wall_and_stops_the_loop(tmp_path: Path) -> None:
+    with hit(tmp_path) as (process, loop):
+        assert Path(loop.info["recording"]).parent == tmp_path
+        try:
+            done = change_wall({"stiffness": 120.0, "damping": 0.3}, process.pid, patience_s=PATIENCE_S)
+            stopped = stop(process.pid, patience_s=PATIENCE_S)
+        except RigError:
+            assert process.wait(PATIENCE_S) in LOST
+            return
+        out, err = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode in (StoppedError.exit_code, *LOST), err
+        if process.returncode in LOST:
+            return
+        assert [one.ended for one in stopped] == [True]
+        assert done.in_force
+        assert json.loads(out)["error"]["kind"] == "StoppedError"
+        assert not any(other.pid == process.pid for other in running(done=True))
+    (path,) = tmp_path.glob("*.parquet")
+    recording = open_recording(path)
+    assert recording.trailer is not None
+    (taken,) = recording.trailer["parameter_sets"]
+    before = experiment_from_mapping(recording.experiment, "the header")
+    assert before.wall.stiffness != 120.0
+    assert done.wall["stiffness"] == 120.0
+    changed = experiment_from_mapping({**recording.experiment, "wall": done.wall}, "changed")
+    quantum = recording.header["identity"]["current_quantum_a"]
+    expected = parameter_set(changed, current_quantum_a=quantum, reference_count=0)
+    assert [taken["wall_position"], *taken["parameters"]] == expected
+    sets = recording.column("parameter_set")
+    assert set(sets[recording.column("tick") < taken["tick"]]) <= {0}
+    assert set(sets[recording.column("tick") >= taken["tick"]]) <= {1}
+    assert sets[-1] == 1
+
+
+def test_what_a_killed_hit_left_is_recovered_and_nothing_else_stays(tmp_path: Path) -> None:
+    with hit(tmp_path) as (process, _):
+        (capture,) = tmp_path.glob("*.rigcap")
+        (result,) = recover([tmp_path])
+        if process.poll() is None:
+            assert result.outcome == Outcome.IN_USE  # by its lock, or as a loop's own
+        process.kill()
+        process.wait()
+        assert not any(other.pid == process.pid for other in running(done=True))
+    (result,) = recover([tmp_path]) if capture.exists() else (result,)
+    assert result.outcome == Outcome.SEALED
+    assert not capture.exists()
+    (path,) = tmp_path.glob("*.parquet")
+    recording = open_recording(path)
+    assert len(recording) == result.rows
+    ticks = recording.column("tick")
+    assert (ticks[1:] > ticks[:-1]).all()
+    assert LINK not in set(links_of_this_process())
+
+
+def links_of_this_process() -> Iterator[str]:
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            yield str(link.readlink())
+        except OSError:
+            continue
