@@ -66,6 +66,9 @@ class Device:
     def detach_kernel_driver(self, interface: int) -> None:
         self._do("detach_kernel_driver")
 
+    def attach_kernel_driver(self, interface: int) -> None:
+        self._do("attach_kernel_driver")
+
     def clear_halt(self, end: int) -> None:
         self._do(f"clear_halt {end:#x}")
 
@@ -93,6 +96,7 @@ def bus(monkeypatch, tmp_path):
     monkeypatch.setattr(links, "Bus", Bus)
     monkeypatch.setattr(links, "SYSFS", tmp_path)
     monkeypatch.setattr(links.usb.util, "claim_interface", claim)
+    monkeypatch.setattr(links.usb.util, "release_interface", lambda device, interface: device._do("release"))
     monkeypatch.setattr(
         links, "_opened", lambda url, device, pipes, wanted: SimpleNamespace(note="", close=list)
     )
@@ -196,7 +200,7 @@ def test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_bac
     assert bus.closed == 1
 
 
-def test_a_driver_of_the_kernel_is_detached_and_a_halt_cleared(bus):
+def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(bus):
     device = Device(driver=True, fails={"clear_halt 0x1": error(errno.EPIPE)})
     bus.devices = [device]
     open_link("usb://1209:0001").close()
@@ -207,6 +211,8 @@ def test_a_driver_of_the_kernel_is_detached_and_a_halt_cleared(bus):
         "claim",
         "clear_halt 0x81",
         "clear_halt 0x1",
+        "release",
+        "attach_kernel_driver",
     ]
     assert bus.closed == 1
 
