@@ -10,6 +10,7 @@ is an interface of vendor class (0xFF) with one bulk endpoint each way; the byte
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,8 +103,13 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
                 f"{url.text} is no haptic rig: no interface of vendor class with one bulk endpoint each way",
                 remedy=_rigs(bus),
             )
-        _claim(device, pipes, url)
-        return UsbLink(url, bus, device, pipes, wanted)
+        detached = _claim(device, pipes, url)
+        try:
+            transfers = _opened(url, device, pipes, wanted)
+        except BaseException:
+            _release(device, pipes, detached)
+            raise
+        return UsbLink(url, bus, transfers, lambda: _release(device, pipes, detached))
     except BaseException:
         bus.close()
         raise
@@ -219,8 +225,12 @@ def _pipes(device: Any) -> _Pipes | None:
     return None
 
 
-def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> None:
-    """Open the device, take the interface from the kernel's driver, claim it, and clear what a run before left."""
+def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
+    """Open the device, claim the interface and clear what a run before left; return whether a driver had to go.
+
+    A driver of the kernel that has the interface is detached.
+    """
+    detached = False
     try:
         try:
             device.get_active_configuration()
@@ -231,12 +241,22 @@ def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> None:
         with suppress(NotImplementedError):
             if device.is_kernel_driver_active(pipes.interface):
                 device.detach_kernel_driver(pipes.interface)
+                detached = True
         usb.util.claim_interface(device, pipes.interface)
     except (usb.core.USBError, NotImplementedError) as error:
         raise _not_opened(error, device, url) from None
     for endpoint in (pipes.endpoint_in, pipes.endpoint_out):
         with suppress(usb.core.USBError, NotImplementedError):  # both halves start with the same data toggle
             device.clear_halt(endpoint)
+    return detached
+
+
+def _release(device: Any, pipes: _Pipes, detached: bool) -> None:
+    """Give the interface back, to the driver that had it."""
+    with suppress(usb.core.USBError, NotImplementedError):
+        usb.util.release_interface(device, pipes.interface)
+        if detached:
+            device.attach_kernel_driver(pipes.interface)
 
 
 def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
@@ -290,12 +310,13 @@ class Transfers(Protocol):
 class UsbLink:
     """`rig.devices.device.Link` over the bulk pipes of an interface."""
 
-    def __init__(self, url: DeviceUrl, bus: Bus, device: Any, pipes: _Pipes, wanted: str) -> None:
+    def __init__(self, url: DeviceUrl, bus: Bus, transfers: Transfers, release: Callable[[], None]) -> None:
         self.url = url
         self.clock: Clock = MonotonicClock()
         self.bytes_per_second: float | None = None  # packets are the limit, not bytes
         self._bus: Bus | None = bus
-        self._transfers = _opened(url, device, pipes, wanted)
+        self._transfers = transfers
+        self._release = release
 
     @property
     def note(self) -> str:
@@ -341,6 +362,7 @@ class UsbLink:
         bus, self._bus = self._bus, None
         if bus is not None:
             self._transfers.close()
+            self._release()
             bus.close()
 
     def _check_open(self) -> None:

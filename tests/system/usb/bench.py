@@ -87,7 +87,7 @@ class Bus:
         self._device.start()
 
     def start(self, *arguments: str, **options: Any) -> subprocess.Popen[str]:
-        """Start a Python program that sees this bus; file descriptors 3 and 4 of `tests` lead to the bridge."""
+        """Start a Python program that sees this bus; ``USB_BRIDGE`` names descriptors to the bridge."""
         assert self.bridge.stdin is not None
         assert self.bridge.stdout is not None
         orders, answers = self.bridge.stdin.fileno(), self.bridge.stdout.fileno()
@@ -95,7 +95,6 @@ class Bus:
             "UMOCKDEV_DIR": self.root,
             "LD_PRELOAD": PRELOAD,
             "USB_BRIDGE": f"{orders},{answers}",
-            "PYTHONWARNINGS": "error",
         }
         return subprocess.Popen(
             [sys.executable, *arguments],
@@ -136,7 +135,9 @@ class Child:
     """A process under the preload that does checks by name."""
 
     def __init__(self, bus: Bus, transfers: str) -> None:
-        self._process = bus.start("-m", "tests.system.usb.child", transfers, stdin=subprocess.PIPE)
+        self._process = bus.start(
+            "-W", "error", "-m", "tests.system.usb.child", transfers, stdin=subprocess.PIPE
+        )
 
     def check(self, *words: str) -> Any:
         """Do one check, with its arguments, and return what it found; its failure is ours."""

@@ -54,7 +54,7 @@ static int present, number = 1;  /* plugged in; device number on the bus */
 static char path[256], node[64];
 static int stopped_in, stopped_out; /* endpoint halted until CLEAR_HALT */
 static int refuse_in, refuse_out;   /* one transfer has still to learn of it; the others stay where they are */
-static int silent, short_writes, busy, cleared, detached, overflow_next, broken_next;
+static int silent, short_writes, busy, cleared, detached, attached, overflow_next, broken_next;
 static UMockdevIoctlClient *claimer;
 static long long happened; /* when the last command took effect */
 static char driver[32]; /* kernel driver that holds the interface, or "" */
@@ -273,6 +273,8 @@ static int answer(UMockdevIoctlClient *client)
         if (command->ioctl_code == (int)USBDEVFS_DISCONNECT) {
             detached++;
             driver[0] = 0;
+        } else if (command->ioctl_code == (int)USBDEVFS_CONNECT) {
+            attached++;
         }
         return 0;
     }
@@ -400,8 +402,8 @@ static int obey(char *line)
     else if (!strncmp(line, "driver ", 7))
         snprintf(driver, sizeof driver, "%.31s", line + 7);
     else if (!strcmp(line, "status"))
-        printf("pending %d claimed %d cleared %d detached %d\n", pending.count, claimer != NULL, cleared,
-               detached);
+        printf("pending %d claimed %d cleared %d detached %d attached %d\n", pending.count, claimer != NULL, cleared,
+               detached, attached);
     else
         done = 0;
     pthread_mutex_unlock(&lock);
