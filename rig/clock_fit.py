@@ -14,7 +14,8 @@ trip. Delays only ever add, so exchanges whose round trip is short say more:
 
 An exchange is rejected when it is
 
-1. impossible: a clock ran backwards within it, or its round trip is shorter than the stamps can resolve;
+1. impossible: a clock ran backwards within it, its round trip is shorter than the stamps can resolve, or a stamp is
+   none (negative, or more than 18 years);
 2. slow: its excess is above `SLOW` times the median excess;
 3. off the line: by more than `OFF_LINE` times what its excess allows, against the median slope and height of the
    fastest exchange of each stretch of time first, against the fit then. That finds stamps of two different
@@ -44,13 +45,17 @@ EXCHANGE = np.dtype(
 )
 
 STAMP_NS = 125  # two units of the device's clock (1/16 µs): what a difference of its stamps may be off
+LAST_NS = 1 << 59  # sums and differences of stamps below this stay within 64 bits
 CUT_NS = 31.25  # its stamps are cut to a unit, not rounded: half a unit, which no averaging removes
 DRIFT_PRIOR_PPM = 100.0  # two ordinary crystals
+IMPOSSIBLE_PPM = 10_000.0  # the worst oscillator of a microcontroller is an RC one, 1 %
 SHARE_PRIOR = 0.29  # standard deviation of a share that lies evenly in −½ … ½
 SLOW = 10.0
 OFF_LINE = 6.0
 STRETCHES = 64
 ROUNDS = 5
+
+_NO_EXCHANGE = np.array((0, 0, -1, 0), EXCHANGE)  # the device's clock ran backwards: never possible
 
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.int64]
@@ -151,7 +156,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     Raises
     ------
     RigError
-        No exchange can be used.
+        No exchange can be used, or the clocks differ in rate as no two clocks do.
     """
     usable = exchanges[_possible(exchanges)]
     if not len(usable):
@@ -163,6 +168,11 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     keep = _not_slow(points, np.ones(len(usable), bool))
     keep &= _near_line(points, keep, *_median_line(points, keep))
     line = _fit(points, keep, drift_prior_ppm)
+    if line.least_drift_ppm > IMPOSSIBLE_PPM:
+        raise RigError(
+            f"the device's clock is off by {line.least_drift_ppm * 1e-4:.2g} % against this computer's",
+            remedy="its firmware declares a wrong unit of time: report it",
+        )
     for _ in range(ROUNDS):
         allowed = OFF_LINE * line.scale * _sigma(points, keep)
         nearer = _not_slow(points, keep) & (np.abs(line.residuals(points)) <= allowed)
@@ -171,6 +181,14 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
         keep = nearer
         line = _fit(points, keep, drift_prior_ppm)
     return _result(points, keep, line, len(exchanges))
+
+
+def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
+    """Fit the line, or None when `fit_clock` refuses: for callers whose work goes on without."""
+    try:
+        return fit_clock(exchanges)
+    except RigError:
+        return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,13 +219,17 @@ class _Points:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Line:
-    """Offset (ns) at the origin, drift (ns/s) and share, with their covariance, after `scale` by the residuals."""
+    """Offset (ns) at the origin, drift (ns/s) and share, with their covariance, after `scale` by the residuals.
+
+    The drift is `least_drift_ppm` at least, whatever its prior says.
+    """
 
     values: _Floats
     covariance: _Floats
     scale: float
     rms: float
     least_trip: int
+    least_drift_ppm: float
 
     def residuals(self, points: _Points) -> _Floats:
         excess = np.maximum(points.trip - self.least_trip, 0)
@@ -216,6 +238,8 @@ class _Line:
 
 
 def _possible(e: NDArray[np.void]) -> _Mask:
+    stamps = np.stack([e[name] for name in EXCHANGE.names or ()])
+    e = np.where(((stamps >= 0) & (stamps < LAST_NS)).all(axis=0), e, _NO_EXCHANGE)
     on_device, away = e["device_sent"] - e["device_received"], e["host_received"] - e["host_sent"]
     return np.asarray((on_device >= 0) & (away >= 0) & (away - on_device >= -STAMP_NS), bool)
 
@@ -273,16 +297,19 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _Line:
     prior = np.array([0.0, (drift_prior_ppm * 1e3) ** -2, SHARE_PRIOR**-2])  # a ppm is 1000 ns/s
     normal = (columns * weight) @ columns.T
     right = (columns * weight) @ offset
-    scale = 1.0
-    values = _solved(normal, prior, scale, right)[0]
-    residuals = offset - values @ columns
+    free = prior * np.array([0.0, 1e-8, 1.0])  # a drift far beyond the prior is no fault of the exchanges
+    unbound, spread = _solved(normal, free, 1.0, right)
+    residuals = offset - unbound @ columns
     chi2 = float(np.sum(weight * residuals**2))
+    scale = 1.0
     if len(time) > 3:
         scale = max(1.0, np.sqrt(chi2 / (len(time) - 3)))
     values, covariance = _solved(normal, prior, scale, right)
     back = np.array([[1.0, -centre, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # from the centre to the origin
     rms = float(np.sqrt(chi2 / np.sum(weight)))
-    return _Line(back @ values, back @ covariance @ back.T, scale, rms, int(points.trip[keep].min()))
+    least_drift = max(0.0, abs(float(unbound[1])) - OFF_LINE * scale * float(np.sqrt(spread[1, 1])))
+    least_trip = int(points.trip[keep].min())
+    return _Line(back @ values, back @ covariance @ back.T, scale, rms, least_trip, least_drift * 1e-3)
 
 
 def _solved(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:

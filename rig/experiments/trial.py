@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import MAJOR, MINOR
 from rig import controller as controllers
-from rig.clock_fit import as_exchanges, fit_clock
+from rig.clock_fit import as_exchanges, fit_if_possible
 from rig.config import Experiment, as_mapping
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.errors import RigError, StoppedError
@@ -259,6 +259,7 @@ def _trailer(
     loop: LoopThread, end: LoopEnd, fault: FaultReport | None, error: RigError | None, realtime: Realtime
 ) -> dict[str, Any]:
     exchanges = loop.exchanges()
+    clock = fit_if_possible(as_exchanges(exchanges))
     return {
         "reason": end.reason.name.lower(),
         "error": None if error is None else str(error),
@@ -266,6 +267,6 @@ def _trailer(
         "counters": end.counters,
         "parameter_sets": loop.parameter_sets(),
         "exchanges": exchanges.tolist(),
-        "clock": fit_clock(as_exchanges(exchanges)).as_mapping() if len(exchanges) else None,
+        "clock": None if clock is None else clock.as_mapping(),
         "scheduling": realtime.report,
     }

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.clock_fit import EXCHANGE, STAMP_NS, ClockFit, as_exchanges, fit_clock
+from rig.clock_fit import EXCHANGE, STAMP_NS, ClockFit, as_exchanges, fit_clock, fit_if_possible
 from rig.errors import RigError
 
 UP_NS = 3 * 10**14  # the device has been up for three days and a half
@@ -248,6 +248,41 @@ def test_stamps_that_do_not_belong_together_are_rejected(bad, shift, seed):
     assert fit.used >= 60 - bad - 10
     at = ends_of(honest)
     assert (np.abs(world.error_ns(fit, at)) <= 5.0 * fit.sd_of(at) + fit.asymmetry_bound_ns).all()
+
+
+ANY = st.integers(-(2**63), 2**63 - 1)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(
+        st.one_of(
+            st.tuples(ANY, ANY, ANY, ANY),
+            *(st.tuples(*[st.integers(0, most)] * 4) for most in (1_000, 10**12, 2**60)),
+        ),
+        max_size=20,
+    )
+)
+def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps):
+    """Whatever a device says: no other exception, no warning, and `fit_if_possible` gives None instead."""
+    exchanges = as_exchanges(stamps)
+    try:
+        fit = fit_clock(exchanges)
+    except RigError:
+        assert fit_if_possible(exchanges) is None
+        return
+    assert np.isfinite(list(fit.as_mapping().values())).all()
+    assert fit_if_possible(exchanges) == fit
+    assert len(fit.device_of(fit.host_of(np.array([0, 10**12])))) == 2
+
+
+def test_a_unit_of_time_that_is_wrong_is_told():
+    """Sixteen units a microsecond, declared as ten."""
+    exchanges = World().exchanges(20, 2.0)
+    for name in EXCHANGE.names[1:3]:
+        exchanges[name] = exchanges[name] // 16 * 10
+    with pytest.raises(RigError, match="wrong unit of time"):
+        fit_clock(exchanges)
 
 
 def test_order_does_not_matter():
