@@ -145,6 +145,21 @@ def test_a_thread_that_lives_on_gets_back_what_it_had():
 
 
 @pytest.mark.usefixtures("granted")
+def test_contexts_within_each_other_give_back_in_turn():
+    def body() -> list[tuple[str, int]]:
+        seen = []
+        with obtained(Asked(priority=30)) as outer, obtained(Asked(priority=40)) as inner:
+            for step in (outer.enter_thread, inner.enter_thread, inner.leave_thread, outer.leave_thread):
+                step()
+                now = ThreadState.here()
+                seen.append((now.name, now.priority))
+        return seen
+
+    fifo = "SCHED_FIFO"
+    assert in_thread(body) == [(fifo, 30), (fifo, 40), (fifo, 30), ("SCHED_OTHER", 0)]
+
+
+@pytest.mark.usefixtures("granted")
 def test_leaving_twice_or_elsewhere_changes_nothing():
     with obtained(Asked()) as realtime:
         realtime.leave_thread()
@@ -358,7 +373,7 @@ if user:
     os.setresuid(user, user, user)
 calls._call("prctl", 4, 1, 0, 0, 0)  # PR_SET_DUMPABLE, for /proc/self/fd
 def now():
-    return state(), all_threads()
+    return state(), all_threads(), len(os.listdir("/proc/self/fd"))
 before = now()
 found = {}
 """
