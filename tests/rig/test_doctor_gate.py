@@ -151,14 +151,8 @@ def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone():
 
 
 def test_a_hand_of_ones_own_is_looked_at_too():
-    own = config.override(
-        CALM,
-        {
-            "trial.kind": "human",
-            "operator.hand_stiffness": 111.0,
-            "rig.limits.effort": 0.28,
-        },
-    )
+    changes = {"trial.kind": "human", "operator.hand_stiffness": 111.0, "operator.press": 1.0}
+    own = config.override(CALM, changes)
     assert list(hands_of(own)) == ["none", "relaxed", "normal", "firm", "the experiment's own"]
     assert len(LateLoops.of(own, 1).radius(60.0, 0.2)) == 5
 

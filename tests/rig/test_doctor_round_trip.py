@@ -31,9 +31,10 @@ UNIT_NS = 62.5
 
 
 class EchoLink:
-    """A far end of which everything is known: question n is answered `delays[n]` ns later, of which the device keeps it `kept`.
+    """A far end of which everything is known: question n is answered `delays[n]` ns later.
 
-    None is never answered. The first ones, which do not count, are answered at once.
+    The device itself keeps it for `kept` ns of these. None is never answered. The first ones, which do not count, are
+    answered at once.
     """
 
     bytes_per_second = 1e6
