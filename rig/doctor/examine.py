@@ -165,9 +165,9 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
     with ExitStack() as stack:
         if url.startswith("sim:") and question.realtime:
             experiment = config.override(config.with_realtime(question.experiment), question.changes)
-            url = stack.enter_context(
-                serve_locally(url, config.rig_model(experiment), seed=experiment.trial.seed)
-            )
+            realtime = "off" if experiment.host.realtime == "off" else "try"
+            model, seed = config.rig_model(experiment), experiment.trial.seed
+            url = stack.enter_context(serve_locally(url, model, seed=seed, realtime=realtime))
         model = config.rig_model(config.override(question.experiment, question.changes))
         yield stack.enter_context(devices.open_device(url, model if url.startswith("sim:") else None))
 

@@ -63,4 +63,4 @@ def _usb_devices() -> list[Port]:
     from rig.devices.usb import available_devices  # noqa: PLC0415  (libusb is looked for when it is wanted)
 
     rigs = [device for device in available_devices() if device.is_rig]
-    return [Port(device.url, device.name, {"path": device.path}) for device in rigs]
+    return [Port(device.url, device.product, {"path": device.path}) for device in rigs]
