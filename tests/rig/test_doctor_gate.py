@@ -121,7 +121,9 @@ def test_too_few_exchanges_are_told_and_the_longest_counts():
 def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear():
     adaptive = config.override(CALM, {"controller.estimator": "foaw-end"})
     found = gate(adaptive, link())
-    assert any("foaw-end is not linear" in note and "fdm-butterworth stands in" in note for note in found.notes)
+    assert any(
+        "foaw-end is not linear" in note and "fdm-butterworth stands in" in note for note in found.notes
+    )
     same = config.override(CALM, {"controller.parameters": {"cutoff_hz": 100.0}})
     assert found.spectral_radius == pytest.approx(gate(same, link()).spectral_radius)
 

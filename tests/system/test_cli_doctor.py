@@ -132,7 +132,7 @@ def test_rules_for_udev_are_printed_and_nothing_else(run):
     assert "ID_MM_DEVICE_IGNORE" in out
 
 
-def test_a_device_behind_a_port(run, port):
+def test_a_device_behind_a_port(run, port, quiet_link):
     code, out, err = run("doctor", "--url", port, "--rig", "koul-compliant", *QUICK)
     assert code == 0  # simulated: told, never refused
     for text in (
@@ -245,7 +245,7 @@ def test_arm_anyway_arms_says_so_and_is_recorded(run, real, port, quiet_link, mo
     code, _, err = run(*HIT, "--url", port, "--arm-anyway")
     assert code in (0, 6, 7, 10)  # in real time, on whatever machine this is
     (recording,) = (*tmp_path.rglob("*.rigcap"), *tmp_path.rglob("*.parquet"))
-    said = open_recording(recording).header["gate"]
+    said = open_recording(recording).header["extra"]["gate"]
     assert said["forced"] is True
     assert said["armable"] is False
     assert "were lost" in said["reasons"][0]["text"]
