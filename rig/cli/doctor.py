@@ -59,7 +59,7 @@ def doctor(
     from rig import config  # noqa: PLC0415
 
     if print_udev:
-        from rig.doctor.examine import udev_rules  # noqa: PLC0415
+        from rig.doctor.udev import udev_rules  # noqa: PLC0415
 
         click.echo(udev_rules(), nl=False)
         return

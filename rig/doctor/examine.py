@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import Any
 
 from firmware_protocol.messages import MAJOR, MINOR
@@ -16,6 +15,7 @@ from rig.devices.local import serve_locally
 from rig.doctor.finding import Finding, Outcome
 from rig.doctor.gate import Gate, Reason, gate
 from rig.doctor.in_effect import in_effect
+from rig.doctor.machine import machine_checks
 from rig.doctor.ports import Port, look_at_port, ports_here
 from rig.doctor.round_trip import LinkMeasurement, measure_link
 from rig.doctor.walls import Supported, supported_walls
@@ -140,12 +140,12 @@ def examine(question: Question, told: Told = lambda what, share: None) -> Examin
     ConfigError
         Changes that cannot be; the rest, a device that is not there included, stands in the result.
     """
-    config.override(question.experiment, question.changes)
+    host = config.override(question.experiment, question.changes).host
     findings: list[Finding] = []
     ports: list[Port] = []
     if question.machine:
         told("looking at the machine", 0.0)
-        findings += _machine(question.experiment)
+        findings += machine_checks(host)
         ports, found = ports_here()
         findings += found
     seen = Examination(findings=tuple(findings), ports=tuple(ports))
@@ -158,20 +158,6 @@ def examine(question: Question, told: Told = lambda what, share: None) -> Examin
         return replace(seen, error=error)
 
 
-def udev_rules() -> str:
-    """Text for a file in ``/etc/udev/rules.d`` that gives rigs their rights and names."""
-    return str(import_module("rig.doctor.machine").udev_rules())
-
-
-def _machine(experiment: Experiment) -> list[Finding]:
-    try:
-        checks = import_module("rig.doctor.machine")
-    except ModuleNotFoundError:
-        return []
-    found: list[Finding] = checks.machine_checks(experiment.host)
-    return found
-
-
 @contextmanager
 def _opened(question: Question) -> Iterator[FramedDevice]:
     """Open the device; a simulated one in real time becomes a process of its own."""
@@ -179,9 +165,9 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
     with ExitStack() as stack:
         if url.startswith("sim:") and question.realtime:
             experiment = config.override(config.with_realtime(question.experiment), question.changes)
-            url = stack.enter_context(
-                serve_locally(url, config.rig_model(experiment), seed=experiment.trial.seed)
-            )
+            realtime = "off" if experiment.host.realtime == "off" else "try"
+            model, seed = config.rig_model(experiment), experiment.trial.seed
+            url = stack.enter_context(serve_locally(url, model, seed=seed, realtime=realtime))
         model = config.rig_model(config.override(question.experiment, question.changes))
         yield stack.enter_context(devices.open_device(url, model if url.startswith("sim:") else None))
 
@@ -255,7 +241,7 @@ def _facts(device: FramedDevice) -> DeviceFacts:
         fault=None if fault is None else f"{fault.text}; {fault.remedy}",
         position_rate_default=dictionary.position_rate_default,
         position_rate_maximum=dictionary.position_rate_maximum,
-        messages=tuple(getattr(device.link, "messages", ())),
+        messages=tuple(device.link.messages),
     )
 
 

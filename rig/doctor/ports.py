@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
-from rig.devices.serial import available_ports
+from rig.devices.serial import available_ports, port_facts
 from rig.doctor.finding import Finding, Outcome
 
 _WHY = "a port that keeps bytes back delays every command; one that others can open loses some"
@@ -49,10 +48,7 @@ def ports_here() -> tuple[list[Port], list[Finding]]:
 
 def look_at_port(name: str, description: str = "") -> tuple[Port, list[Finding]]:
     """What is known of one serial port, and what is wrong with it."""
-    look = getattr(import_module("rig.devices.serial"), "port_facts", None)
-    if look is None:
-        return Port(f"serial://{name}", description, {}), []
-    facts = look(name)
+    facts = port_facts(name)
     found = [_finding(name, sentence) for sentence in facts.problems()]
     return Port(f"serial://{name}", description or facts.product or "", facts.as_mapping()), found
 
@@ -64,15 +60,7 @@ def _finding(name: str, sentence: str) -> Finding:
 
 
 def _usb_devices() -> list[Port]:
-    try:
-        usb = import_module("rig.devices.usb")
-    except ImportError:  # no libusb here
-        return []
-    found = []
-    for device in usb.available_devices():
-        serial = getattr(device, "serial", None) or ""
-        url = f"usb://{device.vid:04x}:{device.pid:04x}" + (f"/{serial}" if serial else "")
-        said = getattr(device, "product", None) or ""
-        if getattr(device, "is_rig", True):
-            found.append(Port(url, str(said), {"path": str(getattr(device, "path", ""))}))
-    return found
+    from rig.devices.usb import available_devices  # noqa: PLC0415  (libusb is looked for when it is wanted)
+
+    rigs = [device for device in available_devices() if device.is_rig]
+    return [Port(device.url, device.product, {"path": device.path}) for device in rigs]

@@ -78,14 +78,12 @@ class Distribution:
 
 def quantile(ordered: ArrayLike, q: float, confidence: float = CONFIDENCE) -> Quantile:
     """Quantile `q` of ascending values, the least that a share q does not exceed, with its bounds."""
-    from scipy.special import bdtr  # noqa: PLC0415
+    from scipy.special import betainc  # noqa: PLC0415
 
     x = np.asarray(ordered, dtype=np.float64)
     n = len(x)
-    at_most = bdtr(
-        np.arange(n, dtype=np.float64), float(n), q
-    )  # P(no more than r of n lie below the quantile)
-    at_most[-1] = -math.expm1(n * math.log(q))  # exactly: 1 − qⁿ
+    rank = np.arange(n, dtype=np.float64)
+    at_most = betainc(n - rank, rank + 1.0, 1.0 - q)  # P(no more than so many of n lie below the quantile)
     above = np.flatnonzero(at_most >= confidence)
     below = np.flatnonzero(1.0 - at_most >= confidence)
     return Quantile(

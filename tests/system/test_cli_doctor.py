@@ -1,0 +1,253 @@
+"""`rig doctor` and the gate of `rig hit` as a person meets them; devices are simulated, and some claim to be real."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+from queue import Queue
+
+import numpy as np
+import pytest
+
+import rig.cli
+import sim_backend.device
+from rig import config, presets
+from rig.devices import port_facts
+from rig.devices.port_facts import PortFacts
+from rig.doctor import examine as examining
+from rig.doctor import gate, ports, round_trip
+from rig.doctor.finding import Finding, Outcome
+from rig.doctor.quantiles import Distribution
+from rig.errors import RealtimeError
+from rig.recording.reader import open_recording
+from sim_backend import pty
+
+WAIT_S = 30.0
+QUICK = ("--seconds", "0.3", "--set", "host.realtime=off")
+
+
+@pytest.fixture
+def run(capfd, tmp_path, monkeypatch):
+    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = rig.cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        assert "Traceback" not in err
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture(autouse=True)
+def machine(monkeypatch):
+    """A machine with one thing to mend: what the checks really say is theirs to test."""
+    finding = Finding(
+        name="governor",
+        outcome=Outcome.WARNING,
+        text="powersave",
+        why="clocks that ramp",
+        command="sudo mend it",
+    )
+    monkeypatch.setattr(examining, "machine_checks", lambda host: [finding])
+    monkeypatch.setattr(ports, "available_ports", lambda: [])
+    monkeypatch.setattr("rig.devices.usb.available_devices", lambda: [])
+
+
+@pytest.fixture
+def port():
+    """A simulated rig behind a pseudo-terminal."""
+    announced, stop = Queue(), threading.Event()
+    model = config.rig_model(presets.load("koul-compliant"))
+    thread = threading.Thread(
+        target=lambda: pty.serve(model, rate=1000, announce=announced.put, stop_event=stop), daemon=True
+    )
+    thread.start()
+    yield f"serial://{announced.get(timeout=WAIT_S)}"
+    stop.set()
+    thread.join(WAIT_S)
+
+
+@pytest.fixture
+def real(monkeypatch):
+    """Simulated devices that claim to be real ones."""
+    original = sim_backend.device.describe
+    monkeypatch.setattr(
+        sim_backend.device, "describe", lambda *args: dataclasses.replace(original(*args), simulated=False)
+    )
+
+
+@pytest.fixture
+def quiet_link(monkeypatch):
+    """Whatever this machine measures, the way there and back takes half a millisecond."""
+    original = round_trip.measure_link
+
+    def measured(*arguments, **options):
+        found = original(*arguments, **options)
+        return dataclasses.replace(found, travel=Distribution.of(np.full(4000, 5e-4)), lost=0)
+
+    for module in (examining, gate):
+        monkeypatch.setattr(module, "measure_link", measured)
+
+
+def test_without_a_device_it_looks_at_machine_and_ports(run, monkeypatch):
+    facts = PortFacts(
+        port="/dev/ttyUSB0", device="/dev/ttyUSB0", driver="ftdi_sio", ftdi=True, latency_timer_ms=16
+    )
+    monkeypatch.setattr(ports, "available_ports", lambda: [("/dev/ttyUSB0", "FT232R")])
+    monkeypatch.setattr(ports, "port_facts", lambda name: facts)
+    code, out, err = run("doctor")
+    assert code == 0
+    for text in (
+        "governor: powersave",
+        "clocks that ramp",
+        "sudo mend it",
+        "serial:///dev/ttyUSB0",
+        "FT232R",
+        "16 ms",
+    ):
+        assert text in out
+    assert f"echo 1 | sudo tee {port_facts.latency_timer_path('/dev/ttyUSB0')}" in out
+    assert "looking at the machine" in err
+    for absent in ("round trip", "arming", "walls"):
+        assert absent not in out
+
+
+def test_json_without_a_device(run):
+    code, out, err = run("doctor", "--json")
+    assert code == 0
+    assert err == ""
+    found = json.loads(out)
+    assert [f["name"] for f in found["findings"]] == ["governor", "ports"]
+    assert found["armable"] is True
+    assert found["device"] is found["link"] is found["gate"] is found["error"] is None
+
+
+def test_rules_for_udev_are_printed_and_nothing_else(run):
+    code, out, err = run("doctor", "--print-udev")
+    assert code == 0
+    assert err == ""
+    assert "ID_MM_DEVICE_IGNORE" in out
+
+
+def test_a_device_behind_a_port(run, port, quiet_link):
+    code, out, err = run("doctor", "--url", port, "--rig", "koul-compliant", *QUICK)
+    assert code == 0  # simulated: told, never refused
+    for text in (
+        "koul-compliant (simulated), firmware", "protocol  1.0, ours 1.0", "1000 Hz, up to 4000 Hz", "round trip",
+        "there and back", "loop rate", "kB/s", "uniform 1 kHz", "dual 1/0.1 kHz", "uniform 4 kHz",
+        "the device's largest", "B = 0.2", "arming", "spectral radius",
+    ):  # fmt: skip
+        assert text in out
+    for text in ("asking who is there", "measuring the link", "computing walls"):
+        assert text in err
+
+
+def test_a_simulated_rig_as_a_process_of_its_own_in_json(run):
+    code, out, _ = run("doctor", "--realtime", "--json", *QUICK)
+    assert code == 0
+    found = json.loads(out)
+    assert found["device"]["simulated"] is True
+    assert found["link"]["round_trip_s"]["p50"]["value"] > 0.0
+    assert found["link"]["sent"] >= found["link"]["round_trip_s"]["number"]
+    assert found["gate"]["rate_hz"] == 1000
+    assert found["gate"]["delay_ticks"] >= 1
+    for row in found["walls"]:
+        assert {"scheme", "delay_ticks", "k_max", "because", "reason"} <= set(row)
+
+
+def test_a_wall_that_must_not_be_armed_on_a_real_rig_is_an_error(run, real, port, quiet_link):
+    code, out, err = run("doctor", "--url", port, *QUICK)
+    assert code == 0, err
+    assert "may be armed" in out
+    code, out, err = run("doctor", "--url", port, "-K", "300", *QUICK)
+    assert code == 2
+    assert "must not be armed" in out
+    assert "unstable at 1000 Hz with 1 tick of delay" in out
+    assert "--stiffness below" in err
+    code, out, err = run("doctor", "--url", port, "-K", "300", "--json", *QUICK)
+    assert code == 2
+    found = json.loads(out)
+    assert found["armable"] is False
+    assert found["gate"]["reasons"]
+
+
+def test_scheduling_that_is_demanded_and_refused_forbids_arming_and_is_told(
+    run, real, port, quiet_link, monkeypatch
+):
+    original = examining.obtained
+
+    def obtained(host, *, virtual):
+        if host.realtime == "enforce":
+            raise RealtimeError("no SCHED_FIFO here", remedy="sudo grant it")
+        return original(host, virtual=virtual)
+
+    monkeypatch.setattr(examining, "obtained", obtained)
+    code, out, err = run("doctor", "--url", port, "--seconds", "0.3", "--set", "host.realtime=enforce")
+    assert code == 2
+    assert "real-time scheduling: no SCHED_FIFO here" in out
+    assert "round trip" in out
+    assert "sudo grant it" in err
+
+
+def test_a_device_that_is_not_there_does_not_hide_what_the_machine_has(run):
+    code, out, err = run("doctor", "--url", "serial:///dev/nothere", *QUICK)
+    assert code == 3
+    assert "governor" in out
+    assert "there is no port /dev/nothere" in err
+    code, out, _ = run("doctor", "--url", "serial:///dev/nothere", "--json", *QUICK)
+    assert code == 3
+    found = json.loads(out)
+    assert found["error"]["kind"] == "DeviceNotFoundError"
+    assert found["findings"]
+
+
+def test_virtual_time_has_no_delay(run):
+    code, out, _ = run("doctor", "--url", "sim://koul-rigid", "--json", *QUICK)
+    assert code == 0
+    found = json.loads(out)
+    assert found["gate"]["delay_ticks"] == 0
+    assert found["link"]["loop_rate_hz"] is None
+
+
+# ---------------------------------------------------------------------- rig hit
+
+HIT = (
+    "hit",
+    "--no-plot",
+    "--verified",
+    "--duration",
+    "0.1",
+    "--set",
+    "verdict.tail_s=0.05",
+    "--set",
+    "host.realtime=off",
+)
+
+
+def test_a_hit_of_a_wall_that_must_not_be_armed_is_refused_and_leaves_nothing(
+    run, real, port, quiet_link, tmp_path
+):
+    code, _, err = run(*HIT, "--url", port, "-K", "300")
+    assert code == 2
+    assert "this wall must not be armed" in err
+    assert "--arm-anyway" in err
+    assert not list(tmp_path.rglob("*.rigcap"))
+    assert not list(tmp_path.rglob("*.parquet"))
+
+
+def test_arm_anyway_arms_says_so_and_is_recorded(run, real, port, quiet_link, monkeypatch, tmp_path):
+    monkeypatch.setattr(gate, "LOST_SHARE", -1.0)  # no link is good enough, though the wall is calm
+    code, _, err = run(*HIT, "--url", port)
+    assert code == 2
+    code, _, err = run(*HIT, "--url", port, "--arm-anyway")
+    assert code in (0, 6, 7, 10)  # in real time, on whatever machine this is
+    (recording,) = (*tmp_path.rglob("*.rigcap"), *tmp_path.rglob("*.parquet"))
+    said = open_recording(recording).header["extra"]["gate"]
+    assert said["forced"] is True
+    assert said["armable"] is False
+    assert "were lost" in said["reasons"][0]["text"]
+    if code == 0:
+        assert "armed although (--arm-anyway)" in err
