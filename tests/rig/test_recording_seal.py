@@ -105,6 +105,16 @@ def test_without_a_clock_nothing_is_added(tmp_path: Path) -> None:
     assert found.trailer == recording.trailer
 
 
+def test_a_run_whose_clocks_could_not_be_compared_keeps_the_hosts_share(tmp_path: Path) -> None:
+    recording = timed(clock=None)
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert found.trailer is not None
+    stages = found.trailer["timing"]["stages"]
+    assert stages["send"]["maximum"] == 7_000
+    assert stages["transport_in"] is stages["whole"] is None
+
+
 def test_a_clock_that_makes_no_sense_costs_the_ledger_and_not_the_recording(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
