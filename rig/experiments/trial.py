@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import MAJOR, MINOR
 from rig import controller as controllers
-from rig.clock_fit import as_exchanges, fit_if_possible
+from rig.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.config import Experiment, as_mapping
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.errors import RigError, StoppedError
@@ -104,7 +104,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         _ring(device, request) as ring,
         stop_on_signals(ring) as signals,
     ):
-        header = _header(device, request, controller, echo, realtime)
+        exchanges = [device.exchange_clock()]
+        header = _header(device, request, controller, echo, realtime, fit_if_possible(exchanges[0]))
         with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
             try:
                 loop = _arm(device, request, controller, ring, realtime, signals)
@@ -117,7 +118,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             finally:
                 _bring_to_rest(device, loop)
             end = loop.end()
-            error = _conclude(device, loop, end, recorder, realtime)
+            error = _conclude(device, loop, end, recorder, realtime, exchanges)
         path = _seal(request, device.link.truth(), error)
     if error is None and signals.seen:
         error = StoppedError("stopped after the trial had finished; the effort is zero")
@@ -206,10 +207,16 @@ def _seal(request: TrialRequest, truth: NDArray[np.void] | None, error: RigError
 
 
 def _conclude(
-    device: FramedDevice, loop: LoopThread, end: LoopEnd, recorder: Recorder, realtime: Realtime
+    device: FramedDevice,
+    loop: LoopThread,
+    end: LoopEnd,
+    recorder: Recorder,
+    realtime: Realtime,
+    exchanges: list[NDArray[np.void]],
 ) -> RigError | None:
     """Hear the device's side, disarm it, close the recording; return the error that the ending means, if any."""
     rows = loop.ring.last_rows(BLACK_BOX_ROWS)
+    exchanges.append(as_exchanges(loop.exchanges()))
     fault: FaultReport | None = None
     with suppress(
         Exception
@@ -220,13 +227,20 @@ def _conclude(
             )  # what STATE says, in case nobody answers now
             fault = device.fault_report()
         device.disarm(clear_fault=True)
+        # At rest nothing delays an answer: with those before the run these hold the line that the run's scatter about.
+        exchanges.append(device.exchange_clock())
     error = error_of(end, device.link.url.text, fault, rows)
-    recorder.finish(_trailer(loop, end, fault, error, realtime))
+    recorder.finish(_trailer(loop, end, fault, error, realtime, np.concatenate(exchanges)))
     return error
 
 
 def _header(
-    device: FramedDevice, request: TrialRequest, controller: Controller, echo: Echo, realtime: Realtime
+    device: FramedDevice,
+    request: TrialRequest,
+    controller: Controller,
+    echo: Echo,
+    realtime: Realtime,
+    clock: ClockFit | None,
 ) -> dict[str, Any]:
     experiment, dictionary = request.experiment, device.dictionary
     return make_header(
@@ -245,7 +259,7 @@ def _header(
         },
         clocks={
             "kind": "virtual" if device.link.clock.virtual else "monotonic",
-            **device.clock().as_mapping(),
+            **({} if clock is None else clock.as_mapping()),
         },
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
@@ -256,17 +270,21 @@ def _header(
 
 
 def _trailer(
-    loop: LoopThread, end: LoopEnd, fault: FaultReport | None, error: RigError | None, realtime: Realtime
+    loop: LoopThread,
+    end: LoopEnd,
+    fault: FaultReport | None,
+    error: RigError | None,
+    realtime: Realtime,
+    exchanges: NDArray[np.void],
 ) -> dict[str, Any]:
-    exchanges = loop.exchanges()
-    clock = fit_if_possible(as_exchanges(exchanges))
+    clock = fit_if_possible(exchanges)
     return {
         "reason": end.reason.name.lower(),
         "error": None if error is None else str(error),
         "fault": None if fault is None else asdict(fault),
         "counters": end.counters,
         "parameter_sets": loop.parameter_sets(),
-        "exchanges": exchanges.tolist(),
+        "exchanges": [list(stamps) for stamps in exchanges.tolist()],
         "clock": None if clock is None else clock.as_mapping(),
         "scheduling": realtime.report,
     }

@@ -90,13 +90,13 @@ def test_exchanges_over_a_link_find_offset_and_drift(ppm, delays):
     assert 0.5 * least <= fit.asymmetry_bound_ns <= 0.5 * least + 25_000
 
 
-def hit(directory, ppm, *, sealed=True, ticks_before=0):
-    simulated = SimulatedDevice(config.rig_model(HIT))
+def hit(directory, ppm, *, sealed=True, ticks_before=0, experiment=HIT):
+    simulated = SimulatedDevice(config.rig_model(experiment))
     for _ in range(ticks_before):
         simulated.tick()
     with FramedDevice(MemoryLink(simulated, clock_ppm=ppm)) as device:
         request = TrialRequest(
-            experiment=HIT, recording=directory / "hit.rigcap", verified=True, seed=0, sealed=sealed
+            experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0, sealed=sealed
         )
         return run_trial(device, request).recording
 
@@ -118,6 +118,20 @@ def test_a_recording_knows_both_clocks(tmp_path, ppm):
     whole = recording.trailer["timing"]["stages"]["whole"]
     assert whole["ticks"] == len(recording) - 1
     assert max(abs(whole["minimum"]), whole["maximum"]) <= 2 * allowed.max()
+
+
+def test_a_host_that_keeps_its_own_beat_sees_samples_wait_for_it(tmp_path):
+    """Answers wait for the beat too, one way only: the exchanges at rest, before and after, keep the clocks right."""
+    experiment = config.override(HIT, {"host.pacing": "host"})
+    recording = open_recording(hit(tmp_path, 80.0, experiment=experiment))
+    fit = ClockFit.from_mapping(recording.trailer["clock"])
+    assert fit.drift_ppm == pytest.approx(-80.0, abs=3.0 * fit.drift_sd_ppm + 0.01)
+    assert fit.drift_sd_ppm < 1.0
+    waited = recording.rows["sampled_at"] - recording.rows["received_at"]
+    period_ns = 1e9 / experiment.controller.position_rate
+    allowed = 3.0 * fit.sd_of(recording.rows["device_time"]) + 63
+    assert (waited <= allowed).all()
+    assert (-waited <= period_ns + allowed).all()
 
 
 def test_equal_seeds_still_give_equal_bits(tmp_path):
