@@ -54,8 +54,7 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
         return
     _print(recording, found.summary)
     if drawn is not None:
-        click.echo("picture")
-        output.print_pairs([(str(drawn), "")])
+        click.echo(f"picture\n  {drawn}")
 
 
 def _print(recording: Path, summary: TimingSummary) -> None:
