@@ -17,7 +17,7 @@ VIRTUAL_S = 0.1  # where time costs computing, and nothing disturbs an exchange
 @click.argument("url", required=False)
 @options.json_option
 def devices(url: str | None, as_json: bool) -> None:
-    """List the backends and the serial ports here, or ask the device at URL who it is."""
+    """List the backends, serial ports and USB rigs here, or ask the device at URL who it is."""
     facts = _ask(url) if url else _list()
     if as_json:
         output.print_json(facts)
@@ -35,6 +35,8 @@ def devices(url: str | None, as_json: bool) -> None:
     )
     click.echo("serial ports")
     output.print_pairs([(p["port"], p["description"]) for p in facts["ports"]] or [("none", "")])
+    click.echo("USB devices that could be rigs")
+    output.print_pairs([(u["url"], u["product"]) for u in facts["usb"] if u["is_rig"]] or [("none", "")])
     click.echo("simulated rigs")
     output.print_pairs([(f"sim://{name}", "") for name in facts["simulated"]])
 
@@ -43,10 +45,12 @@ def _list() -> dict[str, Any]:
     from rig import devices as table  # noqa: PLC0415
     from rig import presets  # noqa: PLC0415
     from rig.devices.serial import available_ports  # noqa: PLC0415
+    from rig.devices.usb import available_devices  # noqa: PLC0415
 
     return {
         "backends": [asdict(backend) for backend in table.backends()],
         "ports": [{"port": port, "description": text} for port, text in available_ports()],
+        "usb": [{"url": device.url, **asdict(device)} for device in available_devices()],
         "simulated": presets.names(),
     }
 
