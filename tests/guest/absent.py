@@ -1,5 +1,5 @@
-"""What keeps a guest from being there at all: a package, the network, the machine. The stage then says so and is skipped."""
+"""What keeps a guest from being there at all: a package, the network, the machine."""
 
 
 class GuestAbsentError(Exception):
-    """There can be no guest here, and why."""
+    """There can be no guest here, and why; the stage says so and is skipped."""
