@@ -20,7 +20,7 @@ from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.real_time import Port, RealTime
 
-RATE = 250  # Hz; an emulated machine keeps little more, and a command may not live longer than five ticks of this
+RATE = 500  # Hz; an emulated machine keeps little more, and homing needs as much
 RATE_MAXIMUM = 4_000
 STOP_S = 20.0
 
