@@ -11,11 +11,11 @@ from serial.tools import list_ports
 from rig.devices import open_device
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import available_ports, open_link
-from rig.errors import DeviceNotFoundError, LinkLostError
+from rig.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
 from tests.guest import gadget, vhci
 from tests.guest.far_end import far_end
 from tests.guest.gadget import GadgetPort, acm_gadget
-from tests.guest.hits import MODEL, check_ended_safely, short_hit
+from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit
 
 pytestmark = pytest.mark.skipif(not gadget.is_here(), reason="no dummy_hcd here: run .ci/guest")
 
@@ -81,11 +81,11 @@ def test_a_pulled_plug_is_one_error_whatever_is_called(plugged):
     link = open_link(DeviceUrl.parse(URL))
     assert link.bytes_per_second is None  # USB does not care for the baud rate
     plugged.pull()
-    with pytest.raises(LinkLostError):
+    with pytest.raises(UnpluggedError):
         link.read(20.0)
-    with pytest.raises(LinkLostError):
+    with pytest.raises(UnpluggedError):
         link.write(b"x")
-    with pytest.raises(LinkLostError):
+    with pytest.raises(UnpluggedError):
         link.read(0.0)
     link.close()
     vhci.wait_until(lambda: not os.path.exists(PORT))
@@ -107,16 +107,16 @@ def test_who_is_there(rig_on_it):
 
 
 def test_a_whole_hit(rig_on_it, tmp_path):
-    ended = short_hit(URL, tmp_path)
-    check_ended_safely(ended, rig_on_it)
+    ended = whole_hit(URL, tmp_path)
+    check_ended_safely(ended, rig_on_it, UnpluggedError)
     assert rig_on_it.left().strongest > 0
 
 
 def test_pulled_in_the_middle_of_a_hit_and_plugged_in_again(made, rig_on_it, tmp_path):
-    ended = short_hit(URL, tmp_path, strike=made.pull)
+    ended = struck_trial(URL, tmp_path, made.pull)
     assert isinstance(ended.error, LinkLostError)
     vhci.wait_until(lambda: not os.path.exists(PORT))
     plug(made)
     with open_device(URL) as device:
         assert device.dictionary.device == MODEL.name
-    check_ended_safely(ended, rig_on_it)
+    check_ended_safely(ended, rig_on_it, UnpluggedError)

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import errno
 import threading
+import time
 
 import pytest
 import usb.core
 import usb.util
 from usb.backend import libusb1
 
-import rig.devices
-from rig.devices import open_device
-from rig.errors import DeviceNotFoundError, LinkLostError
+from rig.devices import open_link
+from rig.devices.usb import available_devices
+from rig.errors import (
+    BlockedError,
+    BrokenLineError,
+    CutShortError,
+    DeviceNotFoundError,
+    LinkLostError,
+    OverflowedError,
+    StalledError,
+    UnpluggedError,
+)
 from sim_backend.usb import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT, VENDOR, VENDOR_CLASS
 from tests.guest import vhci
-from tests.guest.hits import MODEL, check_ended_safely, short_hit
+from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit
 from tests.guest.plugged import plugged, plugged_rig
 
 pytestmark = pytest.mark.skipif(not vhci.is_here(), reason="no vhci_hcd here: run .ci/guest")
@@ -149,52 +159,131 @@ def test_unplugged_in_a_blocked_read_and_after_it_and_found_again():
 # ---------------------------------------------------------------------- what rig makes of it
 
 
-needs_backend = pytest.mark.skipif("usb" not in rig.devices.BUILT_IN, reason="usb:// cannot be opened yet")
+@pytest.fixture(params=["queued", "plain"])
+def link(bare, request):
+    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare?transfers={request.param}")
+    yield made
+    for address in (ENDPOINT_IN, ENDPOINT_OUT):
+        bare.bus.silence(address, False)
+    made.close()
 
 
-@needs_backend
-def test_nobody_there_is_said():
-    with pytest.raises(DeviceNotFoundError, match="nobody"):
-        open_device(f"usb://{VENDOR:04x}:{PRODUCT:04x}/nobody")
+def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link, bare):
+    link.write(b"there")
+    bare.device.settimeout(20.0)
+    assert bare.device.recv(READ) == b"there"
+    assert link.read(0.05) == b""
+    bare.device.send(b"and back")
+    assert link.read(20.0) == b"and back"
 
 
-@needs_backend
+READS = {
+    "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
+    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
+    "noise": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EPROTO), BrokenLineError),
+}
+WRITES = {
+    "stall": (lambda bus: bus.halt(ENDPOINT_OUT), StalledError),
+    "silence": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
+    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 5), CutShortError),
+    "noise": (lambda bus: bus.fail_next(ENDPOINT_OUT, -errno.EPROTO), BrokenLineError),
+}
+
+
+@pytest.mark.parametrize("strike", READS)
+def test_what_breaks_a_read_has_a_name(strike, link, bare):
+    act, kind = READS[strike]
+    act(bare.bus)
+    check_is(kind, lambda: read_for(link))
+
+
+@pytest.mark.parametrize("strike", WRITES)
+def test_what_breaks_a_write_has_a_name(strike, link, bare):
+    act, kind = WRITES[strike]
+    act(bare.bus)
+    check_is(kind, lambda: write_for(link))
+
+
+def read_for(link):
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        link.read(1.0)
+
+
+def write_for(link):
+    """What fails is told by a later write, since none of them waits for its end."""
+    for _ in range(20):
+        link.write(bytes(20))
+        time.sleep(0.05)
+
+
+def check_is(kind, act):
+    with pytest.raises(LinkLostError) as caught:
+        act()
+    assert type(caught.value) is kind, repr(caught.value)
+    assert caught.value.remedy
+
+
+def test_opening_anew_clears_a_halt(bare):
+    bare.bus.halt(ENDPOINT_IN)
+    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare")
+    bare.device.send(b"well again")
+    assert made.read(20.0) == b"well again"
+    made.close()
+
+
+def test_nobody_there_is_said_with_who_is(bare):
+    with pytest.raises(DeviceNotFoundError, match="bare"):
+        open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/nobody")
+    assert "bare" in {device.serial for device in available_devices() if device.is_rig}
+
+
+def test_one_program_at_a_time(link):
+    with pytest.raises(DeviceNotFoundError, match="in use"):
+        open_link(link.url.text)
+
+
+@pytest.mark.parametrize("transfers", ["queued", "plain"])
+def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers):
+    url = f"usb://{VENDOR:04x}:{PRODUCT:04x}/pulled?transfers={transfers}"
+    with plugged("pulled") as made:
+        link = open_link(url)
+        threading.Timer(STRIKE_AFTER_S, made.bus.unplug).start()
+        check_is(UnpluggedError, lambda: read_for(link))
+        check_is(UnpluggedError, lambda: write_for(link))
+        link.close()
+        made.unplug()
+        with pytest.raises(DeviceNotFoundError):
+            open_link(url)
+    with plugged("pulled") as made:
+        link = open_link(url)
+        made.device.send(b"back")
+        assert link.read(20.0) == b"back"
+        link.close()
+
+
 def test_a_whole_hit(tmp_path):
     with plugged_rig("whole", MODEL) as made:
-        with open_device(made.url) as device:
-            assert device.dictionary.device == MODEL.name
-        ended = short_hit(made.url, tmp_path)
+        ended = whole_hit(made.url, tmp_path)
         check_ended_safely(ended, made.far_end)
         assert made.far_end.left().strongest > 0
 
 
 STRIKES = {
-    "unplug": lambda bus: bus.unplug(),
-    "stall of what comes": lambda bus: bus.halt(ENDPOINT_IN),
-    "stall of what goes": lambda bus: bus.halt(ENDPOINT_OUT),
-    "silence": lambda bus: bus.silence(ENDPOINT_IN),
-    "a device that reads nothing": lambda bus: bus.silence(ENDPOINT_OUT),
-    "overflow": lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW),
-    "noise": lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EPROTO),
-    "a short packet": lambda bus: bus.fail_next(ENDPOINT_IN, 0, 7),
-    "a short write": lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 7),
+    "unplug": (lambda bus: bus.unplug(), UnpluggedError),
+    "stall of what comes": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
+    "stall of what goes": (lambda bus: bus.halt(ENDPOINT_OUT), StalledError),
+    "silence": (lambda bus: bus.silence(ENDPOINT_IN), LinkLostError),
+    "a device that reads nothing": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
+    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
+    "a short packet": (lambda bus: bus.fail_next(ENDPOINT_IN, 0, 7), LinkLostError),
+    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 7), CutShortError),
 }
 
 
-@needs_backend
 @pytest.mark.parametrize("strike", STRIKES)
 def test_struck_in_the_middle_of_a_hit(strike, tmp_path):
+    act, kind = STRIKES[strike]
     with plugged_rig(f"struck-{list(STRIKES).index(strike)}", MODEL) as made:
-        ended = short_hit(made.url, tmp_path, strike=lambda: STRIKES[strike](made.bus))
-        check_ended_safely(ended, made.far_end)
-
-
-@needs_backend
-def test_plugged_in_again_it_is_opened_again():
-    with plugged_rig("again", MODEL) as made, open_device(made.url) as device:
-        device.identify()
-        made.unplug()
-        with pytest.raises(LinkLostError):
-            device.identify()
-    with plugged_rig("again", MODEL) as made, open_device(made.url) as device:
-        assert device.dictionary.device == MODEL.name
+        ended = struck_trial(made.url, tmp_path, lambda: act(made.bus))
+        check_ended_safely(ended, made.far_end, kind)
