@@ -1,7 +1,7 @@
 """A short hit on a device in the guest, struck by something in the middle, and what must hold whatever happens.
 
 An emulated machine keeps no time: a hit may end by itself, by the loss of the link or a fault of the device that its
-slowness causes, or by the guard, when answers come so late that they throw the handle out. What is asserted is the same.
+slowness causes, or by the guard, when answers come so late that they throw the handle out. The same is asserted.
 """
 
 from __future__ import annotations
