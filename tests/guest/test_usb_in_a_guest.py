@@ -271,8 +271,7 @@ def test_a_whole_hit(tmp_path):
 
 STRIKES = {
     "unplug": (lambda bus: bus.unplug(), UnpluggedError),
-    "stall of what comes": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
-    "stall of what goes": (lambda bus: bus.halt(ENDPOINT_OUT), StalledError),
+    "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
     "silence": (lambda bus: bus.silence(ENDPOINT_IN), LinkLostError),
     "a device that reads nothing": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
     "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
