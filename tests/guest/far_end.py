@@ -1,0 +1,103 @@
+"""The simulated rig as a process behind any port, which tells at the end in which state it was left.
+
+The process is forked, because in an emulated machine a new interpreter takes half a minute; it must be made before this
+process has threads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from firmware_protocol.connection import State
+from rig.model import RigModel
+from sim_backend.device import SimulatedDevice
+from sim_backend.real_time import Port, RealTime
+
+RATE = 500  # Hz; an emulated machine keeps little more, and homing needs as much
+RATE_MAXIMUM = 4_000
+STOP_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """State in which the device ended: its current, the strongest since it was made (quanta), its protocol state."""
+
+    current: int
+    strongest: int
+    state: State
+    missed_ticks: int
+
+
+class FarEnd:
+    """A running device process; `left` stops it and says how it was left."""
+
+    def __init__(self, process: Any, pipe: Any) -> None:
+        self._process = process
+        self._pipe = pipe
+        self._left: Left | None = None
+
+    def left(self) -> Left:
+        """Stop the device and return how it was left."""
+        if self._left is None:
+            self._pipe.send(None)
+            if not self._pipe.poll(STOP_S):
+                raise TimeoutError("the device does not stop")
+            self._left = self._pipe.recv()
+        return self._left
+
+
+class _Watched(SimulatedDevice):
+    """Remembers its strongest current."""
+
+    strongest = 0
+
+    def tick(self) -> bytes:
+        state = super().tick()
+        self.strongest = max(self.strongest, abs(self.current))
+        return state
+
+
+@contextlib.contextmanager
+def far_end(
+    model: RigModel, make_port: Callable[[], Port], *, rate: int = RATE, seed: int = 0
+) -> Iterator[FarEnd]:
+    """Run a simulated rig in a process of its own behind the port that `make_port` makes there.
+
+    It outlives its host: what it does when nobody speaks to it any more is part of what is tested.
+    """
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe()
+    process = context.Process(target=_run, args=(model, make_port, rate, seed, there), daemon=True)
+    process.start()
+    there.close()
+    try:
+        yield FarEnd(process, here)
+    finally:
+        process.terminate()
+        process.join(STOP_S)
+        here.close()
+
+
+def _run(model: RigModel, make_port: Callable[[], Port], rate: int, seed: int, pipe: Any) -> None:
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    device = _Watched(
+        model, position_rate_default=rate, position_rate_maximum=RATE_MAXIMUM, seed=seed, keep_truth=False
+    )
+    stop = threading.Event()
+
+    def listen() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            pipe.recv()
+        stop.set()
+
+    threading.Thread(target=listen, daemon=True).start()
+    RealTime(device, make_port(), stop).run(None)
+    pipe.send(Left(device.current, device.strongest, device.connection.state, device.missed_ticks))

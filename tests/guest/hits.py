@@ -1,0 +1,119 @@
+"""A short hit on a device in the guest, struck by something in the middle, and what must hold whatever happens.
+
+An emulated machine keeps no time: a hit may end by itself, by the loss of the link or a fault of the device that its
+slowness causes, or by the guard, when answers come so late that they throw the handle out. The same is asserted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_protocol.connection import State
+from rig import config, presets
+from rig.devices import open_device
+from rig.errors import DeviceFaultError, GuardError, LinkLostError, RigError
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.recording.reader import open_recording
+from tests.guest.far_end import RATE, FarEnd
+
+RIG = "koul-compliant"
+EXPERIMENT = config.with_realtime(presets.load(RIG))
+MODEL = config.rig_model(EXPERIMENT)
+CHANGES: dict[str, Any] = {
+    "trial.duration_s": 0.3,
+    "trial.release_s": 0.02,
+    "homing.settle_s": 0.02,
+    "controller.parameters": {"cutoff_hz": 100.0},  # below half the device's rate, as the next one
+    "verdict.lowpass_hz": 200.0,
+    "verdict.tail_s": 0.1,
+    "host.realtime": "off",  # what it would lock into memory comes over 9p
+    "host.heartbeat_s": 30.0,
+}
+ATTEMPTS = 3
+BOUND_S = 60.0  # "it comes back", not how soon
+COUNTED = ("frames", "bad_frames", "lost", "commands", "unsent", "late", "rows_dropped")
+TOO_SLOW = (LinkLostError, DeviceFaultError, GuardError)  # how a run may end that nobody struck
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a hit ended: its error or None, its recording, and how long it took (s)."""
+
+    error: RigError | None
+    path: Path | None
+    wall_s: float
+
+
+def whole_hit(url: str, output: Path) -> Ended:
+    """All of ``rig hit --url …``: the gate, the hit, its verdict, its sealed recording."""
+
+    def run() -> Path:
+        request = HitRequest(experiment=EXPERIMENT, url=url, changes=CHANGES, output=output, arm_anyway=True)
+        (result,) = hit(request)
+        return result.recording
+
+    return _ended(run)
+
+
+def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: int = 20) -> Ended:
+    """One trial, without what comes before and after; `strike` is called when `at_tick` ticks have run."""
+    struck = False
+
+    def progress(ticks: int, phase: int) -> None:
+        nonlocal struck
+        if not struck and ticks >= at_tick:
+            struck = True
+            strike()
+
+    def run() -> Path:
+        rates = dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), RATE)
+        experiment = config.override(EXPERIMENT, {**CHANGES, **rates})
+        with open_device(url) as device:
+            request = TrialRequest(
+                experiment=experiment, recording=output / f"struck-{len(list(output.iterdir()))}.rigcap", verified=True, seed=0,
+                progress=progress, sealed=False,
+            )  # fmt: skip
+            return run_trial(device, request).recording
+
+    return _ended(run)
+
+
+def _ended(run: Callable[[], Path]) -> Ended:
+    """Run, once more when nothing began: requests are given up after 0.1 s, which a busy emulator needs for itself."""
+    for _ in range(ATTEMPTS):
+        started = time.monotonic()
+        try:
+            error, path = None, run()
+        except RigError as caught:
+            error, path = caught, caught.recording
+        ended = Ended(error, path, time.monotonic() - started)
+        if path is not None or not isinstance(error, LinkLostError):
+            return ended
+    pytest.skip(f"this machine is too slow to ask the device anything, {ATTEMPTS} times: {error}")
+
+
+def check_ended_safely(ended: Ended, far_end: FarEnd, *kinds: type[RigError]) -> None:
+    """Completion or a typed error in bounded time; zero effort at the device; losses counted; a recording that reads.
+
+    `kinds` are the errors of what struck the run; those of a machine that is too slow may come first.
+    """
+    print(f"{ended.wall_s:.1f} s: {type(ended.error).__name__}: {ended.error}; {far_end.left()}")
+    assert ended.wall_s < BOUND_S
+    assert ended.error is None or type(ended.error) in (*kinds, *TOO_SLOW), repr(ended.error)
+    assert ended.error is None or ended.error.remedy
+    assert far_end.left().current == 0
+    assert far_end.left().state not in (State.ARMED, State.RUNNING)
+    assert ended.path is not None
+    recording = open_recording(ended.path)
+    assert recording.complete
+    assert not recording.lost
+    counters = recording.trailer["counters"]
+    assert all(counters[name] >= 0 for name in COUNTED)
+    assert counters["ticks"] == len(recording.rows) + counters["rows_dropped"]

@@ -1,0 +1,70 @@
+"""Devices on the virtual bus, for the length of a ``with``: a bare one that a test speaks for, and a simulated rig."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rig.model import RigModel
+from sim_backend.usb import PRODUCT, VENDOR, UsbPort, UsbShape
+from tests.guest import vhci
+from tests.guest.far_end import RATE, FarEnd, far_end
+from tests.guest.usbip import Bus
+
+
+@dataclass(slots=True)
+class Plugged:
+    """A device on the bus: `bus` breaks it, `device` is the device's end of the two pipes."""
+
+    serial: str
+    bus: Bus
+    port: int
+    device: socket.socket
+    far_end: FarEnd | None = None
+
+    @property
+    def url(self) -> str:
+        """How `rig` names it."""
+        return f"usb://{VENDOR:04x}:{PRODUCT:04x}/{self.serial}"
+
+    def unplug(self) -> None:
+        """Pull the plug and wait until Linux and udev have seen it."""
+        self.bus.unplug()
+        vhci.wait_for_free(self.port)
+        vhci.wait_for_no_device(self.serial)
+
+
+def pipes() -> tuple[socket.socket, socket.socket]:
+    """Make the two ends, the bus's and the device's, of what carries packets between them."""
+    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+
+@contextlib.contextmanager
+def plugged(serial: str, ends: tuple[socket.socket, socket.socket] | None = None) -> Iterator[Plugged]:
+    """Plug a device in that does nothing by itself; a test holds its end of the pipes."""
+    near, device = ends or pipes()
+    shape = UsbShape(serial=serial)
+    kernel, host = socket.socketpair()
+    bus = Bus(host, near, shape)
+    bus.start()
+    with near, device:
+        try:
+            port = vhci.attach(kernel)
+            kernel.close()
+            vhci.wait_for_device(serial)
+            yield Plugged(serial, bus, port, device)
+        finally:
+            bus.unplug()
+        vhci.wait_for_free(port)
+        vhci.wait_for_no_device(serial)
+
+
+@contextlib.contextmanager
+def plugged_rig(serial: str, model: RigModel, *, rate: int = RATE) -> Iterator[Plugged]:
+    """Plug a simulated rig in, which is a process of its own."""
+    near, device = pipes()
+    with far_end(model, lambda: UsbPort(device), rate=rate) as end, plugged(serial, (near, device)) as made:
+        made.far_end = end
+        yield made

@@ -1,0 +1,111 @@
+"""The stage of CI that needs a kernel of its own: boot a guest and run the tests of this directory in it.
+
+``python -m tests.guest.stage [pytest arguments]``. The kernels of the loop are compiled here, for the plainest CPU:
+an emulated one takes minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.guest.absent import GuestAbsentError
+from tests.guest.boot import WATCHDOG_S, run_in_guest
+
+HERE = Path(__file__).resolve().parents[2]
+MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm")
+SKIPPED = 77  # the exit status that says "not run", as in automake
+PREPARE_TIMEOUT_S = 600.0
+ONE_CPU_FOR_ALL = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+LOADED = ("rig.devices.serial", "rig.devices.usb_queue", "sim_backend.usb", "tests.guest.hits")
+HIT_STATUSES = (
+    0,
+    6,
+    7,
+    10,
+)  # on a busy machine it may lose its device or its handle: what counts is that it compiled
+TEST_TIMEOUT_S = 150
+UDEV = "/lib/systemd/systemd-udevd"
+
+
+def main() -> int:
+    """Prepare, boot, run; returns the exit status of the stage."""
+    cache = Path(os.environ.get("HAPTIC_RIG_GUEST_CACHE") or Path(tempfile.gettempdir()) / "haptic-rig-guest")
+    kernels = cache / "kernels"
+    started = time.monotonic()
+    try:
+        if not Path(UDEV).exists():
+            raise GuestAbsentError(f"{UDEV} is not installed (package udev)")
+        _prepare(kernels)
+        prepared = time.monotonic()
+        watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))
+        end = run_in_guest(_script(kernels, sys.argv[1:]), cache, modules=MODULES, watchdog_s=watchdog_s)
+    except GuestAbsentError as error:
+        print(f"SKIPPED: no guest on this machine: {error}")
+        return SKIPPED
+    print(f"guest: {prepared - started:.0f} s to prepare, {end.wall_s:.0f} s from start to end")
+    if end.timed_out:
+        print("guest: killed by its watchdog")
+    elif end.status is None:
+        print("guest: it died before the tests were done")
+    return 1 if end.status is None else end.status
+
+
+def _prepare(kernels: Path) -> None:
+    """Compile here what a hit needs, and read it all once, so that the guest finds it in the host's memory."""
+    environment = {**os.environ, **ONE_CPU_FOR_ALL, "HAPTIC_RIG_CACHE": str(kernels)}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH"))))
+    with tempfile.TemporaryDirectory() as place:
+        for command in (
+            ["-c", f"import {', '.join(LOADED)}"],
+            ["-m", "rig", "hit", "--realtime", "--no-plot", "--duration", "0.5", "-o", place],
+        ):
+            done = subprocess.run(
+                [sys.executable, *command], cwd=HERE, env=environment, capture_output=True,
+                text=True, timeout=PREPARE_TIMEOUT_S, check=False,
+            )  # fmt: skip
+            if done.returncode not in HIT_STATUSES:
+                raise RuntimeError(f"{command} fails here, before any guest:\n{done.stdout}{done.stderr}")
+
+
+def _script(kernels: Path, arguments: list[str]) -> str:
+    """What the guest does: udev, then pytest."""
+    environment = {
+        **ONE_CPU_FOR_ALL,
+        "HAPTIC_RIG_CACHE": "/tmp/kernels",
+        "PYTHONPATH": str(HERE),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "MPLBACKEND": "Agg",
+        "HOME": "/root",
+        "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+    }
+    exports = "\n".join(f"export {name}={shlex.quote(value)}" for name, value in environment.items())
+    options = (
+        "-o addopts= -v --import-mode=importlib --strict-markers -rs --durations=0 --durations-min=1 "
+        f"-o timeout={TEST_TIMEOUT_S} -p no:cacheprovider -p no:xdist"
+    )
+    pytest = [sys.executable, "-m", "pytest", *options.split(), *(arguments or ["tests/guest"])]
+    return f"""
+{exports}
+mount -t configfs none /sys/kernel/config
+{UDEV} --daemon
+udevadm trigger --subsystem-match=usb --subsystem-match=tty
+udevadm settle
+cp -a {shlex.quote(str(kernels))} /tmp/kernels
+cd {shlex.quote(str(HERE))}
+echo "guest: up after $(cut -d' ' -f1 /proc/uptime) s"
+{shlex.join(pytest)}
+status=$?
+compiled=$(find /tmp/kernels -name '*.nbi' -newer /run/guest/start | wc -l)
+echo "guest: done after $(cut -d' ' -f1 /proc/uptime) s, $compiled kernels compiled here"
+exit $status
+"""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""The kernel's cdc-acm driver and pyserial as they are: a USB serial port that comes, goes, and comes again."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+import serial
+from serial.tools import list_ports
+
+from rig.devices import open_device
+from rig.devices.device import DeviceUrl
+from rig.devices.serial import available_ports, open_link
+from rig.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
+from tests.guest import gadget, vhci
+from tests.guest.far_end import far_end
+from tests.guest.gadget import GadgetPort, acm_gadget
+from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit
+
+pytestmark = pytest.mark.skipif(not gadget.is_here(), reason="no dummy_hcd here: run .ci/guest")
+
+PORT = "/dev/ttyACM0"
+URL = f"serial://{PORT}"
+
+
+@pytest.fixture(scope="module")
+def made():
+    """One gadget for all tests; each plugs it in for itself."""
+    with acm_gadget("acm-1") as made:
+        yield made
+
+
+@pytest.fixture
+def plugged(made):
+    plug(made)
+    yield made
+    pull(made)
+
+
+def plug(made):
+    made.plug()
+    vhci.wait_until(lambda: os.path.exists(PORT))
+    vhci.settle()
+
+
+def pull(made):
+    made.pull()
+    vhci.wait_until(lambda: not os.path.exists(PORT))
+    vhci.settle()
+
+
+@pytest.fixture
+def rig_on_it(made):
+    with far_end(MODEL, GadgetPort) as end:
+        plug(made)
+        yield end
+        pull(made)
+
+
+def test_the_port_is_listed_with_its_maker_and_number(plugged):
+    (found,) = [port for port in list_ports.comports() if port.device == PORT]
+    assert (found.vid, found.pid, found.serial_number) == (gadget.VENDOR, gadget.PRODUCT, "acm-1")
+    assert found.manufacturer == "haptic-rig"
+    assert PORT in dict(available_ports())
+
+
+def test_pyserial_says_several_things_of_a_pulled_plug(plugged):
+    """What `rig.devices.serial` must make one error of."""
+    port = serial.Serial(PORT, timeout=20.0)
+    plugged.pull()
+    with pytest.raises(serial.SerialException):
+        port.read(1)
+    with pytest.raises(serial.SerialException):
+        port.write(b"x")
+    with pytest.raises(OSError, match="Input/output"):
+        _ = port.in_waiting
+    port.close()
+
+
+def test_a_pulled_plug_is_one_error_whatever_is_called(plugged):
+    link = open_link(DeviceUrl.parse(URL))
+    assert link.bytes_per_second is None  # USB does not care for the baud rate
+    plugged.pull()
+    with pytest.raises(UnpluggedError):
+        link.read(20.0)
+    with pytest.raises(UnpluggedError):
+        link.write(b"x")
+    with pytest.raises(UnpluggedError):
+        link.read(0.0)
+    link.close()
+    vhci.wait_until(lambda: not os.path.exists(PORT))
+    with pytest.raises(DeviceNotFoundError):
+        open_link(DeviceUrl.parse(URL))
+
+
+def test_one_program_at_a_time(plugged):
+    link = open_link(DeviceUrl.parse(URL))
+    with pytest.raises(DeviceNotFoundError, match="in use"):
+        open_link(DeviceUrl.parse(URL))
+    link.close()
+
+
+def test_who_is_there(rig_on_it):
+    with open_device(URL) as device:
+        assert device.dictionary.device == MODEL.name
+        assert device.dictionary.simulated
+
+
+def test_a_whole_hit(rig_on_it, tmp_path):
+    ended = whole_hit(URL, tmp_path)
+    check_ended_safely(ended, rig_on_it, UnpluggedError)
+    assert rig_on_it.left().strongest > 0
+
+
+def test_pulled_in_the_middle_of_a_hit_and_plugged_in_again(made, rig_on_it, tmp_path):
+    ended = struck_trial(URL, tmp_path, made.pull)
+    assert isinstance(ended.error, LinkLostError)
+    vhci.wait_until(lambda: not os.path.exists(PORT))
+    plug(made)
+    with open_device(URL) as device:
+        assert device.dictionary.device == MODEL.name
+    check_ended_safely(ended, rig_on_it, UnpluggedError)

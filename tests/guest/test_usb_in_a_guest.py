@@ -1,0 +1,288 @@
+"""pyusb, libusb, Linux and udev as they are, and a device that breaks on command: what arrives, what `rig` makes."""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+
+import pytest
+import usb.core
+import usb.util
+from usb.backend import libusb1
+
+from rig.devices import open_link
+from rig.devices.usb import available_devices
+from rig.errors import (
+    BlockedError,
+    BrokenLineError,
+    CutShortError,
+    DeviceNotFoundError,
+    LinkLostError,
+    OverflowedError,
+    StalledError,
+    UnpluggedError,
+)
+from sim_backend.usb import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT, VENDOR, VENDOR_CLASS
+from tests.guest import vhci
+from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit
+from tests.guest.plugged import plugged, plugged_rig
+
+pytestmark = pytest.mark.skipif(not vhci.is_here(), reason="no vhci_hcd here: run .ci/guest")
+
+LONG_MS = 20_000
+SHORT_MS = 100
+READ = 4096
+STRIKE_AFTER_S = 0.3
+
+
+def find(serial):
+    """A fresh look at the bus: pyusb keeps what it has once seen, a backend made anew does not."""
+    backend = libusb1.get_backend()
+    return usb.core.find(
+        idVendor=VENDOR,
+        idProduct=PRODUCT,
+        backend=backend,
+        custom_match=lambda device: usb.util.get_string(device, device.iSerialNumber) == serial,
+    )
+
+
+@pytest.fixture(scope="module")
+def bare():
+    with plugged("bare") as made:
+        yield made
+
+
+@pytest.fixture
+def opened(bare):
+    """The device through pyusb, its pipes empty."""
+    device = find("bare")
+    assert device is not None
+    usb.util.claim_interface(device, 0)
+    yield device
+    for address in (ENDPOINT_IN, ENDPOINT_OUT):
+        bare.bus.silence(address, False)
+    usb.util.dispose_resources(device)
+
+
+def number_of(call):
+    with pytest.raises(usb.core.USBError) as caught:
+        call()
+    return caught.value.errno
+
+
+# ---------------------------------------------------------------------- what pyusb is given
+
+
+def test_linux_enumerates_the_rig(opened):
+    assert opened.manufacturer == "haptic-rig"
+    assert opened.serial_number == "bare"
+    assert opened.speed == usb.util.SPEED_FULL
+    interface = opened.get_active_configuration()[(0, 0)]
+    assert interface.bInterfaceClass == VENDOR_CLASS
+    assert {endpoint.bEndpointAddress for endpoint in interface} == {ENDPOINT_IN, ENDPOINT_OUT}
+    assert all(endpoint.wMaxPacketSize == 64 for endpoint in interface)
+
+
+def test_bytes_pass_both_ways_as_packets(opened, bare):
+    sent = bytes(range(200))
+    assert opened.write(ENDPOINT_OUT, sent, LONG_MS) == 200
+    bare.device.settimeout(20.0)
+    packets = [bare.device.recv(READ) for _ in range(4)]
+    assert [len(packet) for packet in packets] == [64, 64, 64, 8]
+    assert b"".join(packets) == sent
+    bare.device.send(b"short")
+    assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"short"
+
+
+def test_silence_is_a_time_out_and_nothing_is_lost_by_it(opened, bare):
+    with pytest.raises(usb.core.USBTimeoutError) as caught:
+        opened.read(ENDPOINT_IN, READ, SHORT_MS)
+    assert caught.value.errno == errno.ETIMEDOUT
+    bare.device.send(b"late")
+    assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"late"
+
+
+def test_a_device_that_does_not_read_is_a_time_out(opened, bare):
+    bare.bus.silence(ENDPOINT_OUT)
+    assert number_of(lambda: opened.write(ENDPOINT_OUT, b"x", SHORT_MS)) == errno.ETIMEDOUT
+
+
+def test_a_stall_is_a_broken_pipe_until_it_is_cleared(opened, bare):
+    bare.bus.halt(ENDPOINT_IN)
+    for _ in range(2):
+        assert number_of(lambda: opened.read(ENDPOINT_IN, READ, LONG_MS)) == errno.EPIPE
+    opened.clear_halt(ENDPOINT_IN)
+    bare.device.send(b"again")
+    assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"again"
+
+
+def test_more_bytes_than_asked_for_are_an_overflow(opened, bare):
+    bare.device.send(bytes(60))
+    assert number_of(lambda: opened.read(ENDPOINT_IN, 16, LONG_MS)) == errno.EOVERFLOW
+
+
+def test_a_packet_without_bytes_is_an_empty_read(opened, bare):
+    bare.bus.fail_next(ENDPOINT_IN, 0)
+    assert len(opened.read(ENDPOINT_IN, READ, LONG_MS)) == 0
+
+
+def test_a_short_write_says_how_much_was_taken(opened, bare):
+    bare.bus.fail_next(ENDPOINT_OUT, 0, 5)
+    assert opened.write(ENDPOINT_OUT, bytes(20), LONG_MS) == 5
+
+
+@pytest.mark.parametrize("status", [errno.EPROTO, errno.EILSEQ])
+def test_noise_on_the_cable_is_an_error_of_input(opened, bare, status):
+    bare.bus.fail_next(ENDPOINT_IN, -status)
+    assert number_of(lambda: opened.read(ENDPOINT_IN, READ, LONG_MS)) == errno.EIO
+
+
+def test_unplugged_in_a_blocked_read_and_after_it_and_found_again():
+    with plugged("moving") as made:
+        device = find("moving")
+        usb.util.claim_interface(device, 0)
+        threading.Timer(STRIKE_AFTER_S, made.bus.unplug).start()
+        assert number_of(lambda: device.read(ENDPOINT_IN, READ, LONG_MS)) == errno.ENODEV
+        assert number_of(lambda: device.read(ENDPOINT_IN, READ, LONG_MS)) == errno.ENODEV
+        assert number_of(lambda: device.write(ENDPOINT_OUT, b"x", LONG_MS)) == errno.ENODEV
+        usb.util.dispose_resources(device)
+        made.unplug()
+        assert find("moving") is None
+    with plugged("moving") as made:
+        device = find("moving")
+        made.device.send(b"back")
+        assert bytes(device.read(ENDPOINT_IN, READ, LONG_MS)) == b"back"
+        usb.util.dispose_resources(device)
+
+
+# ---------------------------------------------------------------------- what rig makes of it
+
+
+@pytest.fixture(params=["queued", "plain"])
+def link(bare, request):
+    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare?transfers={request.param}")
+    yield made
+    for address in (ENDPOINT_IN, ENDPOINT_OUT):
+        bare.bus.silence(address, False)
+    made.close()
+
+
+def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link, bare):
+    link.write(b"there")
+    bare.device.settimeout(20.0)
+    assert bare.device.recv(READ) == b"there"
+    assert link.read(0.05) == b""
+    bare.device.send(b"and back")
+    assert link.read(20.0) == b"and back"
+
+
+READS = {
+    "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
+    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
+    "noise": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EPROTO), BrokenLineError),
+}
+WRITES = {
+    "stall": (lambda bus: bus.halt(ENDPOINT_OUT), StalledError),
+    "silence": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
+    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 5), CutShortError),
+    "noise": (lambda bus: bus.fail_next(ENDPOINT_OUT, -errno.EPROTO), BrokenLineError),
+}
+
+
+@pytest.mark.parametrize("strike", READS)
+def test_what_breaks_a_read_has_a_name(strike, link, bare):
+    act, kind = READS[strike]
+    act(bare.bus)
+    check_is(kind, lambda: read_for(link))
+
+
+@pytest.mark.parametrize("strike", WRITES)
+def test_what_breaks_a_write_has_a_name(strike, link, bare):
+    act, kind = WRITES[strike]
+    act(bare.bus)
+    check_is(kind, lambda: write_for(link))
+
+
+def read_for(link):
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        link.read(1.0)
+
+
+def write_for(link):
+    """What fails is told by a later write, since none of them waits for its end."""
+    for _ in range(20):
+        link.write(bytes(20))
+        time.sleep(0.05)
+
+
+def check_is(kind, act):
+    with pytest.raises(LinkLostError) as caught:
+        act()
+    assert type(caught.value) is kind, repr(caught.value)
+    assert caught.value.remedy
+
+
+def test_opening_anew_clears_a_halt(bare):
+    bare.bus.halt(ENDPOINT_IN)
+    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare")
+    bare.device.send(b"well again")
+    assert made.read(20.0) == b"well again"
+    made.close()
+
+
+def test_nobody_there_is_said_with_who_is(bare):
+    with pytest.raises(DeviceNotFoundError, match="bare"):
+        open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/nobody")
+    assert "bare" in {device.serial for device in available_devices() if device.is_rig}
+
+
+def test_one_program_at_a_time(link):
+    with pytest.raises(DeviceNotFoundError, match="in use"):
+        open_link(link.url.text)
+
+
+@pytest.mark.parametrize("transfers", ["queued", "plain"])
+def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers):
+    url = f"usb://{VENDOR:04x}:{PRODUCT:04x}/pulled?transfers={transfers}"
+    with plugged("pulled") as made:
+        link = open_link(url)
+        threading.Timer(STRIKE_AFTER_S, made.bus.unplug).start()
+        check_is(UnpluggedError, lambda: read_for(link))
+        check_is(UnpluggedError, lambda: write_for(link))
+        link.close()
+        made.unplug()
+        with pytest.raises(DeviceNotFoundError):
+            open_link(url)
+    with plugged("pulled") as made:
+        link = open_link(url)
+        made.device.send(b"back")
+        assert link.read(20.0) == b"back"
+        link.close()
+
+
+def test_a_whole_hit(tmp_path):
+    with plugged_rig("whole", MODEL) as made:
+        ended = whole_hit(made.url, tmp_path)
+        check_ended_safely(ended, made.far_end)
+        assert made.far_end.left().strongest > 0
+
+
+STRIKES = {
+    "unplug": (lambda bus: bus.unplug(), UnpluggedError),
+    "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
+    "silence": (lambda bus: bus.silence(ENDPOINT_IN), LinkLostError),
+    "a device that reads nothing": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
+    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
+    "a short packet": (lambda bus: bus.fail_next(ENDPOINT_IN, 0, 7), LinkLostError),
+    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 7), CutShortError),
+}
+
+
+@pytest.mark.parametrize("strike", STRIKES)
+def test_struck_in_the_middle_of_a_hit(strike, tmp_path):
+    act, kind = STRIKES[strike]
+    with plugged_rig(f"struck-{list(STRIKES).index(strike)}", MODEL) as made:
+        ended = struck_trial(made.url, tmp_path, lambda: act(made.bus))
+        check_ended_safely(ended, made.far_end, kind)
