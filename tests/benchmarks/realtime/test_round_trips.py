@@ -1,0 +1,278 @@
+"""Round trips a second: the loop against a C client and against plain pyserial, on the same link to the same far end.
+
+The far end (`far_end.c`) checks each COMMAND and answers with a STATE at once. The shipped loop (`rig.loop`) does all
+that it does in a rig: stuffing, CRC, estimator, wall, guard, stamps and a row in the ring. The client (`client.c`)
+does the same by hand for one estimator and one law. Plain pyserial (plain sockets where it cannot go) writes one ready
+frame and reads as many bytes as a STATE has: it neither checks nor computes anything.
+
+They take turns; the median of the ratios counts. With SCHED_FIFO at both ends where that is granted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import select
+import socket
+import statistics
+import subprocess
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import serial
+
+from firmware_protocol import messages as m
+from firmware_protocol.framing import FrameSplitter, encode_frame
+from firmware_protocol.packing import pack, unpack
+from rig import ring as words
+from rig import system
+from rig.clock import MonotonicClock
+from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.serial import SerialLink
+from rig.loop.host import EndReason
+from rig.loop.run import LoopSettings, LoopThread
+from tests.benchmarks.realtime.workbench import (
+    CPUS, CURRENT_QUANTUM_A, FULL, PRIORITY,
+    compile_c, inherited, may_be_realtime, medians, print_table, processor_hogs, pushing_for_ever, quantiles,
+    touched_ring,
+)  # fmt: skip
+
+SESSION = 9
+ROUNDS, SECONDS = (15, 0.5) if FULL else (5, 0.2)
+RING_ROWS = round(SECONDS * 200_000)
+STATE_FRAME_BYTES = 46
+WAIT_S = 10.0
+LEAST_OF_C = 0.85
+
+pytestmark = pytest.mark.timeout(900)
+
+
+@dataclass
+class Wire:
+    """One open link: what the loop, Python and a C program need of it."""
+
+    descriptor: int
+    port: Callable[[], LoopPort]
+    write: Callable[[bytes], object]
+    read_exactly: Callable[[int], bytes]
+
+    def failure(self) -> None:
+        """As `rig.devices.device.Link` has it."""
+
+
+@contextlib.contextmanager
+def over_pty() -> Iterator[tuple[Wire, int]]:
+    """A pseudo-terminal, opened by pyserial as rig does."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    port = serial.Serial(name, exclusive=True, timeout=1.0)
+    os.close(slave)
+    link = SerialLink(DeviceUrl.parse(f"serial://{name}"), port)
+    try:
+        yield Wire(port.fileno(), link.port, port.write, port.read), master
+    finally:
+        link.close()
+        os.close(master)
+
+
+@contextlib.contextmanager
+def over_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[Wire, int]]:
+    """Two connected sockets."""
+    with ours, theirs:
+        ours.settimeout(1.0)
+        clock = MonotonicClock()
+
+        def port() -> LoopPort:
+            return LoopPort(
+                read=system.descriptor_read,
+                write=system.descriptor_write,
+                wait=system.descriptor_wait,
+                handle=ours.fileno(),
+                now=clock.now_plug,
+                clock_handle=clock.handle,
+            )
+
+        yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
+
+
+def over_socket_pair() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
+    """A pair of stream sockets."""
+    return over_sockets(*socket.socketpair())
+
+
+def over_udp() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
+    """UDP over the loopback interface, connected both ways."""
+    ours, theirs = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for one in (ours, theirs):
+        one.bind(("127.0.0.1", 0))
+    ours.connect(theirs.getsockname())
+    theirs.connect(ours.getsockname())
+    return over_sockets(ours, theirs)
+
+
+LINKS = {"pty": over_pty, "socket pair": over_socket_pair, "udp": over_udp}
+
+
+def command_frame(sequence: int) -> bytes:
+    """A COMMAND of zero current."""
+    command = m.Command(state_sequence=0, lifetime_us=5000, mode=m.Mode.STOP, flags=0, current=0)
+    return encode_frame(pack(command, session=SESSION, sequence=sequence))
+
+
+class Contest:
+    """The contestants on one link, whose far end runs."""
+
+    def __init__(self, wire: Wire, client: str, priority: int) -> None:
+        self.wire, self.client, self.priority = wire, client, priority
+        self._marker = 0
+
+    def settle(self) -> None:
+        """Read away what is still on its way: the answer to a marked COMMAND is the last of it."""
+        self._marker = self._marker % 1000 + 1
+        os.write(self.wire.descriptor, command_frame(self._marker))
+        splitter, deadline = FrameSplitter(), time.monotonic() + WAIT_S
+        while time.monotonic() < deadline:
+            select.select([self.wire.descriptor], [], [], 0.1)
+            with contextlib.suppress(BlockingIOError):
+                for raw in splitter.feed(os.read(self.wire.descriptor, 4096)):
+                    _, state = unpack(raw)
+                    if isinstance(state, m.State) and state.command_sequence == self._marker:
+                        return
+        raise AssertionError("the far end does not answer")
+
+    def kick(self) -> None:
+        """One COMMAND: its answer is the first STATE of a contestant."""
+        os.write(self.wire.descriptor, command_frame(2000))
+
+    def ours(self) -> np.ndarray:
+        """Receipt times (ns) of the shipped loop."""
+        self.settle()
+        ring = touched_ring(RING_ROWS)
+        settings = LoopSettings(
+            period_ns=50_000,
+            session=SESSION,
+            lifetime_us=5000,
+            lost_after_ns=2_000_000_000,
+            device_tick_ps=62_500,
+            current_quantum_a=CURRENT_QUANTUM_A,
+            wait_for_room=False,
+        )
+        loop = LoopThread(self.wire, pushing_for_ever(20_000), settings, ring)  # type: ignore[arg-type]
+        with inherited(self.priority):
+            loop.start()
+        self.kick()
+        time.sleep(SECONDS)
+        loop.finish()
+        end = loop.end()
+        assert (end.reason, end.error) == (EndReason.STOPPED, None)
+        assert end.counters["bad_frames"] == end.counters["unsent"] == 0
+        return ring.rows["received_at"][: ring.get(words.HEAD)].copy()
+
+    def c(self) -> np.ndarray:
+        """Receipt times (ns) of the client in C."""
+        self.settle()
+        self.kick()
+        arguments = [self.wire.descriptor, self.priority, SECONDS, SESSION]
+        done = subprocess.run(
+            [self.client, *map(str, arguments)],
+            check=True, stdout=subprocess.PIPE, pass_fds=[self.wire.descriptor], timeout=60,
+        )  # fmt: skip
+        return np.frombuffer(done.stdout, np.int64)
+
+    def python(self) -> np.ndarray:
+        """Receipt times (ns) of a plain write and a plain read in Python, in a thread with the same priority."""
+        self.settle()
+        command, write, read = command_frame(0), self.wire.write, self.wire.read_exactly
+        times: list[int] = []
+
+        def trips() -> None:
+            end = time.monotonic_ns() + round(SECONDS * 1e9)
+            now = 0
+            while now < end:
+                write(command)
+                if len(read(STATE_FRAME_BYTES)) != STATE_FRAME_BYTES:
+                    return
+                now = time.monotonic_ns()
+                times.append(now)
+
+        thread = threading.Thread(target=trips)
+        with inherited(self.priority):
+            thread.start()
+        thread.join()
+        assert times
+        return np.array(times)
+
+
+@contextlib.contextmanager
+def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Contest]:
+    """Open a link with a far end behind it."""
+    with LINKS[link]() as (wire, far):
+        command = [programs["far_end"], str(far), str(priority), "0"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[far], text=True) as process:
+            assert process.stdout is not None
+            try:
+                assert process.stdout.readline() == "ready\n"
+                yield Contest(wire, programs["client"], priority)
+            finally:
+                process.terminate()
+                counts = json.loads(process.stdout.readline() or "{}")
+                process.wait(WAIT_S)
+        assert counts["good"] > 0
+        assert counts["bad"] == counts["untaken"] == 0
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    directory = tmp_path_factory.mktemp("c")
+    return {name: str(compile_c(directory, name)) for name in ("far_end", "client")}
+
+
+def measured(link: str, programs: dict[str, str], priority: int) -> dict[str, list[list[float]]]:
+    """For each contestant and round: trips a second, then p50, p99, p99.9 and the longest in µs."""
+    names = ("ours", "c", "python")
+    found: dict[str, list[list[float]]] = {name: [] for name in names}
+    with contest(link, programs, priority) as here:
+        here.ours()  # once for nothing: compiled, mapped, warm
+        for number in range(ROUNDS):
+            for k in range(len(names)):
+                name = names[(number + k) % len(names)]
+                times = getattr(here, name)()
+                trips = np.diff(times) * 1e-3
+                found[name].append([len(trips) / (times[-1] - times[0]) * 1e9, *quantiles(trips)])
+    return found
+
+
+@pytest.mark.parametrize("load", ["idle", "loaded"])
+def test_round_trips_a_second_beside_c_and_pyserial(programs: dict[str, str], load: str) -> None:
+    priority = PRIORITY if may_be_realtime() else 0
+    if load == "loaded" and not priority:
+        pytest.skip("under load only SCHED_FIFO says something, and it is not granted here (CAP_SYS_NICE)")
+    rows, ratios = [], {}
+    with processor_hogs(len(CPUS) if load == "loaded" else 0):
+        for link in LINKS:
+            found = measured(link, programs, priority)
+            rates = {name: [one[0] for one in rounds] for name, rounds in found.items()}
+            of = {
+                other: statistics.median(a / b for a, b in zip(rates["ours"], rates[other], strict=True))
+                for other in ("c", "python")
+            }
+            ratios[link] = of["c"]
+            python = "pyserial" if link == "pty" else "socket"
+            shown = {"ours": f"{link}: rig", "c": f"{link}: C client", "python": f"{link}: plain {python}"}
+            for name, label in shown.items():
+                rate, *trips = medians(found[name])
+                over = "" if name == "ours" else f"{of[name]:.2f}"
+                rows.append([label, f"{rate / 1e3:.1f}", *(f"{trip:.0f}" for trip in trips), over])
+    kind = f"SCHED_FIFO {priority} at both ends" if priority else "SCHED_OTHER"
+    head = ["link", "thousand/s", "p50 µs", "p99", "p99.9", "max", "rig / it"]
+    print_table(f"round trips, {load}, {kind}, medians of {ROUNDS} × {SECONDS} s", head, rows)
+    for link, ratio in ratios.items():
+        assert ratio > LEAST_OF_C, f"{link}: {ratio:.2f} of C"

@@ -1,0 +1,204 @@
+"""What the benchmarks of this directory share: C beside Python, real-time priority, load, controllers, tables.
+
+`RIG_BENCH_FULL=1` measures longer and more cases; otherwise everything here together takes about a minute.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import statistics
+import subprocess
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.packing import type_id_of
+from rig import controller, presets
+from rig.sample import ROW
+from rig.ring import Ring
+from rig.step import TRIAL, Controller
+
+HERE = Path(__file__).parent
+FULL = os.environ.get("RIG_BENCH_FULL", "") not in ("", "0")
+PRIORITY = 80
+CPUS = sorted(os.sched_getaffinity(0))
+LOOP_CPU = CPUS[-1]
+CURRENT_QUANTUM_A = 0.001
+FOR_EVER = 1 << 40
+
+_DEFINES = {
+    "MAJOR": m.MAJOR,
+    "COMMAND_TYPE": type_id_of(m.Command),
+    "STATE_TYPE": type_id_of(m.State),
+    "STATE_RUNNING": int(State.RUNNING),
+}
+
+
+def compile_c(directory: Path, name: str) -> Path:
+    """Compile ``name.c`` of this directory; skips the test without a compiler."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler (package gcc)")
+    program = directory / name
+    defines = [f"-D{key}={value}" for key, value in _DEFINES.items()]
+    options = ["-std=gnu99", "-O3", "-Wall", "-Wextra", "-Werror", *defines]
+    subprocess.run([compiler, *options, str(HERE / f"{name}.c"), "-o", str(program)], check=True)
+    return program
+
+
+# Privileges and load --------------------------------------------------------------------------------------
+
+
+def may_be_realtime() -> bool:
+    """Whether SCHED_FIFO is granted here; asked in a thread of its own, which ends with it."""
+    granted: list[bool] = []
+
+    def ask() -> None:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            granted.append(True)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    return bool(granted)
+
+
+@contextlib.contextmanager
+def inherited(priority: int, cpu: int | None = None) -> Iterator[None]:
+    """Give threads that are started meanwhile a SCHED_FIFO priority (0: none) and a processor (None: any)."""
+    policy, parameter, affinity = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+    try:
+        if cpu is not None:
+            os.sched_setaffinity(0, {cpu})
+        if priority > 0:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameter)
+        os.sched_setaffinity(0, affinity)
+
+
+@contextlib.contextmanager
+def awake() -> Iterator[None]:
+    """Keep the processors out of deep sleep, as cyclictest does, if that is allowed here."""
+    descriptor = -1
+    with contextlib.suppress(OSError):
+        descriptor = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
+        os.write(descriptor, bytes(4))
+    try:
+        yield
+    finally:
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+@contextlib.contextmanager
+def processor_hogs(count: int) -> Iterator[None]:
+    """Run that many processes that do nothing but compute; they end with the context."""
+    script = "while kill -0 $PPID 2> /dev/null; do i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; done"
+    hogs = [subprocess.Popen(["sh", "-c", script]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+        for hog in hogs:
+            hog.wait()
+
+
+@contextlib.contextmanager
+def interpreter_hogs() -> Iterator[None]:
+    """Two threads in this interpreter: one never lets the GIL go by itself, one makes and collects garbage."""
+    stopped = False
+
+    def compute() -> None:
+        number = 0
+        while not stopped:
+            number = (number * 1103515245 + 12345) & 0x7FFFFFFF
+
+    def litter() -> None:
+        import gc  # noqa: PLC0415
+
+        while not stopped:
+            rings = [[] for _ in range(2000)]  # type: list[list[object]]
+            for ring in rings:
+                ring.append(ring)
+            del rings
+            gc.collect()
+
+    threads = [threading.Thread(target=target) for target in (compute, litter)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        stopped = True
+        for thread in threads:
+            thread.join()
+
+
+# What the loop runs ---------------------------------------------------------------------------------------
+
+
+def pushing_for_ever(rate: int) -> Controller:
+    """The compliant rig's wall in the middle of a trial that has neither end nor limits of place and speed."""
+    experiment = presets.load("koul-compliant")
+    made = controller.for_experiment(experiment, current_quantum_a=CURRENT_QUANTUM_A)
+    wanted = {
+        "tick_s": 1.0 / rate,
+        "trial_ticks": FOR_EVER,
+        "release_ticks": 1,
+        "window_minimum": -np.inf,
+        "window_maximum": np.inf,
+        "speed_limit": np.inf,
+    }
+    for name, value in wanted.items():
+        made.control[name] = value
+    made.memory["phase"] = TRIAL
+    return made
+
+
+def touched_ring(capacity: int) -> Ring:
+    """A ring whose pages are there already, so that no tick pays for one."""
+    ring = Ring.allocate(capacity)
+    ring.rows.view(np.uint8).reshape(-1)[:: os.sysconf("SC_PAGE_SIZE") // 2] = 1
+    return ring
+
+
+ROW_BYTES = ROW.itemsize
+
+# Numbers and tables ---------------------------------------------------------------------------------------
+
+
+def quantiles(values: np.ndarray) -> tuple[float, float, float, float]:
+    """p50, p99, p99.9 and the greatest."""
+    p50, p99, p999 = np.quantile(values, (0.5, 0.99, 0.999), method="higher")
+    return float(p50), float(p99), float(p999), float(np.max(values))
+
+
+def medians(rounds: Sequence[Sequence[float]]) -> list[float]:
+    """Median of each column over the rounds."""
+    return [statistics.median(column) for column in zip(*rounds, strict=True)]
+
+
+def load_note() -> str:
+    """How busy the machine was: only ratios inside one table mean anything."""
+    return f"load average {os.getloadavg()[0]:.1f}, {len(CPUS)} processors"
+
+
+def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print aligned columns; the first is text."""
+    cells = [list(map(str, head)), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
+    print(f"\n{title} ({load_note()})")
+    for row in cells:
+        first, rest = row[0].ljust(widths[0]), zip(row[1:], widths[1:], strict=True)
+        print("  " + "  ".join([first, *(cell.rjust(width) for cell, width in rest)]))
