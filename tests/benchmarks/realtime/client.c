@@ -1,7 +1,7 @@
 /* The yardstick of test_round_trips.py, as a careful programmer writes the loop for one link, one estimator and one law:
-   client DESCRIPTOR PRIORITY SECONDS SESSION
+   client DESCRIPTOR PRIORITY SECONDS SESSION PAUSE_NS
 
-   For each STATE: ppoll, read, check and decode; finite difference and Butterworth filter; a wall; COMMAND, write; a row
+   For each STATE: ppoll for PAUSE_NS at most, as the loop waits, read, check and decode; finite difference and Butterworth filter; a wall; COMMAND, write; a row
    with its time stamps. Writes the receipt time of each row (int64, ns) to standard output when it is done. */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -19,7 +19,7 @@ struct state {
     int64_t sequence, sample, time, count, edge, measured, applied, limits, fault, execution, missed, state, inputs, age;
 };
 
-#define ROWS 200000
+#define ROWS 100000
 static struct row rows[ROWS];
 
 /* The newest STATE of the session in buffer[0..*filled): 1 if there is one; an unfinished frame moves to the front. */
@@ -52,10 +52,10 @@ static int newest(uint8_t *buffer, int *filled, int session, struct state *s)
 
 int main(int count, char **arguments)
 {
-    if (count != 5)
+    if (count != 6)
         return 2;
     int descriptor = atoi(arguments[1]), session = atoi(arguments[4]), filled = 0, sequence = 0;
-    int64_t length = (int64_t)(atof(arguments[3]) * 1e9), tick = 0, before = 0;
+    int64_t length = (int64_t)(atof(arguments[3]) * 1e9), pause = atoll(arguments[5]), tick = 0, before = 0, heard;
     struct state s = {.sample = -1};
     uint8_t buffer[4096], frame[ROOM];
     double s1 = 0.0, s2 = 0.0, velocity = 0.0;
@@ -66,21 +66,27 @@ int main(int count, char **arguments)
     if (become_fifo(atoi(arguments[2])) != 0)
         return 3;
     int64_t end = now_ns() + length;
+    heard = now_ns();
     while (tick < ROWS) {
         struct pollfd p = {.fd = descriptor, .events = POLLIN};
-        struct timespec patience = {.tv_sec = 1};
+        struct timespec t = {.tv_nsec = pause};
         int64_t started = now_ns();
         if (started > end)
             break;
-        if (ppoll(&p, 1, &patience, NULL) < 1 || !(p.revents & POLLIN))
-            return 4;
+        if (ppoll(&p, 1, &t, NULL) < 1) {
+            if (started - heard > 2000000000)
+                return 4;
+            continue;
+        }
+        if (!(p.revents & POLLIN))
+            return 8;
         ssize_t got = read(descriptor, buffer + filled, sizeof buffer - filled);
         if (got <= 0)
             return 5;
         filled += (int)got;
         if (!newest(buffer, &filled, session, &s))
             continue;
-        int64_t received = now_ns();
+        int64_t received = heard = now_ns();
         double slope = (double)(s.count - before) * 1e-6 * 1e4, position = (double)s.count * 1e-6;
         before = s.count;
         velocity = 0.0036 * slope + s1;
