@@ -42,16 +42,14 @@ from rig.clock import MonotonicClock
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.devices.serial import SerialLink
 from rig.loop.host import SHORTEST_WAIT_NS, EndReason
-from rig.loop.run import LoopSettings, LoopThread
+from rig.loop.run import LoopThread
 from tests.benchmarks.realtime.workbench import (
-    CPUS, CURRENT_QUANTUM_A, FULL, PRIORITY,
-    compile_c, inherited, may_be_realtime, medians, print_table, processor_hogs, pushing_for_ever, quantiles,
-    touched_ring,
+    CPUS, FULL, PRIORITY, SESSION,
+    compile_c, inherited, loop_settings, may_be_realtime, medians, print_table, processor_hogs, pushing_for_ever,
+    quantiles, touched_ring,
 )  # fmt: skip
 
-SESSION = 9
-RATE = 20_000
-PERIOD_NS = 1_000_000_000 // RATE  # shorter than SHORTEST_WAIT_NS, which both then wait at most
+RATE = 20_000  # a period shorter than SHORTEST_WAIT_NS, so that both wait for that
 ROUNDS, SECONDS = (15, 0.5) if FULL else (5, 0.12)
 TRIES = 3
 RING_ROWS = round(SECONDS * 200_000)
@@ -164,16 +162,7 @@ class Contest:
         """Receipt times (ns) of the shipped loop."""
         self.settle()
         ring = touched_ring(RING_ROWS)
-        settings = LoopSettings(
-            period_ns=PERIOD_NS,
-            session=SESSION,
-            lifetime_us=5000,
-            lost_after_ns=2_000_000_000,
-            device_tick_ps=62_500,
-            current_quantum_a=CURRENT_QUANTUM_A,
-            wait_for_room=False,
-        )
-        loop = LoopThread(self.wire, pushing_for_ever(RATE), settings, ring)  # type: ignore[arg-type]
+        loop = LoopThread(self.wire, pushing_for_ever(RATE), loop_settings(RATE), ring)  # type: ignore[arg-type]
         with inherited(self.priority):
             loop.start()
         self.kick()

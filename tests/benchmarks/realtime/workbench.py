@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import shutil
 import statistics
@@ -13,6 +14,7 @@ import subprocess
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,13 +23,17 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.packing import type_id_of
 from rig import controller, presets
-from rig.sample import ROW
+from rig.clock import MonotonicClock
+from rig.devices.device import LoopPort
+from rig.loop.run import LoopSettings
+from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.ring import Ring
 from rig.step import TRIAL, Controller
 
 HERE = Path(__file__).parent
 FULL = os.environ.get("RIG_BENCH_FULL", "") not in ("", "0")
 PRIORITY = 80
+SESSION = 9
 CPUS = sorted(os.sched_getaffinity(0))
 LOOP_CPU = CPUS[-1]
 CURRENT_QUANTUM_A = 0.001
@@ -41,14 +47,14 @@ _DEFINES = {
 }
 
 
-def compile_c(directory: Path, name: str) -> Path:
+def compile_c(directory: Path, name: str, *options: str) -> Path:
     """Compile ``name.c`` of this directory; skips the test without a compiler."""
     compiler = shutil.which("gcc")
     if compiler is None:
-        pytest.skip("no C compiler (package gcc)")
+        pytest.skip("gcc is not installed (package gcc)")
     program = directory / name
     defines = [f"-D{key}={value}" for key, value in _DEFINES.items()]
-    options = ["-std=gnu99", "-O3", "-Wall", "-Wextra", "-Werror", *defines]
+    options = ("-std=gnu99", "-O3", "-Wall", "-Wextra", "-Werror", *defines, *options)
     subprocess.run([compiler, *options, str(HERE / f"{name}.c"), "-o", str(program)], check=True)
     return program
 
@@ -166,14 +172,69 @@ def pushing_for_ever(rate: int) -> Controller:
     return made
 
 
+def loop_settings(rate: int, **changes: Any) -> LoopSettings:
+    """What the loop is told at this rate (Hz), unless told otherwise."""
+    usual: dict[str, Any] = {
+        "period_ns": 1_000_000_000 // rate,
+        "session": SESSION,
+        "lifetime_us": 5000,
+        "lost_after_ns": 2_000_000_000,
+        "device_tick_ps": 62_500,
+        "current_quantum_a": CURRENT_QUANTUM_A,
+        "wait_for_room": False,
+    }
+    return LoopSettings(**{**usual, **changes})
+
+
+class NearLink:
+    """A link whose far end costs nothing (`near.c`): it keeps the grid of `rate` (Hz) and always has a fresh STATE."""
+
+    _FIELDS = ("origin", "period", "spin", "session", "index", "fresh", "skipped")
+
+    def __init__(self, library: Path, rate: int, spin_ns: int = 0) -> None:
+        self._library = ctypes.CDLL(str(library))
+        self._library.near_prepare()
+        self._memory = np.zeros(len(self._FIELDS), np.int64)
+        self._memory[1:4] = 1_000_000_000 // rate, spin_ns, SESSION
+
+    def port(self) -> LoopPort:
+        """As `rig.devices.device.Link` has it."""
+
+        def plug(name: str, signature: Any) -> NativeFunction:
+            address = ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value
+            assert address is not None
+            return NativeFunction(address, signature, keep=self._library)
+
+        clock = MonotonicClock()
+        return LoopPort(
+            read=plug("near_read", TRANSFER_SIGNATURE),
+            write=plug("near_write", TRANSFER_SIGNATURE),
+            wait=plug("near_wait", WAIT_SIGNATURE),
+            handle=int(self._memory.ctypes.data),
+            now=clock.now_plug,
+            clock_handle=clock.handle,
+        )
+
+    def failure(self) -> None:
+        """As `rig.devices.device.Link` has it."""
+
+    @property
+    def skipped(self) -> int:
+        """Grid points that had passed when the loop woke."""
+        return int(self._memory[6])
+
+    def lateness_ns(self, rows: np.ndarray) -> np.ndarray:
+        """How long after its grid point each row's sample was received (ns)."""
+        origin, period = self._memory[:2]
+        return rows["received_at"] - (origin + rows["sample_index"] * period)
+
+
 def touched_ring(capacity: int) -> Ring:
     """A ring whose pages are there already, so that no tick pays for one."""
     ring = Ring.allocate(capacity)
     ring.rows.view(np.uint8).reshape(-1)[:: os.sysconf("SC_PAGE_SIZE") // 2] = 1
     return ring
 
-
-ROW_BYTES = ROW.itemsize
 
 # Numbers and tables ---------------------------------------------------------------------------------------
 

@@ -1,0 +1,135 @@
+"""Wake-up latency: how late the loop starts a tick, beside cyclictest and beside a plain Python loop.
+
+The shipped loop (`rig.loop`) runs with everything it does in a tick, against a far end that costs nothing; its lateness
+is the receipt of the sample after the grid point, so the work of receiving is part of it. cyclictest runs at the same
+interval, priority and processor, with locked memory; the Python loop, which does nothing but write down the time,
+sleeps with `time.sleep`. They take turns; the medians of the rounds are shown, and the greatest latency of all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import ring as words
+from rig.loop.host import EndReason
+from rig.loop.run import LoopThread
+from tests.benchmarks.realtime.workbench import (
+    CPUS, FULL, LOOP_CPU, PRIORITY, NearLink,
+    awake, compile_c, inherited, loop_settings, may_be_realtime, medians, print_table, processor_hogs,
+    pushing_for_ever, quantiles, touched_ring,
+)  # fmt: skip
+
+RATES = (1000, 2000, 5000, 10_000) if FULL else (1000, 10_000)
+ROUNDS, SECONDS = (7, 1.0) if FULL else (3, 0.4)
+SPIN_NS = 30_000
+GOAL = 1.25  # p99 of the loop over that of cyclictest
+MOST = 3.0  # what a disturbed machine may make of it
+
+pytestmark = pytest.mark.timeout(900)
+
+
+@pytest.fixture(scope="module")
+def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not may_be_realtime():
+        pytest.skip("SCHED_FIFO is not granted here (CAP_SYS_NICE, or rtprio in limits.conf)")
+    return compile_c(tmp_path_factory.mktemp("c"), "near", "-fPIC", "-shared")
+
+
+@pytest.fixture(scope="module")
+def cyclictest() -> str:
+    found = shutil.which("cyclictest") or shutil.which("cyclictest", path="/usr/sbin:/usr/bin")
+    if found is None:
+        pytest.skip("cyclictest is not installed (package rt-tests)")
+    return found
+
+
+def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
+    """Lateness of each tick (ns)."""
+    link = NearLink(near, rate, spin_ns)
+    ring = touched_ring(round(2 * SECONDS * rate))
+    loop = LoopThread(link, pushing_for_ever(rate), loop_settings(rate), ring)  # type: ignore[arg-type]
+    with inherited(PRIORITY, LOOP_CPU):
+        loop.start()
+    time.sleep(SECONDS)
+    loop.finish()
+    assert (loop.end().reason, loop.end().error) == (EndReason.STOPPED, None)
+    return link.lateness_ns(ring.rows[: ring.get(words.HEAD)])
+
+
+def of_cyclictest(program: str, rate: int, directory: Path) -> np.ndarray:
+    """Latency of each wake-up (ns, whole µs)."""
+    results = directory / "cyclictest.json"
+    command = [program, "-m", "-q", f"-p{PRIORITY}", f"-i{1_000_000 // rate}", f"-l{round(SECONDS * rate)}", "-t1"]
+    command += [f"-a{LOOP_CPU}", "-h", "20000", f"--json={results}"]
+    subprocess.run(command, check=True, capture_output=True, timeout=60 + 10 * SECONDS)
+    thread = json.loads(results.read_text())["thread"]["0"]
+    latencies = [np.full(count, int(us)) for us, count in thread["histogram"].items()]
+    beyond = max(0, int(thread["cycles"]) - sum(map(len, latencies)))
+    return np.concatenate([*latencies, np.full(beyond, int(thread["max"]))]) * 1000
+
+
+def of_python(rate: int, _: object = None) -> np.ndarray:
+    """Lateness of each turn of a plain Python loop (ns), with the priority that such a program has: none."""
+    period = 1_000_000_000 // rate
+    late: list[int] = []
+
+    def turns() -> None:
+        now = time.monotonic_ns()
+        end, due = now + round(SECONDS * 1e9), now + period
+        while due < end:
+            time.sleep(max(0, due - now) * 1e-9)
+            now = time.monotonic_ns()
+            late.append(now - due)
+            due += period * (1 + (now - due) // period)
+
+    thread = threading.Thread(target=turns)
+    thread.start()
+    thread.join()
+    return np.array(late)
+
+
+@pytest.mark.parametrize("load", ["idle", "loaded"])
+def test_the_loop_wakes_as_cyclictest_does(near: Path, cyclictest: str, tmp_path: Path, load: str) -> None:
+    rows, ratios = [], []
+    for rate in RATES:
+        contestants: dict[str, Callable[[], np.ndarray]] = {
+            "cyclictest": lambda rate=rate: of_cyclictest(cyclictest, rate, tmp_path),
+            "rig": lambda rate=rate: of_the_loop(near, rate, 0),
+            f"rig, awake for the last {SPIN_NS // 1000} µs": lambda rate=rate: of_the_loop(near, rate, SPIN_NS),
+            "plain Python": lambda rate=rate: of_python(rate),
+        }
+        found: dict[str, list[tuple[float, ...]]] = {name: [] for name in contestants}
+        ran: dict[str, list[float]] = {name: [] for name in contestants}
+        with processor_hogs(len(CPUS) if load == "loaded" else 0), awake():
+            for number in range(ROUNDS):
+                names = list(contestants)
+                for k in range(len(names)):
+                    name = names[(number + k) % len(names)]
+                    late = contestants[name]()
+                    found[name].append(quantiles(late // 1000))
+                    ran[name].append(len(late))
+        for name, rounds in found.items():
+            *middle, _ = medians(rounds)
+            ratio = statistics.median(a[1] / max(b[1], 1.0) for a, b in zip(rounds, found["cyclictest"], strict=True))
+            if name == "rig":
+                ratios.append(ratio)
+            greatest = max(one[3] for one in rounds)
+            over = "" if name == "cyclictest" else f"{ratio:.2f}"
+            rows.append([f"{rate / 1000:g} kHz {name}", *(f"{us:.0f}" for us in (*middle, greatest)), over])
+    head = ["wake-up latency", "p50 µs", "p99", "p99.9", "max of all", "p99 / cyclictest"]
+    print_table(
+        f"{load}, SCHED_FIFO {PRIORITY} on processor {LOOP_CPU}, medians of {ROUNDS} × {SECONDS:g} s", head, rows
+    )
+    print(f"  p99 of the loop over cyclictest's: {', '.join(f'{r:.2f}' for r in ratios)} (goal {GOAL})")
+    assert statistics.median(ratios) < MOST
