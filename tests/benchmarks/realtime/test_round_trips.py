@@ -44,9 +44,20 @@ from rig.devices.serial import SerialLink
 from rig.loop.host import SHORTEST_WAIT_NS, EndReason
 from rig.loop.run import LoopThread
 from tests.benchmarks.realtime.workbench import (
-    CPUS, FULL, PRIORITY, SESSION,
-    compile_c, inherited, loop_settings, may_be_realtime, medians, print_table, processor_hogs, pushing_for_ever,
-    quantiles, touched_ring,
+    CPUS,
+    FULL,
+    PRIORITY,
+    SESSION,
+    compile_c,
+    inherited,
+    loop_settings,
+    may_be_realtime,
+    medians,
+    print_table,
+    processor_hogs,
+    pushing_for_ever,
+    quantiles,
+    touched_ring,
 )  # fmt: skip
 
 RATE = 20_000  # a period shorter than SHORTEST_WAIT_NS, so that both wait for that

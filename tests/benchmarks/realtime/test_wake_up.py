@@ -9,7 +9,6 @@ sleeps with `time.sleep`. They take turns; the medians of the rounds are shown, 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import statistics
 import subprocess
@@ -25,14 +24,28 @@ from rig import ring as words
 from rig.loop.host import EndReason
 from rig.loop.run import LoopThread
 from tests.benchmarks.realtime.workbench import (
-    CPUS, FULL, LOOP_CPU, PRIORITY, NearLink,
-    awake, compile_c, inherited, loop_settings, may_be_realtime, medians, print_table, processor_hogs,
-    pushing_for_ever, quantiles, touched_ring,
+    CPUS,
+    FULL,
+    LOOP_CPU,
+    PRIORITY,
+    NearLink,
+    awake,
+    compile_c,
+    inherited,
+    loop_settings,
+    may_be_realtime,
+    medians,
+    print_table,
+    processor_hogs,
+    pushing_for_ever,
+    quantiles,
+    touched_ring,
 )  # fmt: skip
 
 RATES = (1000, 2000, 5000, 10_000) if FULL else (1000, 10_000)
 ROUNDS, SECONDS = (7, 1.0) if FULL else (3, 0.4)
 SPIN_NS = 30_000
+SPINNING = f"rig, awake for the last {SPIN_NS // 1000} µs"
 GOAL = 1.25  # p99 of the loop over that of cyclictest
 MOST = 3.0  # what a disturbed machine may make of it
 
@@ -70,8 +83,8 @@ def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
 def of_cyclictest(program: str, rate: int, directory: Path) -> np.ndarray:
     """Latency of each wake-up (ns, whole µs)."""
     results = directory / "cyclictest.json"
-    command = [program, "-m", "-q", f"-p{PRIORITY}", f"-i{1_000_000 // rate}", f"-l{round(SECONDS * rate)}", "-t1"]
-    command += [f"-a{LOOP_CPU}", "-h", "20000", f"--json={results}"]
+    command = [program, "-m", "-q", "-t1", f"-p{PRIORITY}", f"-a{LOOP_CPU}", f"-i{1_000_000 // rate}"]
+    command += [f"-l{round(SECONDS * rate)}", "-h", "20000", f"--json={results}"]
     subprocess.run(command, check=True, capture_output=True, timeout=60 + 10 * SECONDS)
     thread = json.loads(results.read_text())["thread"]["0"]
     latencies = [np.full(count, int(us)) for us, count in thread["histogram"].items()]
@@ -79,7 +92,7 @@ def of_cyclictest(program: str, rate: int, directory: Path) -> np.ndarray:
     return np.concatenate([*latencies, np.full(beyond, int(thread["max"]))]) * 1000
 
 
-def of_python(rate: int, _: object = None) -> np.ndarray:
+def of_python(rate: int) -> np.ndarray:
     """Lateness of each turn of a plain Python loop (ns), with the priority that such a program has: none."""
     period = 1_000_000_000 // rate
     late: list[int] = []
@@ -106,11 +119,10 @@ def test_the_loop_wakes_as_cyclictest_does(near: Path, cyclictest: str, tmp_path
         contestants: dict[str, Callable[[], np.ndarray]] = {
             "cyclictest": lambda rate=rate: of_cyclictest(cyclictest, rate, tmp_path),
             "rig": lambda rate=rate: of_the_loop(near, rate, 0),
-            f"rig, awake for the last {SPIN_NS // 1000} µs": lambda rate=rate: of_the_loop(near, rate, SPIN_NS),
+            SPINNING: lambda rate=rate: of_the_loop(near, rate, SPIN_NS),
             "plain Python": lambda rate=rate: of_python(rate),
         }
         found: dict[str, list[tuple[float, ...]]] = {name: [] for name in contestants}
-        ran: dict[str, list[float]] = {name: [] for name in contestants}
         with processor_hogs(len(CPUS) if load == "loaded" else 0), awake():
             for number in range(ROUNDS):
                 names = list(contestants)
@@ -118,18 +130,17 @@ def test_the_loop_wakes_as_cyclictest_does(near: Path, cyclictest: str, tmp_path
                     name = names[(number + k) % len(names)]
                     late = contestants[name]()
                     found[name].append(quantiles(late // 1000))
-                    ran[name].append(len(late))
         for name, rounds in found.items():
             *middle, _ = medians(rounds)
-            ratio = statistics.median(a[1] / max(b[1], 1.0) for a, b in zip(rounds, found["cyclictest"], strict=True))
+            pairs = zip(rounds, found["cyclictest"], strict=True)
+            ratio = statistics.median(mine[1] / max(other[1], 1.0) for mine, other in pairs)
             if name == "rig":
                 ratios.append(ratio)
             greatest = max(one[3] for one in rounds)
             over = "" if name == "cyclictest" else f"{ratio:.2f}"
             rows.append([f"{rate / 1000:g} kHz {name}", *(f"{us:.0f}" for us in (*middle, greatest)), over])
     head = ["wake-up latency", "p50 µs", "p99", "p99.9", "max of all", "p99 / cyclictest"]
-    print_table(
-        f"{load}, SCHED_FIFO {PRIORITY} on processor {LOOP_CPU}, medians of {ROUNDS} × {SECONDS:g} s", head, rows
-    )
+    title = f"{load}, SCHED_FIFO {PRIORITY} on processor {LOOP_CPU}, medians of {ROUNDS} × {SECONDS:g} s"
+    print_table(title, head, rows)
     print(f"  p99 of the loop over cyclictest's: {', '.join(f'{r:.2f}' for r in ratios)} (goal {GOAL})")
     assert statistics.median(ratios) < MOST

@@ -224,9 +224,10 @@ class NearLink:
         return int(self._memory[6])
 
     def lateness_ns(self, rows: np.ndarray) -> np.ndarray:
-        """How long after its grid point each row's sample was received (ns)."""
+        """How long after the grid point that the loop slept for each sample was received (ns)."""
         origin, period = self._memory[:2]
-        return rows["received_at"] - (origin + rows["sample_index"] * period)
+        awaited = np.concatenate([rows["sample_index"][:1], rows["sample_index"][:-1] + 1])
+        return rows["received_at"] - (origin + awaited * period)
 
 
 def touched_ring(capacity: int) -> Ring:
