@@ -39,10 +39,10 @@ from firmware_protocol.packing import pack, unpack
 from rig import ring as words
 from rig import system
 from rig.clock import MonotonicClock
-from rig.devices.device import DeviceUrl, LoopPort
-from rig.devices.serial import SerialLink
-from rig.loop.host import SHORTEST_WAIT_NS, EndReason
-from rig.loop.run import LoopThread
+from rig.devices import open_link
+from rig.devices.device import LoopPort
+from rig.loop.host import SHORTEST_WAIT_NS
+from rig.ring import Ring
 from tests.benchmarks.realtime.workbench import (
     CPUS,
     FULL,
@@ -50,15 +50,13 @@ from tests.benchmarks.realtime.workbench import (
     SESSION,
     compile_c,
     inherited,
-    loop_settings,
     may_be_realtime,
     medians,
     print_table,
     processor_hogs,
-    pushing_for_ever,
     quantiles,
-    touched_ring,
-)  # fmt: skip
+    running_loop,
+)
 
 RATE = 20_000  # a period shorter than SHORTEST_WAIT_NS, so that both wait for that
 ROUNDS, SECONDS = (15, 0.5) if FULL else (5, 0.12)
@@ -80,24 +78,26 @@ class Wire:
     write: Callable[[bytes], object]
     read_exactly: Callable[[int], bytes]
 
+    clock = MonotonicClock()
+
     def failure(self) -> None:
         """As `rig.devices.device.Link` has it."""
 
 
 @contextlib.contextmanager
 def over_pty() -> Iterator[tuple[Wire, int]]:
-    """A pseudo-terminal, opened by pyserial as rig does."""
+    """A pseudo-terminal, opened by rig, and by plain pyserial."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     name = os.ttyname(slave)
-    port = serial.Serial(name, exclusive=True, timeout=1.0)
-    os.close(slave)
-    link = SerialLink(DeviceUrl.parse(f"serial://{name}"), port)
-    try:
-        yield Wire(port.fileno(), link.port, port.write, port.read), master
-    finally:
-        link.close()
-        os.close(master)
+    with serial.Serial(name, timeout=1.0) as plain:
+        link = open_link(f"serial://{name}")
+        os.close(slave)
+        try:
+            yield Wire(link.port().handle, link.port, plain.write, plain.read), master
+        finally:
+            link.close()
+            os.close(master)
 
 
 @contextlib.contextmanager
@@ -105,16 +105,14 @@ def over_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[W
     """Two connected sockets."""
     with ours, theirs:
         ours.settimeout(1.0)
-        clock = MonotonicClock()
 
         def port() -> LoopPort:
-            return LoopPort(
+            return LoopPort.on(
+                Wire.clock,
                 read=system.descriptor_read,
                 write=system.descriptor_write,
                 wait=system.descriptor_wait,
                 handle=ours.fileno(),
-                now=clock.now_plug,
-                clock_handle=clock.handle,
             )
 
         yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
@@ -172,16 +170,12 @@ class Contest:
     def ours(self) -> np.ndarray:
         """Receipt times (ns) of the shipped loop."""
         self.settle()
-        ring = touched_ring(RING_ROWS)
-        loop = LoopThread(self.wire, pushing_for_ever(RATE), loop_settings(RATE), ring)  # type: ignore[arg-type]
-        with inherited(self.priority):
-            loop.start()
-        self.kick()
-        time.sleep(SECONDS)
-        loop.finish()
-        end = loop.end()
-        assert (end.reason, end.error) == (EndReason.STOPPED, None)
-        assert end.counters["bad_frames"] == end.counters["unsent"] == 0
+        ring = Ring.allocate(RING_ROWS)
+        with running_loop(self.wire, RATE, ring, cpu=None) as loop:
+            self.kick()
+            time.sleep(SECONDS)
+        counters = loop.end().counters
+        assert counters["bad_frames"] == counters["unsent"] == 0
         return ring.rows["received_at"][: ring.get(words.HEAD)].copy()
 
     def c(self) -> np.ndarray:
@@ -252,9 +246,10 @@ def measured(link: str, programs: dict[str, str], priority: int) -> dict[str, li
         for number in range(ROUNDS):
             for k in range(len(names)):
                 name = names[(number + k) % len(names)]
-                times = getattr(here, name)()
-                trips = np.diff(times) * 1e-3
-                found[name].append([len(trips) / (times[-1] - times[0]) * 1e9, *quantiles(trips)])
+                trips = np.diff(getattr(here, name)()) * 1e-3
+                if len(trips) == 0:  # the machine stood still
+                    trips = np.array([SECONDS * 1e6])
+                found[name].append([1e6 * len(trips) / trips.sum(), *quantiles(trips)])
     return found
 
 

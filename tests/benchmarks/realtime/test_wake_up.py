@@ -1,17 +1,14 @@
 """Wake-up latency: how late the loop starts a tick, beside cyclictest and beside a plain Python loop.
 
-The shipped loop (`rig.loop`) runs with everything it does in a tick, against a far end that costs nothing; its lateness
-is the receipt of the sample after the grid point, so the work of receiving is part of it. cyclictest runs at the same
+The shipped loop (`rig.loop`), paced by the host, runs with everything it does in a tick, against a far end that costs
+nothing. cyclictest runs at the same
 interval, priority and processor, with locked memory; the Python loop, which does nothing but write down the time,
 sleeps with `time.sleep`. They take turns; the medians of the rounds are shown, and the greatest latency of all.
 """
 
 from __future__ import annotations
 
-import json
-import shutil
 import statistics
-import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -21,26 +18,23 @@ import numpy as np
 import pytest
 
 from rig import ring as words
-from rig.loop.host import EndReason
-from rig.loop.run import LoopThread
+from rig.ring import Ring
 from tests.benchmarks.realtime.workbench import (
     CPUS,
     FULL,
     LOOP_CPU,
     PRIORITY,
     NearLink,
-    awake,
     compile_c,
-    inherited,
-    loop_settings,
+    cyclictest_latency,
+    find_cyclictest,
     may_be_realtime,
     medians,
     print_table,
     processor_hogs,
-    pushing_for_ever,
     quantiles,
-    touched_ring,
-)  # fmt: skip
+    running_loop,
+)
 
 RATES = (1000, 2000, 5000, 10_000) if FULL else (1000, 10_000)
 ROUNDS, SECONDS = (7, 1.0) if FULL else (3, 0.4)
@@ -59,37 +53,12 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compile_c(tmp_path_factory.mktemp("c"), "near", "-fPIC", "-shared")
 
 
-@pytest.fixture(scope="module")
-def cyclictest() -> str:
-    found = shutil.which("cyclictest") or shutil.which("cyclictest", path="/usr/sbin:/usr/bin")
-    if found is None:
-        pytest.skip("cyclictest is not installed (package rt-tests)")
-    return found
-
-
 def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
-    """Lateness of each tick (ns)."""
-    link = NearLink(near, rate, spin_ns)
-    ring = touched_ring(round(2 * SECONDS * rate))
-    loop = LoopThread(link, pushing_for_ever(rate), loop_settings(rate), ring)  # type: ignore[arg-type]
-    with inherited(PRIORITY, LOOP_CPU):
-        loop.start()
-    time.sleep(SECONDS)
-    loop.finish()
-    assert (loop.end().reason, loop.end().error) == (EndReason.STOPPED, None)
-    return link.lateness_ns(ring.rows[: ring.get(words.HEAD)])
-
-
-def of_cyclictest(program: str, rate: int, directory: Path) -> np.ndarray:
-    """Latency of each wake-up (ns, whole µs)."""
-    results = directory / "cyclictest.json"
-    command = [program, "-m", "-q", "-t1", f"-p{PRIORITY}", f"-a{LOOP_CPU}", f"-i{1_000_000 // rate}"]
-    command += [f"-l{round(SECONDS * rate)}", "-h", "20000", f"--json={results}"]
-    subprocess.run(command, check=True, capture_output=True, timeout=60 + 10 * SECONDS)
-    thread = json.loads(results.read_text())["thread"]["0"]
-    latencies = [np.full(count, int(us)) for us, count in thread["histogram"].items()]
-    beyond = max(0, int(thread["cycles"]) - sum(map(len, latencies)))
-    return np.concatenate([*latencies, np.full(beyond, int(thread["max"]))]) * 1000
+    """Lateness of each tick behind the grid point that it slept for (ns)."""
+    ring = Ring.allocate(round(2 * SECONDS * rate))
+    with running_loop(NearLink(near, rate), rate, ring, host_paced=True, spin_ns=spin_ns):
+        time.sleep(SECONDS)
+    return ring.rows["lateness"][: ring.get(words.HEAD)].copy()
 
 
 def of_python(rate: int) -> np.ndarray:
@@ -113,17 +82,20 @@ def of_python(rate: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("load", ["idle", "loaded"])
-def test_the_loop_wakes_as_cyclictest_does(near: Path, cyclictest: str, tmp_path: Path, load: str) -> None:
+def test_the_loop_wakes_as_cyclictest_does(near: Path, tmp_path: Path, load: str) -> None:
+    cyclictest = find_cyclictest()
+    if cyclictest is None:
+        pytest.skip("cyclictest is not installed (package rt-tests)")
     rows, ratios = [], []
     for rate in RATES:
         contestants: dict[str, Callable[[], np.ndarray]] = {
-            "cyclictest": lambda rate=rate: of_cyclictest(cyclictest, rate, tmp_path),
+            "cyclictest": lambda rate=rate: cyclictest_latency(cyclictest, rate, SECONDS, tmp_path),
             "rig": lambda rate=rate: of_the_loop(near, rate, 0),
             SPINNING: lambda rate=rate: of_the_loop(near, rate, SPIN_NS),
             "plain Python": lambda rate=rate: of_python(rate),
         }
         found: dict[str, list[tuple[float, ...]]] = {name: [] for name in contestants}
-        with processor_hogs(len(CPUS) if load == "loaded" else 0), awake():
+        with processor_hogs(len(CPUS) if load == "loaded" else 0):
             for number in range(ROUNDS):
                 names = list(contestants)
                 for k in range(len(names)):

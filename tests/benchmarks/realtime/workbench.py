@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import json
 import os
 import shutil
 import statistics
@@ -24,10 +25,14 @@ from firmware_protocol.connection import State
 from firmware_protocol.packing import type_id_of
 from rig import controller, presets
 from rig.clock import MonotonicClock
+from rig.config.sections import Host
 from rig.devices.device import LoopPort
-from rig.loop.run import LoopSettings
+from rig.loop.layout import EndReason
+from rig.loop.run import LoopSettings, LoopThread
+from rig.loop.signals import stop_on_signals
 from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.ring import Ring
+from rig.scheduling import obtained
 from rig.step import TRIAL, Controller
 
 HERE = Path(__file__).parent
@@ -90,20 +95,6 @@ def inherited(priority: int, cpu: int | None = None) -> Iterator[None]:
     finally:
         os.sched_setscheduler(0, policy, parameter)
         os.sched_setaffinity(0, affinity)
-
-
-@contextlib.contextmanager
-def awake() -> Iterator[None]:
-    """Keep the processors out of deep sleep, as cyclictest does, if that is allowed here."""
-    descriptor = -1
-    with contextlib.suppress(OSError):
-        descriptor = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
-        os.write(descriptor, bytes(4))
-    try:
-        yield
-    finally:
-        if descriptor >= 0:
-            os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -187,15 +178,14 @@ def loop_settings(rate: int, **changes: Any) -> LoopSettings:
 
 
 class NearLink:
-    """A link whose far end costs nothing (`near.c`): it keeps the grid of `rate` (Hz) and always has a fresh STATE."""
+    """A link whose far end costs nothing (`near.c`): whenever the loop looks, there is one fresh STATE."""
 
-    _FIELDS = ("origin", "period", "spin", "session", "index", "fresh", "skipped")
+    clock = MonotonicClock()
 
-    def __init__(self, library: Path, rate: int, spin_ns: int = 0) -> None:
+    def __init__(self, library: Path, rate: int) -> None:
         self._library = ctypes.CDLL(str(library))
         self._library.near_prepare()
-        self._memory = np.zeros(len(self._FIELDS), np.int64)
-        self._memory[1:4] = 1_000_000_000 // rate, spin_ns, SESSION
+        self._memory = np.array([SESSION, 1_000_000_000 // rate, 0, 0], np.int64)
 
     def port(self) -> LoopPort:
         """As `rig.devices.device.Link` has it."""
@@ -205,36 +195,56 @@ class NearLink:
             assert address is not None
             return NativeFunction(address, signature, keep=self._library)
 
-        clock = MonotonicClock()
-        return LoopPort(
+        return LoopPort.on(
+            self.clock,
             read=plug("near_read", TRANSFER_SIGNATURE),
             write=plug("near_write", TRANSFER_SIGNATURE),
             wait=plug("near_wait", WAIT_SIGNATURE),
             handle=int(self._memory.ctypes.data),
-            now=clock.now_plug,
-            clock_handle=clock.handle,
         )
 
     def failure(self) -> None:
         """As `rig.devices.device.Link` has it."""
 
-    @property
-    def skipped(self) -> int:
-        """Grid points that had passed when the loop woke."""
-        return int(self._memory[6])
 
-    def lateness_ns(self, rows: np.ndarray) -> np.ndarray:
-        """How long after the grid point that the loop slept for each sample was received (ns)."""
-        origin, period = self._memory[:2]
-        awaited = np.concatenate([rows["sample_index"][:1], rows["sample_index"][:-1] + 1])
-        return rows["received_at"] - (origin + awaited * period)
+@contextlib.contextmanager
+def running_loop(
+    link: Any, rate: int, ring: Ring, *, cpu: int | None = LOOP_CPU, **settings: Any
+) -> Iterator[LoopThread]:
+    """Run the shipped loop until the context ends, as `rig.experiments.trial` does, scheduled as far as is granted.
+
+    It must have run without an error then, and stopped because it was told to.
+    """
+    with (
+        obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime,
+        stop_on_signals(ring) as signals,
+    ):
+        told = loop_settings(rate, wake_descriptor=signals.descriptor, **settings)
+        loop = LoopThread(link, pushing_for_ever(rate), told, ring, realtime=realtime)
+        loop.start()
+        try:
+            yield loop
+        finally:
+            loop.finish()
+    end = loop.end()
+    assert (end.reason, end.error) == (EndReason.STOPPED, None)
 
 
-def touched_ring(capacity: int) -> Ring:
-    """A ring whose pages are there already, so that no tick pays for one."""
-    ring = Ring.allocate(capacity)
-    ring.rows.view(np.uint8).reshape(-1)[:: os.sysconf("SC_PAGE_SIZE") // 2] = 1
-    return ring
+def find_cyclictest() -> str | None:
+    """Path of the program, which an ordinary user's PATH may not have."""
+    return shutil.which("cyclictest") or shutil.which("cyclictest", path="/usr/sbin:/usr/bin")
+
+
+def cyclictest_latency(program: str, rate: int, seconds: float, directory: Path) -> np.ndarray:
+    """Latency of each wake-up of cyclictest (ns, whole µs) with the loop's interval, priority and processor."""
+    results = directory / "cyclictest.json"
+    command = [program, "-m", "-q", "-t1", f"-p{PRIORITY}", f"-a{LOOP_CPU}", f"-i{1_000_000 // rate}"]
+    command += [f"-l{round(seconds * rate)}", "-h", "20000", f"--json={results}"]
+    subprocess.run(command, check=True, capture_output=True, timeout=60 + 10 * seconds)
+    thread = json.loads(results.read_text())["thread"]["0"]
+    latencies = [np.full(count, int(us)) for us, count in thread["histogram"].items()]
+    beyond = max(0, int(thread["cycles"]) - sum(map(len, latencies)))
+    return np.concatenate([*latencies, np.full(beyond, int(thread["max"]))]) * 1000
 
 
 # Numbers and tables ---------------------------------------------------------------------------------------
