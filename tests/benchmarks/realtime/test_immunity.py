@@ -2,7 +2,7 @@
 
 In the same interpreter one thread computes and never lets the GIL go by itself, another makes and collects garbage; a
 process computes on each processor. The shipped loop runs against a far end that costs nothing, with the shipped
-recorder behind it; in turns with it, under the same load, a plain Python loop that does nothing but sleep and count, and
+recorder behind it; in turns with it, under the same load, a plain Python loop that only sleeps and counts, and
 cyclictest, whose missed turns no program on this machine could have avoided.
 """
 
