@@ -34,8 +34,8 @@ import pytest
 import serial
 
 from firmware_protocol import messages as m
-from firmware_protocol.framing import FrameSplitter, encode_frame
-from firmware_protocol.packing import pack, unpack
+from firmware_protocol.framing import FrameSplitter
+from firmware_protocol.packing import unpack
 from rig import ring as words
 from rig import system
 from rig.clock import MonotonicClock
@@ -48,6 +48,7 @@ from tests.benchmarks.realtime.workbench import (
     FULL,
     PRIORITY,
     SESSION,
+    command_frame,
     compile_c,
     inherited,
     may_be_realtime,
@@ -134,12 +135,6 @@ def over_udp() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
 
 
 LINKS = {"pty": over_pty, "socket pair": over_socket_pair, "udp": over_udp}
-
-
-def command_frame(sequence: int) -> bytes:
-    """A COMMAND of zero current."""
-    command = m.Command(state_sequence=0, lifetime_us=5000, mode=m.Mode.STOP, flags=0, current=0)
-    return encode_frame(pack(command, session=SESSION, sequence=sequence))
 
 
 class Contest:

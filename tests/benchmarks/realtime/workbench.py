@@ -22,7 +22,8 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.packing import type_id_of
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.packing import pack, type_id_of
 from rig import controller, presets
 from rig.clock import MonotonicClock
 from rig.config.sections import Host
@@ -161,6 +162,12 @@ def pushing_for_ever(rate: int) -> Controller:
         made.control[name] = value
     made.memory["phase"] = TRIAL
     return made
+
+
+def command_frame(sequence: int) -> bytes:
+    """A COMMAND of zero current."""
+    command = m.Command(state_sequence=0, lifetime_us=5000, mode=m.Mode.STOP, flags=0, current=0)
+    return encode_frame(pack(command, session=SESSION, sequence=sequence))
 
 
 def loop_settings(rate: int, **changes: Any) -> LoopSettings:
