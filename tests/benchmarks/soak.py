@@ -60,6 +60,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--verified", action="store_true", help="vouch for a real rig, as rig hit --verified does"
     )
+    parser.add_argument("--effort", type=float, help="push of the trial on a device (default: the preset's)")
     parser.add_argument("--priority", type=int, default=80)
     parser.add_argument("--cpu", type=int, default=None)
     parser.add_argument("--spin-us", type=float, default=0.0)
@@ -202,12 +203,13 @@ def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
         os.close(slave)
         try:
             process.stdout.readline()
-            link.write(workbench.command_frame(0))  # tells it the session
             yield link
         finally:
             process.terminate()
-            said = json.loads(process.stdout.readline() or "{}")
-            print(f"far end: {said}")
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10.0)
+            process.kill()
+            print(f"far end: {process.stdout.readline().strip()}")
             link.close()
             os.close(master)
 
@@ -233,6 +235,8 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
         path = (options.output or directory) / f"soak-{time.time_ns()}.rigcap"
         recorder = stack.enter_context(Recorder(path, example_header(), ring))
         with workbench.running_loop(link, rate, ring, cpu=options.cpu, **settings) as loop:
+            if options.far_end == "pty":
+                link.write(workbench.command_frame(0))  # starts the device, in the session of the loop
             if options.busy:
                 stack.enter_context(workbench.processor_hogs(1))
                 stack.enter_context(workbench.interpreter_hogs())

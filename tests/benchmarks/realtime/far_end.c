@@ -1,10 +1,12 @@
 /* The far end of the benchmarks: far_end DESCRIPTOR PRIORITY RATE
 
-   RATE 0: each good COMMAND is answered by one STATE at once; else STATE goes out RATE times a second and COMMANDs are
-   only checked. SCHED_FIFO when PRIORITY is above 0. Ends at the hang-up of the line, at SIGTERM, or after an hour; then
+   RATE 0: each good COMMAND is answered by one STATE at once; else, from the first COMMAND on, STATE goes out RATE times a
+   second, from a thread of its own (reading from a terminal waits for a kernel thread of ordinary priority), and COMMANDs are only checked. SCHED_FIFO when PRIORITY is above 0. Ends at the hang-up of the line, at SIGTERM, or after an hour; then
    it prints the good and bad frames, the COMMANDs that were not STOP, and the STATEs that the line did not take. */
 #define _GNU_SOURCE
 #include <errno.h>
+#include <fcntl.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdlib.h>
 #include <sys/prctl.h>
@@ -19,9 +21,11 @@ static void end(int number)
 }
 
 struct device {
-    int descriptor, session, sequence, command_sequence, current;
+    int descriptor, priority, sequence;
+    _Atomic int session, command_sequence, current; /* of the newest COMMAND */
     uint32_t sample;
-    int64_t started, good, bad, active, untaken;
+    _Atomic int64_t good;
+    int64_t started, period, bad, active, untaken, passed;
 };
 
 static void send_state(struct device *d)
@@ -56,12 +60,35 @@ static void take(struct device *d, const uint8_t *frame, int size, int answer)
         send_state(d);
 }
 
+static void *tick(void *argument)
+{
+    struct device *d = argument;
+    while (!ended && d->good == 0)
+        usleep(1000);
+    int64_t next = now_ns();
+    become_fifo(d->priority);
+    while (!ended) {
+        next += d->period;
+        struct timespec t = {.tv_sec = next / 1000000000, .tv_nsec = next % 1000000000};
+        clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL);
+        int64_t passed = (now_ns() - next) / d->period; /* samples of which nobody is told */
+        d->sample += (uint32_t)passed;
+        d->passed += passed;
+        next += passed * d->period;
+        send_state(d);
+    }
+    return NULL;
+}
+
 int main(int count, char **arguments)
 {
     if (count != 4)
         return 2;
-    struct device d = {.descriptor = atoi(arguments[1]), .session = 1, .started = now_ns()};
-    int64_t rate = atoll(arguments[3]), period = rate ? 1000000000 / rate : 0, next = now_ns() + period;
+    struct device d = {.descriptor = atoi(arguments[1]), .priority = atoi(arguments[2]), .session = 1};
+    int64_t rate = atoll(arguments[3]);
+    d.period = rate ? 1000000000 / rate : 0;
+    d.started = now_ns();
+    pthread_t ticking;
     uint8_t buffer[4096];
     int filled = 0;
     struct sigaction action = {.sa_handler = end};
@@ -69,15 +96,15 @@ int main(int count, char **arguments)
     signal(SIGINT, SIG_IGN);
     prctl(PR_SET_PDEATHSIG, SIGTERM);
     alarm(3600);
+    fcntl(d.descriptor, F_SETFL, fcntl(d.descriptor, F_GETFL) | O_NONBLOCK); /* a tick never waits for a reader */
     crc_prepare();
-    if (become_fifo(atoi(arguments[2])) != 0)
+    if (become_fifo(d.priority) != 0 || (rate && pthread_create(&ticking, NULL, tick, &d) != 0))
         return 3;
     puts("ready");
     fflush(stdout);
     while (!ended) {
         struct pollfd p = {.fd = d.descriptor, .events = POLLIN};
-        int64_t pause = period ? next - now_ns() : 100000000;
-        struct timespec t = {.tv_sec = 0, .tv_nsec = pause > 0 ? pause : 0};
+        struct timespec t = {.tv_nsec = 100000000};
         int ready = ppoll(&p, 1, &t, NULL);
         if (ready > 0) {
             ssize_t got = p.revents & POLLIN ? read(d.descriptor, buffer + filled, sizeof buffer - filled) : 0;
@@ -90,7 +117,7 @@ int main(int count, char **arguments)
             for (int i = filled - (int)got; i < filled; i++)
                 if (buffer[i] == 0) {
                     if (i > start)
-                        take(&d, buffer + start, i - start, period == 0);
+                        take(&d, buffer + start, i - start, rate == 0);
                     start = i + 1;
                 }
             filled -= start;
@@ -98,14 +125,12 @@ int main(int count, char **arguments)
             if (filled == sizeof buffer)
                 filled = 0;
         }
-        if (period && now_ns() >= next) {
-            int64_t passed = (now_ns() - next) / period; /* samples of which nobody is told */
-            d.sample += (uint32_t)passed;
-            next += (1 + passed) * period;
-            send_state(&d);
-        }
     }
-    printf("{\"good\": %lld, \"bad\": %lld, \"active\": %lld, \"states\": %lld, \"untaken\": %lld}\n", (long long)d.good,
-        (long long)d.bad, (long long)d.active, (long long)d.sample, (long long)d.untaken);
+    ended = 1;
+    if (rate)
+        pthread_join(ticking, NULL);
+    printf("{\"good\": %lld, \"bad\": %lld, \"active\": %lld, \"states\": %lld, \"passed\": %lld, \"untaken\": %lld}\n",
+        (long long)d.good, (long long)d.bad, (long long)d.active, (long long)(d.sample - d.passed), (long long)d.passed,
+        (long long)d.untaken);
     return 0;
 }

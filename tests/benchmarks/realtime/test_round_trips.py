@@ -220,8 +220,10 @@ def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Cont
                 yield Contest(wire, programs["client"], priority)
             finally:
                 process.terminate()
-                counts = json.loads(process.stdout.readline() or "{}")
-                process.wait(WAIT_S)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(WAIT_S)
+                process.kill()
+                counts = json.loads(process.stdout.readline())
         assert counts["good"] > 0
         assert counts["bad"] == counts["untaken"] == 0
 

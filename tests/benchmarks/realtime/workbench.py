@@ -60,7 +60,7 @@ def compile_c(directory: Path, name: str, *options: str) -> Path:
         pytest.skip("gcc is not installed (package gcc)")
     program = directory / name
     defines = [f"-D{key}={value}" for key, value in _DEFINES.items()]
-    options = ("-std=gnu99", "-O3", "-Wall", "-Wextra", "-Werror", *defines, *options)
+    options = ("-std=gnu99", "-O3", "-Wall", "-Wextra", "-Werror", "-pthread", *defines, *options)
     subprocess.run([compiler, *options, str(HERE / f"{name}.c"), "-o", str(program)], check=True)
     return program
 
