@@ -288,6 +288,10 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
             looked[0] = time.monotonic()
             watch.look(rings[0])
 
+    def watched(repeat: int, in_effect: Any) -> Any:
+        found["rate"] = in_effect.controller.position_rate
+        return progress
+
     looked = [0.0]
     request = HitRequest(
         experiment=experiment,
@@ -297,9 +301,9 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
         verified=options.verified,
         output=options.output or directory,
     )
-    found: dict[str, Any] = {"end": "FINISHED", "rate": experiment.controller.position_rate}
+    found: dict[str, Any] = {"end": "FINISHED"}
     try:
-        for result in hit(request, lambda repeat, experiment: progress):
+        for result in hit(request, watched):
             found["verdict"] = result.verdict.kind
     except RigError as error:
         found |= {"end": type(error).__name__, "error": str(error)}

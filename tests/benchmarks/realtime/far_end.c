@@ -1,8 +1,10 @@
 /* The far end of the benchmarks: far_end DESCRIPTOR PRIORITY RATE
 
-   RATE 0: each good COMMAND is answered by one STATE at once; else, from the first COMMAND on, STATE goes out RATE times a
-   second, from a thread of its own (reading from a terminal waits for a kernel thread of ordinary priority), and COMMANDs are only checked. SCHED_FIFO when PRIORITY is above 0. Ends at the hang-up of the line, at SIGTERM, or after an hour; then
-   it prints the good and bad frames, the COMMANDs that were not STOP, and the STATEs that the line did not take. */
+   RATE 0: each good COMMAND is answered by one STATE at once. Else, from the first COMMAND on, STATE goes out RATE times
+   a second, from a thread of its own (reading from a terminal waits for a kernel thread of ordinary priority), and
+   COMMANDs are only checked. SCHED_FIFO when PRIORITY is above 0. Ends at the hang-up of the line or at SIGTERM, and
+   then prints the good and bad frames, the COMMANDs that were not STOP, the STATEs sent, the samples that passed because
+   it woke late, and the STATEs that the line did not take. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
