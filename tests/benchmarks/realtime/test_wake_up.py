@@ -37,7 +37,7 @@ from tests.benchmarks.realtime.workbench import (
 )
 
 RATES = (1000, 2000, 5000, 10_000) if FULL else (1000, 10_000)
-ROUNDS, SECONDS = (7, 1.0) if FULL else (3, 0.4)
+ROUNDS, SECONDS = (7, 1.0) if FULL else (3, 0.3)
 SPIN_NS = 30_000
 SPINNING = f"rig, awake for the last {SPIN_NS // 1000} µs"
 GOAL = 1.25  # p99 of the loop over that of cyclictest
