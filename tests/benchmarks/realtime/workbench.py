@@ -1,0 +1,283 @@
+"""What the benchmarks of this directory share: C beside Python, real-time priority, load, controllers, tables.
+
+`RIG_BENCH_FULL=1` measures longer and more cases; otherwise everything here together takes about a minute.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.packing import pack, type_id_of
+from rig import controller, presets
+from rig.clock import MonotonicClock
+from rig.config.sections import Host
+from rig.devices.device import LoopPort
+from rig.loop.layout import EndReason
+from rig.loop.run import LoopSettings, LoopThread
+from rig.loop.signals import stop_on_signals
+from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.ring import Ring
+from rig.scheduling import obtained
+from rig.step import TRIAL, Controller
+
+HERE = Path(__file__).parent
+FULL = os.environ.get("RIG_BENCH_FULL", "") not in ("", "0")
+PRIORITY = 80
+SESSION = 9
+CPUS = sorted(os.sched_getaffinity(0))
+LOOP_CPU = CPUS[-1]
+CURRENT_QUANTUM_A = 0.001
+FOR_EVER = 1 << 40
+
+_DEFINES = {
+    "MAJOR": m.MAJOR,
+    "COMMAND_TYPE": type_id_of(m.Command),
+    "STATE_TYPE": type_id_of(m.State),
+    "STATE_RUNNING": int(State.RUNNING),
+}
+
+
+def compile_c(directory: Path, name: str, *options: str) -> Path:
+    """Compile ``name.c`` of this directory; skips the test without a compiler."""
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("gcc is not installed (package gcc)")
+    program = directory / name
+    defines = [f"-D{key}={value}" for key, value in _DEFINES.items()]
+    options = ("-std=gnu99", "-O3", "-Wall", "-Wextra", "-Werror", "-pthread", *defines, *options)
+    subprocess.run([compiler, *options, str(HERE / f"{name}.c"), "-o", str(program)], check=True)
+    return program
+
+
+# Privileges and load --------------------------------------------------------------------------------------
+
+
+def may_be_realtime() -> bool:
+    """Whether SCHED_FIFO is granted here; asked in a thread of its own, which ends with it."""
+    granted: list[bool] = []
+
+    def ask() -> None:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            granted.append(True)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    return bool(granted)
+
+
+@contextlib.contextmanager
+def inherited(priority: int, cpu: int | None = None) -> Iterator[None]:
+    """Give threads that are started meanwhile a SCHED_FIFO priority (0: none) and a processor (None: any)."""
+    policy, parameter, affinity = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+    try:
+        if cpu is not None:
+            os.sched_setaffinity(0, {cpu})
+        if priority > 0:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameter)
+        os.sched_setaffinity(0, affinity)
+
+
+@contextlib.contextmanager
+def processor_hogs(count: int) -> Iterator[None]:
+    """Run that many processes that do nothing but compute; they end with the context."""
+    script = "while kill -0 $PPID 2> /dev/null; do i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; done"
+    hogs = [subprocess.Popen(["sh", "-c", script]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for hog in hogs:
+            hog.kill()
+        for hog in hogs:
+            hog.wait()
+
+
+@contextlib.contextmanager
+def interpreter_hogs() -> Iterator[None]:
+    """Two threads in this interpreter: one never lets the GIL go by itself, one makes and collects garbage."""
+    stopped = False
+
+    def compute() -> None:
+        number = 0
+        while not stopped:
+            number = (number * 1103515245 + 12345) & 0x7FFFFFFF
+
+    def litter() -> None:
+        import gc  # noqa: PLC0415
+
+        while not stopped:
+            rings = [[] for _ in range(2000)]  # type: list[list[object]]
+            for ring in rings:
+                ring.append(ring)
+            del rings
+            gc.collect()
+
+    threads = [threading.Thread(target=target) for target in (compute, litter)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        stopped = True
+        for thread in threads:
+            thread.join()
+
+
+# What the loop runs ---------------------------------------------------------------------------------------
+
+
+def pushing_for_ever(rate: int) -> Controller:
+    """The compliant rig's wall in the middle of a trial that has neither end nor limits of place and speed."""
+    experiment = presets.load("koul-compliant")
+    made = controller.for_experiment(experiment, current_quantum_a=CURRENT_QUANTUM_A)
+    wanted = {
+        "tick_s": 1.0 / rate,
+        "trial_ticks": FOR_EVER,
+        "release_ticks": 1,
+        "window_minimum": -np.inf,
+        "window_maximum": np.inf,
+        "speed_limit": np.inf,
+    }
+    for name, value in wanted.items():
+        made.control[name] = value
+    made.memory["phase"] = TRIAL
+    return made
+
+
+def command_frame(sequence: int) -> bytes:
+    """A COMMAND of zero current."""
+    command = m.Command(state_sequence=0, lifetime_us=5000, mode=m.Mode.STOP, flags=0, current=0)
+    return encode_frame(pack(command, session=SESSION, sequence=sequence))
+
+
+def loop_settings(rate: int, **changes: Any) -> LoopSettings:
+    """What the loop is told at this rate (Hz), unless told otherwise."""
+    usual: dict[str, Any] = {
+        "period_ns": 1_000_000_000 // rate,
+        "session": SESSION,
+        "lifetime_us": 5000,
+        "lost_after_ns": 2_000_000_000,
+        "device_tick_ps": 62_500,
+        "current_quantum_a": CURRENT_QUANTUM_A,
+        "wait_for_room": False,
+    }
+    return LoopSettings(**{**usual, **changes})
+
+
+class NearLink:
+    """A link whose far end costs nothing (`near.c`): whenever the loop looks, there is one fresh STATE."""
+
+    clock = MonotonicClock()
+
+    def __init__(self, library: Path, rate: int) -> None:
+        self._library = ctypes.CDLL(str(library))
+        self._library.near_prepare()
+        self._memory = np.array([SESSION, 1_000_000_000 // rate, 0, 0], np.int64)
+
+    def port(self) -> LoopPort:
+        """As `rig.devices.device.Link` has it."""
+
+        def plug(name: str, signature: Any) -> NativeFunction:
+            address = ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value
+            assert address is not None
+            return NativeFunction(address, signature, keep=self._library)
+
+        return LoopPort.on(
+            self.clock,
+            read=plug("near_read", TRANSFER_SIGNATURE),
+            write=plug("near_write", TRANSFER_SIGNATURE),
+            wait=plug("near_wait", WAIT_SIGNATURE),
+            handle=int(self._memory.ctypes.data),
+        )
+
+    def failure(self) -> None:
+        """As `rig.devices.device.Link` has it."""
+
+
+@contextlib.contextmanager
+def running_loop(
+    link: Any, rate: int, ring: Ring, *, cpu: int | None = LOOP_CPU, **settings: Any
+) -> Iterator[LoopThread]:
+    """Run the shipped loop until the context ends, as `rig.experiments.trial` does, scheduled as far as is granted.
+
+    It must have run without an error then, and stopped because it was told to.
+    """
+    with (
+        obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime,
+        stop_on_signals(ring) as signals,
+    ):
+        told = loop_settings(rate, wake_descriptor=signals.descriptor, **settings)
+        loop = LoopThread(link, pushing_for_ever(rate), told, ring, realtime=realtime)
+        loop.start()
+        try:
+            yield loop
+        finally:
+            loop.finish()
+    end = loop.end()
+    assert (end.reason, end.error) == (EndReason.STOPPED, None)
+
+
+def find_cyclictest() -> str | None:
+    """Path of the program, which an ordinary user's PATH may not have."""
+    return shutil.which("cyclictest") or shutil.which("cyclictest", path="/usr/sbin:/usr/bin")
+
+
+def cyclictest_latency(program: str, rate: int, seconds: float, directory: Path) -> np.ndarray:
+    """Latency of each wake-up of cyclictest (ns, whole µs) with the loop's interval, priority and processor."""
+    results = directory / "cyclictest.json"
+    command = [program, "-m", "-q", "-t1", f"-p{PRIORITY}", f"-a{LOOP_CPU}", f"-i{1_000_000 // rate}"]
+    command += [f"-l{round(seconds * rate)}", "-h", "20000", f"--json={results}"]
+    subprocess.run(command, check=True, capture_output=True, timeout=60 + 10 * seconds)
+    thread = json.loads(results.read_text())["thread"]["0"]
+    latencies = [np.full(count, int(us)) for us, count in thread["histogram"].items()]
+    beyond = max(0, int(thread["cycles"]) - sum(map(len, latencies)))
+    return np.concatenate([*latencies, np.full(beyond, int(thread["max"]))]) * 1000
+
+
+# Numbers and tables ---------------------------------------------------------------------------------------
+
+
+def quantiles(values: np.ndarray) -> tuple[float, float, float, float]:
+    """p50, p99, p99.9 and the greatest."""
+    p50, p99, p999 = np.quantile(values, (0.5, 0.99, 0.999), method="higher")
+    return float(p50), float(p99), float(p999), float(np.max(values))
+
+
+def medians(rounds: Sequence[Sequence[float]]) -> list[float]:
+    """Median of each column over the rounds."""
+    return [statistics.median(column) for column in zip(*rounds, strict=True)]
+
+
+def load_note() -> str:
+    """How busy the machine was: only ratios inside one table mean anything."""
+    return f"load average {os.getloadavg()[0]:.1f}, {len(CPUS)} processors"
+
+
+def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print aligned columns; the first is text."""
+    cells = [list(map(str, head)), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
+    print(f"\n{title} ({load_note()})")
+    for row in cells:
+        first, rest = row[0].ljust(widths[0]), zip(row[1:], widths[1:], strict=True)
+        print("  " + "  ".join([first, *(cell.rjust(width) for cell, width in rest)]))

@@ -1,0 +1,349 @@
+"""The loop for as long as one likes, with its recorder, and every minute what it lost and how late it was.
+
+    python tests/benchmarks/soak.py --minutes 10                          2 kHz over a pseudo-terminal
+    python tests/benchmarks/soak.py --far-end near --busy --stall 1.0     its own grid, GIL hogs, a disk that stalls
+    python tests/benchmarks/soak.py --url sim://                          a simulated rig in real time
+    python tests/benchmarks/soak.py --url serial:///dev/ttyACM0 --verified
+
+Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate, or,
+with ``--far-end near``, a function in the loop's own thread. With one, one long hit runs on that device,
+under its limits and with everything that `rig hit` has around it. The last line is one JSON object; the exit code is 0
+when the loop ran to the end and the recorder lost no row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tty
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for tests.*
+
+LOOK_S = 0.5
+MINUTE_S = 60.0
+RING_SECONDS = 5.0
+COLUMNS = (
+    "minute", "ticks", "lost", "skipped", "overruns", "late", "stale", "bad", "dropped",
+    "p50 µs", "p99", "p99.9", "max", "ring %", "RSS MB", "CPU %",
+)  # fmt: skip
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line says."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument(
+        "--rate", type=int, help="ticks a second (default: 2000, near 10000, on a device the preset's)"
+    )
+    parser.add_argument("--pacing", choices=("device", "host"), default="device")
+    parser.add_argument(
+        "--far-end", choices=("pty", "near"), default="pty", help="near implies --pacing host"
+    )
+    parser.add_argument("--url", help="a device; sim:// starts one behind a pseudo-terminal")
+    parser.add_argument("--preset", default="koul-compliant", help="experiment for a device")
+    parser.add_argument(
+        "--verified", action="store_true", help="vouch for a real rig, as rig hit --verified does"
+    )
+    parser.add_argument("--effort", type=float, help="push of the trial on a device (default: the preset's)")
+    parser.add_argument("--priority", type=int, default=80)
+    parser.add_argument("--cpu", type=int, default=None)
+    parser.add_argument("--spin-us", type=float, default=0.0)
+    parser.add_argument(
+        "--busy", action="store_true", help="a GIL hog, a garbage maker and a CPU hog beside it"
+    )
+    parser.add_argument(
+        "--stall", type=float, default=0.0, help="seconds that the disk stalls in every minute"
+    )
+    parser.add_argument("--output", type=Path, help="directory of the recording, which is kept then")
+    return parser.parse_args()
+
+
+# The disk ---------------------------------------------------------------------------------------------------
+
+
+class Disk:
+    """Lets the recorder's writes wait: stands in for write and fdatasync before any compiled code is linked to them."""
+
+    def __init__(self, directory: Path) -> None:
+        import llvmlite.binding  # noqa: PLC0415
+
+        source, library = Path(__file__).with_name("realtime") / "stall.c", directory / "stall.so"
+        options = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
+        subprocess.run(["gcc", *options, str(source), "-o", str(library)], check=True)
+        self._library = ctypes.CDLL(str(library))
+        for name in ("write", "fdatasync"):
+            address = ctypes.cast(getattr(self._library, f"stalling_{name}"), ctypes.c_void_p).value
+            llvmlite.binding.add_symbol(name, address)
+
+    def stall(self, descriptor: int, seconds: float) -> None:
+        """Hold what is written to a descriptor from now on for some time."""
+        ctypes.c_int64.in_dll(self._library, "stall_descriptor").value = descriptor
+        ctypes.c_int64.in_dll(self._library, "stall_until").value = time.monotonic_ns() + round(seconds * 1e9)
+
+
+# What is watched --------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Watch:
+    """Reads ring and process while the loop runs, and says once a minute what it saw."""
+
+    late: list[np.ndarray] = field(default_factory=list)
+    all_late: np.ndarray = field(
+        default_factory=lambda: np.zeros(1_000_001, np.int64)
+    )  # by whole µs; the last: more
+    minutes: list[dict[str, float]] = field(default_factory=list)
+    totals: dict[str, Any] = field(default_factory=dict)
+    seen: int = 0
+    unseen: int = 0
+    fullest: int = 0
+    before: dict[str, int] = field(default_factory=dict)
+    started: float = field(default_factory=time.monotonic)
+    cpu: float = field(default_factory=time.process_time)
+    minute_at: float = field(default_factory=time.monotonic)
+
+    def look(self, ring: Any, *, last: bool = False) -> None:
+        """Take the lateness of the rows since the last look; print a line when a minute is over, or at the end."""
+        from rig import ring as words  # noqa: PLC0415
+
+        head = ring.get(words.HEAD)
+        backlog = head - ring.get(words.TAIL)
+        self.fullest = max(self.fullest, backlog)
+        first = max(self.seen, head - ring.capacity * 9 // 10)  # older ones may be overwritten meanwhile
+        self.unseen += first - self.seen
+        if head > first:
+            self.late.append(ring.rows["lateness"][np.arange(first, head) % ring.capacity] // 1000)
+        self.seen = head
+        if not last and time.monotonic() - self.minute_at < MINUTE_S:
+            return
+        self._minute(ring)
+        if last:
+            self.totals = self._summary(ring)
+
+    def _minute(self, ring: Any) -> None:
+        from rig.loop.run import COUNTERS  # noqa: PLC0415
+
+        now, cpu = time.monotonic(), time.process_time()
+        counters = {name: ring.get(word) for name, word in COUNTERS.items()}
+        since = {name: value - self.before.get(name, 0) for name, value in counters.items()}
+        late = np.concatenate(self.late) if self.late else np.zeros(1, np.int64)
+        self.all_late += np.bincount(np.clip(late, 0, len(self.all_late) - 1), minlength=len(self.all_late))
+        line = {"minute": (now - self.started) / MINUTE_S}
+        line |= {name: since[name] for name in ("ticks", "lost", "skipped", "overruns", "late", "stale")}
+        line |= {"bad": since["bad_frames"], "dropped": since["rows_dropped"]}
+        quantiles = np.quantile(late, (0.5, 0.99, 0.999, 1.0), method="higher")
+        line |= dict(zip(("p50 µs", "p99", "p99.9", "max"), map(float, quantiles), strict=True))
+        line |= {"ring %": 100.0 * self.fullest / ring.capacity, "RSS MB": resident_mb()}
+        line["CPU %"] = 100.0 * (cpu - self.cpu) / max(now - self.minute_at, 1e-3)
+        if not self.minutes:
+            print("  ".join(name.rjust(8) for name in COLUMNS))
+        shown = [f"{line['minute']:.1f}", *(f"{line[name]:.0f}" for name in COLUMNS[1:])]
+        print("  ".join(text.rjust(8) for text in shown))
+        sys.stdout.flush()
+        self.minutes.append(line)
+        self.late, self.before, self.cpu, self.minute_at, self.fullest = [], counters, cpu, now, 0
+
+    def _summary(self, ring: Any) -> dict[str, Any]:
+        """The whole run in numbers."""
+        from rig.loop.run import COUNTERS  # noqa: PLC0415
+
+        total = np.cumsum(self.all_late)
+        places = np.searchsorted(total, np.array([0.5, 0.99, 0.999]) * total[-1])
+        return {
+            "minutes": round((time.monotonic() - self.started) / MINUTE_S, 3),
+            **{name: ring.get(word) for name, word in COUNTERS.items()},
+            **dict(zip(("late_p50_us", "late_p99_us", "late_p999_us"), map(int, places), strict=True)),
+            "late_max_us": int(np.flatnonzero(self.all_late)[-1]) if total[-1] else 0,
+            "rows_not_looked_at": self.unseen,
+            "rss_mb": [round(line["RSS MB"], 1) for line in (self.minutes[0], self.minutes[-1])],
+            "cpu_percent": round(float(np.mean([line["CPU %"] for line in self.minutes])), 1),
+            "ring_fullest_percent": round(max(line["ring %"] for line in self.minutes), 1),
+        }
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in RAM (MB)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+# Far ends ---------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
+    """The C far end on a pseudo-terminal, opened as rig opens ports."""
+    from rig.devices import open_link  # noqa: PLC0415
+    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
+
+    program = workbench.compile_c(directory, "far_end")
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    priority = workbench.PRIORITY if workbench.may_be_realtime() else 0
+    command = [str(program), str(master), str(priority), str(rate)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[master], text=True) as process:
+        assert process.stdout is not None
+        link = open_link(f"serial://{os.ttyname(slave)}")
+        os.close(slave)
+        try:
+            process.stdout.readline()
+            yield link
+        finally:
+            process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10.0)
+            process.kill()
+            print(f"far end: {process.stdout.readline().strip()}")
+            link.close()
+            os.close(master)
+
+
+def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: Disk | None) -> dict[str, Any]:
+    """The loop over a far end of the benchmarks."""
+    from rig import ring as words  # noqa: PLC0415
+    from rig.recording.recorder import Recorder  # noqa: PLC0415
+    from rig.ring import Ring  # noqa: PLC0415
+    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
+    from tests.conformance.recording import example_header  # noqa: PLC0415
+
+    rate = options.rate or (10_000 if options.far_end == "near" else 2000)
+    host_paced = options.pacing == "host" or options.far_end == "near"
+    settings = {"host_paced": host_paced, "spin_ns": round(options.spin_us * 1e3)}
+    ring = Ring.allocate(round(RING_SECONDS * rate))
+    with contextlib.ExitStack() as stack:
+        if options.far_end == "near":
+            library = workbench.compile_c(directory, "near", "-fPIC", "-shared")
+            link: Any = workbench.NearLink(library, rate)
+        else:
+            link = stack.enter_context(behind_a_pty(directory, rate))
+        path = (options.output or directory) / f"soak-{time.time_ns()}.rigcap"
+        recorder = stack.enter_context(Recorder(path, example_header(), ring))
+        with workbench.running_loop(link, rate, ring, cpu=options.cpu, **settings) as loop:
+            if options.far_end == "pty":
+                link.write(workbench.command_frame(0))  # starts the device, in the session of the loop
+            if options.busy:
+                stack.enter_context(workbench.processor_hogs(1))
+                stack.enter_context(workbench.interpreter_hogs())
+            watch.started = watch.minute_at = time.monotonic()
+            watch.cpu = time.process_time()
+            end = watch.started + options.minutes * MINUTE_S
+            stall_at = watch.started + min(MINUTE_S, options.minutes * MINUTE_S) / 2
+            while time.monotonic() < end and not ring.get(words.LOOP_DONE):
+                time.sleep(min(LOOK_S, max(0.0, end - time.monotonic())))
+                if disk is not None and time.monotonic() > stall_at:
+                    disk.stall(recorder._descriptor, options.stall)
+                    stall_at += MINUTE_S
+                watch.look(ring)
+        watch.look(ring, last=True)
+        end_of_loop = loop.end()
+        trailer = recorder.finish({"reason": end_of_loop.reason.name.lower()}, timeout_s=60.0)
+    found = {"end": end_of_loop.reason.name, "rate": rate, "rows": trailer["recorder"]["rows"]}
+    found |= {"rows_lost": end_of_loop.counters["ticks"] - found["rows"], "file_bytes": path.stat().st_size}
+    if options.output is None:
+        path.unlink()
+    return found
+
+
+def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
+    """One long hit on a device, simulated in real time or real."""
+    from rig import config, presets  # noqa: PLC0415
+    from rig.errors import RigError  # noqa: PLC0415
+    from rig.experiments.hit import HitRequest, hit  # noqa: PLC0415
+
+    changes: dict[str, Any] = {
+        "trial.duration_s": options.minutes * MINUTE_S,
+        "host.pacing": options.pacing,
+        "host.priority": options.priority,
+        "host.spin_s": options.spin_us * 1e-6,
+    }
+    if options.cpu is not None:
+        changes["host.cpu"] = options.cpu
+    if options.effort is not None:
+        changes |= {"trial.effort": options.effort, "trial.minimum_rest_counts": 0.0}
+    if options.rate is not None:
+        changes |= {"controller.position_rate": options.rate, "controller.velocity_rate": options.rate}
+    experiment = config.override(presets.load(options.preset), changes)
+    rings: list[Any] = []
+
+    def progress(ticks: int, phase: int) -> None:
+        if not rings:
+            rings.append(own_ring())
+        if time.monotonic() > looked[0] + LOOK_S:
+            looked[0] = time.monotonic()
+            watch.look(rings[0])
+
+    def watched(repeat: int, in_effect: Any) -> Any:
+        found["rate"] = in_effect.controller.position_rate
+        return progress
+
+    looked = [0.0]
+    request = HitRequest(
+        experiment=experiment,
+        url=options.url,
+        changes=changes,
+        realtime=True,
+        verified=options.verified,
+        output=options.output or directory,
+    )
+    found: dict[str, Any] = {"end": "FINISHED"}
+    try:
+        for result in hit(request, watched):
+            found["verdict"] = result.verdict.kind
+    except RigError as error:
+        found |= {"end": type(error).__name__, "error": str(error)}
+    if rings:
+        watch.look(rings[0], last=True)
+        found["rows_lost"] = watch.before["rows_dropped"]
+        rings[0].close()
+    return found
+
+
+def own_ring() -> Any:
+    """The block that the trial of this process shares with others."""
+    from rig.ring import LINK, Ring  # noqa: PLC0415
+
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if os.readlink(entry) == LINK:
+                return Ring.attach(str(entry))
+    raise LookupError("no ring here")
+
+
+def main() -> int:
+    """Run, print, and say whether nothing was lost."""
+    options = arguments()
+    if shutil.which("gcc") is None and options.url is None:
+        print("gcc is not installed (package gcc): the far end is in C. Or give --url", file=sys.stderr)
+        return 2
+    watch = Watch()
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        disk = Disk(directory) if options.stall > 0.0 else None
+        if options.url is None:
+            found = free_run(options, directory, watch, disk)
+        else:
+            found = device_run(options, directory, watch)
+    said = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
+    summary = {"asked": said, **found, **watch.totals}
+    print(json.dumps(summary))
+    return 0 if found["end"] in ("STOPPED", "FINISHED") and found.get("rows_lost") == 0 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
