@@ -112,7 +112,8 @@ class Gate:
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     """Judge one experiment on one measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
-    delay, travel_s = measurement.delay_ticks(rate), measurement.travel.almost_all
+    delay = measurement.delay_ticks(rate, experiment.host.pacing)
+    travel_s = measurement.travel.almost_all
     lifetime_s = command_lifetime_s(experiment)
     reasons: list[Reason] = []
     notes: list[str] = []

@@ -18,7 +18,7 @@ from rig.errors import ConfigError
 from rig.model import Operator
 from rig.operators import GRIPS
 from rig.schemes import Scheme
-from rig.theory import Lifted, NotLinearError, linear_loop
+from rig.theory import Lifted, LinearLoop, NotLinearError, linear_loop
 from rig.theory.loop import NO_OPERATOR
 
 LARGEST_DELAY = 40  # ticks: whatever is later than that has lost its command's lifetime long before
@@ -55,7 +55,7 @@ class LateLoops:
 
     experiment: Experiment
     stand_in: str
-    _schemes: tuple[Scheme, ...]
+    _free: tuple[tuple[Scheme, LinearLoop], ...]  # in no hand, for each velocity rate
 
     @classmethod
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
@@ -76,14 +76,16 @@ class LateLoops:
             )
         late = late_by(experiment, delay_ticks)
         schemes, reason = _linear_schemes(late)
-        return cls(late, reason, schemes)
+        free = tuple((scheme, linear_loop(late, scheme, operator=NO_OPERATOR)) for scheme in schemes)
+        return cls(late, reason, free)
 
     @cached_property
     def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
         """Loops for each hand, one for each velocity rate."""
         return {
             name: tuple(
-                Lifted.of(linear_loop(self.experiment, scheme, operator=hand)) for scheme in self._schemes
+                Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
+                for scheme, free in self._free
             )
             for name, hand in hands_of(self.experiment).items()
         }
@@ -104,7 +106,7 @@ def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
     # at the slow rate the same coefficients run more rarely: without settings a cut-off keeps its share of the rate
     schemes = [own, *(replace(own, velocity_rate=rate, parameters={}) for rate in rates[1:])]
     try:
-        linear_loop(experiment, own)
+        linear_loop(experiment, own, operator=NO_OPERATOR)
     except NotLinearError as error:
         usual = [replace(scheme, estimator=STAND_IN, parameters=_cutoff_of(scheme)) for scheme in schemes]
         return tuple(usual), f"{own.estimator} is not linear ({error.reason}): {STAND_IN} stands in for it"

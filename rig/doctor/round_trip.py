@@ -103,12 +103,15 @@ class LinkMeasurement:
         """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time."""
         return 1.0 / self.travel.almost_all if self.travel.almost_all > 0.0 else math.inf
 
-    def delay_ticks(self, rate: float) -> int:
+    def delay_ticks(self, rate: float, pacing: str = "device") -> int:
         """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases: one at least in real time.
 
-        A command that arrives in the course of a tick is in force from the next one on, hence whole ticks.
+        A command that arrives in the course of a tick is in force from the next one on, hence whole ticks. A loop that
+        the host paces lets a sample wait for its own tick, one more at most.
         """
-        return 0 if self.virtual else max(1, math.ceil(self.travel.almost_all * rate))
+        if self.virtual:
+            return 0
+        return max(1, math.ceil(self.travel.almost_all * rate)) + (1 if pacing == "host" else 0)
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON; without the single exchanges."""

@@ -131,7 +131,8 @@ def supported_walls(
     for rate, scheme in wanted:
         if progress is not None:
             progress(len(rows) / len(wanted))
-        rows.append(_row(experiment, scheme, rate.because, measurement.delay_ticks(rate.hertz)))
+        delay = measurement.delay_ticks(rate.hertz, experiment.host.pacing)
+        rows.append(_row(experiment, scheme, rate.because, delay))
     if progress is not None:
         progress(1.0)
     return rows

@@ -123,9 +123,16 @@ def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
 
 
 def linear_loop(
-    rig: RigLike | Subject, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
+    rig: RigLike | Subject,
+    scheme: SchemeLike | None = None,
+    *,
+    operator: str | Operator | None = None,
+    estimator: Realisation | None = None,
 ) -> LinearLoop:
     """Matrices of a rig under a scheme; None for the experiment's own scheme.
+
+    `estimator` is its realisation where that is known already, from another hand on the same rig under the same scheme:
+    finding it takes longer than everything else here.
 
     Raises
     ------
@@ -145,9 +152,8 @@ def linear_loop(
     return LinearLoop(
         subject=subject,
         controller=controller,
-        estimator=realise(
-            controller.estimator, controller.parameters, 1.0 / controller.velocity_rate, resolution
-        ),
+        estimator=estimator
+        or realise(controller.estimator, controller.parameters, 1.0 / controller.velocity_rate, resolution),
         phi=phi,
         gamma=gamma,
         sensed=continuous.sensed_position,

@@ -55,6 +55,7 @@ def link(travel_s=30e-6, *, number=4000, lost=0, sent=4000, capacity=None, simul
 def test_delay_is_the_ticks_that_the_way_takes_and_one_at_least():
     assert [link(30e-6).delay_ticks(rate) for rate in (1000, 20_000, 33_000, 34_000)] == [1, 1, 1, 2]
     assert link(0.0, virtual=True).delay_ticks(20_000) == 0
+    assert link(30e-6).delay_ticks(20_000, "host") == 2  # a sample waits for the host's own tick
     assert link(1e-3).loop_rate_hz == pytest.approx(1000.0)
 
 
@@ -87,6 +88,13 @@ def test_the_radius_is_the_theorys_own_in_every_hand(delay):
     unstable = max(found.spectral_radius.values()) >= 1.0
     assert unstable is (delay >= 3)  # as the preset's text says: a softer wall, one or two ticks late
     assert any("unstable" in reason.text for reason in found.reasons) is unstable
+
+
+def test_a_loop_that_the_host_paces_is_judged_one_tick_later():
+    paced = config.override(CALM, {"host.pacing": "host"})
+    one, two = gate(paced, link(0.5e-3)), gate(CALM, link(1.5e-3))
+    assert one.delay_ticks == two.delay_ticks == 2
+    assert one.spectral_radius == pytest.approx(two.spectral_radius)
 
 
 def test_a_calm_wall_on_a_quick_link_is_armed():
