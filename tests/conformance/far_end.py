@@ -8,6 +8,7 @@ A far end differs from another by its port alone (`PORTS`): everything else here
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import multiprocessing
 import os
@@ -296,6 +297,11 @@ class HostProcess:
         )
         self.process.start()
         sender.close()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal, unless the process has ended by itself."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process.pid, number)
 
     def ended(self) -> str:
         """Wait for the end: the class of its error, "" without one, "killed" when it said nothing."""
