@@ -20,7 +20,7 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, State
 from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
-from firmware_protocol.faults import Status
+from firmware_protocol.faults import Fault, Status
 from firmware_protocol.packing import type_id_of, unpack_fault_entries
 from firmware_protocol.parameters import ParameterError, Value, block_crc, decode_block, encode_block
 from firmware_protocol.transfer import PageReader, set_parameters
@@ -120,8 +120,8 @@ class FramedDevice:
         Raises
         ------
         DeviceRefusedError
-            A value that the device does not take; nothing has changed then. Or a real device that has restarted since
-            it was met: it counts from another zero, and says so by having forgotten what it was told.
+            A value that the device does not take; nothing has changed then. Or a real device that has restarted or
+            lost counts since this session began: its zero is another one.
         """
         self._make_configurable()
         before, self._crc = self._crc, None
@@ -147,17 +147,22 @@ class FramedDevice:
         met_real = self._dictionary is not None and not self._dictionary.simulated
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # tells the state, and leaves BOOT
         if met_real and self._has_forgotten(about):
-            raise DeviceRefusedError(
-                f"the device at {self.link.url.text} has restarted in mid-session and counts from another zero",
-                remedy="check its power and cable, put the handle at position zero, and start the command again",
-                status=Status.NOT_HOMED,
-            )
+            raise self._zero_lost("has restarted")
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
             self._dictionary = self.identify()
         if self.connection.state == State.FAULT:
             self.cleared_fault = self.fault_report()
+            if met_real and self._crc is not None and self.cleared_fault.code == Fault.ENCODER:
+                raise self._zero_lost("has lost counts")
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
+
+    def _zero_lost(self, how: str) -> DeviceRefusedError:
+        return DeviceRefusedError(
+            f"the device at {self.link.url.text} {how} in mid-session: position zero is not where it was",
+            remedy="check its power and cables, put the handle at position zero, and start the command again",
+            status=Status.NOT_HOMED,
+        )
 
     def _has_forgotten(self, about: m.Identity) -> bool:
         """Whether the device has restarted since we met it, or another host has configured it since we did."""

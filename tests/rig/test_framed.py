@@ -468,6 +468,18 @@ def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_wi
     )  # a session of its own begins with its own zero
 
 
+def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real):
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    simulated.inject_fault(Fault.ENCODER)
+    wire.link.elapse(0.01)
+    with pytest.raises(DeviceRefusedError, match="lost counts"):
+        device.configure(RUN_PARAMETERS)
+    heir = FramedDevice(wire.link)  # reads its own zero, and so may clear the fault
+    heir.configure(RUN_PARAMETERS)
+    assert heir.cleared_fault.code == Fault.ENCODER
+
+
 def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real):
     simulated, _, device = make()
     device.count()
