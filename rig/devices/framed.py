@@ -32,6 +32,7 @@ STOP_FRAMES = 5
 EXCHANGES = 8  # of the clock, when nobody says how many
 GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
 COUNT_TIMEOUT_S = 0.5
+FAULT_LOG_S = 2.0
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
 
@@ -282,14 +283,19 @@ class FramedDevice:
         return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
 
     def fault_report(self) -> FaultReport:
-        """Read the latched fault and the device's ring of ticks before it."""
+        """Read the latched fault and the device's ring of ticks before it, as much as comes in `FAULT_LOG_S`.
+
+        The ring is eighty questions long: on a computer that is too busy, which is what many faults come from, they
+        would take longer than a person waits.
+        """
         entries: list[dict[str, int]] = []
+        deadline = self.link.clock.now_ns() + round(FAULT_LOG_S * 1e9)
         while True:
             reply = self._ask(m.GetFaultLog(self._next_nonce(), len(entries)), m.FaultLog)
             with self._understood():
                 page = [asdict(entry) for entry in unpack_fault_entries(reply.data)]
             entries += page
-            if not page or len(entries) >= reply.total:
+            if not page or len(entries) >= reply.total or self.link.clock.now_ns() > deadline:
                 break
         time_ns = round(reply.device_time * self.dictionary.time_unit_ns)
         said = self.explain_fault(reply.fault)

@@ -31,7 +31,7 @@ from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.real_time import Port, RealTime, sleep_until
 
-WAIT_S = 20.0  # for anything at all, on a loaded machine
+WAIT_S = 30.0  # for anything at all, on a loaded machine
 LONGEST_LIFE_S = 90.0  # of a device process whose test has died
 FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
 
