@@ -20,7 +20,7 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, State
 from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
-from firmware_protocol.faults import Status
+from firmware_protocol.faults import Fault, Status
 from firmware_protocol.packing import type_id_of, unpack_fault_entries
 from firmware_protocol.parameters import ParameterError, Value, block_crc, decode_block, encode_block
 from firmware_protocol.transfer import PageReader, set_parameters
@@ -32,6 +32,7 @@ STOP_FRAMES = 5
 EXCHANGES = 8  # of the clock, when nobody says how many
 GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
 COUNT_TIMEOUT_S = 0.5
+FAULT_LOG_S = 2.0
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
 
@@ -120,8 +121,8 @@ class FramedDevice:
         Raises
         ------
         DeviceRefusedError
-            A value that the device does not take; nothing has changed then. Or a real device that has restarted since
-            it was met: it counts from another zero, and says so by having forgotten what it was told.
+            A value that the device does not take; nothing has changed then. Or a real device that has restarted or
+            lost counts since this session began: its zero is another one.
         """
         self._make_configurable()
         before, self._crc = self._crc, None
@@ -147,17 +148,22 @@ class FramedDevice:
         met_real = self._dictionary is not None and not self._dictionary.simulated
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # tells the state, and leaves BOOT
         if met_real and self._has_forgotten(about):
-            raise DeviceRefusedError(
-                f"the device at {self.link.url.text} has restarted in mid-session and counts from another zero",
-                remedy="check its power and cable, put the handle at position zero, and start the command again",
-                status=Status.NOT_HOMED,
-            )
+            raise self._zero_lost("has restarted")
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
             self._dictionary = self.identify()
         if self.connection.state == State.FAULT:
             self.cleared_fault = self.fault_report()
+            if met_real and self._crc is not None and self.cleared_fault.code == Fault.ENCODER:
+                raise self._zero_lost("has lost counts")
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
+
+    def _zero_lost(self, how: str) -> DeviceRefusedError:
+        return DeviceRefusedError(
+            f"the device at {self.link.url.text} {how} in mid-session: position zero is not where it was",
+            remedy="check its power and cables, put the handle at position zero, and start the command again",
+            status=Status.NOT_HOMED,
+        )
 
     def _has_forgotten(self, about: m.Identity) -> bool:
         """Whether the device has restarted since we met it, or another host has configured it since we did."""
@@ -277,14 +283,19 @@ class FramedDevice:
         return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
 
     def fault_report(self) -> FaultReport:
-        """Read the latched fault and the device's ring of ticks before it."""
+        """Read the latched fault and the device's ring of ticks before it, as much as comes in `FAULT_LOG_S`.
+
+        The ring is eighty questions long: on a computer that is too busy, which is what many faults come from, they
+        would take longer than a person waits.
+        """
         entries: list[dict[str, int]] = []
+        deadline = self.link.clock.now_ns() + round(FAULT_LOG_S * 1e9)
         while True:
             reply = self._ask(m.GetFaultLog(self._next_nonce(), len(entries)), m.FaultLog)
             with self._understood():
                 page = [asdict(entry) for entry in unpack_fault_entries(reply.data)]
             entries += page
-            if not page or len(entries) >= reply.total:
+            if not page or len(entries) >= reply.total or self.link.clock.now_ns() > deadline:
                 break
         time_ns = round(reply.device_time * self.dictionary.time_unit_ns)
         said = self.explain_fault(reply.fault)

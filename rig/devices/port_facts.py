@@ -64,13 +64,13 @@ class PortFacts:
         return {**asdict(self), "by_id": list(self.by_id)}
 
     def problems(self) -> list[str]:
-        """Return one sentence for each thing that costs time or safety, with the command that mends it."""
+        """Return what costs time or safety, each as ``what is wrong. Mend it with: command``."""
         found = []
         if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
             found.append(
-                f"{self.port}: the FTDI adapter keeps bytes back for up to {self.latency_timer_ms} ms. Mend it with: "
-                f"echo {LONGEST_LATENCY_MS} | sudo tee {latency_timer_path(self.device)} "
-                "(for good: rig doctor --print-udev)"
+                f"{self.port}: the FTDI adapter keeps bytes back for up to {self.latency_timer_ms} ms (for good: rig "
+                "doctor --print-udev). Mend it with: "
+                f"echo {LONGEST_LATENCY_MS} | sudo tee {latency_timer_path(self.device)}"
             )
         elif self.low_latency is False and self.driver is not None and self.driver.startswith("serial"):
             found.append(
@@ -79,8 +79,8 @@ class PortFacts:
             )
         if self.exclusive is False and not is_pseudo(self.device):
             found.append(
-                f"{self.port}: other programs can open the port and take bytes away. "
-                f"See who does with: fuser -v {self.device}"
+                f"{self.port}: other programs can open the port and take bytes away; close those that are named. "
+                f"Mend it with: fuser -v {self.device}"
             )
         if self.hangs_up:
             found.append(

@@ -185,7 +185,8 @@ def _receive(
         SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE, FLOATS, INTS, FLOATS, FLOATS, FLOATS,
         types.uintp, types.uintp, ROWS_TYPE, BYTES, BYTES, BYTES, INTS, INTS, INTS, INTS, INTS, INTS, INT_ROWS,
         FLOATS, FLOAT_ROWS, PROGRESS_TYPE,
-    )
+    ),
+    borrow=True,  # a law that raises leaves without giving back what was counted: arrays would stay for good
 )  # fmt: skip
 def run(
     read: Any, write: Any, wait: Any, now: Any, sleep: Any, estimator: Any, law: Any, link: int, clock: int,

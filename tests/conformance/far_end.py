@@ -8,6 +8,7 @@ A far end differs from another by its port alone (`PORTS`): everything else here
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import multiprocessing
 import os
@@ -30,7 +31,7 @@ from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.real_time import Port, RealTime, sleep_until
 
-WAIT_S = 20.0  # for anything at all, on a loaded machine
+WAIT_S = 30.0  # for anything at all, on a loaded machine
 LONGEST_LIFE_S = 90.0  # of a device process whose test has died
 FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
 
@@ -296,6 +297,11 @@ class HostProcess:
         )
         self.process.start()
         sender.close()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal, unless the process has ended by itself."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process.pid, number)
 
     def ended(self) -> str:
         """Wait for the end: the class of its error, "" without one, "killed" when it said nothing."""

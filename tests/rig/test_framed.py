@@ -18,7 +18,7 @@ from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, type_id_of, unpack
 from rig.devices.device import DeviceUrl
-from rig.devices.framed import STOP_FRAMES, FramedDevice
+from rig.devices.framed import FAULT_LOG_S, STOP_FRAMES, FramedDevice
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
@@ -468,6 +468,18 @@ def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_wi
     )  # a session of its own begins with its own zero
 
 
+def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real):
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    simulated.inject_fault(Fault.ENCODER)
+    wire.link.elapse(0.01)
+    with pytest.raises(DeviceRefusedError, match="lost counts"):
+        device.configure(RUN_PARAMETERS)
+    heir = FramedDevice(wire.link)  # reads its own zero, and so may clear the fault
+    heir.configure(RUN_PARAMETERS)
+    assert heir.cleared_fault.code == Fault.ENCODER
+
+
 def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real):
     simulated, _, device = make()
     device.count()
@@ -673,6 +685,34 @@ def test_the_fault_report_pages_through_the_whole_ring_of_ticks():
     pages = [message for message in wire.messages() if isinstance(message, m.GetFaultLog)]
     assert len(pages) > 10
     assert report.device_time_ns == pytest.approx(simulated.time_ns, abs=2_000_000)
+
+
+def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever():
+    """Every answer comes at the last moment: what came in time is the report, its oldest ticks first."""
+    simulated, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    wire.link.elapse(0.5)
+    simulated.inject_fault(Fault.ENCODER)
+    device.link = Slow(wire, 0.1)
+    before = wire.clock.now_ns()
+    report = device.fault_report()
+    assert FAULT_LOG_S <= (wire.clock.now_ns() - before) * 1e-9 <= FAULT_LOG_S + 0.2
+    assert report.name == "ENCODER"
+    assert 0 < len(report.entries) < 256
+    indices = [entry["sample_index"] for entry in report.entries]
+    assert indices == list(range(indices[0], indices[0] + len(indices)))
+
+
+class Slow(Wire):
+    """A link on which every write takes a while."""
+
+    def __init__(self, link, takes_s):
+        super().__init__(link)
+        self._takes_ns = round(takes_s * 1e9)
+
+    def write(self, data):
+        self.clock.sleep_until(self.clock.now_ns() + self._takes_ns)
+        super().write(data)
 
 
 def test_a_report_without_a_fault_says_so():

@@ -5,7 +5,6 @@ that says so, every wait is bounded by seconds, the device ends without current 
 reads, and what the line lost is counted.
 """
 
-import os
 import resource
 import signal
 import time
@@ -307,10 +306,10 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number, far_end, t
         device.wait_for(
             lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
         )
-        os.kill(host.process.pid, number)
+        host.send(number)
         device.wait_for_rest()
         if number == signal.SIGSTOP:
-            os.kill(host.process.pid, signal.SIGCONT)
+            host.send(signal.SIGCONT)
         said = host.ended()
     finally:
         host.close()
@@ -331,9 +330,12 @@ def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end, tmp_p
     """A limit on the size of files stands for it: the same path, with EFBIG for ENOSPC."""
     device = far_end()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))
+
+    def fill_the_disk(ticks, phase):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))
+
     try:
-        run = Run(device, tmp_path)
+        run = Run(device, tmp_path, progress=fill_the_disk)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert isinstance(run.error, RecordingError | LinkLostError)

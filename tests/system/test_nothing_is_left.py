@@ -279,7 +279,7 @@ def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number
                 lambda: grown(tmp_path) or command.poll() is not None, lambda: "the trial does not begin"
             )
             assert len(marked(mark)) >= 2 or command.poll() is not None, "host and device at least"
-            command.send_signal(number)
+            command.send_signal(number)  # nothing, when it has ended by itself
             command.wait(WAIT_S)
         finally:
             command.kill()
