@@ -7,7 +7,6 @@ is a daemon: if Python dies, it dies too, and the device's watchdog takes the ef
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import threading
 import time
@@ -221,7 +220,6 @@ class LoopThread:
             self._error = error
             self.ring.put(words.END_REASON, EndReason.LAW_RAISED)
         finally:
-            self._memory = None
             self.ring.put(words.LOOP_DONE, 1)
             self._ended.set()
 
@@ -232,7 +230,7 @@ class LoopThread:
             *(port.read, port.write, port.wait, port.now, port.sleep),
             *(estimator, law, port.handle, port.clock_handle),
             *(self._settings.as_array(), *self._controller.arguments()),
-            *(self.ring.words.ctypes.data, self._mailbox(), _unowned(self.ring.rows)),
+            *(self.ring.words.ctypes.data, self._mailbox(), self.ring.rows),
             *self._arrays(),
         )
 
@@ -242,13 +240,3 @@ class LoopThread:
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return tuple(getattr(self._buffers, field.name) for field in fields(Buffers))
-
-
-def _unowned(array: NDArray[Any]) -> NDArray[Any]:
-    """The same memory as an array that does not hold it.
-
-    An exception that leaves compiled code leaves a reference to each array argument behind, and with it an
-    open shared memory: the loop gets one that owns nothing.
-    """
-    kind = ctypes.c_uint8 * array.nbytes
-    return np.asarray(kind.from_address(array.ctypes.data)).view(array.dtype)

@@ -77,9 +77,13 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
         experiment = config.override(EXPERIMENT, {**CHANGES, **rates})
         with open_device(url) as device:
             request = TrialRequest(
-                experiment=experiment, recording=output / f"struck-{len(list(output.iterdir()))}.rigcap", verified=True, seed=0,
-                progress=progress, sealed=False,
-            )  # fmt: skip
+                experiment=experiment,
+                recording=output / f"struck-{len(list(output.iterdir()))}.rigcap",
+                verified=True,
+                seed=0,
+                progress=progress,
+                sealed=False,
+            )
             return run_trial(device, request).recording
 
     return _ended(run)
