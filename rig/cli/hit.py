@@ -81,6 +81,8 @@ def hit(
         from rig.experiments import hit as hits  # noqa: PLC0415
 
         load_backend(url or "sim://")
+        if realtime or not (url or "sim:").startswith("sim:"):
+            import rig.doctor.gate  # noqa: PLC0415, F401  (compiled before a device waits for it)
     request = hits.HitRequest(
         experiment=experiment,
         url=url,
@@ -88,6 +90,7 @@ def hit(
         realtime=realtime,
         verified=verified,
         arm_anyway=arm_anyway,
+        measuring=output.measuring_link(quiet=as_json),
         output=directory,
     )
     done: list[dict[str, Any]] = []

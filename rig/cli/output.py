@@ -255,6 +255,18 @@ class ProgressBars:
         return told
 
 
+def measuring_link(quiet: bool) -> Callable[[float], None] | None:
+    """What shows how far the measurement of a link is, on a terminal only; it takes its line away at the end."""
+    if quiet or not _on_terminal():
+        return None
+
+    def told(share: float) -> None:
+        text = f"measuring the link … {100 * share:.0f} %" if share < 1.0 else ""
+        click.echo(f"\r\033[K{text}", nl=False, err=True)
+
+    return told
+
+
 def _on_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 

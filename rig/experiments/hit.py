@@ -55,6 +55,8 @@ class HitRequest:
         Count at position zero of a real rig. None: its handle is at zero now.
     arm_anyway
         Arm a wall that the link, as measured, makes dangerous (`rig.doctor.gate`); it is said and recorded.
+    measuring
+        Told, while the link is measured before arming, the share of that which is done.
     """
 
     experiment: Experiment
@@ -67,6 +69,7 @@ class HitRequest:
     device: FramedDevice | None = None
     reference_count: int | None = None
     arm_anyway: bool = False
+    measuring: Callable[[float], None] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +175,7 @@ def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
         return None
     from rig.doctor.gate import check_armable  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
 
-    return check_armable(device, experiment, anyway=request.arm_anyway)
+    return check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
 
 
 def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitResult:
