@@ -89,8 +89,8 @@ def test_an_unknown_scheme_is_refused_with_the_known_ones():
 
 def test_a_third_party_adds_a_scheme(plugins, third_party):
     plugins(Point("zusb", "third_party_rig:open_link"), Point("can", "third_party_rig:open_link", None))
-    assert [backend.scheme for backend in devices.backends()] == ["sim", "serial", "can", "zusb"]
-    assert [backend.distribution for backend in devices.backends()][2:] == ["?", "third-party"]
+    assert [backend.scheme for backend in devices.backends()] == ["sim", "serial", "usb", "can", "zusb"]
+    assert [backend.distribution for backend in devices.backends()][3:] == ["?", "third-party"]
     model = rotary_rig()
     url, given = devices.open_link("zusb://1:2?speed=high", model)
     assert (url.place, dict(url.options), given) == ("1:2", {"speed": "high"}, model)
@@ -118,7 +118,7 @@ def test_a_backend_that_does_not_load_is_named_with_its_distribution(
 
 def test_listing_loads_no_backend(plugins):
     plugins(Point("can", "no_such_module_here:open_link"))
-    assert len(devices.backends()) == 3
+    assert len(devices.backends()) == 4
 
 
 # ---------------------------------------------------------------------- what is simulated

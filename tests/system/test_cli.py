@@ -214,7 +214,7 @@ REFUSED = [
     (["hit", "--rig", "koul-complaint"], 2, "koul-compliant"),
     (["hit", "--url", "serial:///dev/nothere"], 3, "no port /dev/nothere"),
     (["hit", "--url", "serial://"], 2, "no port"),
-    (["hit", "--url", "usb://1:2"], 2, "no backend for usb://"),
+    (["hit", "--url", "can://1:2"], 2, "no backend for can://"),
     (["hit", "--url", "sim://?colour=blue"], 2, "colour"),
     (["hit", "--url", "nonsense"], 2, "no scheme"),
     (["hit", "--estimator", "fdm-butterwort"], 2, "fdm-butterworth"),
