@@ -75,11 +75,16 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
     def run() -> Path:
         rates = dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), RATE)
         experiment = config.override(EXPERIMENT, {**CHANGES, **rates})
+        recording = output / f"struck-{len(list(output.iterdir()))}.rigcap"
         with open_device(url) as device:
             request = TrialRequest(
-                experiment=experiment, recording=output / f"struck-{len(list(output.iterdir()))}.rigcap", verified=True, seed=0,
-                progress=progress, sealed=False,
-            )  # fmt: skip
+                experiment=experiment,
+                recording=recording,
+                verified=True,
+                seed=0,
+                progress=progress,
+                sealed=False,
+            )
             return run_trial(device, request).recording
 
     return _ended(run)
