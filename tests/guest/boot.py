@@ -25,6 +25,8 @@ from tests.guest.absent import GuestAbsentError
 ROOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
 EMULATOR = "qemu-system-x86_64"
 BUSYBOX = "/bin/busybox"
+UDEV = "/lib/systemd/systemd-udevd"
+TOOLS = {EMULATOR: "qemu-system-x86", BUSYBOX: "busybox-static", UDEV: "udev"}
 MEMORY_MB = 3072
 PROCESSORS = 2
 WATCHDOG_S = 240.0
@@ -81,9 +83,7 @@ def run_in_guest(
     GuestAbsentError
         This machine cannot have a guest: a package, the kernel or the architecture is missing.
     """
-    for tool, package in ((EMULATOR, "qemu-system-x86"), (BUSYBOX, "busybox-static")):
-        if shutil.which(tool) is None:
-            raise GuestAbsentError(f"{tool} is not installed (package {package})")
+    check_tools()
     kernel = kernel_files.unpacked_kernel(cache)
     files = kernel_files.with_dependencies(kernel, (*ROOT_MODULES, *modules))
     with tempfile.TemporaryDirectory(prefix="guest-") as temporary:
@@ -97,6 +97,13 @@ def run_in_guest(
         timed_out = _emulate(_command(kernel.image, first, place), watchdog_s)
         wall_s = time.monotonic() - started
         return GuestEnd(_status(place / "status"), timed_out, wall_s)
+
+
+def check_tools() -> None:
+    """Raise `GuestAbsentError` when a program is missing, here or in the guest, which has this machine's files."""
+    for tool, package in TOOLS.items():
+        if shutil.which(tool) is None:
+            raise GuestAbsentError(f"{tool} is not installed (package {package})")
 
 
 def _command(image: Path, first: Path, share: Path) -> list[str]:

@@ -75,10 +75,15 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
     def run() -> Path:
         rates = dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), RATE)
         experiment = config.override(EXPERIMENT, {**CHANGES, **rates})
+        recording = output / f"struck-{len(list(output.iterdir()))}.rigcap"
         with open_device(url) as device:
             request = TrialRequest(
                 experiment=experiment,
+<<<<<<< HEAD
                 recording=output / f"struck-{len(list(output.iterdir()))}.rigcap",
+=======
+                recording=recording,
+>>>>>>> h/guest
                 verified=True,
                 seed=0,
                 progress=progress,

@@ -15,7 +15,8 @@ import time
 from pathlib import Path
 
 from tests.guest.absent import GuestAbsentError
-from tests.guest.boot import WATCHDOG_S, run_in_guest
+from tests.guest.boot import UDEV, WATCHDOG_S, check_tools, run_in_guest
+from tests.guest.kernel_files import unpacked_kernel
 
 HERE = Path(__file__).resolve().parents[2]
 MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm")
@@ -30,7 +31,6 @@ HIT_STATUSES = (
     10,
 )  # on a busy machine it may lose its device or its handle: what counts is that it compiled
 TEST_TIMEOUT_S = 150
-UDEV = "/lib/systemd/systemd-udevd"
 
 
 def main() -> int:
@@ -39,8 +39,8 @@ def main() -> int:
     kernels = cache / "kernels"
     started = time.monotonic()
     try:
-        if not Path(UDEV).exists():
-            raise GuestAbsentError(f"{UDEV} is not installed (package udev)")
+        check_tools()
+        unpacked_kernel(cache)
         _prepare(kernels)
         prepared = time.monotonic()
         watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 
 import pytest
 import serial
+from click.testing import CliRunner
 from serial.tools import list_ports
 
+from rig.cli.devices import devices
 from rig.devices import open_device
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import available_ports, open_link
@@ -62,6 +65,12 @@ def test_the_port_is_listed_with_its_maker_and_number(plugged):
     assert (found.vid, found.pid, found.serial_number) == (gadget.VENDOR, gadget.PRODUCT, "acm-1")
     assert found.manufacturer == "haptic-rig"
     assert PORT in dict(available_ports())
+
+
+def test_rig_devices_names_it(plugged):
+    done = CliRunner().invoke(devices, ["--json"])
+    assert done.exit_code == 0, done.output
+    assert PORT in {port["port"] for port in json.loads(done.stdout)["ports"]}
 
 
 def test_pyserial_says_several_things_of_a_pulled_plug(plugged):
