@@ -79,11 +79,7 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
         with open_device(url) as device:
             request = TrialRequest(
                 experiment=experiment,
-<<<<<<< HEAD
-                recording=output / f"struck-{len(list(output.iterdir()))}.rigcap",
-=======
                 recording=recording,
->>>>>>> h/guest
                 verified=True,
                 seed=0,
                 progress=progress,
