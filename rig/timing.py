@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.clock_fit import ClockFit
+from rig.quantiles import quantile_ranks
 from rig.sample import RowFlag
 
 NEEDED = (
@@ -283,26 +284,6 @@ def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSumma
     )
 
 
-def quantile_ranks(ticks: int, share: float) -> tuple[int, int | None, int | None]:
-    """Ranks (from 1) of a sample quantile and of the order statistics that bound the true one at `CONFIDENCE`.
-
-    The ticks below the true quantile are binomial. A bound that would lie outside the sample is None.
-    """
-    rank = max(1, int(np.ceil(share * ticks - 1e-9)))
-    centre, spread = share * ticks, np.sqrt(ticks * share * (1.0 - share))
-    first = max(0, int(centre - 10.0 * spread - 10.0))
-    last = min(ticks, int(centre + 10.0 * spread + 10.0))
-    number = np.arange(first, last)
-    ratios = np.log((ticks - number) / (number + 1.0) * (share / (1.0 - share)))
-    logarithms = np.concatenate([[0.0], np.cumsum(ratios)])
-    weights = np.exp(logarithms - logarithms.max())
-    below = np.cumsum(weights) / weights.sum()  # P(at most first + i ticks lie below)
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = first + int(np.searchsorted(below, tail, side="right"))  # P(fewer than low) ≤ tail
-    high = first + int(np.searchsorted(below, 1.0 - tail)) + 1  # P(high or more) ≤ tail
-    return rank, low if low >= 1 else None, high if high <= ticks else None
-
-
 def _column(rows: NDArray[np.void], name: str) -> _Ints:
     return np.ascontiguousarray(rows[name], np.int64)
 
@@ -357,7 +338,7 @@ def _summary(values: _Ints, known: _Mask) -> Stage | None:
 
 
 def _quantile(found: _Ints, share: float) -> Quantile:
-    rank, low, high = quantile_ranks(len(found), share)
+    rank, low, high = quantile_ranks(len(found), share, 0.5 * (1.0 + CONFIDENCE))
     return Quantile(
         value=int(found[rank - 1]),
         low=None if low is None else int(found[low - 1]),

@@ -1,12 +1,7 @@
-"""Quantiles of a sample with bounds that hold for any distribution.
-
-The r-th smallest of N independent values lies above the q-quantile of their distribution unless r of them lie below it,
-and how many do is binomial. So an order statistic is a bound of known confidence, whatever the distribution: no tail is
-fitted. With too few values there is none: of a p99.9 an upper bound at 95 % needs 2995 of them. What N values do bound
-is said then.
+"""Quantiles of a sample with bounds that hold for any distribution (`rig.quantiles`).
 
 Round trips come in bursts, so that they are not quite independent: a measurement that lasts longer is worth more than
-one that asks faster.
+one that asks faster. With too few values for a bound, it is said which quantile they do bound.
 """
 
 from __future__ import annotations
@@ -17,6 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from rig.quantiles import quantile_ranks
 
 CONFIDENCE = 0.95  # of each bound by itself
 
@@ -78,18 +75,12 @@ class Distribution:
 
 def quantile(ordered: ArrayLike, q: float, confidence: float = CONFIDENCE) -> Quantile:
     """Quantile `q` of ascending values, the least that a share q does not exceed, with its bounds."""
-    from scipy.special import betainc  # noqa: PLC0415
-
     x = np.asarray(ordered, dtype=np.float64)
-    n = len(x)
-    rank = np.arange(n, dtype=np.float64)
-    at_most = betainc(n - rank, rank + 1.0, 1.0 - q)  # P(no more than so many of n lie below the quantile)
-    above = np.flatnonzero(at_most >= confidence)
-    below = np.flatnonzero(1.0 - at_most >= confidence)
+    rank, low, high = quantile_ranks(len(x), q, confidence)
     return Quantile(
-        value=float(x[max(0, math.ceil(q * n * (1.0 - 1e-12)) - 1)]),
-        low=float(x[below[-1]]) if len(below) else None,
-        high=float(x[above[0]]) if len(above) else None,
+        value=float(x[rank - 1]),
+        low=None if low is None else float(x[low - 1]),
+        high=None if high is None else float(x[high - 1]),
     )
 
 

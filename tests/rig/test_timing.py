@@ -25,7 +25,6 @@ from rig.timing import (
     WRAP_NS,
     device_times,
     ledger,
-    quantile_ranks,
     summarise,
 )
 
@@ -246,42 +245,6 @@ def test_edges_are_a_tenth_of_a_decade_apart_and_whole():
     assert EDGES_NS[0] == LOWEST_NS
     assert EDGES_NS[-1] == 10**10
     assert np.log10(EDGES_NS[1:] / EDGES_NS[:-1]) == pytest.approx(0.1, abs=0.003)
-
-
-@pytest.mark.parametrize(("ticks", "share"), [(1, 0.5), (20, 0.5), (299, 0.99), (1000, 0.99), (5000, 0.999)])
-def test_the_bounds_of_a_quantile_are_those_of_the_binomial(ticks, share):
-    """Against scipy: the tightest order statistics with at most 2.5 % beyond each."""
-    from scipy.stats import binom  # noqa: PLC0415
-
-    rank, low, high = quantile_ranks(ticks, share)
-    assert rank == math.ceil(ticks * share)
-    below = binom(ticks, share)
-    if low is None:
-        assert below.cdf(0) > 0.025
-    else:
-        assert below.cdf(low - 1) <= 0.025 < below.cdf(low)
-    if high is None:
-        assert below.sf(ticks - 1) > 0.025
-    else:
-        assert below.sf(high - 1) <= 0.025
-        assert below.sf(high - 2) > 0.025
-
-
-def test_few_ticks_do_not_bound_a_rare_quantile():
-    """369 ticks are needed before the largest of them bounds the 99 % quantile at 97.5 %."""
-    assert quantile_ranks(300, 0.99)[2] is None
-    assert quantile_ranks(400, 0.99)[2] == 400
-
-
-def test_bounds_hold_the_truth_nineteen_times_in_twenty():
-    truth = -math.log(0.01) * 1e5  # 99 % quantile of an exponential wait
-    rng = np.random.default_rng(5)
-    _, low, high = quantile_ranks(2000, 0.99)
-    held = 0
-    for _ in range(400):
-        waits = np.sort(rng.exponential(1e5, 2000))
-        held += waits[low - 1] <= truth <= waits[high - 1]
-    assert held >= 0.92 * 400
 
 
 def test_the_worst_ticks_come_first_with_their_stages():
