@@ -177,7 +177,10 @@ class Coordinator:
         if self._error is not None:
             raise self._error
         if watch is not None and self.interruption is None:
-            watch(self.progress)
+            try:
+                watch(self.progress)
+            except BaseException as error:  # Ctrl-C after the last task: told like one before it
+                self.interruption = error
 
     def _wait(self, watch: Callable[[Progress], None] | None) -> None:
         while not self._ended.wait(POLL_S):

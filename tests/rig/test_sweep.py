@@ -348,6 +348,19 @@ def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes
         assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)  # none twice
 
 
+def test_ctrl_c_after_the_last_task_is_told_like_one_before_it(tmp_path):
+    """However quick the tasks were: the last thing that a watcher sees is that all is done."""
+    tasks, journal = sines(3), tmp_path / "journal"
+
+    def watch(progress):
+        if progress.done == progress.total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SweepStoppedError, match="3 of 3 tasks"):
+        sweep.run(SINES, tasks, journal=journal, workers=1, watch=watch)
+    assert len(sweep.run(SINES, tasks, journal=journal)) == 3
+
+
 def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
     tasks = [Task("slow", {"opens": "slow begun", "waits_for": "slow may end"})]
 
