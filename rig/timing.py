@@ -39,6 +39,7 @@ STAGES: dict[str, tuple[str, str, str]] = {
     "transport_in": ("sampled", "received", "sampled to received"),
     "law": ("received", "computed", "received to computed"),
     "send": ("computed", "sent", "computed to sent"),
+    "answered": ("sampled", "sent", "sampled to sent"),
     "transport_out": ("sent", "applied", "sent to applied, with the wait for the device's tick"),
     "whole": ("sampled", "applied", "sampled to applied"),
 }
@@ -346,11 +347,19 @@ def _quantile(found: _Ints, share: float) -> Quantile:
     )
 
 
-def _worst(ledger: Ledger) -> list[BadTick]:
-    """Longest whole way first, or latest; of equal ones the earlier. Ticks without any delay are not bad."""
-    values, known = ledger.stage("whole")
+def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
+    """From sample to command, and what the device then waited beyond its next tick; without a clock, lateness (ns)."""
+    answered, known = ledger.stage("answered")
     if not known.any():
-        values, known = ledger.stage(LATENESS)
+        return ledger.stage(LATENESS)
+    whole, applied = ledger.stage("whole")
+    ticks = np.where(applied, np.rint(whole / ledger.period_ns), 0.0)
+    return answered + np.rint(np.maximum(ticks - 1.0, 0.0) * ledger.period_ns).astype(np.int64), known
+
+
+def _worst(ledger: Ledger) -> list[BadTick]:
+    """Worst first; of equal ones the earlier. Ticks without any delay are not bad."""
+    values, known = _badness(ledger)
     candidates = np.flatnonzero(known & (values > 0))
     if len(candidates) > WORST:  # only what can be among the worst is sorted
         least = np.partition(values[candidates], -WORST)[-WORST]

@@ -16,6 +16,7 @@ COLOURS = {
     "law": style.OTHER,
     "send": style.TRUE,
     "transport_out": style.SENT,
+    "answered": "#7a5195",
     "whole": "#444444",
     LATENESS: style.BAD,
 }
@@ -92,9 +93,9 @@ def _draw_worst(axes: Any, summary: TimingSummary) -> None:
 
 
 def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
-    """Longest whole way, or lateness, in each small stretch of the run."""
-    values, known = ledger.stage("whole")
-    name = "whole"
+    """Longest way from sample to command, or lateness, in each small stretch of the run."""
+    values, known = ledger.stage("answered")
+    name = "answered"
     if not known.any():
         (values, known), name = ledger.stage(LATENESS), LATENESS
     chosen = np.flatnonzero(known)
