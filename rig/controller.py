@@ -19,7 +19,8 @@ from rig.laws import Law
 from rig.step import CONTROL, Controller, new_memory
 
 LIFETIME_PERIODS = 5
-SHORTEST_LIFETIME_S = 0.003
+SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
+FEWEST_PERIODS = 2  # a loop that needs more than the longest lifetime for these is too slow, and refused
 I16_MAXIMUM = 32767
 
 
@@ -136,11 +137,13 @@ def _law(experiment: Experiment, law: Law) -> Law:
 
 
 def command_lifetime_s(experiment: Experiment) -> float:
-    """How long a command holds without the next: five ticks, 3 ms at least, unless configured (s)."""
+    """How long a command holds without the next: five ticks, 3 ms at least and 20 at most, unless configured (s)."""
     configured = experiment.controller.command_lifetime_s
     if configured is not None:
         return configured
-    return max(LIFETIME_PERIODS / experiment.controller.position_rate, SHORTEST_LIFETIME_S)
+    period_s = 1.0 / experiment.controller.position_rate
+    wanted = max(LIFETIME_PERIODS * period_s, SHORTEST_LIFETIME_S)
+    return max(min(wanted, LONGEST_LIFETIME_S), FEWEST_PERIODS * period_s)
 
 
 def device_parameters(

@@ -201,18 +201,26 @@ def test_a_command_lives_for_five_ticks_and_3_ms_at_least(rate, configured, expe
 
 
 SLOW = {
-    "controller.position_rate": 100,
-    "controller.velocity_rate": 100,
+    "controller.position_rate": 80,
+    "controller.velocity_rate": 80,
     "verdict.lowpass_hz": 30.0,
     "verdict.highpass_hz": 5.0,
     "controller.parameters.cutoff_hz": 20.0,
 }
 
 
+def test_a_slow_loop_has_the_longest_lifetime_that_a_device_takes():
+    """Five ticks of 10 ms would be 50 ms; two of them fit into the 20 ms that a device holds a command at most."""
+    slow = config.override(
+        COMPLIANT, {**SLOW, "controller.position_rate": 100, "controller.velocity_rate": 100}
+    )
+    assert told(slow)["command_lifetime_us"] == 20_000
+
+
 @pytest.mark.parametrize(
     ("changes", "name", "words"),
     [
-        (SLOW, "command_lifetime_us", "50000 µs does not fit the device: it takes 100 to 20000"),
+        (SLOW, "command_lifetime_us", "25000 µs does not fit the device: it takes 100 to 20000"),
         ({"rig.limits.speed": 1e9}, "speed_limit", "count/s"),
         ({"rig.limits.position_maximum": 1e7}, "window_maximum", "-2.14748e+09 to 2.14748e+09"),
         ({"rig.limits.thermal_time_constant_s": 0.1}, "thermal_time_constant", "0.125 to 8192"),
