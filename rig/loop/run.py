@@ -216,8 +216,9 @@ class LoopThread:
             run(*self._arguments())
         except Exception as error:
             # A law or an estimator of a user raised: the compiled loop is gone without its stop path. The
-            # caller sends STOP next; this thread only says what happened.
-            self._error = error
+            # caller sends STOP next; this thread only says what happened. Compiled code has no frames to show,
+            # and those of this thread would keep it, and what it holds, until somebody collects garbage.
+            self._error = error.with_traceback(None)
             self.ring.put(words.END_REASON, EndReason.LAW_RAISED)
         finally:
             self.ring.put(words.LOOP_DONE, 1)

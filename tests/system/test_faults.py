@@ -20,7 +20,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.kernel import kernel
 from rig import config, presets
-from rig.devices.framed import STOP_FRAMES, FramedDevice
+from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
 from rig.errors import (
     DeviceFaultError,
     DeviceRefusedError,
@@ -127,7 +127,9 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
             assert bench.error.remedy, bench.error
         bench.check_ended_safely()
     if kind in (Kind.SILENCE, Kind.UNPLUG):
-        last_words = 2 * STOP_FRAMES + 5  # stops, the disarming and its repeats
+        last_words = (
+            2 * STOP_FRAMES + 5 + EXCHANGES
+        )  # stops, disarming and its repeats, clocks compared at rest
         assert finished <= last_words + 1000 * (LIFETIME_S + RAMP_S) + 1, (
             "the watchdog ends every longer silence"
         )
@@ -164,7 +166,7 @@ def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(kind, counter, fra
 
 def test_silence_of_the_host_ramps_the_effort_down_and_latches(tmp_path, frames):
     fault = FrameFault(
-        kind=Kind.SILENCE, direction=Direction.TO_DEVICE, frame=frames[Direction.TO_DEVICE] - 30
+        kind=Kind.SILENCE, direction=Direction.TO_DEVICE, frame=frames[Direction.TO_DEVICE] - 30 - EXCHANGES
     )
     bench = Bench(tmp_path, Faults(frames=(fault,))).run()
     assert isinstance(bench.error, DeviceFaultError | LinkLostError)
