@@ -33,7 +33,8 @@ def stop_on_signals(ring: Ring) -> Iterator[Signals]:
     """Let signals stop the loop instead of raising here, as often as they come.
 
     An exception in between, from the first or from a second signal, could cut short what brings the rig to rest.
-    Only the main thread gets signals: elsewhere nothing is changed. Ignored ones stay ignored.
+    Only the main thread gets signals: elsewhere nothing is changed. Ignored ones stay ignored. One that comes while
+    the old handlers return is given to them, when everything is as it was.
     """
     if threading.current_thread() is not threading.main_thread():
         yield Signals()
@@ -53,8 +54,11 @@ def stop_on_signals(ring: Ring) -> Iterator[Signals]:
             signal.signal(number, stop)
         yield signals
     finally:
-        for number in taken:
-            signal.signal(number, before[number])
+        heard = len(signals.seen)
         signal.set_wakeup_fd(woken)
         os.close(reader)
         os.close(writer)
+        for number in reversed(taken):  # SIGINT last: its handler may raise here, and what follows would not be done
+            signal.signal(number, before[number])
+        for number in signals.seen[heard:]:
+            signal.raise_signal(number)
