@@ -52,6 +52,11 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "the law raised {cause}; the effort went to zero",
         "mend the law: a kernel raises nothing",
     ),
+    EndReason.STUCK: (
+        LawError,
+        "the loop was told to stop and does not return; nothing more is sent, and the device cuts the effort by itself",
+        "mend the law or the estimator: it must return at once; then start anew, since this program still computes it",
+    ),
     EndReason.OVERRUN: (
         OverrunError,
         'a tick came more than one period late, and host.overrun = "stop"; the effort went to zero',

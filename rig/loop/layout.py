@@ -31,6 +31,7 @@ class EndReason(IntEnum):
     HOMING_FAILED = 9  # the start was not reached in time
     LAW_RAISED = 10  # law or estimator raised an exception (set by the caller)
     OVERRUN = 11  # a tick came more than one period late, and the settings say that this ends the run
+    STUCK = 12  # told to stop, it did not return: law or estimator never came back (set by the caller)
 
 
 SETTINGS = np.dtype(

@@ -148,9 +148,16 @@ class LoopThread:
     def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
 
-        Whatever interrupts this, Ctrl-C or an exception of `progress`, the caller goes on with `finish`.
+        A loop that was told to stop and has not for `JOIN_S` is not waited for any longer: a law that never returns
+        must not keep Ctrl-C from ending the program. Whatever interrupts this, Ctrl-C or an exception of `progress`,
+        the caller goes on with `finish`.
         """
+        told_at: float | None = None
         while not self._ended.wait(POLL_S):
+            if self.ring.get(words.STOP) != 0:
+                told_at = time.monotonic() if told_at is None else told_at
+                if time.monotonic() - told_at > JOIN_S:
+                    return
             self._live()
             if progress is not None:
                 progress(self.ring.get(words.TICKS), self.ring.get(words.PHASE))
@@ -168,8 +175,9 @@ class LoopThread:
                 self._ended.wait(POLL_S)
 
     def end(self) -> LoopEnd:
-        """How the loop ended, once it has."""
-        reason = EndReason(self.ring.get(words.END_REASON))
+        """How the loop ended, once it has; `EndReason.STUCK` where it has not, though `finish` told it to."""
+        stuck = self._started and not self._ended.is_set()
+        reason = EndReason.STUCK if stuck else EndReason(self.ring.get(words.END_REASON))
         failure = self._error or self._link.failure()
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
         return LoopEnd(reason, failure, counters)

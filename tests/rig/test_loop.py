@@ -44,6 +44,7 @@ from rig.plugs import LAW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeF
 from rig.ring import Ring
 from rig.sample import Phase, RowFlag
 from rig.step import SETTLE
+from rig.words import load_word, store_word, write_word
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
@@ -1041,3 +1042,39 @@ def test_settings_and_buffers_have_the_fields_that_the_loop_reads():
     assert len(buffers.header) == len(HEAD)
     assert buffers.received.nbytes == RECEIVE_BYTES
     assert SETTLE == Phase.SETTLE
+
+
+# ---------------------------------------------------------------------- a law that does not return
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def waits_for_a_word(penetration, velocity, elapsed_ticks, state, parameters):
+    entered, freed = np.int64(parameters[0]), np.int64(parameters[1])
+    store_word(entered, 1)
+    while load_word(freed) == 0:
+        pass
+    return 0.0
+
+
+def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(wire, monkeypatch):
+    monkeypatch.setattr("rig.loop.run.JOIN_S", 0.2)
+    words = np.zeros(2, np.int64)
+    entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))
+    law = Law("waits", "for this test", waits_for_a_word, 2, lambda wall: [float(entered), float(freed)])
+    memory = Ring.allocate(64)
+    thread = LoopThread(wire, at_rest(law), settings(lost_after_ns=60_000_000_000), memory)
+    thread.start()
+    try:
+        for k in range(1, 9):
+            os.write(wire.theirs.fileno(), state_frame(k))
+            until(lambda k=k: memory.get(ring.TICKS) == k or words[0])
+        assert words[0] == 1
+        thread.stop()
+        thread.wait()
+        thread.finish()
+        end = thread.end()
+    finally:
+        write_word(freed, 1)
+    assert end.reason == EndReason.STUCK
+    assert thread._ended.wait(WAIT_S)
+    assert thread.end().reason == EndReason.STOPPED
