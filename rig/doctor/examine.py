@@ -93,7 +93,7 @@ class Examination:
             "link": of(self.measurement),
             "walls": [row.as_mapping() for row in self.walls],
             "gate": of(self.gate),
-            "armable": self.armable,
+            "armable": None if self.gate is None else self.armable,  # None: nothing was measured
         }
 
 
