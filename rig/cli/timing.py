@@ -112,7 +112,11 @@ def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
 def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
     if summary.clock is None or summary.clock_sd_ns is None:
         return [
-            ("none", "the run exchanged no stamps: when samples were taken and commands applied is unknown")
+            (
+                "none",
+                "no stamps are recorded (a run cut off keeps none): when samples were taken and commands applied is "
+                "unknown",
+            )
         ]
     doubt = output.duration(summary.clock_sd_ns)
     pairs = [*output.clock_pairs(summary.clock.as_mapping()), ("sampled, applied", f"± {doubt} at worst")]
