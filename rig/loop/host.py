@@ -41,7 +41,7 @@ from rig.loop.layout import (
 )
 from rig.loop.parameters import renew_parameters
 from rig.loop.receive import add, drain, newest_state
-from rig.loop.rows import FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
+from rig.loop.rows import FLAG_GAP, FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
 from rig.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
 from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, step
 from rig.step import HOMING_FAILED as FLAG_HOMING
@@ -81,8 +81,19 @@ def _send(
     return 1 if sent == size else 0
 
 
-@kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE))
-def _outcome(state: Any, settings: Any, memory: Any) -> int:
+@kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
+def _overran(settings: Any, memory: Any, progress: Any) -> bool:
+    """Whether this tick came more than one period late.
+
+    Device-paced, the newest of several samples is in time though those behind it were not: they are what tells.
+    """
+    flags = memory[0]["flags"]
+    behind = settings[0]["host_paced"] == 0 and flags & FLAG_GAP != 0 and progress[0]["fresh"] > 1
+    return bool(behind or flags & FLAG_LATE != 0)
+
+
+@kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
+def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
     """End reason that follows from this tick, 0 to go on."""
     flags = memory[0]["flags"]
     reason = 0
@@ -96,7 +107,7 @@ def _outcome(state: Any, settings: Any, memory: Any) -> int:
         reason = _HOMING
     elif memory[0]["phase"] == DONE:
         reason = _FINISHED
-    elif settings[0]["stop_when_late"] != 0 and flags & FLAG_LATE:
+    elif settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
         reason = _OVERRUN
     return reason
 
@@ -243,7 +254,7 @@ def run(
         computed_ns = now(clock)
         flag_timing(settings, memory, progress, elapsed, words)
         mode = _MODE_CURRENT
-        reason = _outcome(state, settings, memory)
+        reason = _outcome(state, settings, memory, progress)
         if reason != 0:
             mode = _MODE_STOP
             current = 0

@@ -757,6 +757,17 @@ def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_pac
     assert_ends_with_stops(link)
 
 
+def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_not():
+    """It comes back to two samples: the older one waited for 1.5 periods and is never answered."""
+    both = (11 * PERIOD_NS + PERIOD_NS // 2, state_frame(10) + state_frame(11))
+    link = Script(*ticks(1, 10), both, *ticks(12, 20))
+    thread, end = ran(link, stop_when_late=True)
+    assert end.reason == EndReason.OVERRUN
+    assert (end.counters["late"], end.counters["skipped"]) == (0, 1)
+    assert thread.ring.rows["current_sent"][end.counters["ticks"] - 1] == 0
+    assert_ends_with_stops(link)
+
+
 def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire):
     memory = Ring.allocate(4096)
     changes = {"host_paced": True, "spin_ns": 100_000, "lost_after_ns": 5_000_000_000}
