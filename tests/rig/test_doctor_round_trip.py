@@ -273,3 +273,20 @@ def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(
         assert device.count() == 0
         assert len(device.exchange_clock(4)) == 4
     assert not [thread for thread in threading.enumerate() if thread.name == "rig-ping"]
+
+
+class Babbler(EchoLink):
+    """A far end that never pauses: whatever is read, more is there."""
+
+    def _wait(self, handle, deadline):
+        return 1
+
+    def _read(self, handle, address, size):
+        self.clock.sleep_until(self.clock.now_ns() + 100_000)
+        ctypes.memset(address, 1, size)
+        return size
+
+
+def test_a_far_end_that_never_pauses_ends_the_measurement_and_does_not_hold_it():
+    with pytest.raises(LinkLostError, match="does not answer"):
+        measure_link(around(Babbler([])), 0.1)
