@@ -16,6 +16,7 @@ from rig.config.table import parameters, shown
 from rig.sample import Motion, unit_of
 
 LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
+SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop.run.POLL_S`
 LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
 
@@ -297,6 +298,17 @@ def excitation(x: Experiment) -> Iterator[Problem]:
         )
 
 
+def heartbeat(x: Experiment) -> Iterator[Problem]:
+    """The supervising thread looks after the loop some fifty times a second, when it gets the interpreter."""
+    if 0.0 < x.host.heartbeat_s < SHORTEST_HEARTBEAT_S:
+        yield _problem(
+            x,
+            "host.heartbeat_s",
+            f"must be 0 or at least {SHORTEST_HEARTBEAT_S:g} s",
+            "give the program around the loop more time, or say 0, which never ends a run",
+        )
+
+
 RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     rates,
     slow_rate,
@@ -312,6 +324,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     speeds,
     times,
     excitation,
+    heartbeat,
 )
 
 

@@ -268,6 +268,10 @@ ROTARY_RULES = [
         "controller.slow_velocity_rate = 1500 Hz: must divide controller.velocity_rate = 2000 Hz",
     ),
     (
+        {"host.heartbeat_s": 0.001},
+        "host.heartbeat_s = 0.001 s: must be 0 or at least 0.1 s",
+    ),
+    (
         {"rig.encoder.counts_per_revolution": None, "rig.encoder.quantum": 1e-6},
         'rig.encoder.quantum = 1e-06 m: belongs to a rig with motion = "linear"; rig.motion = "rotary" needs '
         "rig.encoder.counts_per_revolution, a whole number (lines of the encoder disc). give",
