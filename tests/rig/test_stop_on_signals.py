@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from rig import ring as words
-from rig.loop import signals
 from rig.loop.signals import STOPPING, stop_on_signals
 from rig.ring import Ring
 
@@ -43,11 +42,11 @@ def test_ctrl_c_while_handlers_return_is_raised_when_all_of_them_have(
     told: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
     signal.signal(signal.SIGHUP, lambda number, frame: told.append(number))
-    before = {number: signal.getsignal(number) for number in STOPPING}
-    restored = []
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
+    restored: list[int] = []
 
     def set_handler(number: int, handler: Any) -> Any:
-        if handler is before.get(number, Ring):
+        if number in STOPPING and handler is before[number]:
             if len(restored) == place:
                 signal.raise_signal(signal.SIGINT)
             restored.append(number)
@@ -57,7 +56,7 @@ def test_ctrl_c_while_handlers_return_is_raised_when_all_of_them_have(
     open_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:  # noqa: SIM117
         with pytest.raises(KeyboardInterrupt), stop_on_signals(Ring.allocate(1)):
-            patch.setattr(signals.signal, "signal", set_handler)
+            patch.setattr(signal, "signal", set_handler)
     assert {number: signal.getsignal(number) for number in STOPPING} == before
     assert signal.set_wakeup_fd(-1) == -1
     assert set(os.listdir("/proc/self/fd")) == open_before
