@@ -132,10 +132,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     try:
         loops = LateLoops.of(experiment, delay)
         radius = loops.radius(wall.stiffness, wall.damping)
-        limits = {
-            hand: min(k_max(loop, damping=wall.damping).stiffness for loop in of_hand)
-            for hand, of_hand in loops.by_hand.items()
-        }
+        limits = _limits(loops, wall.damping)
         homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)
         passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
     except ConfigError as error:
@@ -144,10 +141,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         notes += [loops.stand_in] if loops.stand_in else []
         notes += _on_homing(homing, delay)
         notes.append(_on_passivity(experiment, passive))
-    # without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift
-    unstable = [
-        hand for hand, value in radius.items() if value >= (1.0 if wall.stiffness > 0.0 else 1.0 + 1e-9)
-    ]
+    unstable = _hands_that_swing(radius, wall.stiffness)
     if unstable:
         reasons.append(_unstable(experiment, delay, unstable, radius, limits))
     return Gate(
@@ -166,6 +160,48 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         passive_stiffness=passive,
         simulated=measurement.simulated,
     )
+
+
+def _limits(loops: LateLoops, damping: float) -> dict[str, float]:
+    """Largest stable stiffness for each hand."""
+    return {
+        hand: min(k_max(loop, damping=damping).stiffness for loop in of_hand)
+        for hand, of_hand in loops.by_hand.items()
+    }
+
+
+def _hands_that_swing(radius: Mapping[str, float], stiffness: float) -> list[str]:
+    # without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift
+    return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
+
+
+def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
+    """Refuse a wall for a loop that runs where it would have been refused before arming.
+
+    Parameters
+    ----------
+    experiment
+        With the new wall.
+    armed
+        Of `Gate.as_mapping`, as the loop was armed: ``delay_ticks``, ``simulated`` and ``forced``.
+
+    Raises
+    ------
+    PlanError
+        Linear theory finds it unstable with the delay that was measured then. A simulated device is never refused, nor
+        whoever armed anyway, nor a law of which theory does not speak.
+    """
+    if armed["simulated"] or armed["forced"]:
+        return
+    wall, delay = experiment.wall, int(armed["delay_ticks"])
+    try:
+        loops = LateLoops.of(experiment, delay)
+    except ConfigError:
+        return
+    radius = loops.radius(wall.stiffness, wall.damping)
+    if unstable := _hands_that_swing(radius, wall.stiffness):
+        reason = _unstable(experiment, delay, unstable, radius, _limits(loops, wall.damping))
+        raise PlanError(f"this wall must not be rendered here: {reason.text}", remedy=reason.remedy)
 
 
 def _too_slow(travel_s: float, lifetime_s: float, delay: int) -> Reason:

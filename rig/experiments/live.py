@@ -1,9 +1,9 @@
 """The wall of a running loop, changed while a hand feels it.
 
 What may change is the wall: stiffness, damping, place, and how it pulls and damps. The change passes the same checks as
-an experiment before it starts, becomes the same numbers (`rig.controller`), and reaches the loop through its mailbox as
-one set: wall position, then the parameters of the law. The loop takes it over while the handle is outside the wall, so
-that no effort jumps.
+an experiment before it starts, the arming gate's included, becomes the same numbers (`rig.controller`), and reaches the
+loop through its mailbox as one set: wall position, then the parameters of the law. The loop takes it over while the
+handle is outside the wall, so that no effort jumps.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 from rig import config, controller, running
 from rig.config import Experiment
+from rig.doctor.gate import check_change
 from rig.errors import ConfigError, PlanError, RigError
 from rig.experiments.plan import Outcome, make_plan
 from rig.ring import LOOP_DONE, PARAMETER_SET, Ring
@@ -85,7 +86,7 @@ def change_wall(
     ConfigError
         No loop runs, a key that may not change, or a value out of its range.
     PlanError
-        A wall that a plan would refuse.
+        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`).
     RigError
         The loop ended, another version started it, or it says too little about itself.
     """
@@ -151,6 +152,8 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
             )
         running_now = config.experiment_from_mapping(info["experiment"], "the running experiment")
         experiment = config.override(running_now, changes, "the change")
+        if info.get("gate"):
+            check_change(experiment, info["gate"])
         values = parameter_set(
             experiment,
             current_quantum_a=info["current_quantum_a"],

@@ -130,7 +130,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
     """The block that the loop, the recorder and, in real time, other processes of this user share."""
-    rate = request.experiment.controller.position_rate
+    rate, gate = request.experiment.controller.position_rate, request.extra.get("gate")
     info = {
         "url": device.link.url.text,
         "recording": str(request.recording.resolve()),
@@ -139,6 +139,7 @@ def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
         "current_quantum_a": device.dictionary.current_quantum_a,
         "reference_count": request.reference_count,
         "law": request.law is not None,  # the caller's own: its parameters are nobody else's to compute
+        "gate": {name: gate[name] for name in ("delay_ticks", "simulated", "forced")} if gate else None,
     }
     rows = max(RING_ROWS_MINIMUM, round(RING_SECONDS * rate))
     return Ring.allocate(rows, info=info, shared=not device.link.clock.virtual)

@@ -87,6 +87,33 @@ def test_a_second_change_keeps_the_first_also_before_the_loop_has_taken_it(ring:
     assert ring.info["url"] == "serial:///dev/ttyTEST"
 
 
+def armed(**changes: Any) -> dict[str, Any]:
+    """What the gate left in the info: a loop twenty ticks late, on a real device that passed."""
+    return {"gate": {"delay_ticks": 20, "simulated": False, "forced": False, **changes}}
+
+
+@pytest.mark.parametrize(
+    ("gate", "refused"),
+    [
+        (armed(), True),
+        (armed(delay_ticks=1), False),
+        (armed(simulated=True), False),
+        (armed(forced=True), False),
+        ({"gate": None}, False),
+    ],
+)
+def test_a_wall_that_the_gate_would_not_have_armed_does_not_come_in_force_later_either(
+    gate: dict[str, Any], refused: bool
+) -> None:
+    ring = Ring.allocate(1, info=info_of(**gate))
+    if not refused:
+        assert live._post(ring, {"wall.stiffness": 400.0})[0] == 1
+        return
+    with pytest.raises(PlanError, match="unstable at 20000 Hz with 20 ticks"):
+        live._post(ring, {"wall.stiffness": 400.0})
+    assert taken(ring)[0] == 0
+
+
 CHANGES = st.one_of(
     st.tuples(st.just("stiffness"), st.floats(50.0, 450.0)),
     st.tuples(st.just("damping"), st.floats(0.0, 2.0)),
