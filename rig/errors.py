@@ -11,7 +11,11 @@ from typing import Any
 
 
 class RigError(Exception):
-    """Root of all errors that a user can meet. `recording` is the file that a run left before it failed."""
+    """Root of all errors that a user can meet.
+
+    `recording` is the file that a run left before it failed, `messages` what that run was not granted, each with its
+    remedy: often the cause.
+    """
 
     exit_code = 1
     told = False  # whether a command has already put it into its JSON
@@ -21,6 +25,7 @@ class RigError(Exception):
         self.message = message
         self.remedy = remedy
         self.recording: Path | None = None
+        self.messages: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.message}. {self.remedy}".rstrip() if self.remedy else self.message

@@ -139,6 +139,8 @@ def _report(error: RigError, arguments: list[str]) -> None:
         from rig.cli.output import error_facts, print_json  # noqa: PLC0415
 
         print_json({"error": error_facts(error)})
+    for message in error.messages:
+        click.echo(f"rig: {message}", err=True)
     click.echo(f"rig: {error}", err=True)
     if error.recording is not None:
         click.echo(f"rig: what was recorded until then: {error.recording}", err=True)

@@ -297,5 +297,6 @@ def error_facts(error: RigError) -> dict[str, Any]:
         "kind": type(error).__name__,
         "remedy": error.remedy,
         "recording": None if error.recording is None else str(error.recording),
+        "messages": list(error.messages),
         "exit_code": error.exit_code,
     }

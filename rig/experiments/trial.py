@@ -124,6 +124,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         error = StoppedError("stopped after the trial had finished; the effort is zero")
     if error is not None:
         error.recording = path
+        error.messages = (*device.link.messages, *realtime.messages)
         raise error from end.error
     return TrialEnd(path, end.reason, end.counters, tuple(realtime.messages))
 

@@ -287,6 +287,15 @@ def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(tmp_path, monke
         bench.run(name="fine")
 
 
+def test_an_early_end_says_what_the_run_was_not_granted(tmp_path):
+    """That is often why it ended."""
+    bench = Bench(tmp_path)
+    bench.link.messages = ["the port waits 16 ms. To mend it: ..."]
+    with pytest.raises(LawError) as caught:
+        bench.run(law=RAISING)
+    assert caught.value.messages == tuple(bench.link.messages)
+
+
 def test_a_judge_that_fails_leaves_the_capture(tmp_path):
     def wrong(recording):
         raise ConfigError("cannot be judged")
