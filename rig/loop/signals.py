@@ -58,7 +58,8 @@ def stop_on_signals(ring: Ring) -> Iterator[Signals]:
         signal.set_wakeup_fd(woken)
         os.close(reader)
         os.close(writer)
-        for number in reversed(taken):  # SIGINT last: its handler may raise here, and what follows would not be done
+        # SIGINT last: its handler may raise here, and what follows would not be done.
+        for number in reversed(taken):
             signal.signal(number, before[number])
         for number in signals.seen[heard:]:
             signal.raise_signal(number)
