@@ -23,9 +23,8 @@ from rig.recording.capture import SUFFIX
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S
-from rig.recording.seal import seal
+from rig.recording.seal import SEALED_SUFFIX, seal
 
-SEALED_SUFFIX = ".parquet"
 SEALING_S = 5.0  # a run that ended as it should seals its recording within this time
 
 Progress = Callable[[int, int, Path], None]  # captures done, all of them, the one that is next

@@ -27,6 +27,8 @@ from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.reader import open_recording
 from rig.sample import TRUTH_COLUMNS
 
+SEALED_SUFFIX = ".parquet"
+
 _log = logging.getLogger(__name__)
 
 
@@ -61,10 +63,14 @@ def seal(
     Raises
     ------
     RecordingError
-        The capture cannot be read, the disk refuses, another recording has the name, or the sealed file is
-        not equal. The capture is then untouched.
+        The file is no capture or cannot be read, the disk refuses, another recording has the name, or the sealed file
+        is not equal. It is then untouched.
     """
     capture = Path(capture)
+    if capture.suffix == SEALED_SUFFIX:  # it would be compared with itself, and removed
+        raise RecordingError(
+            f"{capture} is no capture: it has the name of a sealed recording", remedy="name a .rigcap"
+        )
     opened = open_recording(capture)
     recording = with_ledger(opened)
     sealed = recording if truth is None else with_truth(recording, truth)
@@ -76,7 +82,7 @@ def seal(
             with whole_file(capture, overwrite=True, check=partial(_require_equal, sealed)) as file:
                 write_capture(file, sealed)
         return capture
-    target = capture.with_suffix(".parquet")
+    target = capture.with_suffix(SEALED_SUFFIX)
     if target.exists():
         _require_equal(recording, target)
     else:

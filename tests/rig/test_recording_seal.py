@@ -57,6 +57,14 @@ def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording:
     assert (found.header, found.trailer, found.complete) == (recording.header, recording.trailer, True)
 
 
+def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> None:
+    sealed = seal(capture)
+    content = sealed.read_bytes()
+    with pytest.raises(RecordingError, match="is no capture"):
+        seal(sealed)
+    assert sealed.read_bytes() == content
+
+
 def timed(**trailer: Any) -> Recording:
     """Fifty ticks of a millisecond, of which each command came in force with the next sample."""
     rows = example_rows(50)
