@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli import options, output
+from rig.errors import RigError
 
 if TYPE_CHECKING:
     from rig.timing import Quantile, TimingSummary
@@ -42,19 +43,26 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
     from rig.experiments.timing import timing_of  # noqa: PLC0415
 
     found = timing_of(recording)
-    drawn = None
+    drawn, failure = None, None
     if plot:
         from rig.plots.timing import draw_timing  # noqa: PLC0415
 
         target = picture or recording.with_name(f"{recording.stem}-timing.png")
-        drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
+        try:
+            drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
+        except RigError as error:  # the numbers are there all the same
+            failure = error
     if as_json:
         mapping = found.summary.as_mapping()
-        output.print_json({**mapping, "picture": None if drawn is None else str(drawn)})
-        return
-    _print(recording, found.summary)
-    if drawn is not None:
-        click.echo(f"picture\n  {drawn}")
+        facts = {} if failure is None else {"error": output.error_facts(failure)}
+        output.print_json({**mapping, "picture": None if drawn is None else str(drawn), **facts})
+    else:
+        _print(recording, found.summary)
+        if drawn is not None:
+            click.echo(f"picture\n  {drawn}")
+    if failure is not None:
+        failure.told = as_json
+        raise failure
 
 
 def _print(recording: Path, summary: TimingSummary) -> None:

@@ -208,6 +208,17 @@ def test_a_run_cut_off_has_the_hosts_share_alone(command, sealed, tmp_path):
     assert timing(path).stages["law"].ticks > 100
 
 
+def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(command, sealed, tmp_path):
+    nowhere = tmp_path / "nowhere" / "x.png"
+    code, out, err = command("timing", sealed, "-o", nowhere)
+    assert (code, "counted apart" in out) == (9, True)
+    assert "cannot write the picture" in err
+    code, out, _ = command("timing", sealed, "-o", nowhere, "--json")
+    told = json.loads(out)
+    assert (code, told["picture"], told["error"]["exit_code"]) == (9, None, 9)
+    assert told["stages"]
+
+
 def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tmp_path):
     recording = open_recording(sealed)
     names = [name for name in recording.names if name not in ("command_in_force", *recording.names[-5:])]
