@@ -31,6 +31,7 @@ SERIES = (
 )
 KINDS = {"stable": "#00703c", "limit cycle": "#b35900", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
+RECORDINGS = (".parquet", ".rigcap")  # suffixes
 
 
 def new_figure(width: float = 9.0, height: float = 7.0) -> Figure:
@@ -53,7 +54,12 @@ def lighten(axes: Any) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG; the same picture gives the same bytes. `RecordingError` when it cannot be written."""
+    """Write a PNG; the same picture gives the same bytes.
+
+    `RecordingError` when it cannot be written, or has the name of a recording: those are never overwritten.
+    """
+    if path.suffix in RECORDINGS:
+        raise RecordingError(f"{path} is no name for a picture: recordings have it", remedy="say .png")
     try:
         figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
     except OSError as error:

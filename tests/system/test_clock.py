@@ -219,6 +219,14 @@ def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(comman
     assert told["stages"]
 
 
+def test_a_picture_does_not_overwrite_the_recording(command, sealed):
+    content = sealed.read_bytes()
+    code, out, err = command("timing", sealed, "-o", sealed)
+    assert (code, "counted apart" in out) == (9, True)
+    assert "no name for a picture" in err
+    assert sealed.read_bytes() == content
+
+
 def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tmp_path):
     recording = open_recording(sealed)
     names = [name for name in recording.names if name not in ("command_in_force", *recording.names[-5:])]
