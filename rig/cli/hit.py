@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 @click.command()
 @options.experiment_options
-@click.option("--url", help="Device: serial:///dev/ttyACM0, sim://. [simulates the rig in this process]")
+@click.option(
+    "--url",
+    help="Device: serial:///dev/ttyACM0, usb://2e8a:000a, sim://. [simulates the rig in this process]",
+)
 @click.option(
     "--realtime", is_flag=True, help="In real time; a simulated rig then runs as a process of its own."
 )
