@@ -383,9 +383,11 @@ class FramedDevice:
         )
 
     def _detail(self, ack: m.Ack) -> str:
-        """What the detail of a refusal names: a parameter with its range, or a state."""
+        """What the detail of a refusal names: a parameter with its range, a state, or a fault."""
         if ack.status == Status.BAD_STATE:
             return f" ({State(ack.detail).name})"
+        if self._dictionary is not None and ack.status == Status.FAULT_PRESENT:
+            return f" ({self._dictionary.explain_fault(ack.detail).text})"
         if self._dictionary is not None and ack.detail:
             for info in self._dictionary.parameters:
                 if info.id == ack.detail:

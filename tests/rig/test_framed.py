@@ -402,6 +402,7 @@ def test_a_fault_whose_cause_is_still_there_is_not_cleared():
     with pytest.raises(DeviceRefusedError) as caught:
         device.configure(RUN_PARAMETERS)
     assert caught.value.status == Status.FAULT_PRESENT
+    assert "emergency stop" in str(caught.value), "the fault by name, not a parameter of the same number"
 
 
 def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_again():

@@ -109,9 +109,9 @@ def test_the_slow_way_is_said(child: Child) -> None:
 # ---------------------------------------------------------------------- a whole run of the loop
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def rig(program: Path) -> Iterator[Bus]:
-    """The compliant rig on the bus, with the shape of high speed."""
+    """The compliant rig on the bus, with the shape of high speed; a new one each time: a lost run may throw its handle."""
     model = config.rig_model(presets.load("koul-compliant"))
     bus = Bus(program, UsbShape(packet=HIGH_SPEED_PACKET), model)
     yield bus
