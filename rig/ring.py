@@ -54,7 +54,7 @@ LINK = f"/memfd:{NAME} (deleted)"
 VERSION = 0  # creator     layout version, stored last
 HEAD = 1  # loop        rows written so far
 TAIL = 2  # recorder    rows drained so far
-STOP = 3  # anybody     non-zero: the loop ends within one tick (a StopReason)
+STOP = 3  # anybody     non-zero: the loop ends within one tick; ABANDONED: it touches nothing more
 DROPPED = 4  # loop        rows lost because the ring was full
 TICKS = 5  # loop        steps of the law so far
 PHASE = 6  # loop        rig.sample.Phase now
@@ -67,6 +67,7 @@ END_ERRNO = 12  # loop        errno behind a broken link, else 0
 INFO = 13  # who posts   length and place of the info
 CREATED = 14  # creator     when the block was made (ns, CLOCK_REALTIME)
 ROW_BYTES = 15  # creator     bytes of a row
+ABANDONED = 2  # STOP of a loop that its owner has given up: link and descriptors are somebody else's by now
 # Counters of the link, written by the loop.
 FRAMES = 16  # frames received whole
 BAD_FRAMES = 17  # frames with a wrong checksum, encoding or length

@@ -28,11 +28,7 @@ if TYPE_CHECKING:
     "--realtime", is_flag=True, help="In real time; a simulated rig then runs as a process of its own."
 )
 @click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
-@click.option(
-    "--arm-anyway",
-    is_flag=True,
-    help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
-)
+@options.arm_anyway_option
 @click.option(
     "-o",
     "--output",
@@ -94,6 +90,7 @@ def hit(
         verified=verified,
         arm_anyway=arm_anyway,
         measuring=output.measuring_link(quiet=as_json),
+        judged_link=_say_gate,
         output=directory,
     )
     done: list[dict[str, Any]] = []
@@ -105,7 +102,6 @@ def hit(
                 picture = artist.draw(result.recording)
                 done.append({**result.as_mapping(), "picture": picture})
                 if len(done) == 1:
-                    _say_gate(result.gate)
                     for message in result.messages:
                         click.echo(f"rig: {message}", err=True)
                 if not as_json:
@@ -176,12 +172,12 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
     _print_pairs(pairs, result.recording, picture)
 
 
-def _say_gate(gate: Gate | None) -> None:
-    """Say what speaks against arming where it was armed all the same: a simulated rig, or --arm-anyway."""
-    if gate is None or gate.armable:
+def _say_gate(gate: Gate) -> None:
+    """Say what speaks against arming where it is armed all the same: a simulated rig, or --arm-anyway."""
+    if gate.armable:
         return
     why = "--arm-anyway" if gate.forced and not gate.simulated else "a real rig would be refused"
-    click.echo(f"rig: armed although ({why}): {gate.text}", err=True)
+    click.echo(f"rig: arming although ({why}): {gate.text}", err=True)
 
 
 def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> None:

@@ -56,9 +56,10 @@ DEFAULT_PRESET = "chawda-linear"
 )  # fmt: skip
 @click.option("--seed", type=int, help="Seed of the phases.")
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any key of the experiment.")
-@click.option("--url", help="Measure on a device, with its own motor: serial:///dev/ttyACM0, sim://.")
+@click.option("--url", help="Measure on a device, with its own motor: serial://…, usb://…, sim://.")
 @click.option("--realtime", is_flag=True, help="With --url sim://: as a process, in real time.")
 @click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
+@options.arm_anyway_option
 @click.option("--yes", is_flag=True, help="Do not ask before a real device is shaken.")
 @click.option(
     "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path("impedances"), show_default=True
@@ -78,6 +79,7 @@ def impedance(
     url: str | None,
     realtime: bool,
     verified: bool,
+    arm_anyway: bool,
     yes: bool,
     directory: Path,
     plot: bool,
@@ -111,10 +113,12 @@ def impedance(
             verified=verified,
             realtime=realtime,
             agrees=_agrees if asks else None,
+            arm_anyway=arm_anyway,
         )
-    elif realtime or verified:
+    elif realtime or verified or arm_anyway:
         raise ConfigError(
-            "--realtime and --verified are for a device", remedy="say --url too, or leave them out"
+            "--realtime, --verified and --arm-anyway are for a device",
+            remedy="say --url too, or leave them out",
         )
     results = tuple(_measured(experiment, device, walls, parsed, method, signal, judging, _progress(as_json)))
     table, summary = measuring.write_results(results, place)

@@ -17,6 +17,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 DEFAULT_PRESET = "koul-compliant"
 
+arm_anyway_option = click.option(
+    "--arm-anyway",
+    is_flag=True,
+    help="Arm a real rig although its link, as measured, makes this wall dangerous; `rig doctor` says why.",
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
 
 # Option → key of the experiment.

@@ -267,24 +267,28 @@ def _on_passivity(experiment: Experiment, passive: float) -> str:
     )
 
 
-_MEASURED: WeakKeyDictionary[FramedDevice, LinkMeasurement] = WeakKeyDictionary()
+# By device; scheduling is a part of what was measured.
+_MEASURED: WeakKeyDictionary[FramedDevice, dict[tuple[str, int, int | None], LinkMeasurement]] = (
+    WeakKeyDictionary()
+)
 
 
 def measured_once(
     device: FramedDevice, host: Host, rate: int, progress: Progress | None = None
 ) -> LinkMeasurement:
-    """Measure the link of an open device, the first time; under the scheduling that the loop would have.
+    """Measure the link of an open device, once for each scheduling: under that which the loop would have.
 
     Errors as `rig.doctor.round_trip.measure_link`, and `RealtimeError` where scheduling is demanded and not granted.
     """
-    found = _MEASURED.get(device)
+    kept = _MEASURED.setdefault(device, {})
+    found = kept.get(scheduling := (host.realtime, host.priority, host.cpu))
     if found is None:
         seconds = min(LONGEST_S, max(SHORTEST_S, 1.05 * ENOUGH / rate))
         if device.dictionary.simulated:
             seconds = SIMULATED_S
         with obtained(host, virtual=device.link.clock.virtual) as realtime:
             found = measure_link(device, seconds, realtime=realtime, progress=progress)
-        _MEASURED[device] = found
+        kept[scheduling] = found
     return found
 
 

@@ -57,6 +57,8 @@ class HitRequest:
         Arm a wall that the link, as measured, makes dangerous (`rig.doctor.gate`); it is said and recorded.
     measuring
         Told, while the link is measured before arming, the share of that which is done.
+    judged_link
+        Told before arming what the measured link says for and against it.
     """
 
     experiment: Experiment
@@ -70,6 +72,7 @@ class HitRequest:
     reference_count: int | None = None
     arm_anyway: bool = False
     measuring: Callable[[float], None] | None = None
+    judged_link: Callable[[Gate], None] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,7 +178,10 @@ def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
         return None
     from rig.doctor.gate import check_armable  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
 
-    return check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
+    found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
+    if found is not None and request.judged_link is not None:
+        request.judged_link(found)
+    return found
 
 
 def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitResult:

@@ -230,6 +230,8 @@ class OnDevice:
         A simulated device runs in real time, as a process.
     agrees
         Asked before each wall; False ends the session. None asks nobody.
+    arm_anyway
+        Shake about a wall that the link, as measured, makes dangerous (`rig.doctor.gate`).
     """
 
     url: str
@@ -237,6 +239,7 @@ class OnDevice:
     verified: bool = False
     realtime: bool = False
     agrees: Callable[[Experiment], bool] | None = None
+    arm_anyway: bool = False
 
 
 def measure_on_device(
@@ -424,6 +427,7 @@ def _recorded(
         changes=_kept(experiment),
         verified=device.verified,
         realtime=device.realtime,
+        arm_anyway=device.arm_anyway,
         output=device.recordings,
         law=shaken_law(experiment, realisation),
         **session,

@@ -251,6 +251,11 @@ def run(
             estimator, law, state[STATE.count], edge_age_ns(progress, state, settings) * 1e-9, elapsed,
             control, memory, estimator_f, estimator_i, estimator_p, law_state, law_parameters,
         )  # fmt: skip
+        if (
+            load_word(words + WORD * ring.STOP) == ring.ABANDONED
+        ):  # a law that took for ever: nobody waits for us
+            store_word(words + WORD * ring.END_REASON, _STOPPED)
+            return _STOPPED
         computed_ns = now(clock)
         flag_timing(settings, memory, progress, elapsed, words)
         mode = _MODE_CURRENT

@@ -173,6 +173,8 @@ class LoopThread:
             with suppress(KeyboardInterrupt):
                 self.stop()
                 self._ended.wait(POLL_S)
+        if self._started and not self._ended.is_set():
+            self.ring.put(words.STOP, words.ABANDONED)
 
     def end(self) -> LoopEnd:
         """How the loop ended, once it has; `EndReason.STUCK` where it has not, though `finish` told it to."""

@@ -1084,8 +1084,11 @@ def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(wire, monkeyp
         thread.wait()
         thread.finish()
         end = thread.end()
+        heard(wire)
     finally:
         write_word(freed, 1)
+    until(lambda: not thread._thread.is_alive())
+    assert heard(wire) == [], "its descriptor may be somebody else's by now: not even a stop leaves"
     assert end.reason == EndReason.STUCK
     assert thread._ended.wait(WAIT_S)
     assert thread.end().reason == EndReason.STOPPED

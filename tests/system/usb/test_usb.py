@@ -111,7 +111,7 @@ def test_the_slow_way_is_said(child: Child) -> None:
 
 @pytest.fixture
 def rig(program: Path) -> Iterator[Bus]:
-    """The compliant rig on the bus, with the shape of high speed; a new one each time: a lost run may throw its handle."""
+    """The compliant rig on the bus, with the shape of high speed; new each time: a lost run may throw its handle."""
     model = config.rig_model(presets.load("koul-compliant"))
     bus = Bus(program, UsbShape(packet=HIGH_SPEED_PACKET), model)
     yield bus
