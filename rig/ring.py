@@ -50,6 +50,8 @@ MAILBOX_BYTES = 2048  # rig.mailbox needs less, and must not be loaded to find t
 NAME = "haptic-rig"
 LINK = f"/memfd:{NAME} (deleted)"
 
+ABANDONED = 2  # STOP of a loop that its owner has given up: link and descriptors are somebody else's by now
+
 # word                 writer       meaning
 VERSION = 0  # creator     layout version, stored last
 HEAD = 1  # loop        rows written so far
@@ -67,7 +69,6 @@ END_ERRNO = 12  # loop        errno behind a broken link, else 0
 INFO = 13  # who posts   length and place of the info
 CREATED = 14  # creator     when the block was made (ns, CLOCK_REALTIME)
 ROW_BYTES = 15  # creator     bytes of a row
-ABANDONED = 2  # STOP of a loop that its owner has given up: link and descriptors are somebody else's by now
 # Counters of the link, written by the loop.
 FRAMES = 16  # frames received whole
 BAD_FRAMES = 17  # frames with a wrong checksum, encoding or length

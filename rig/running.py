@@ -121,9 +121,12 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
                 continue
             with suppress(OSError, RigError):
                 ring = Ring.attach(path)
+                ran = not ring.peek(LOOP_DONE)  # it may end before anybody looks again
                 ring.ask_to_stop()  # before anything that takes time
-                asked.append((_look(owner, path, ring), ring))
-        asked = [(loop, ring) for loop, ring in asked if not loop.done]
+                if ran:
+                    asked.append((_look(owner, path, ring), ring))
+                else:
+                    ring.close()
         if pid is not None and not asked:
             raise _not_here(pid)
         _wait([ring for _, ring in asked], patience_s)

@@ -229,3 +229,17 @@ def test_the_command_says_when_a_loop_does_not_listen(
         (loop,) = json.loads(out)["loops"]
         assert (loop["pid"], loop["ended"]) == (process.pid, False)
         assert f"kill -9 {process.pid}" in err
+
+
+def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may do so before anybody looks again: that is no reason to say that none ran."""
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        asked = Ring.ask_to_stop
+
+        def at_once(other: Ring) -> None:
+            asked(other)
+            ring.put(words.LOOP_DONE, 1)
+
+        monkeypatch.setattr(Ring, "ask_to_stop", at_once)
+        (stopped,) = running.stop(os.getpid(), patience_s=1)
+        assert stopped.ended
