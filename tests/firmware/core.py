@@ -118,7 +118,9 @@ class Core:
     `clock` must be later than the last tick where it is given, or the device takes it for the past.
     """
 
-    def __init__(self, library: ctypes.CDLL, model: RigModel, rate: int = 1_000, maximum: int = 50_000) -> None:
+    def __init__(
+        self, library: ctypes.CDLL, model: RigModel, rate: int = 1_000, maximum: int = 50_000
+    ) -> None:
         self.library = library
         self._memory = ctypes.create_string_buffer(library.host_bytes())
         self.address = ctypes.addressof(self._memory)
@@ -127,7 +129,13 @@ class Core:
         self._packed = dictionaries.encode(self.dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
         setup = Setup(
-            self._packed, self.hash, len(self._packed), rate, model.encoder.sign, _over_current(model), _mechanics(model)
+            self._packed,
+            self.hash,
+            len(self._packed),
+            rate,
+            model.encoder.sign,
+            _over_current(model),
+            _mechanics(model),
         )
         library.host_setup(self.address, ctypes.byref(setup))
         for name in ("motion", "position_rate", "current_limit", "continuous_current"):
@@ -224,7 +232,9 @@ class CoreDevice:
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
         self._show_world()
-        self.core.library.host_set_clock(self.core.address, self.time if received_at is None else received_at, 0)
+        self.core.library.host_set_clock(
+            self.core.address, self.time if received_at is None else received_at, 0
+        )
         answers = self.core.receive(data)
         self._act()
         return answers

@@ -1,9 +1,15 @@
-"""Two devices of one protocol, the simulated one in Python and the firmware's core in C, see the same world and the same
-bytes, and say the same, byte for byte, tick for tick."""
+"""Two devices of one protocol: the simulated one in Python and the firmware's core in C.
+
+They see the same world and the same bytes, and say the same, byte for byte, tick for tick.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import os
+import random
+import struct
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -14,20 +20,24 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
-from firmware_protocol.connection import Received
+from firmware_protocol.connection import Event, Received, State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import DisarmFlag, Message, Mode
-from firmware_protocol.packing import HEADER, LAYOUT_OF
+from firmware_protocol.packing import HEADER, LAYOUT_OF, data_limit
 from firmware_protocol.parameters import PARAMETERS, Value, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
+from firmware_protocol.wire import wire_fields
 from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
+from sim_backend.hardware import Hardware
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig
 from tests.conformance.wire_strategies import messages_of, parameter_sets
 from tests.firmware.core import CoreDevice
 
+WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
+WALK_STEPS = 120
 RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
 HOST_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
@@ -38,7 +48,18 @@ COUNTERS = [
 
 
 class Reference(SimulatedDevice):
-    """The simulated device, with the one request that it leaves out and PROTOCOL.md has."""
+    """The simulated device, with the request that it leaves out, and without the step that a repeat takes in it.
+
+    A repeated DISARM gets the remembered answer, and moves the state with it: out of a fault that came in between, which
+    stays latched. The firmware stays in FAULT.
+    """
+
+    def _answer(self, event: Event) -> Message:
+        last = self._replies._key
+        reply = super()._answer(event)
+        if last == (event.request, event.nonce, event.session):
+            self.connection._open.pop((event.request, event.nonce), None)
+        return reply
 
     def _handlers(self) -> dict[type[Message], Callable[[Any, Received], Message]]:
         return {**super()._handlers(), m.GetStatistics: lambda request, _: self._statistics(request)}
@@ -52,6 +73,18 @@ class Reference(SimulatedDevice):
 LAYOUT_NAMES = [name for name in COUNTERS if name != "wrong_direction"]
 
 
+class Shaky(Hardware):
+    """Hardware whose next sample is wrong by some counts and quanta."""
+
+    jump = spike = 0
+
+    def advance(self, current: int) -> None:
+        super().advance(current)
+        self.count += self.jump
+        self.measured = max(-32_767, min(32_767, self.measured + self.spike))
+        self.jump = self.spike = 0
+
+
 class Pair:
     """Both devices under the same hand; every step compares them."""
 
@@ -62,22 +95,34 @@ class Pair:
         self.session = 0
         self.sequence = 0
         self.said = b""
+        self.frames: deque[bytes] = deque(maxlen=8)  # the last ones, to be sent again
+        for device in (self.python, self.c):
+            device.hardware.__class__ = Shaky
 
     def both(self, call: Callable[[Any], bytes | None]) -> None:
         self.said, c = call(self.python) or b"", call(self.c) or b""
         assert c == self.said
         connection = self.python.connection
-        assert (self.c.state, self.c.session, self.c.fault) == (connection.state, connection.session, self.python.fault)
+        assert (self.c.state, self.c.session, self.c.fault) == (
+            connection.state,
+            connection.session,
+            self.python.fault,
+        )
 
     def write(self, data: bytes) -> None:
+        self.frames.append(data)
         self.both(lambda device: device.receive(data))
 
     def tick(self, ticks: int = 1) -> None:
         for _ in range(ticks):
             self.both(lambda device: device.tick())
 
-    def send(self, message: Message, session: int | None = None, sequence: int = 0, major: int = m.MAJOR) -> bytes:
-        frame = frame_of(message, self.python.connection.session if session is None else session, sequence, major)
+    def send(
+        self, message: Message, session: int | None = None, sequence: int = 0, major: int = m.MAJOR
+    ) -> bytes:
+        frame = frame_of(
+            message, self.python.connection.session if session is None else session, sequence, major
+        )
         self.write(frame)
         return frame
 
@@ -99,7 +144,9 @@ class Pair:
         self.configure({**RUN_PARAMETERS, **values})
         self.arm(session)
 
-    def command(self, current: int, lifetime_us: int = 20_000, mode: int = Mode.CURRENT, skip: int = 0) -> None:
+    def command(
+        self, current: int, lifetime_us: int = 20_000, mode: int = Mode.CURRENT, skip: int = 0
+    ) -> None:
         self.sequence = (self.sequence + skip) & 0xFFFF
         self.send(m.Command(0, lifetime_us, int(mode), 0, current), sequence=self.sequence)
         self.sequence = (self.sequence + 1) & 0xFFFF
@@ -115,7 +162,9 @@ class Pair:
         self.send(m.GetTime(self.next_nonce(), 2**64 - 1))
         self.send(m.GetStatistics(self.next_nonce()))
         counted, ours = self.python.connection.statistics, self.c.core.status.counters
-        assert {name: getattr(ours, name) for name in COUNTERS} == {name: getattr(counted, name) for name in COUNTERS}
+        assert {name: getattr(ours, name) for name in COUNTERS} == {
+            name: getattr(counted, name) for name in COUNTERS
+        }
 
 
 def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR) -> bytes:
@@ -185,6 +234,18 @@ class Step:
     def _push(self, pair: Pair, effort: float) -> None:
         pair.python.hardware.external_effort = pair.c.hardware.external_effort = effort
 
+    def _shake(self, pair: Pair, jump: int, spike: int) -> None:
+        for hardware in (pair.python.hardware, pair.c.hardware):
+            assert isinstance(hardware, Shaky)
+            hardware.jump, hardware.spike = jump, spike
+
+    def _again(self, pair: Pair, back: int) -> None:
+        if pair.frames:
+            pair.write(pair.frames[-1 - back % len(pair.frames)])
+
+    def _ask(self, pair: Pair) -> None:
+        pair.ask_everything()
+
     def _reset(self, pair: Pair) -> None:
         pair.both(lambda device: device.reset())
 
@@ -195,22 +256,27 @@ def steps(name: str, *values: st.SearchStrategy[Any]) -> st.SearchStrategy[Step]
 
 u8, u16 = st.integers(0, 255), st.integers(0, 0xFFFF)
 host_messages = st.sampled_from(HOST_MESSAGES).flatmap(messages_of)
-currents = st.sampled_from([0, 1, 60, 300, 501, 5_000, 32_767]).flatmap(lambda size: st.sampled_from([size, -size]))
+currents = st.sampled_from([0, 1, 60, 300, 501, 5_000, 32_767]).flatmap(
+    lambda size: st.sampled_from([size, -size])
+)
+CHOICES: dict[str, list[Value]] = {
+    "current_limit": [0, 100, 3_000, 10_000],
+    "continuous_current": [0, 50, 200, 10_000],
+    "thermal_time_constant": [0.125, 0.5, 8.0],
+    "slew_limit": [1, 30, 1_000, 65_534, 65_535],
+    "speed_limit": [0, 1_000, 30_000, 2**32 - 1],
+    "window_minimum": [-1_000_000, -100, -3, 0],
+    "window_maximum": [0, 7, 100, 1_000_000],
+    "command_lifetime_us": [100, 3_333, 20_000],
+    "ramp_us": [0, 1, 777, 10_000],
+    "hold_to_run": [0, 1],
+    "verified": [0, 1, 1, 1],
+}
+SINGLES = [(name, choice) for name, choices in CHOICES.items() for choice in choices]
+SHAKES = [(0, 0), (1, 0), (-40, 300), (5_000, -20_000), (-(2**30), 32_767)]
 run_values = st.fixed_dictionaries(
     {"position_rate": st.sampled_from(RATES)},
-    optional={
-        "current_limit": st.sampled_from([0, 100, 3_000, 10_000]),
-        "continuous_current": st.sampled_from([0, 50, 200, 10_000]),
-        "thermal_time_constant": st.sampled_from([0.125, 0.5, 8.0]),
-        "slew_limit": st.sampled_from([1, 30, 1_000, 65_534, 65_535]),
-        "speed_limit": st.sampled_from([0, 1_000, 30_000, 2**32 - 1]),
-        "window_minimum": st.sampled_from([-1_000_000, -100, -3, 0]),
-        "window_maximum": st.sampled_from([0, 7, 100, 1_000_000]),
-        "command_lifetime_us": st.sampled_from([100, 3_333, 20_000]),
-        "ramp_us": st.sampled_from([0, 1, 777, 10_000]),
-        "hold_to_run": st.integers(0, 1),
-        "verified": st.sampled_from([0, 1, 1, 1]),
-    },
+    optional={name: st.sampled_from(choices) for name, choices in CHOICES.items()},
 )
 any_step = st.one_of(
     steps("tick", st.integers(1, 40)),
@@ -232,6 +298,8 @@ any_step = st.one_of(
     steps("fault", st.sampled_from([fault for fault in Fault if fault is not Fault.NONE])),
     steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
     steps("reset"),
+    steps("shake", st.sampled_from([jump for jump, _ in SHAKES]), st.sampled_from([spike for _, spike in SHAKES])),
+    steps("again", st.integers(0, 7)),
 )  # fmt: skip
 run_step = st.one_of(
     steps("tick", st.integers(1, 400)),
@@ -240,6 +308,51 @@ run_step = st.one_of(
     steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
     steps("hold", st.booleans()),
 )  # fmt: skip
+
+
+def random_message(rng: random.Random) -> Message:
+    """Any request or command, of plausible or extreme values."""
+    cls = rng.choice(HOST_MESSAGES)
+    values: dict[str, Any] = {}
+    for name, wire in wire_fields(cls).items():
+        if wire.ctype == "bytes":
+            values[name] = rng.randbytes(rng.randrange(data_limit(cls) + 1))
+        else:
+            bits = int(wire.ctype[1:])
+            values[name] = rng.choice([0, 1, 2, 9, (1 << bits - 1) - 1, rng.getrandbits(bits - 1)])
+    return cls(**values)
+
+
+def random_step(rng: random.Random) -> Step:
+    """One step of a host, a person or an accident, mostly of those that lead on."""
+    choose, draw = rng.choice, rng.randrange
+    values = {name: choose(choices) for name, choices in CHOICES.items() if rng.random() < 0.3}
+    values["position_rate"] = choose(RATES)
+    clear = int(DisarmFlag.CLEAR_FAULT)
+    current = choose([1, -1]) * choose([0, 1, 60, 300, 501, 5_000, 32_767])
+    mode, skip = choose([0, 0, 0, 0, 1, 2, 9]), choose([0, 0, 0, 1, 0x8000])
+    kinds: list[tuple[int, str, tuple[Any, ...]]] = [
+        (14, "drive", (draw(60), current, choose(LIFETIMES_US), mode, skip)),
+        (8, "tick", (draw(40),)),
+        (10, "run", (draw(4), values)),
+        (6, "disarm", (choose([0, clear, clear, clear]),)),
+        (4, "again", (draw(8),)),
+        (3, "shake", choose(SHAKES)),
+        (2, "push", (choose([0.0, 0.02, -0.5, 3.0]),)),
+        (2, "emergency", (choose([True, False, False]),)),
+        (2, "hold", (choose([True, True, False]),)),
+        (2, "send", (random_message(rng), draw(4), draw(3), m.MAJOR)),
+        (2, "arm", (draw(4), choose([0, 0, 1]))),
+        (2, "configure", (dict([choose(SINGLES)]),)),
+        (1, "frame", ((choose([1, 1, 2]), rng.getrandbits(8), 0, draw(3), draw(4), 0), rng.randbytes(draw(60)))),
+        (1, "damaged", (random_message(rng), draw(512), choose([0, 0, 1]))),
+        (1, "noise", (rng.randbytes(draw(300)),)),
+        (1, "fault", (choose(list(Fault)[1:]),)),
+        (1, "ask", ()),
+        (1, "reset", ()),
+    ]  # fmt: skip
+    ((_, name, arguments),) = rng.choices(kinds, [weight for weight, *_ in kinds])
+    return Step(name, arguments)
 
 
 def rig_of(sign: int = 1) -> RigModel:
@@ -261,9 +374,25 @@ def test_whatever_happens_both_say_the_same(library: ctypes.CDLL, script: list[S
     pair.ask_everything()
 
 
+@pytest.mark.parametrize("seed", range(WALKS))
+def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> None:
+    """Hypothesis shrinks what it finds and rarely goes far; a walk goes far."""
+    rng = random.Random(seed)
+    pair = Pair(library, rig_of(rng.choice([1, -1])), seed=seed)
+    pair.begin(position_rate=rng.choice(RATES))
+    for _ in range(WALK_STEPS):
+        random_step(rng).act(pair)
+    pair.write(b"\0")
+    pair.ask_everything()
+
+
 @settings(max_examples=60, deadline=None)
 @given(run_values, st.lists(run_step, max_size=12), st.sampled_from([1, -1]))
-@example({"position_rate": 2_000, "current_limit": 10_000, "speed_limit": 1_000}, [Step("drive", (400, 300, 3_000, 0, 0))], 1)
+@example(
+    {"position_rate": 2_000, "current_limit": 10_000, "speed_limit": 1_000},
+    [Step("drive", (400, 300, 3_000, 0, 0))],
+    1,
+)
 def test_under_any_limits_both_run_alike(
     library: ctypes.CDLL, values: dict[str, Value], script: list[Step], sign: int
 ) -> None:
@@ -288,7 +417,11 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, 25), st.binary(min_size=4, max_size=4)), max_size=6), st.booleans(), st.integers(0, 7))
+@given(
+    st.lists(st.tuples(st.integers(0, 25), st.binary(min_size=4, max_size=4)), max_size=6),
+    st.booleans(),
+    st.integers(0, 7),
+)
 def test_the_same_blocks_are_taken_and_refused(
     library: ctypes.CDLL, entries: list[tuple[int, bytes]], in_order: bool, cut: int
 ) -> None:
@@ -318,20 +451,22 @@ def test_every_range_ends_at_the_same_value(library: ctypes.CDLL, model: RigMode
 
 
 def _bits(ctype: str, value: Value) -> int:
-    import struct  # noqa: PLC0415
-
     code = "<f" if ctype == "f32" else "<q"
     return int.from_bytes(struct.pack(code, value)[:4], "little")
 
 
 @settings(max_examples=80, deadline=None)
-@given(st.integers(0, 1100), st.lists(st.tuples(st.integers(0, 1100), st.integers(0, 46)), max_size=40), st.booleans())
+@given(
+    st.integers(0, 1100),
+    st.lists(st.tuples(st.integers(0, 1100), st.integers(0, 46)), max_size=40),
+    st.booleans(),
+)
 def test_chunks_in_any_order_fill_the_same_bytes(
     library: ctypes.CDLL, length: int, chunks: list[tuple[int, int]], honest: bool
 ) -> None:
     pair = Pair(library, rig_of())
     pair.send(m.Identify(pair.next_nonce(), 0))
-    whole = encode_block({name: value for name, value in RUN_PARAMETERS.items()})
+    whole = encode_block(RUN_PARAMETERS)
     content = (whole * 30)[: max(length, 1100)]
     crc = block_crc(content[:length]) if honest else 0
     pair.send(m.SetBegin(9, length, crc))
@@ -370,6 +505,17 @@ def test_the_fault_log_survives_its_clear_and_the_next_run(library: ctypes.CDLL)
         pair.ask_everything()
 
 
+def test_a_late_repeat_of_disarm_leaves_a_new_fault_latched(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    pair.begin()
+    late = pair.send(m.Disarm(77, DisarmFlag.CLEAR_FAULT), session=1)
+    Step("fault", (Fault.ENCODER,)).act(pair)
+    pair.write(late)
+    assert (pair.c.state, pair.c.fault) == (State.FAULT, Fault.ENCODER)
+    pair.send(m.Disarm(78, DisarmFlag.CLEAR_FAULT), session=1)
+    assert (pair.c.state, pair.c.fault) == (State.CONFIGURED, Fault.NONE)
+
+
 def test_every_fault_has_the_same_gravity(library: ctypes.CDLL) -> None:
     pair = Pair(library, rig_of())
     faults = [fault for fault in Fault if fault is not Fault.NONE]
@@ -383,4 +529,6 @@ def test_every_fault_has_the_same_gravity(library: ctypes.CDLL) -> None:
 
 def test_there_is_nothing_else_to_count() -> None:
     pair_counts = asdict(SimulatedDevice(rotary_rig()).connection.statistics)
-    assert set(COUNTERS) == set(pair_counts) - {"cobs_errors", "too_long", "too_short", "overrun"} | {"framing_errors"}
+    assert set(COUNTERS) == set(pair_counts) - {"cobs_errors", "too_long", "too_short", "overrun"} | {
+        "framing_errors"
+    }

@@ -283,15 +283,16 @@ static bool is_repeat(const struct remembered *last, const uint8_t *raw)
            && last->session == raw[HR_AT_HEADER_SESSION];
 }
 
+/* A repeat moves nothing: a DISARM that was late on the line must not lead out of a fault that came since. */
 static void acknowledge(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
     const uint8_t type = raw[HR_AT_HEADER_TYPE_ID], session = raw[HR_AT_HEADER_SESSION];
     const bool remembers = is_remembered_type(type);
-    struct ack ack;
-    if (remembers && is_repeat(&device->remembered, raw))
-        ack = device->remembered.ack;
-    else
-        ack = verdict->kind == VERDICT_REFUSE ? refused(raw, verdict) : executed(device, raw, count);
+    if (remembers && is_repeat(&device->remembered, raw)) {
+        send_ack(device, &device->remembered.ack);
+        return;
+    }
+    const struct ack ack = verdict->kind == VERDICT_REFUSE ? refused(raw, verdict) : executed(device, raw, count);
     if (remembers) {
         device->remembered.there = true;
         device->remembered.session = session;
