@@ -1,7 +1,7 @@
 """The firmware's core as a device in virtual time: the plant of the simulation, the software of a board.
 
-`CoreDevice` offers what `sim_backend.link.MemoryLink` wants of a `SimulatedDevice`, so that every suite that speaks to one
-can speak to the other.
+`CoreDevice` offers what `sim_backend.link.MemoryLink` wants of a `SimulatedDevice`, so that every suite that speaks to
+one can speak to the other.
 """
 
 from __future__ import annotations
@@ -113,10 +113,7 @@ def load(path: Path) -> ctypes.CDLL:
 
 
 class Core:
-    """The firmware behind its host port: bytes and a world, no plant.
-
-    `clock` must be later than the last tick where it is given, or the device takes it for the past.
-    """
+    """The firmware behind its host port: bytes and a world, no plant."""
 
     def __init__(
         self, library: ctypes.CDLL, model: RigModel, rate: int = 1_000, maximum: int = 50_000

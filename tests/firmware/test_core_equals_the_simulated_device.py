@@ -50,8 +50,8 @@ COUNTERS = [
 class Reference(SimulatedDevice):
     """The simulated device, with the request that it leaves out, and without the step that a repeat takes in it.
 
-    A repeated DISARM gets the remembered answer, and moves the state with it: out of a fault that came in between, which
-    stays latched. The firmware stays in FAULT.
+    A repeated DISARM gets the remembered answer, and moves the state with it: out of a fault that came in between,
+    which stays latched. The firmware stays in FAULT.
     """
 
     def _answer(self, event: Event) -> Message:
