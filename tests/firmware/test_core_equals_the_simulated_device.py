@@ -24,7 +24,7 @@ from firmware_protocol.connection import Event, Received, State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import DisarmFlag, Message, Mode
-from firmware_protocol.packing import HEADER, LAYOUT_OF, data_limit
+from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, data_limit
 from firmware_protocol.parameters import PARAMETERS, Value, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
@@ -471,12 +471,30 @@ def test_chunks_in_any_order_fill_the_same_bytes(
     crc = block_crc(content[:length]) if honest else 0
     pair.send(m.SetBegin(9, length, crc))
     for offset, count in chunks:
-        pair.send(m.SetChunk(9, offset, content[offset : offset + count]))
+        pair.send(m.SetChunk(9 + offset % 7 // 6, offset, content[offset : offset + count]))
         pair.send(m.SetCommit(9 + count % 2))
+        if offset % 5 == 0:
+            pair.send(m.SetBegin(9, length, crc if count % 5 else crc ^ 1))
     for offset in range(0, length, 46):
         pair.send(m.SetChunk(9, offset, content[offset : min(offset + 46, length)]))
     pair.send(m.SetCommit(9))
     pair.send(m.SetCommit(10))
+
+
+@pytest.mark.parametrize("state", list(State), ids=lambda state: state.name)
+def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, state: State) -> None:
+    for type_id in range(256):
+        layout = LAYOUTS.get(type_id)
+        sizes = {0, 1, 2, 3, 8, 50, 51, 242} | (
+            {layout.size - 1, layout.size, layout.size + 1} if layout else set()
+        )
+        for session in (0, 1):
+            pair = Pair(library, linear_rig())
+            pair.bring_to(state)
+            for size in sorted(sizes):
+                header = HEADER.pack(m.MAJOR, type_id, 0, session, size)
+                pair.write(encode_frame(header + bytes(range(1, size + 1))))
+            pair.tick()
 
 
 @pytest.mark.parametrize("rate", RATES)
