@@ -537,6 +537,28 @@ def test_the_fault_log_survives_its_clear_and_the_next_run(library: ctypes.CDLL)
         pair.ask_everything()
 
 
+@pytest.mark.parametrize("step", [0, 1, 2, 0x7FFE, 0x7FFF, 0x8000, 0x8001, 0xFFFF])
+@pytest.mark.parametrize("start", [0, 5, 0xFFFF])
+def test_the_circle_of_sequences_is_halved_at_the_same_place(
+    library: ctypes.CDLL, start: int, step: int
+) -> None:
+    pair = Pair(library, rig_of())
+    pair.begin()
+    for sequence, current in ((start, 10), ((start + step) & 0xFFFF, 20)):
+        pair.send(m.Command(0, 20_000, 0, 0, current), sequence=sequence)
+        pair.tick()
+    pair.ask_everything()
+
+
+def test_a_nonce_of_another_session_is_no_repeat(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    pair.bring_to(State.CONFIGURED)
+    configuration = pair.python._configuration
+    pair.send(m.Arm(77, configuration.hash ^ 1, configuration.crc), session=3)
+    pair.send(m.Arm(77, configuration.hash, configuration.crc), session=4)
+    assert pair.c.state is State.ARMED
+
+
 def test_a_late_repeat_of_disarm_leaves_a_new_fault_latched(library: ctypes.CDLL) -> None:
     pair = Pair(library, rig_of())
     pair.begin()
