@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
+from zlib import crc32
 
 import pytest
 from hypothesis import example, given, settings
@@ -83,6 +84,15 @@ class Shaky(Hardware):
         self.count += self.jump
         self.measured = max(-32_767, min(32_767, self.measured + self.spike))
         self.jump = self.spike = 0
+
+
+class Puppet(Hardware):
+    """Hardware that moves as it is told: `speed` counts a tick, `measured` as it stands."""
+
+    speed = 0
+
+    def advance(self, current: int) -> None:
+        self.count += self.speed
 
 
 class Pair:
@@ -494,6 +504,17 @@ def test_chunks_in_any_order_fill_the_same_bytes(
     pair.send(m.SetCommit(10))
 
 
+@pytest.mark.parametrize("fill", [0, 1])
+def test_frames_of_every_length_are_counted_alike(library: ctypes.CDLL, fill: int) -> None:
+    """Also those that no honest sender makes: shorter than a header or longer than a batch, with a good CRC."""
+    pair = Pair(library, linear_rig())
+    for size in range(270):
+        raw = (bytes([m.MAJOR]) + bytes([fill]) * size)[:size]
+        runs = (raw + crc32(raw).to_bytes(4, "little")).split(b"\0")
+        pair.write(b"".join(bytes([min(len(run) + 1, 255)]) + run for run in runs) + b"\0")
+    pair.ask_everything()
+
+
 @pytest.mark.parametrize("state", list(State), ids=lambda state: state.name)
 def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, state: State) -> None:
     model = linear_rig()
@@ -548,6 +569,58 @@ def test_the_circle_of_sequences_is_halved_at_the_same_place(
         pair.send(m.Command(0, 20_000, 0, 0, current), sequence=sequence)
         pair.tick()
     pair.ask_everything()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
+    """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
+    rng = random.Random(seed)
+    sign = rng.choice([1, -1])
+    pair = Pair(library, rotary_rig(coulomb=2e-3, sign=sign))
+    for device in (pair.python, pair.c):
+        device.hardware.__class__ = Puppet
+    for session in range(1, 30):
+        rate = rng.choice([200, 1_000, 2_000])
+        window = max(1, rate // 200)
+        pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
+        limits = {
+            "speed_limit": 1_000 * rng.randrange(4),
+            "hold_to_run": rng.randrange(2),
+            "current_limit": 500,
+        }
+        position = pair.python.hardware.count
+        limits |= {
+            "window_minimum": position - rng.randrange(90),
+            "window_maximum": position + rng.randrange(90),
+        }
+        pair.both(lambda device: device.hold_to_run(True))
+        pair.begin(session, position_rate=rate, **limits)
+        while pair.c.state in {State.ARMED, State.RUNNING}:
+            current, speed = rng.choice([0, 99, 100, 101, 300]) * rng.choice([1, -1]), rng.randrange(-3, 4)
+            measured = rng.choice([0, 0, 0, current, 11_000, -11_000, 11_001]) if rng.random() < 0.1 else 0
+            for hardware in (pair.python.hardware, pair.c.hardware):
+                hardware.speed, hardware.measured = speed, measured
+            for _ in range(rng.choice([1, window - 1, window, window + 1, 3 * window, 10 * window])):
+                pair.command(current)
+                pair.tick()
+
+
+def test_a_motor_that_bears_nothing_gets_nothing_from_the_first_tick(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rotary_rig())  # whose sensor is silent: the heat is exactly zero
+    pair.begin(continuous_current=0)
+    pair.command(100)
+    pair.tick()
+    assert pair.c.core.status.current == 0
+
+
+@pytest.mark.parametrize("slew_limit", [65_534, 65_535])
+def test_the_largest_slew_limits_let_every_change_pass(library: ctypes.CDLL, slew_limit: int) -> None:
+    pair = Pair(library, rotary_rig(effort_limit=10.0))
+    pair.begin(slew_limit=slew_limit, current_limit=32_767, continuous_current=32_767)
+    for current in (32_767, -32_767, -32_768, 32_767):
+        pair.command(current)
+        pair.tick()
+        assert pair.c.core.status.current == max(current, -32_767)
 
 
 def test_a_nonce_of_another_session_is_no_repeat(library: ctypes.CDLL) -> None:

@@ -2,13 +2,11 @@
 
 #include "protocol.h"
 
-#define NO_SLEW_LIMIT 65535 /* so the parameter says: further than any current can change in a tick */
-
 void limits_configure(struct limits *limits, uint16_t largest, uint16_t continuous, uint16_t slew)
 {
     limits->largest = largest;
     limits->continuous = continuous;
-    limits->slew = slew == NO_SLEW_LIMIT ? INT32_MAX : slew;
+    limits->slew = slew; /* 65535, which means none, is further than a current of 16 bits can change */
 }
 
 /* Clip to ± limit, and set a flag if that changed something. */
