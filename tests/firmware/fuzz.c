@@ -1,7 +1,8 @@
 /* Anything at all into the core, under the sanitizers: fuzz SEED STEPS. Deterministic; prints what it reached.
  *
- * Frames with a good CRC and any content, frames with flipped bits, noise; ticks with any count and measurement in between. What
- * must hold whatever comes: no current unless armed, never above current_limit, none behind a latched fault. */
+ * Frames with a good CRC and any content, frames with flipped bits, noise; ticks with any count and measurement
+ * in between. What must hold whatever comes: no current unless armed, never above current_limit, none behind a
+ * latched fault. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -75,14 +76,14 @@ static void send_any(struct fuzz *fuzz)
     const struct hr_message *message = &hr_messages[below(HR_MESSAGES)];
     const uint8_t type = below(8) ? message->type : (uint8_t)below(256);
     const size_t longest = HR_SHORT_RAW_LIMIT - HR_CRC_BYTES;
-    size_t count = below(4) && message->bytes <= longest ? message->bytes
-                                                         : HR_HEADER_BYTES + below((uint32_t)longest - HR_HEADER_BYTES + 1);
+    const bool fits = below(4) != 0 && message->bytes <= longest;
+    const size_t any = HR_HEADER_BYTES + below((uint32_t)longest - HR_HEADER_BYTES + 1);
     uint8_t *raw = begin(fuzz, &packet, type, longest);
     for (size_t i = HR_HEADER_BYTES + 2; i < longest; i++)
         raw[i] = below(3) ? (uint8_t)below(256) : 0;
     if (!below(4))
         raw[HR_AT_HEADER_SESSION] = (uint8_t)below(3);
-    packet.count = count;
+    packet.count = fits ? message->bytes : any;
     send(fuzz, &packet, !below(6));
 }
 

@@ -440,6 +440,8 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
 
 
 @settings(max_examples=200, deadline=None)
+@example([(10, b"\1\0\0\0"), (10, b"\1\0\0\0")], False, 0)
+@example([(11, b"\0\1\0\0"), (10, b"\1\0\0\0")], False, 0)
 @given(
     st.lists(st.tuples(st.integers(0, 25), st.binary(min_size=4, max_size=4)), max_size=6),
     st.booleans(),

@@ -130,9 +130,9 @@ void device_fault(struct device *device, uint8_t fault)
 
 /* ------------------------------------------------------------------ first half of a tick: the current */
 
-/* Here the law on the device comes in (law_tick): called once a tick with the fresh sample, whatever the state, because an
- * estimator must have settled before the handle meets the wall. There is none yet: SUPERVISE feeds the watchdog and gives no
- * current. */
+/* Here the law on the device comes in (law_tick): called once a tick with the fresh sample, whatever the state,
+ * because an estimator must have settled before the handle meets the wall. There is none yet: SUPERVISE feeds
+ * the watchdog and gives no current. */
 static int16_t law_current(const struct device *device)
 {
     (void)device;
@@ -177,8 +177,8 @@ void device_drive(struct device *device)
 
 /* ------------------------------------------------------------------ second half: the sample */
 
-/* The grid of the samples: a period that is no whole number of units does not drift. A timer that cannot keep the exact rate
- * leaves the grid slowly; half a period away from it, the grid follows. */
+/* The grid of the samples: a period that is no whole number of units does not drift. A timer that cannot keep
+ * the exact rate leaves the grid slowly; half a period away from it, the grid follows. */
 static void step_grid(struct device *device)
 {
     const uint64_t half = device->period / 2u;
@@ -242,7 +242,8 @@ static void send_state(struct device *device, const struct fault_entry *tick)
     device_send(device, &packet);
 }
 
-/* Faults of a tick as bits 1 << code. What the motion says concerns an armed device alone; an encoder that fails, any. */
+/* Faults of a tick as bits 1 << code. What the motion says concerns an armed device alone; an encoder that
+ * fails, any. */
 static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
     uint32_t bits = monitor_check(&device->monitor, tick->count, tick->current_commanded, tick->current_measured);

@@ -1,7 +1,7 @@
 /* The device: a rig that speaks the protocol of PROTOCOL.md. One struct, no globals, no heap.
  *
- * A port calls device_start once, then device_tick from its timer and device_poll in between; the two must not interrupt
- * each other, and both are bounded in time. */
+ * A port calls device_start once, then device_tick from its timer and device_poll in between; the two must not
+ * interrupt each other, and both are bounded in time. */
 #ifndef HR_DEVICE_H
 #define HR_DEVICE_H
 
@@ -71,7 +71,8 @@ struct device {
     uint32_t command_lifetime_us, supervise_lifetime_us, ramp;
 };
 
-/* After power-up, with a struct of zeroes: in BOOT, at the board's initial rate. `hal` and `board` must live as long. */
+/* After power-up, with a struct of zeroes: in BOOT, at the board's initial rate. `hal` and `board` must live as
+ * long. */
 void device_start(struct device *device, const struct hal *hal, const struct board *board);
 
 /* Start anew as after a reset that left the memory alone: the motor's heat and the link counters stay. */

@@ -10,7 +10,8 @@ uint32_t crc_of(const uint8_t *bytes, size_t count)
     return ~crc;
 }
 
-/* Raw frames are so short that no run of 254 bytes without a zero exists: each code is the distance to the next zero. */
+/* Raw frames are so short that no run of 254 bytes without a zero exists: each code is the distance to the next
+ * zero. */
 static void stuff(uint8_t *bytes, size_t end)
 {
     size_t code = 0;

@@ -9,7 +9,8 @@
 #include "counters.h"
 #include "protocol.h"
 
-/* One frame to send. The raw frame lies behind a byte of room for the first COBS code, so that it is stuffed in place. */
+/* One frame to send. The raw frame lies behind a byte of room for the first COBS code, so that it is stuffed in
+ * place. */
 #define HR_RAW_AT 1u
 
 struct packet {

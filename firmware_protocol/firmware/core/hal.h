@@ -1,7 +1,7 @@
 /* What a port gives the core: one struct of functions, each called with `context`, none of which may block.
  *
- * Device time counts 1/16 µs since power-up, 64 bits wide, and never steps back. A port with a 32-bit counter extends it.
- */
+ * Device time counts 1/16 µs since power-up, 64 bits wide, and never steps back. A port with a 32-bit counter
+ * extends it. / */
 #ifndef HR_HAL_H
 #define HR_HAL_H
 
@@ -32,7 +32,8 @@ struct hal {
     /* Tick at another rate (Hz) from the last tick on. False, and no change, for one that the timer cannot do. */
     bool (*set_rate)(void *context, uint32_t rate);
 
-    /* Bytes of the host: those that are there, at most `capacity`; and a whole frame to it, sent or dropped in one. */
+    /* Bytes of the host: those that are there, at most `capacity`; and a whole frame to it, sent or dropped in
+     * one. */
     size_t (*link_read)(void *context, uint8_t *into, size_t capacity);
     void (*link_write)(void *context, const uint8_t *frame, size_t count);
 

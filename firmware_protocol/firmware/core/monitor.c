@@ -4,8 +4,8 @@
 
 #include "protocol.h"
 
-/* A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an automated rig
- * may rest in friction, and a handle may be thrown along the effort by a person. */
+/* A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an
+ * automated rig may rest in friction, and a handle may be thrown along the effort by a person. */
 #define RUNAWAY_DIVISOR 5
 
 /* A rig under a large effort must show an edge within three times what the free rig takes for two counts. */
@@ -15,8 +15,8 @@
 
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 
-/* Time (s) after which a free rig under a steady current must have shown an encoder edge; negative for never. Friction is taken
- * off the effort, then the whole inertia is moved; viscous and electrical lag add their times. */
+/* Time (s) after which a free rig under a steady current must have shown an encoder edge; negative for never.
+ * Friction is taken off the effort, then the whole inertia is moved; viscous and electrical lag add their times. */
 static double stall_s(const struct mechanics *m, double current)
 {
     const double driving = current * m->effort_quantum;
@@ -48,8 +48,8 @@ static uint16_t window_ticks(uint32_t rate)
     return (uint16_t)(ticks > 0 ? ticks : 1u);
 }
 
-/* Thresholds become whole counts once, here; a tick compares integers. The ends of the speed window may each lie anywhere in
- * their encoder cells, hence one count more. */
+/* Thresholds become whole counts once, here; a tick compares integers. The ends of the speed window may each lie
+ * anywhere in their encoder cells, hence one count more. */
 static void configure_motion(struct monitor *monitor, const struct monitor_settings *settings)
 {
     const uint64_t travel = (uint64_t)settings->speed_limit * monitor->ticks;

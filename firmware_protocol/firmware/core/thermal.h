@@ -12,7 +12,8 @@ struct thermal {
     uint8_t shift;    /* 32 … 60 */
 };
 
-/* Set the budget, and the lag for `rate` ticks a second. A motor does not cool by being configured: the heat stays. */
+/* Set the budget, and the lag for `rate` ticks a second. A motor does not cool by being configured: the heat
+ * stays. */
 void thermal_configure(struct thermal *thermal, uint16_t continuous_current, float time_constant_s, uint32_t rate);
 
 /* Let one tick of the measured current pass. */

@@ -1,10 +1,12 @@
-/* Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the ramp ends,
- * not a tick later. The ramp begins at what the limits left of the command, so that it falls in every tick. */
+/* Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
+ * ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
+ * tick. */
 #include "watchdog.h"
 
 #include "protocol.h"
 
-/* What a host has for its first command after ARM, and to disarm after STOP: half a second. There is no current meanwhile. */
+/* What a host has for its first command after ARM, and to disarm after STOP: half a second. There is no current
+ * meanwhile. */
 #define IDLE_LIFETIME (500000u * HR_TIME_UNITS_PER_US)
 
 void watchdog_idle(struct watchdog *watchdog, uint64_t now)
