@@ -1,7 +1,8 @@
-"""Print the tables of PROTOCOL.md from the tables that run.
+"""Print the tables of PROTOCOL.md and of the firmware from the tables that run.
 
-``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md; with ``--check`` it
-changes nothing and ends with 1 when the file is stale. The prose around the markers is written by hand.
+``python -m firmware_protocol.codegen`` rewrites what stands between the markers of PROTOCOL.md, and the firmware's
+``protocol.h`` and ``protocol.c``; with ``--check`` it changes nothing and ends with 1 when one of them is stale. The
+prose around the markers is written by hand.
 """
 
 from __future__ import annotations
@@ -15,17 +16,13 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import REPLIES, TRANSITIONS, UNASKED, State
 from firmware_protocol.faults import Described, DescribedFlag, Fault, Input, LimitFlag, Status
 from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES
+from firmware_protocol.header import FILES, title
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, LAYOUTS, Header
 from firmware_protocol.parameters import PARAMETERS
 from firmware_protocol.wire import FORMATS, Wire, record_struct, wire_fields
 
 PROTOCOL = Path(__file__).with_name("PROTOCOL.md")
 _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
-
-
-def title(cls: type) -> str:
-    """Name of a message as the protocol writes it: SetBegin → SET_BEGIN."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).upper()
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -163,17 +160,26 @@ def render(text: str) -> str:
     )
 
 
+def fresh() -> dict[Path, str]:
+    """Return every file that is made here, and what should stand in it."""
+    made = {PROTOCOL: render(PROTOCOL.read_text(encoding="utf-8"))}
+    return made | {path: text() for path, text in FILES.items()}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Rewrite PROTOCOL.md, or with ``--check`` say whether it is fresh."""
+    """Rewrite what is made here, or with ``--check`` say whether it is fresh."""
     check = "--check" in (sys.argv[1:] if arguments is None else arguments)
-    old = PROTOCOL.read_text(encoding="utf-8")
-    new = render(old)
-    if check:
-        if new != old:
-            print("PROTOCOL.md is stale: run python -m firmware_protocol.codegen", file=sys.stderr)
-        return int(new != old)
-    PROTOCOL.write_text(new, encoding="utf-8")
-    return 0
+    stale = {path: text for path, text in fresh().items() if _text_of(path) != text}
+    for path, text in stale.items():
+        if check:
+            print(f"{path.name} is stale: run python -m firmware_protocol.codegen", file=sys.stderr)
+        else:
+            path.write_text(text, encoding="utf-8")
+    return int(check and bool(stale))
+
+
+def _text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
 if __name__ == "__main__":

@@ -1,0 +1,33 @@
+/* SET_PARAMETERS: pieces of a block, in any order and more than once. */
+#ifndef HR_ASSEMBLER_H
+#define HR_ASSEMBLER_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "protocol.h"
+
+struct assembler {
+    bool begun;
+    uint16_t nonce;
+    uint16_t length;
+    uint32_t crc;
+    uint16_t missing; /* bytes */
+    uint8_t block[HR_BLOCK_LIMIT];
+    uint8_t there[HR_BLOCK_LIMIT / 8u]; /* a bit for each byte */
+};
+
+void assembler_reset(struct assembler *assembler);
+
+/* Make room for a block. The same BEGIN again changes nothing, another one starts afresh. */
+enum hr_status assembler_begin(struct assembler *assembler, uint16_t nonce, uint16_t length, uint32_t crc);
+
+/* Lay a piece in its place. */
+enum hr_status assembler_chunk(struct assembler *assembler, uint16_t nonce, size_t offset, const uint8_t *data,
+                               size_t count);
+
+/* Whether `block`, `length` bytes of it, is whole. It is forgotten then, unless bytes are missing. */
+enum hr_status assembler_commit(struct assembler *assembler, uint16_t nonce);
+
+#endif

@@ -1,0 +1,38 @@
+/* What the core must know of its board and rig, as constants: a port fills it in, a generator the dictionary. */
+#ifndef HR_BOARD_H
+#define HR_BOARD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* A range narrower than the table's; bounds as on the wire. */
+struct narrower {
+    uint8_t parameter; /* enum hr_parameter_index */
+    uint32_t minimum;
+    uint32_t maximum;
+};
+
+/* What must move how fast, for the check that a large effort shows encoder edges. SI, rotary or linear. */
+struct mechanics {
+    double effort_quantum; /* N·m or N a quantum of current */
+    double effort_limit;   /* of the amplifier */
+    double friction;       /* and weight: what the effort must overcome */
+    double travel;         /* two encoder counts */
+    double inertia;
+    double damping;
+    double lag_s; /* of the amplifier */
+};
+
+struct board {
+    const uint8_t *dictionary; /* compressed, as IDENTIFY pages it */
+    uint16_t dictionary_bytes;
+    uint64_t dictionary_hash;
+    uint32_t rate_initial;           /* ticks a second (Hz) until configured */
+    const struct narrower *narrower; /* rising by parameter */
+    size_t narrower_count;
+    int8_t encoder_sign;   /* -1 when counts fall while the position rises */
+    uint16_t over_current; /* a measured current above this is a fault (quanta) */
+    struct mechanics mechanics;
+};
+
+#endif

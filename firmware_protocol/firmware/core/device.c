@@ -1,0 +1,368 @@
+#include "device.h"
+
+#include "bytes.h"
+#include "device_internal.h"
+
+#define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
+#define UNARMED_STATES_A_SECOND 100u /* enough to home by hand */
+#define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
+
+
+static bool is_armed(const struct device *device)
+{
+    return device->connection.state == HR_STATE_ARMED || device->connection.state == HR_STATE_RUNNING;
+}
+
+/* ------------------------------------------------------------------ start */
+
+void device_start(struct device *device, const struct hal *hal, const struct board *board)
+{
+    device->hal = hal;
+    device->board = board;
+    device_restart(device);
+}
+
+void device_restart(struct device *device)
+{
+    struct candidate initial;
+    device_switch_off(device);
+    connection_reset(&device->connection);
+    assembler_reset(&device->assembler);
+    faults_reset(&device->faults);
+    device->remembered.there = false;
+    device->configuration.homed = false;
+    device->sample_index = 0;
+    device->time = device->hal->time(device->hal->context);
+    device->received_at = device->time;
+    device->count = device->hal->encoder_count(device->hal->context);
+    configuration_initial(device->board, &initial);
+    configuration_put_in_force(&device->configuration, &initial);
+    device_begin_session(device);
+    if (!device_apply(device, &initial))
+        device_fault(device, HR_FAULT_INTERNAL);
+}
+
+void device_begin_session(struct device *device)
+{
+    watchdog_idle(&device->watchdog, device->time);
+    limits_cut(&device->limits);
+    monitor_forget(&device->monitor);
+    device->limits.flags = 0;
+    device->monitor.flags = 0;
+    device->command_sequence = 0;
+    device->commanded = false;
+    device->supervised = false;
+    device->worst_execution_time = 0;
+    device->missed_ticks = 0;
+}
+
+/* ------------------------------------------------------------------ parameters */
+
+static void apply_to_monitor(struct device *device, const uint32_t *values)
+{
+    const struct monitor_settings settings = {
+        .rate = values[HR_PARAMETER_POSITION_RATE],
+        .speed_limit = values[HR_PARAMETER_SPEED_LIMIT],
+        .window_minimum = signed_32(values[HR_PARAMETER_WINDOW_MINIMUM]),
+        .window_maximum = signed_32(values[HR_PARAMETER_WINDOW_MAXIMUM]),
+        .current_limit = (uint16_t)values[HR_PARAMETER_CURRENT_LIMIT],
+        .hold_to_run = values[HR_PARAMETER_HOLD_TO_RUN] != 0,
+    };
+    monitor_configure(&device->monitor, device->board, &settings, device->count);
+}
+
+static void apply_rate(struct device *device, uint32_t rate)
+{
+    device->rate = rate;
+    device->period = UNITS_PER_SECOND / rate;
+    device->period_rest = UNITS_PER_SECOND % rate;
+    device->due = device->time + device->period;
+    device->due_rest = device->period_rest;
+}
+
+bool device_apply(struct device *device, const struct candidate *candidate)
+{
+    const uint32_t *values = candidate->values;
+    const uint32_t rate = values[HR_PARAMETER_POSITION_RATE];
+    const uint16_t continuous = (uint16_t)values[HR_PARAMETER_CONTINUOUS_CURRENT];
+    if (!device->hal->set_rate(device->hal->context, rate))
+        return false;
+    apply_rate(device, rate);
+    thermal_configure(&device->thermal, continuous, value_as_float(values[HR_PARAMETER_THERMAL_TIME_CONSTANT]), rate);
+    limits_configure(&device->limits, (uint16_t)values[HR_PARAMETER_CURRENT_LIMIT], continuous,
+                     (uint16_t)values[HR_PARAMETER_SLEW_LIMIT]);
+    apply_to_monitor(device, values);
+    device->needs_hold = values[HR_PARAMETER_HOLD_TO_RUN] != 0;
+    device->command_lifetime_us = values[HR_PARAMETER_COMMAND_LIFETIME_US];
+    device->supervise_lifetime_us = values[HR_PARAMETER_SUPERVISE_LIFETIME_US];
+    device->ramp = values[HR_PARAMETER_RAMP_US] * HR_TIME_UNITS_PER_US;
+    return true;
+}
+
+/* ------------------------------------------------------------------ cutting */
+
+void device_cut(struct device *device)
+{
+    limits_cut(&device->limits);
+    device->driven = 0;
+    device->hal->set_current(device->hal->context, 0);
+}
+
+void device_switch_off(struct device *device)
+{
+    device_cut(device);
+    device->hal->enable(device->hal->context, false);
+}
+
+static void latch(struct device *device, uint32_t bits)
+{
+    faults_latch(&device->faults, bits, device->time);
+    connection_fault(&device->connection);
+    device_switch_off(device);
+}
+
+void device_fault(struct device *device, uint8_t fault)
+{
+    if (fault == HR_FAULT_ENCODER)
+        device->configuration.homed = false;
+    latch(device, UINT32_C(1) << fault);
+}
+
+/* ------------------------------------------------------------------ first half of a tick: the current */
+
+/* Here the law on the device comes in (law_tick): called once a tick with the fresh sample, whatever the state,
+ * because an estimator must have settled before the handle meets the wall. There is none yet: SUPERVISE feeds
+ * the watchdog and gives no current. */
+static int16_t law_current(const struct device *device)
+{
+    (void)device;
+    return 0;
+}
+
+static int16_t wanted_current(struct device *device)
+{
+    if (device->supervised)
+        device->watchdog.current = device->law_current;
+    return watchdog_wanted(&device->watchdog, device->due, device->limits.current);
+}
+
+/* Current for the coming tick of an armed device. */
+static int16_t next_current(struct device *device)
+{
+    const uint8_t inputs = device->hal->inputs(device->hal->context);
+    if (inputs & HR_INPUT_EMERGENCY_STOP) {
+        latch(device, FAULT(EMERGENCY_STOP));
+        return 0;
+    }
+    const int16_t wanted = wanted_current(device);
+    if (device->watchdog.ramping)
+        device->limits.flags |= HR_LIMIT_RAMPING;
+    if (device->watchdog.lost) {
+        latch(device, FAULT(LINK_LOST));
+        return 0;
+    }
+    if (device->needs_hold && !(inputs & HR_INPUT_HOLD_TO_RUN)) {
+        device->limits.flags |= HR_LIMIT_HOLD_TO_RUN_RELEASED;
+        device_cut(device);
+        return 0;
+    }
+    return limits_apply(&device->limits, &device->thermal, wanted);
+}
+
+void device_drive(struct device *device)
+{
+    device->driven = is_armed(device) ? next_current(device) : 0;
+    device->hal->set_current(device->hal->context, device->driven);
+}
+
+/* ------------------------------------------------------------------ second half: the sample */
+
+/* The grid of the samples: a period that is no whole number of units does not drift. A timer that cannot keep
+ * the exact rate leaves the grid slowly; half a period away from it, the grid follows. */
+static void step_grid(struct device *device)
+{
+    const uint64_t half = device->period / 2u;
+    if (device->time + half < device->due || device->time > device->due + half) {
+        device->due = device->time;
+        device->due_rest = 0;
+    }
+    device->due += device->period;
+    device->due_rest += device->period_rest;
+    if (device->due_rest >= device->rate) {
+        device->due_rest -= device->rate;
+        device->due++;
+    }
+}
+
+static void step_index(struct device *device)
+{
+    device->sample_index++;
+    if (device->command_age < HR_NO_COMMAND_YET)
+        device->command_age++;
+    step_grid(device);
+}
+
+/* Whether a STATE is due in a device that nobody has armed. */
+static bool shows_itself(const struct device *device)
+{
+    const uint32_t every = device->rate / UNARMED_STATES_A_SECOND;
+    return device->connection.state != HR_STATE_BOOT && device->sample_index % (every > 0 ? every : 1u) == 0;
+}
+
+static uint32_t edge_time(const struct device *device)
+{
+    const uint64_t edge = device->hal->edge_time(device->hal->context);
+    const uint64_t age = edge < device->time ? device->time - edge : 0;
+    return (uint32_t)(device->time - (age < HR_OLDEST_EDGE ? age : HR_OLDEST_EDGE));
+}
+
+static uint16_t saturated(uint32_t number)
+{
+    return (uint16_t)(number < UINT16_MAX ? number : UINT16_MAX);
+}
+
+static void send_state(struct device *device, const struct fault_entry *tick)
+{
+    struct packet packet;
+    uint8_t *raw = connection_begin(&device->connection, &packet, HR_INDEX_STATE, HR_BYTES_STATE);
+    put_u16(raw + HR_AT_STATE_COMMAND_SEQUENCE, device->command_sequence);
+    put_u16(raw + HR_AT_STATE_COMMAND_AGE, device->commanded ? device->command_age : HR_NO_COMMAND_YET);
+    put_u32(raw + HR_AT_STATE_SAMPLE_INDEX, tick->sample_index);
+    put_u32(raw + HR_AT_STATE_DEVICE_TIME, (uint32_t)device->time);
+    put_u32(raw + HR_AT_STATE_COUNT, (uint32_t)tick->count);
+    put_u32(raw + HR_AT_STATE_EDGE_TIME, edge_time(device));
+    put_u16(raw + HR_AT_STATE_CURRENT_MEASURED, (uint16_t)tick->current_measured);
+    put_u16(raw + HR_AT_STATE_CURRENT_COMMANDED, (uint16_t)tick->current_commanded);
+    put_u16(raw + HR_AT_STATE_LIMITS, tick->limits);
+    put_u16(raw + HR_AT_STATE_FAULT, device->faults.latched);
+    put_u16(raw + HR_AT_STATE_EXECUTION_TIME, saturated(device->worst_execution_time));
+    put_u16(raw + HR_AT_STATE_MISSED_TICKS, saturated(device->missed_ticks));
+    raw[HR_AT_STATE_STATE] = device->connection.state;
+    raw[HR_AT_STATE_INPUTS] = device->hal->inputs(device->hal->context);
+    device_send(device, &packet);
+}
+
+/* Faults of a tick as bits 1 << code. What the motion says concerns an armed device alone; an encoder that
+ * fails, any. */
+static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
+{
+    uint32_t bits = monitor_check(&device->monitor, tick->count, tick->current_commanded, tick->current_measured);
+    if (thermal_is_overheated(&device->thermal))
+        bits |= FAULT(THERMAL);
+    if (device->connection.session == 0)
+        bits = 0;
+    if (device->hal->encoder_failed(device->hal->context)) {
+        device->configuration.homed = false;
+        bits |= FAULT(ENCODER);
+    }
+    return bits;
+}
+
+void device_sample(struct device *device)
+{
+    const struct hal *hal = device->hal;
+    device->time = hal->time(hal->context);
+    device->count = hal->encoder_count(hal->context);
+    step_index(device);
+    struct fault_entry tick = {
+        .sample_index = device->sample_index,
+        .count = device->count,
+        .current_commanded = device->driven,
+        .current_measured = hal->measured_current(hal->context),
+    };
+    thermal_update(&device->thermal, tick.current_measured);
+    const uint32_t bits = faults_of(device, &tick);
+    tick.limits = device->limits.flags | device->monitor.flags;
+    faults_remember(&device->faults, &tick);
+    if (bits != 0)
+        latch(device, bits);
+    device->law_current = law_current(device);
+    if (device->connection.session == 0 && !shows_itself(device))
+        return;
+    device->limits.flags = 0;
+    device->monitor.flags = 0;
+    send_state(device, &tick);
+}
+
+/* ------------------------------------------------------------------ the tick of a board */
+
+void device_tick(struct device *device)
+{
+    const struct hal *hal = device->hal;
+    const uint64_t begun = hal->time(hal->context);
+    hal->sync(hal->context, true);
+    hal->feed_watchdog(hal->context);
+    device_sample(device);
+    device_drive(device);
+    hal->sync(hal->context, false);
+    const uint64_t execution = hal->time(hal->context) - begun;
+    if (execution > device->worst_execution_time)
+        device->worst_execution_time = (uint32_t)execution;
+    if (is_armed(device) && execution > device->period)
+        latch(device, FAULT(TICK_OVERRUN));
+}
+
+void device_missed(struct device *device, uint32_t ticks)
+{
+    device->missed_ticks += ticks;
+    for (uint32_t i = 0; i < ticks; i++) {
+        device->time = device->due;
+        step_index(device);
+        if (device->connection.session != 0)
+            connection_skip(&device->connection, HR_INDEX_STATE);
+    }
+}
+
+/* ------------------------------------------------------------------ the conversation */
+
+void device_send(struct device *device, struct packet *packet)
+{
+    const size_t count = frame_finish(packet);
+    device->hal->link_write(device->hal->context, packet->bytes, count);
+}
+
+static void take_command(struct device *device, const uint8_t *raw)
+{
+    const uint8_t mode = raw[HR_AT_COMMAND_MODE];
+    const uint32_t wanted_us = get_u32(raw + HR_AT_COMMAND_LIFETIME_US);
+    if (mode != HR_MODE_CURRENT && mode != HR_MODE_SUPERVISE && mode != HR_MODE_STOP) {
+        device->connection.counters.malformed++;
+        return;
+    }
+    device->command_sequence = get_u16(raw + HR_AT_HEADER_SEQUENCE);
+    device->command_age = 0;
+    device->commanded = true;
+    device->supervised = mode == HR_MODE_SUPERVISE;
+    if (mode == HR_MODE_STOP) {
+        watchdog_idle(&device->watchdog, device->time);
+        device_cut(device);
+        return;
+    }
+    const uint32_t cap_us = device->supervised ? device->supervise_lifetime_us : device->command_lifetime_us;
+    const uint32_t lifetime_us = wanted_us < cap_us ? wanted_us : cap_us;
+    const int16_t current = device->supervised ? 0 : signed_16(get_u16(raw + HR_AT_COMMAND_CURRENT));
+    watchdog_feed(&device->watchdog, device->time, current, lifetime_us * HR_TIME_UNITS_PER_US, device->ramp);
+}
+
+static void take_frame(struct device *device, const uint8_t *raw, size_t count)
+{
+    const struct verdict verdict = connection_judge(&device->connection, raw, count);
+    if (verdict.kind == VERDICT_COMMAND)
+        take_command(device, raw);
+    else if (verdict.kind != VERDICT_DROP)
+        answer(device, raw, count, &verdict);
+}
+
+size_t device_poll(struct device *device)
+{
+    uint8_t bytes[HR_POLL_BYTES];
+    struct connection *connection = &device->connection;
+    const size_t count = device->hal->link_read(device->hal->context, bytes, sizeof bytes);
+    device->received_at = device->hal->time(device->hal->context);
+    for (size_t i = 0; i < count; i++) {
+        const size_t raw = splitter_take(&connection->splitter, bytes[i], &connection->counters);
+        if (raw > 0)
+            take_frame(device, splitter_raw(&connection->splitter), raw);
+    }
+    return count;
+}

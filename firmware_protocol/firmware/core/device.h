@@ -1,0 +1,97 @@
+/* The device: a rig that speaks the protocol of PROTOCOL.md. One struct, no globals, no heap.
+ *
+ * A port calls device_start once, then device_tick from its timer and device_poll in between; the two must not
+ * interrupt each other, and both are bounded in time. */
+#ifndef HR_DEVICE_H
+#define HR_DEVICE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "assembler.h"
+#include "board.h"
+#include "configuration.h"
+#include "connection.h"
+#include "faults.h"
+#include "hal.h"
+#include "limits.h"
+#include "monitor.h"
+#include "thermal.h"
+#include "watchdog.h"
+
+#define HR_POLL_BYTES 64u /* taken in one device_poll: a flood of bytes cannot starve the tick */
+
+struct ack {
+    uint16_t nonce;
+    uint8_t request;
+    uint8_t status;
+    uint16_t detail;
+    uint32_t sample_index;
+    uint32_t crc;
+};
+
+/* The last request that changed something, and its reply: at most once. */
+struct remembered {
+    bool there;
+    uint8_t session;
+    struct ack ack; /* names request and nonce */
+};
+
+struct device {
+    const struct hal *hal;
+    const struct board *board;
+    struct connection connection;
+    struct assembler assembler;
+    struct configuration configuration;
+    struct remembered remembered;
+    struct faults faults;
+    struct watchdog watchdog;
+    struct thermal thermal;
+    struct limits limits;
+    struct monitor monitor;
+
+    uint32_t sample_index; /* modulo 2³² */
+    uint64_t time;         /* of the last sample */
+    uint64_t due;          /* when the next is due */
+    uint32_t rate, period, period_rest, due_rest; /* a tick is period + period_rest / rate */
+    uint64_t received_at;  /* when the bytes came that are being taken */
+
+    int32_t count;        /* at the last sample */
+    int16_t driven;       /* current in force since then (quanta) */
+    int16_t law_current;  /* what the law on the device wants */
+    bool supervised;      /* by the command in force */
+    bool commanded;       /* in this session */
+    uint16_t command_sequence;
+    uint16_t command_age; /* ticks; saturates */
+    uint32_t worst_execution_time, missed_ticks; /* since arming */
+
+    /* Parameters in the units of a tick. */
+    bool needs_hold;
+    uint32_t command_lifetime_us, supervise_lifetime_us, ramp;
+};
+
+/* After power-up, with a struct of zeroes: in BOOT, at the board's initial rate. `hal` and `board` must live as
+ * long. */
+void device_start(struct device *device, const struct hal *hal, const struct board *board);
+
+/* Start anew as after a reset that left the memory alone: the motor's heat and the link counters stay. */
+void device_restart(struct device *device);
+
+/* One tick of a board: sample, tell, decide the current until the next one, feed the hardware watchdog. */
+void device_tick(struct device *device);
+
+/* The two halves of a tick, for whoever lets time pass between them, as a simulation does. */
+void device_drive(struct device *device);
+void device_sample(struct device *device);
+
+/* Ticks passed that could not be worked on. */
+void device_missed(struct device *device, uint32_t ticks);
+
+/* Take what the host has sent, and answer. Returns the number of bytes taken. */
+size_t device_poll(struct device *device);
+
+/* The port has found a fault (enum hr_fault): zero effort from here on, FAULT latched. */
+void device_fault(struct device *device, uint8_t fault);
+
+#endif

@@ -1,0 +1,25 @@
+/* What the parts of the device share. */
+#ifndef HR_DEVICE_INTERNAL_H
+#define HR_DEVICE_INTERNAL_H
+
+#include "device.h"
+
+/* Answer a request, or its refusal. */
+void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict);
+
+/* Run under other parameters from the next tick on, or return false and go on as before. */
+bool device_apply(struct device *device, const struct candidate *candidate);
+
+/* Forget what belongs to the last session: a new one begins. */
+void device_begin_session(struct device *device);
+
+/* Zero current now, whatever the slew limit says. */
+void device_cut(struct device *device);
+
+/* Cut, and switch the amplifier off. */
+void device_switch_off(struct device *device);
+
+/* Send a frame that connection_begin has begun. */
+void device_send(struct device *device, struct packet *packet);
+
+#endif

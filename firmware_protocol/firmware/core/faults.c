@@ -1,0 +1,74 @@
+#include "faults.h"
+
+#include <string.h>
+
+#include "bytes.h"
+
+/* Faults found in one tick, gravest first; then those with the lowest code. */
+static const uint8_t GRAVITY[] = {
+    HR_FAULT_EMERGENCY_STOP, HR_FAULT_OVER_CURRENT,    HR_FAULT_RUNAWAY,
+    HR_FAULT_OVER_SPEED,     HR_FAULT_POSITION_WINDOW, HR_FAULT_THERMAL,
+};
+
+static uint8_t gravest(uint32_t bits)
+{
+    for (size_t i = 0; i < sizeof GRAVITY; i++)
+        if (bits & UINT32_C(1) << GRAVITY[i])
+            return GRAVITY[i];
+    uint8_t code = 0;
+    while (!(bits & UINT32_C(1) << code))
+        code++;
+    return code;
+}
+
+void faults_reset(struct faults *faults)
+{
+    memset(faults, 0, sizeof *faults);
+}
+
+void faults_remember(struct faults *faults, const struct fault_entry *entry)
+{
+    if (faults->latched != HR_FAULT_NONE)
+        return;
+    struct fault_ring *ring = &faults->live;
+    uint8_t *at = ring->entries[ring->next];
+    put_u32(at + HR_AT_FAULT_ENTRY_SAMPLE_INDEX, entry->sample_index);
+    put_u32(at + HR_AT_FAULT_ENTRY_COUNT, (uint32_t)entry->count);
+    put_u16(at + HR_AT_FAULT_ENTRY_CURRENT_COMMANDED, (uint16_t)entry->current_commanded);
+    put_u16(at + HR_AT_FAULT_ENTRY_CURRENT_MEASURED, (uint16_t)entry->current_measured);
+    put_u16(at + HR_AT_FAULT_ENTRY_LIMITS, entry->limits);
+    ring->next = (uint16_t)((ring->next + 1u) % HR_RING_TICKS);
+    if (ring->count < HR_RING_TICKS)
+        ring->count++;
+}
+
+void faults_latch(struct faults *faults, uint32_t bits, uint64_t time)
+{
+    if (faults->latched == HR_FAULT_NONE) {
+        faults->latched = gravest(bits);
+        faults->first = faults->latched;
+        faults->later = 0;
+        faults->time = time;
+    }
+    faults->later |= bits & ~(UINT32_C(1) << faults->first);
+}
+
+/* The copy takes as long as a tick or two; the amplifier is off here. In the tick of the fault there would be no
+ * time for it. */
+void faults_clear(struct faults *faults)
+{
+    if (faults->latched != HR_FAULT_NONE)
+        faults->frozen = faults->live;
+    faults->latched = HR_FAULT_NONE;
+}
+
+const struct fault_ring *faults_log(const struct faults *faults)
+{
+    return faults->latched != HR_FAULT_NONE ? &faults->live : &faults->frozen;
+}
+
+const uint8_t *fault_ring_at(const struct fault_ring *ring, uint16_t number)
+{
+    const size_t oldest = ring->count < HR_RING_TICKS ? 0u : ring->next;
+    return ring->entries[(oldest + number) % HR_RING_TICKS];
+}

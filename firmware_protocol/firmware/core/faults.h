@@ -1,0 +1,53 @@
+/* The fault that is latched, those that came later, and the ticks before the first. */
+#ifndef HR_FAULTS_H
+#define HR_FAULTS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "protocol.h"
+
+#define HR_RING_TICKS 256u
+
+struct fault_entry {
+    uint32_t sample_index;
+    int32_t count;
+    int16_t current_commanded;
+    int16_t current_measured;
+    uint16_t limits;
+};
+
+/* Entries as on the wire. */
+struct fault_ring {
+    uint16_t next;
+    uint16_t count;
+    uint8_t entries[HR_RING_TICKS][HR_FAULT_ENTRY_BYTES];
+};
+
+struct faults {
+    uint8_t latched; /* enum hr_fault: first since the last clear, or NONE */
+    uint8_t first;   /* kept after the clear, for the log */
+    uint32_t later;  /* bits 1 << code */
+    uint64_t time;   /* device time of the first */
+    struct fault_ring live;
+    struct fault_ring frozen; /* what a cleared fault leaves, until the next one */
+};
+
+void faults_reset(struct faults *faults);
+
+/* Put a tick into the ring, unless a fault has frozen it. */
+void faults_remember(struct faults *faults, const struct fault_entry *entry);
+
+/* Take faults as bits 1 << code, at least one. The gravest is the first, if there is none yet. */
+void faults_latch(struct faults *faults, uint32_t bits, uint64_t time);
+
+/* Let go of the fault. */
+void faults_clear(struct faults *faults);
+
+/* The ring that a host may read: of the fault that is latched, else of the last one. */
+const struct fault_ring *faults_log(const struct faults *faults);
+
+/* Entry `number` of a ring, 0 for the oldest. */
+const uint8_t *fault_ring_at(const struct fault_ring *ring, uint16_t number);
+
+#endif

@@ -1,0 +1,47 @@
+/* What a port gives the core: one struct of functions, each called with `context`, none of which may block.
+ *
+ * Device time counts 1/16 µs since power-up, 64 bits wide, and never steps back. A port with a 32-bit counter
+ * extends it. / */
+#ifndef HR_HAL_H
+#define HR_HAL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+struct hal {
+    void *context;
+
+    /* Device time now. */
+    uint64_t (*time)(void *context);
+
+    /* The encoder: its count, device time of its last edge (0 before the first), and whether it has seen an illegal
+     * transition since the last question. The edge may be asked for behind the count: it may be younger. */
+    int32_t (*encoder_count)(void *context);
+    uint64_t (*edge_time)(void *context);
+    bool (*encoder_failed)(void *context);
+
+    /* The amplifier: set-point and measurement (quanta), enable. Switched on, it starts from a set-point of zero. */
+    void (*set_current)(void *context, int16_t quanta);
+    int16_t (*measured_current)(void *context);
+    void (*enable)(void *context, bool on);
+
+    /* Bits of enum hr_input. */
+    uint8_t (*inputs)(void *context);
+
+    /* Tick at another rate (Hz) from the last tick on. False, and no change, for one that the timer cannot do. */
+    bool (*set_rate)(void *context, uint32_t rate);
+
+    /* Bytes of the host: those that are there, at most `capacity`; and a whole frame to it, sent or dropped in
+     * one. */
+    size_t (*link_read)(void *context, uint8_t *into, size_t capacity);
+    void (*link_write)(void *context, const uint8_t *frame, size_t count);
+
+    /* The hardware watchdog, of 50 ms at most: fed by the tick alone. */
+    void (*feed_watchdog)(void *context);
+
+    /* A pin that is high while a tick is worked on: an oscilloscope shows rate, jitter and load. */
+    void (*sync)(void *context, bool high);
+};
+
+#endif

@@ -1,0 +1,142 @@
+#include "monitor.h"
+
+#include <math.h>
+
+#include "protocol.h"
+
+/* A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an
+ * automated rig may rest in friction, and a handle may be thrown along the effort by a person. */
+#define RUNAWAY_DIVISOR 5
+
+/* A rig under a large effort must show an edge within three times what the free rig takes for two counts. */
+#define STALL_MARGIN 3.0
+#define SHORTEST_STALL_S 5e-3
+#define NEVER UINT32_MAX
+
+#define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
+
+/* Time (s) after which a free rig under a steady current must have shown an encoder edge; negative for never.
+ * Friction is taken off the effort, then the whole inertia is moved; viscous and electrical lag add their times. */
+static double stall_s(const struct mechanics *m, double current)
+{
+    const double driving = current * m->effort_quantum;
+    const double effort = (driving < m->effort_limit ? driving : m->effort_limit) - m->friction;
+    if (!(effort > 0.0))
+        return -1.0;
+    const double moving_s = sqrt(2.0 * m->inertia * m->travel / effort) + m->travel * m->damping / effort + m->lag_s;
+    const double stall = STALL_MARGIN * moving_s;
+    return stall > SHORTEST_STALL_S ? stall : SHORTEST_STALL_S;
+}
+
+static uint32_t stall_ticks(const struct board *board, const struct monitor_settings *settings)
+{
+    if (settings->hold_to_run)
+        return NEVER; /* a person has the handle, and can hold it still */
+    const double stall = stall_s(&board->mechanics, 1.0 / RUNAWAY_DIVISOR * settings->current_limit);
+    const double ticks = ceil(stall * settings->rate);
+    return stall < 0.0 || ticks >= (double)NEVER ? NEVER : (uint32_t)ticks;
+}
+
+/* 5 ms in ticks: to the nearest whole number, halves to even, at least one. */
+static uint16_t window_ticks(uint32_t rate)
+{
+    const uint32_t whole = rate / HR_SPEED_WINDOWS_A_SECOND;
+    const uint32_t twice_rest = rate % HR_SPEED_WINDOWS_A_SECOND * 2u;
+    const bool up = twice_rest > HR_SPEED_WINDOWS_A_SECOND
+                    || (twice_rest == HR_SPEED_WINDOWS_A_SECOND && whole % 2u == 1u);
+    const uint32_t ticks = whole + (up ? 1u : 0u);
+    return (uint16_t)(ticks > 0 ? ticks : 1u);
+}
+
+/* Thresholds become whole counts once, here; a tick compares integers. The ends of the speed window may each lie
+ * anywhere in their encoder cells, hence one count more. */
+static void configure_motion(struct monitor *monitor, const struct monitor_settings *settings)
+{
+    const uint64_t travel = (uint64_t)settings->speed_limit * monitor->ticks;
+    monitor->fastest = (int64_t)(travel / settings->rate) + 1;
+    monitor->near_fastest = (int64_t)(travel * 9u / (settings->rate * UINT64_C(10))) + 1; /* from 90 % STATE warns */
+    monitor->first = settings->window_minimum;
+    monitor->last = settings->window_maximum;
+    const int64_t margin = ((int64_t)monitor->last - monitor->first + 19) / 20; /* 5 % at each end */
+    monitor->near_first = monitor->first + margin;
+    monitor->near_last = monitor->last - margin;
+}
+
+void monitor_configure(struct monitor *monitor, const struct board *board, const struct monitor_settings *settings,
+                       int32_t count)
+{
+    monitor->encoder_sign = board->encoder_sign;
+    monitor->over_current = (int16_t)(board->over_current < INT16_MAX ? board->over_current : INT16_MAX);
+    monitor->large = settings->current_limit;
+    monitor->stall_ticks = stall_ticks(board, settings);
+    monitor->ticks = window_ticks(settings->rate);
+    configure_motion(monitor, settings);
+    for (uint16_t i = 0; i < monitor->ticks; i++)
+        monitor->counts[i] = count;
+    monitor->slot = 0;
+    monitor_forget(monitor);
+}
+
+void monitor_forget(struct monitor *monitor)
+{
+    monitor->driven = 0;
+    monitor->still = 0;
+    monitor->pushed = 0;
+}
+
+bool monitor_in_window(const struct monitor *monitor, int32_t count)
+{
+    return count >= monitor->first && count <= monitor->last;
+}
+
+/* Count the ticks of large effort along the motion, and those without any; say when the latter are too many. */
+static uint32_t runaway(struct monitor *monitor, int16_t current, int64_t moved, bool stood)
+{
+    const int32_t five = RUNAWAY_DIVISOR * (int32_t)current;
+    if (five >= -monitor->large && five <= monitor->large) {
+        monitor->driven = 0;
+        monitor->still = 0;
+        return 0;
+    }
+    const int8_t push = current > 0 ? 1 : -1;
+    const int64_t along = push * monitor->encoder_sign * moved;
+    monitor->driven = along > 0 ? monitor->driven + 1u : 0u;
+    monitor->still = stood && push == monitor->pushed ? monitor->still + 1u : 0u;
+    monitor->pushed = push;
+    return monitor->still > monitor->stall_ticks ? FAULT(RUNAWAY) : 0u;
+}
+
+static uint32_t speed(struct monitor *monitor, int64_t moved)
+{
+    const int64_t distance = moved < 0 ? -moved : moved;
+    if (distance <= monitor->near_fastest)
+        return 0;
+    monitor->flags |= HR_LIMIT_SPEED;
+    if (distance <= monitor->fastest)
+        return 0;
+    return monitor->driven >= monitor->ticks ? FAULT(OVER_SPEED) | FAULT(RUNAWAY) : FAULT(OVER_SPEED);
+}
+
+static uint32_t window(struct monitor *monitor, int32_t count)
+{
+    if (count >= monitor->near_first && count <= monitor->near_last)
+        return 0;
+    monitor->flags |= HR_LIMIT_POSITION;
+    return monitor_in_window(monitor, count) ? 0u : FAULT(POSITION_WINDOW);
+}
+
+uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured)
+{
+    const uint16_t slot = monitor->slot;
+    const uint16_t before = (uint16_t)((slot > 0 ? slot : monitor->ticks) - 1);
+    const int64_t moved = (int64_t)count - monitor->counts[slot];
+    const bool stood = count == monitor->counts[before];
+    monitor->counts[slot] = count;
+    monitor->slot = (uint16_t)(slot + 1 < monitor->ticks ? slot + 1 : 0);
+    uint32_t faults = runaway(monitor, current, moved, stood);
+    faults |= speed(monitor, moved);
+    faults |= window(monitor, count);
+    if (measured > monitor->over_current || measured < -monitor->over_current)
+        faults |= FAULT(OVER_CURRENT);
+    return faults;
+}

@@ -1,0 +1,49 @@
+/* What the motion says: over-speed, position window, runaway, over-current. */
+#ifndef HR_MONITOR_H
+#define HR_MONITOR_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+
+/* Speed is counted over 5 ms. Shorter, and one count is a large speed; longer, and a runaway has gone far. */
+#define HR_SPEED_WINDOWS_A_SECOND 200u
+#define HR_WINDOW_TICKS_MAXIMUM 250u /* at 50 kHz */
+
+struct monitor {
+    uint16_t flags; /* enum hr_limit bits since they were last cleared */
+    int8_t encoder_sign;
+    int8_t pushed; /* direction of the last large effort */
+    int16_t over_current;
+    int32_t large; /* five times an effort above which motion is watched (quanta) */
+    uint32_t driven, still; /* ticks of large effort: along the motion, without any */
+    uint32_t stall_ticks;
+    int64_t fastest, near_fastest; /* counts in the window */
+    int32_t first, last;           /* the position window */
+    int64_t near_first, near_last;
+    uint16_t ticks, slot; /* of the speed window */
+    int32_t counts[HR_WINDOW_TICKS_MAXIMUM];
+};
+
+struct monitor_settings {
+    uint32_t rate; /* Hz */
+    uint32_t speed_limit;
+    int32_t window_minimum, window_maximum;
+    uint16_t current_limit;
+    bool hold_to_run;
+};
+
+/* Begin to watch at `count`. */
+void monitor_configure(struct monitor *monitor, const struct board *board, const struct monitor_settings *settings,
+                       int32_t count);
+
+/* Begin the runaway check anew: another session. */
+void monitor_forget(struct monitor *monitor);
+
+bool monitor_in_window(const struct monitor *monitor, int32_t count);
+
+/* Judge one tick: the count at its end, current in force and measured. Returns the faults as bits 1 << code. */
+uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured);
+
+#endif

@@ -1,0 +1,44 @@
+/* Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
+ * ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
+ * tick. */
+#include "watchdog.h"
+
+#include "protocol.h"
+
+/* What a host has for its first command after ARM, and to disarm after STOP: half a second. There is no current
+ * meanwhile. */
+#define IDLE_LIFETIME (500000u * HR_TIME_UNITS_PER_US)
+
+void watchdog_idle(struct watchdog *watchdog, uint64_t now)
+{
+    watchdog->lost = false;
+    watchdog_feed(watchdog, now, 0, IDLE_LIFETIME, 0);
+}
+
+void watchdog_feed(struct watchdog *watchdog, uint64_t now, int16_t current, uint32_t lifetime, uint32_t ramp)
+{
+    watchdog->current = current;
+    watchdog->expires = now + lifetime;
+    watchdog->ramp = ramp;
+    watchdog->applied = false;
+    watchdog->ramping = false;
+}
+
+int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_force)
+{
+    if (until <= watchdog->expires) {
+        watchdog->applied = true;
+        return watchdog->current;
+    }
+    if (!watchdog->ramping) {
+        watchdog->ramping = true;
+        watchdog->from = watchdog->applied ? in_force : watchdog->current;
+    }
+    const uint64_t end = watchdog->expires + watchdog->ramp;
+    if (until >= end) {
+        watchdog->lost = true;
+        return 0;
+    }
+    /* Division in C goes towards zero, which is down on either side. */
+    return (int16_t)((int64_t)watchdog->from * (int64_t)(end - until) / (int64_t)watchdog->ramp);
+}

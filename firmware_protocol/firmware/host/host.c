@@ -1,0 +1,263 @@
+#include "host.h"
+
+#include <string.h>
+
+static struct host *host_of(void *context)
+{
+    return context;
+}
+
+/* ------------------------------------------------------------------ the hardware layer */
+
+static uint64_t hal_time(void *context)
+{
+    struct host *host = host_of(context);
+    host->time += host->time_step;
+    return host->time;
+}
+
+static int32_t hal_encoder_count(void *context)
+{
+    return host_of(context)->count;
+}
+
+static uint64_t hal_edge_time(void *context)
+{
+    return host_of(context)->edge_time;
+}
+
+static bool hal_encoder_failed(void *context)
+{
+    struct host *host = host_of(context);
+    const bool failed = host->encoder_failed;
+    host->encoder_failed = false;
+    return failed;
+}
+
+static void hal_set_current(void *context, int16_t quanta)
+{
+    struct host *host = host_of(context);
+    if (!host->driving)
+        host->cuts++;
+    host->current = quanta;
+}
+
+static int16_t hal_measured_current(void *context)
+{
+    return host_of(context)->measured;
+}
+
+static void hal_enable(void *context, bool on)
+{
+    struct host *host = host_of(context);
+    if (!on)
+        host->cuts++;
+    host->enabled = on;
+}
+
+static uint8_t hal_inputs(void *context)
+{
+    return host_of(context)->inputs;
+}
+
+static bool hal_set_rate(void *context, uint32_t rate)
+{
+    struct host *host = host_of(context);
+    if (rate == host->refused_rate)
+        return false;
+    host->rate = rate;
+    return true;
+}
+
+static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
+{
+    struct host *host = host_of(context);
+    const size_t count = host->input_count < capacity ? host->input_count : capacity;
+    if (count > 0)
+        memcpy(into, host->input, count);
+    host->input += count;
+    host->input_count -= count;
+    return count;
+}
+
+static void hal_link_write(void *context, const uint8_t *frame, size_t count)
+{
+    struct host *host = host_of(context);
+    if (count > sizeof host->output - host->output_count) {
+        host->dropped++;
+        return;
+    }
+    memcpy(host->output + host->output_count, frame, count);
+    host->output_count += count;
+}
+
+static void hal_feed_watchdog(void *context)
+{
+    host_of(context)->feeds++;
+}
+
+static void hal_sync(void *context, bool high)
+{
+    struct host *host = host_of(context);
+    host->syncs += high && !host->sync ? 1u : 0u;
+    host->sync = high;
+}
+
+/* ------------------------------------------------------------------ start */
+
+size_t host_bytes(void)
+{
+    return sizeof(struct host);
+}
+
+void host_setup(struct host *host, const struct host_setup *setup)
+{
+    const struct hal hal = {
+        .context = host,
+        .time = hal_time,
+        .encoder_count = hal_encoder_count,
+        .edge_time = hal_edge_time,
+        .encoder_failed = hal_encoder_failed,
+        .set_current = hal_set_current,
+        .measured_current = hal_measured_current,
+        .enable = hal_enable,
+        .inputs = hal_inputs,
+        .set_rate = hal_set_rate,
+        .link_read = hal_link_read,
+        .link_write = hal_link_write,
+        .feed_watchdog = hal_feed_watchdog,
+        .sync = hal_sync,
+    };
+    host->hal = hal;
+    host->board.dictionary = setup->dictionary;
+    host->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
+    host->board.dictionary_hash = setup->dictionary_hash;
+    host->board.rate_initial = setup->rate_initial;
+    host->board.encoder_sign = (int8_t)setup->encoder_sign;
+    host->board.over_current = (uint16_t)setup->over_current;
+    host->board.mechanics = setup->mechanics;
+    host->board.narrower = host->narrower;
+}
+
+void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_t maximum)
+{
+    const struct narrower narrower = {parameter, minimum, maximum};
+    if (host->board.narrower_count < HR_HOST_NARROWER)
+        host->narrower[host->board.narrower_count++] = narrower;
+}
+
+void host_start(struct host *host)
+{
+    device_start(&host->device, &host->hal, &host->board);
+}
+
+void host_restart(struct host *host)
+{
+    device_restart(&host->device);
+}
+
+/* ------------------------------------------------------------------ the world */
+
+void host_set_world(struct host *host, uint64_t time, int32_t count, uint64_t edge_time, int16_t measured,
+                    uint8_t inputs)
+{
+    host->time = time;
+    host->count = count;
+    host->edge_time = edge_time;
+    host->measured = measured;
+    host->inputs = inputs;
+}
+
+void host_set_clock(struct host *host, uint64_t time, uint64_t step)
+{
+    host->time = time;
+    host->time_step = step;
+}
+
+void host_set_inputs(struct host *host, uint8_t inputs)
+{
+    host->inputs = inputs;
+}
+
+void host_fail_encoder(struct host *host)
+{
+    host->encoder_failed = true;
+}
+
+void host_refuse_rate(struct host *host, uint32_t rate)
+{
+    host->refused_rate = rate;
+}
+
+/* ------------------------------------------------------------------ the device */
+
+int16_t host_drive(struct host *host)
+{
+    host->driving = true;
+    device_drive(&host->device);
+    host->driving = false;
+    return host->current;
+}
+
+void host_sample(struct host *host)
+{
+    device_sample(&host->device);
+}
+
+void host_tick(struct host *host)
+{
+    host->driving = true;
+    device_tick(&host->device);
+    host->driving = false;
+}
+
+void host_missed(struct host *host, uint32_t ticks)
+{
+    device_missed(&host->device, ticks);
+}
+
+void host_fault(struct host *host, uint8_t fault)
+{
+    device_fault(&host->device, fault);
+}
+
+size_t host_poll(struct host *host, const uint8_t *bytes, size_t count)
+{
+    host->input = bytes;
+    host->input_count = count;
+    return device_poll(&host->device);
+}
+
+void host_receive(struct host *host, const uint8_t *bytes, size_t count)
+{
+    size_t taken = 0;
+    while (taken < count)
+        taken += host_poll(host, bytes + taken, count - taken);
+}
+
+size_t host_take(struct host *host, uint8_t *into, size_t capacity)
+{
+    const size_t count = host->output_count < capacity ? host->output_count : capacity;
+    memcpy(into, host->output, count);
+    memmove(host->output, host->output + count, host->output_count - count);
+    host->output_count -= count;
+    return count;
+}
+
+void host_status(const struct host *host, struct host_status *status)
+{
+    const struct device *device = &host->device;
+    status->time = device->time;
+    status->due = device->due;
+    status->sample_index = device->sample_index;
+    status->rate = host->rate;
+    status->cuts = host->cuts;
+    status->feeds = host->feeds;
+    status->dropped = host->dropped;
+    status->current = host->current;
+    status->state = device->connection.state;
+    status->session = device->connection.session;
+    status->fault = device->faults.latched;
+    status->enabled = host->enabled;
+    status->counters = device->connection.counters;
+}

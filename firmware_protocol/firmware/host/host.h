@@ -1,0 +1,98 @@
+/* The core on a computer: a library whose world is set by whoever simulates it, between calls. For tests. */
+#ifndef HR_HOST_H
+#define HR_HOST_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "../core/device.h"
+
+#define HR_HOST_NARROWER 8u
+#define HR_HOST_OUTPUT_BYTES 16384u
+
+struct host {
+    struct device device;
+    struct hal hal;
+    struct board board;
+    struct narrower narrower[HR_HOST_NARROWER];
+
+    /* The world. */
+    uint64_t time, edge_time;
+    uint64_t time_step; /* by which each look at the clock moves it on: work takes time */
+    int32_t count;
+    int16_t measured;
+    uint8_t inputs;
+    bool encoder_failed;
+    uint32_t refused_rate; /* that the timer cannot do */
+
+    /* What the device did to it. */
+    int16_t current;
+    bool enabled, driving, sync;
+    uint32_t cuts; /* times that the current was taken away between two ticks */
+    uint32_t rate, feeds, syncs;
+
+    /* The link. */
+    const uint8_t *input;
+    size_t input_count;
+    uint8_t output[HR_HOST_OUTPUT_BYTES];
+    size_t output_count;
+    uint32_t dropped; /* frames that the output had no room for */
+};
+
+struct host_setup {
+    const uint8_t *dictionary;
+    uint64_t dictionary_hash;
+    uint32_t dictionary_bytes;
+    uint32_t rate_initial;
+    int32_t encoder_sign;
+    uint32_t over_current;
+    struct mechanics mechanics;
+};
+
+struct host_status {
+    uint64_t time;
+    uint64_t due;
+    uint32_t sample_index;
+    uint32_t rate;
+    uint32_t cuts;
+    uint32_t feeds;
+    uint32_t dropped;
+    int32_t current;
+    uint8_t state;
+    uint8_t session;
+    uint8_t fault;
+    uint8_t enabled;
+    struct counters counters;
+};
+
+size_t host_bytes(void);
+
+/* `host` is memory of zeroes, `host_bytes()` of it; the dictionary must live as long. Ranges rise by parameter. */
+void host_setup(struct host *host, const struct host_setup *setup);
+void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_t maximum);
+void host_start(struct host *host);
+void host_restart(struct host *host);
+
+void host_set_world(struct host *host, uint64_t time, int32_t count, uint64_t edge_time, int16_t measured,
+                    uint8_t inputs);
+void host_set_clock(struct host *host, uint64_t time, uint64_t step);
+void host_set_inputs(struct host *host, uint8_t inputs);
+void host_fail_encoder(struct host *host);
+void host_refuse_rate(struct host *host, uint32_t rate);
+
+/* A tick in two halves, between which the world moves; or in one. */
+int16_t host_drive(struct host *host);
+void host_sample(struct host *host);
+void host_tick(struct host *host);
+void host_missed(struct host *host, uint32_t ticks);
+void host_fault(struct host *host, uint8_t fault);
+
+/* Hand all bytes in; take what the device has sent. */
+void host_receive(struct host *host, const uint8_t *bytes, size_t count);
+size_t host_poll(struct host *host, const uint8_t *bytes, size_t count); /* one device_poll; returns bytes taken */
+size_t host_take(struct host *host, uint8_t *into, size_t capacity);
+
+void host_status(const struct host *host, struct host_status *status);
+
+#endif

@@ -1,0 +1,45 @@
+"""Build the firmware for this machine: the library for ctypes, and programs with the address sanitizer."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+import firmware_protocol
+
+FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
+SOURCES = [*sorted((FIRMWARE / "core").glob("*.c")), FIRMWARE / "host" / "host.c"]
+FLAGS = ("-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
+ADDRESS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+LIBRARY_VARIABLE = "HAPTIC_RIG_FIRMWARE_LIBRARY"  # one that was built before: see coverage.py
+COMPILE_S = 120.0
+
+
+def compiler() -> str:
+    """The C compiler; skips the test without one."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        pytest.skip("gcc is not installed (package gcc)")
+    return gcc
+
+
+def compile_c(output: Path, sources: Sequence[Path], flags: Sequence[str]) -> Path:
+    """Compile and link `sources`; a warning is an error."""
+    command = [compiler(), *FLAGS, *flags, "-o", str(output), *map(str, sources), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    return output
+
+
+def library(directory: Path) -> Path:
+    """The core with its host port as a shared library; undefined behaviour ends the process."""
+    built = os.environ.get(LIBRARY_VARIABLE)
+    if built:
+        return Path(built)
+    return compile_c(directory / "libfirmware.so", SOURCES, ["-fPIC", "-shared", *UNDEFINED])

@@ -1,0 +1,323 @@
+"""What the core does with a board's own hardware, which a simulated device has not: clock, timer, encoder, watchdog."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.dictionary import decode
+from firmware_protocol.faults import Fault, Status
+from firmware_protocol.framing import ENCODED_LIMIT
+from firmware_protocol.header import CORE, FILES
+from firmware_protocol.messages import Message, Role
+from firmware_protocol.parameters import BY_NAME, Value, encode_block
+from firmware_protocol.transfer import set_parameters
+from rig.model import RigModel
+from sim_backend.safety import Thermal
+from tests.conformance.host import RUN_PARAMETERS
+from tests.conformance.rigs import rotary_rig
+from tests.firmware.core import Core
+
+RATE = 2_000
+PERIOD = 16_000_000 // RATE
+POLL_BYTES = 64
+
+
+class Board:
+    """A core on its timer, and a host that speaks to it."""
+
+    def __init__(self, library: ctypes.CDLL, model: RigModel | None = None, **options: int) -> None:
+        self.core = Core(library, model or rotary_rig(), **options)
+        self.library = library
+        self.host = Connection(Role.HOST)
+        self.count, self.measured, self.edge_time, self.inputs, self.late = 0, 0, 0, 0, 0
+        self.nonce = 0
+        self.core.start()
+
+    def events(self, data: bytes) -> Iterator[Message]:
+        self.host.receive_data(data)
+        while (event := self.host.next_event()) is not None:
+            assert isinstance(event, Received)
+            yield event.message
+
+    def tick(self, current: int | None = None) -> m.State | None:
+        """Let the timer strike; a COMMAND comes before, if one is given."""
+        if current is not None:
+            self.core.receive(self.host.send(m.Command(0, 20_000, 0, 0, current)))
+        time = self.core.status.due + self.late
+        self.library.host_set_world(
+            self.core.address, time, self.count, self.edge_time, self.measured, self.inputs
+        )
+        self.library.host_tick(self.core.address)
+        states = [message for message in self.events(self.core.take()) if isinstance(message, m.State)]
+        assert len(states) <= 1
+        return states[0] if states else None
+
+    def ask(self, message: Message, session: int | None = None) -> Message:
+        (answer,) = self.events(self.core.receive(self.host.send(message, session=session)))
+        return answer
+
+    def configure(self, **values: Value) -> m.Ack:
+        self.nonce += 1
+        for message in set_parameters(encode_block(values), self.nonce):
+            ack = self.ask(message)
+            assert isinstance(ack, m.Ack)
+            if ack.status:
+                break
+        return ack
+
+    def arm(self, session: int = 1) -> m.Ack:
+        self.nonce += 1
+        ack = self.ask(m.Arm(self.nonce, self.core.hash, self.crc), session)
+        assert isinstance(ack, m.Ack)
+        return ack
+
+    def begin(self, **values: Value) -> Board:
+        self.ask(m.Identify(1, 0))
+        ack = self.configure(**{**RUN_PARAMETERS, "position_rate": RATE, **values})
+        assert ack.status == Status.OK
+        self.crc = ack.crc
+        assert self.arm().status == Status.OK
+        return self
+
+
+def seen(state: m.State | None) -> m.State:
+    assert state is not None
+    return state
+
+
+# ---------------------------------------------------------------------- instances
+
+
+def test_two_devices_do_not_know_of_each_other(library: ctypes.CDLL) -> None:
+    first, second = Board(library).begin(), Board(library)
+    for _ in range(3):
+        first.tick(100)
+    assert second.tick() is None  # in BOOT a device says nothing
+    assert (first.core.status.state, second.core.status.state) == (State.RUNNING, State.BOOT)
+    assert (first.core.status.current, second.core.status.current) == (100, 0)
+
+
+def test_the_generated_files_are_fresh() -> None:
+    for path, text in FILES.items():
+        assert path.read_text(encoding="utf-8") == text(), "run python -m firmware_protocol.codegen"
+    assert {path.parent for path in FILES} == {CORE}
+
+
+def test_it_shows_the_dictionary_that_was_built_in(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    content = b""
+    while True:
+        page = board.ask(m.Identify(len(content), len(content)))
+        assert isinstance(page, m.Identity)
+        content += page.data
+        if len(content) == page.total:
+            break
+    assert decode(content) == board.core.dictionary
+
+
+# ---------------------------------------------------------------------- time
+
+
+def test_a_board_drives_after_each_sample_and_feeds_its_watchdog_in_the_tick_alone(
+    library: ctypes.CDLL,
+) -> None:
+    board = Board(library).begin()
+    fed = board.core.status.feeds
+    state = seen(board.tick(70))
+    assert state.current_commanded == 0  # what flowed until this sample
+    assert board.core.status.current == 70
+    assert seen(board.tick(70)).current_commanded == 70
+    board.ask(m.GetTime(3, 0))
+    assert board.core.status.feeds == fed + 2
+
+
+def test_the_worst_execution_time_since_arming_is_told_and_saturates(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(position_rate=200)
+    board.library.host_set_clock(board.core.address, board.core.status.time, 10)
+    board.tick(0)
+    board.library.host_set_clock(board.core.address, board.core.status.time, 0)
+    worst = seen(board.tick(0)).execution_time
+    assert worst > 0
+    assert worst % 10 == 0
+    board.library.host_set_clock(board.core.address, board.core.status.time, 35_000)
+    board.tick(0)
+    board.library.host_set_clock(board.core.address, board.core.status.time, 0)
+    assert seen(board.tick(0)).execution_time == 0xFFFF
+    assert board.core.status.fault == Fault.NONE
+
+
+def test_a_tick_longer_than_its_period_is_an_overrun(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    board.tick(100)
+    assert board.core.status.current == 100
+    board.library.host_set_clock(board.core.address, board.core.status.time, PERIOD)
+    board.tick(100)
+    status = board.core.status
+    assert (status.fault, status.current, status.enabled) == (Fault.TICK_OVERRUN, 0, 0)
+
+
+def test_missed_ticks_are_counted_and_show_as_lost_states(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    before = seen(board.tick(10))
+    board.library.host_missed(board.core.address, 7)
+    state = seen(board.tick(10))
+    assert (state.missed_ticks, state.sample_index) == (7, before.sample_index + 8)
+    assert (state.device_time - before.device_time) & 0xFFFFFFFF == 8 * PERIOD
+    assert board.host.statistics.lost == 7
+    board.library.host_missed(board.core.address, 70_000)
+    assert seen(board.tick(10)).missed_ticks == 0xFFFF
+
+
+def test_a_timer_beside_the_grid_draws_the_grid_along(library: ctypes.CDLL) -> None:
+    """What is judged at a tick's end is judged within half a period, however far the timer has drifted."""
+    board = Board(library).begin()
+    for late in (0, PERIOD // 2, PERIOD // 2 + 1, 3 * PERIOD):
+        board.late = late
+        board.tick(5)
+        status = board.core.status
+        assert abs(status.due - status.time - PERIOD) <= PERIOD // 2
+
+
+def test_an_edge_that_is_younger_than_the_sample_is_not_in_the_future(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    board.edge_time = 2**40
+    state = seen(board.tick(0))
+    assert state.edge_time == state.device_time
+
+
+def test_an_old_edge_never_looks_fresh(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.ask(m.Identify(1, 0))
+    board.late = 300 * 16_000_000
+    state = None
+    while state is None:
+        state = board.tick()
+    assert (state.device_time - state.edge_time) & 0xFFFFFFFF == m.OLDEST_EDGE
+
+
+def test_the_age_of_a_command_saturates(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    board.tick(50)
+    for _ in range(70_000):
+        state = seen(board.tick())
+    assert state.command_age == 0xFFFF
+    assert state.fault == Fault.LINK_LOST
+
+
+# ---------------------------------------------------------------------- hardware
+
+
+def test_an_encoder_that_fails_cuts_and_must_be_homed_again(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    board.tick(100)
+    board.library.host_fail_encoder(board.core.address)
+    state = seen(board.tick(100))
+    assert (state.state, state.fault) == (State.FAULT, Fault.ENCODER)
+    assert (board.core.status.current, board.core.status.enabled) == (0, 0)
+    assert board.ask(m.Disarm(9, m.DisarmFlag.CLEAR_FAULT)).status == Status.OK  # type: ignore[attr-defined]
+    assert board.arm(2).status == Status.NOT_HOMED
+
+
+def test_an_encoder_that_fails_is_told_before_arming_too(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.ask(m.Identify(1, 0))
+    board.library.host_fail_encoder(board.core.address)
+    board.tick()
+    assert board.core.status.state == State.FAULT
+
+
+def test_the_amplifier_is_on_in_a_session_alone(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    assert not board.core.status.enabled
+    board.begin()
+    assert board.core.status.enabled
+    board.ask(m.Disarm(9, 0))
+    assert not board.core.status.enabled
+
+
+def test_stop_cuts_in_the_middle_of_a_tick(library: ctypes.CDLL) -> None:
+    board = Board(library).begin()
+    board.tick(100)
+    board.core.receive(board.host.send(m.Command(0, 20_000, m.Mode.STOP, 0, 100)))
+    assert board.core.status.current == 0
+    assert seen(board.tick()).current_commanded == 0
+    assert board.core.status.enabled
+
+
+def test_a_rate_that_the_timer_cannot_do_is_refused_and_changes_nothing(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.ask(m.Identify(1, 0))
+    before = board.ask(m.GetParameters(2, 0))
+    board.library.host_refuse_rate(board.core.address, 3_000)
+    ack = board.configure(position_rate=3_000, current_limit=5)
+    assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["position_rate"].id)
+    assert board.ask(m.GetParameters(2, 0)) == before
+
+
+def test_a_board_whose_timer_cannot_do_its_own_rate_says_so_at_once(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.library.host_refuse_rate(board.core.address, 1_000)
+    board.library.host_restart(board.core.address)
+    assert (board.core.status.state, board.core.status.fault) == (State.FAULT, Fault.INTERNAL)
+
+
+@pytest.mark.parametrize("current", [32_767, -32_767])
+def test_a_board_without_narrower_limits_takes_every_current(library: ctypes.CDLL, current: int) -> None:
+    board = Board(library, rotary_rig(effort_limit=10.0)).begin(current_limit=32_767)
+    board.tick(current)
+    assert board.core.status.current == current
+
+
+# ---------------------------------------------------------------------- the link
+
+
+def test_a_flood_of_bytes_is_taken_in_bounded_pieces(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    flood = bytes([1]) * 1_000
+    assert library.host_poll(board.core.address, flood, len(flood)) == POLL_BYTES
+    assert library.host_poll(board.core.address, b"", 0) == 0
+
+
+def test_bytes_without_an_end_are_counted_once_and_forgotten(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.core.receive(bytes([7]) * (20 * ENCODED_LIMIT))
+    assert board.core.status.counters.framing_errors == 1
+    board.core.receive(b"\0")
+    assert isinstance(board.ask(m.Identify(1, 0)), m.Identity)
+
+
+# ---------------------------------------------------------------------- heat
+
+
+class CThermal(ctypes.Structure):
+    """struct thermal of thermal.h."""
+
+    _fields_ = [
+        ("heat", ctypes.c_uint64),
+        ("budget", ctypes.c_uint64),
+        ("decay", ctypes.c_uint32),
+        ("shift", ctypes.c_uint8),
+    ]
+
+
+@pytest.mark.parametrize("rate", [50, 1_000, 50_000])
+@pytest.mark.parametrize("time_constant_s", [0.125, 8.0, 8_192.0])
+def test_heat_in_integers_is_heat_in_doubles(library: ctypes.CDLL, rate: int, time_constant_s: float) -> None:
+    """From cold, warming and cooling: to 1e-6 of itself, and a millionth of a quantum² where there is hardly any."""
+    ours, theirs = CThermal(), Thermal()
+    library.thermal_configure.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_float, ctypes.c_uint32]
+    library.thermal_update.argtypes = [ctypes.c_void_p, ctypes.c_int16]
+    library.thermal_configure(ctypes.byref(ours), 1_000, time_constant_s, rate)
+    theirs.configure(1_000, time_constant_s, rate)
+    assert ours.budget == int(theirs.budget) << 32
+    for tick in range(20_000):
+        measured = (1, -32_767, 300, 0)[tick // 5_000]
+        library.thermal_update(ctypes.byref(ours), measured)
+        theirs.update(measured)
+        if tick % 500 == 499:
+            assert ours.heat / 2**32 == pytest.approx(theirs.heat, rel=1e-6, abs=1e-6)

@@ -1,0 +1,663 @@
+"""Two devices of one protocol: the simulated one in Python and the firmware's core in C.
+
+They see the same world and the same bytes, and say the same, byte for byte, tick for tick.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import random
+import struct
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+from zlib import crc32
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Event, Received, State
+from firmware_protocol.faults import Fault
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.messages import DisarmFlag, Message, Mode
+from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, data_limit
+from firmware_protocol.parameters import PARAMETERS, Value, block_crc, encode_block
+from firmware_protocol.transfer import set_parameters
+from firmware_protocol.wire import wire_fields
+from rig.model import RigModel
+from sim_backend.device import SimulatedDevice
+from sim_backend.hardware import Hardware
+from tests.conformance.host import RUN_PARAMETERS
+from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.wire_strategies import messages_of, parameter_sets
+from tests.firmware.core import CoreDevice
+
+WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
+WALK_STEPS = 120
+RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
+LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
+HOST_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
+COUNTERS = [
+    "frames", "framing_errors", "crc_errors", "malformed", "unknown_type", "wrong_direction", "foreign_major",
+    "stale_session", "out_of_state", "lost", "duplicated", "reordered",
+]  # fmt: skip
+
+
+class Reference(SimulatedDevice):
+    """The simulated device, with the request that it leaves out, and without the step that a repeat takes in it.
+
+    A repeated DISARM gets the remembered answer, and moves the state with it: out of a fault that came in between,
+    which stays latched. The firmware stays in FAULT.
+    """
+
+    def _answer(self, event: Event) -> Message:
+        last = self._replies._key
+        reply = super()._answer(event)
+        if last == (event.request, event.nonce, event.session):
+            self.connection._open.pop((event.request, event.nonce), None)
+        return reply
+
+    def _handlers(self) -> dict[type[Message], Callable[[Any, Received], Message]]:
+        return {**super()._handlers(), m.GetStatistics: lambda request, _: self._statistics(request)}
+
+    def _statistics(self, request: m.GetStatistics) -> m.Statistics:
+        counted = self.connection.statistics
+        values = {name: getattr(counted, name) & 0xFFFFFFFF for name in LAYOUT_NAMES}
+        return m.Statistics(request.nonce, **values)
+
+
+LAYOUT_NAMES = [name for name in COUNTERS if name != "wrong_direction"]
+
+
+class Shaky(Hardware):
+    """Hardware whose next sample is wrong by some counts and quanta."""
+
+    jump = spike = 0
+
+    def advance(self, current: int) -> None:
+        super().advance(current)
+        self.count += self.jump
+        self.measured = max(-32_767, min(32_767, self.measured + self.spike))
+        self.jump = self.spike = 0
+
+
+class Puppet(Hardware):
+    """Hardware that moves as it is told: `speed` counts a tick, `measured` as it stands."""
+
+    speed = 0
+
+    def advance(self, current: int) -> None:
+        self.count += self.speed
+
+
+class Pair:
+    """Both devices under the same hand; every step compares them."""
+
+    def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
+        self.python = Reference(model, **options)
+        self.c = CoreDevice(library, model, **options)
+        self.nonce = 0
+        self.session = 0
+        self.sequence = 0
+        self.said = b""
+        self.frames: deque[bytes] = deque(maxlen=8)  # the last ones, to be sent again
+        for device in (self.python, self.c):
+            device.hardware.__class__ = Shaky
+
+    def both(self, call: Callable[[Any], bytes | None]) -> None:
+        self.said, c = call(self.python) or b"", call(self.c) or b""
+        assert c == self.said
+        connection = self.python.connection
+        assert (self.c.state, self.c.session, self.c.fault) == (
+            connection.state,
+            connection.session,
+            self.python.fault,
+        )
+
+    def write(self, data: bytes) -> None:
+        self.frames.append(data)
+        self.both(lambda device: device.receive(data))
+
+    def tick(self, ticks: int = 1) -> None:
+        for _ in range(ticks):
+            self.both(lambda device: device.tick())
+
+    def send(
+        self, message: Message, session: int | None = None, sequence: int = 0, major: int = m.MAJOR
+    ) -> bytes:
+        frame = frame_of(
+            message, self.python.connection.session if session is None else session, sequence, major
+        )
+        self.write(frame)
+        return frame
+
+    def next_nonce(self) -> int:
+        self.nonce += 1
+        return self.nonce & 0xFFFF
+
+    def configure(self, values: dict[str, Value]) -> None:
+        for message in set_parameters(encode_block(values), self.next_nonce()):
+            self.send(message)
+
+    def arm(self, session: int, flip: int = 0) -> None:
+        configuration = self.python._configuration
+        self.sequence = 0
+        self.send(m.Arm(self.next_nonce(), configuration.hash, configuration.crc ^ flip), session)
+
+    def begin(self, session: int = 1, **values: Value) -> None:
+        self.send(m.Identify(self.next_nonce(), 0))
+        self.configure({**RUN_PARAMETERS, **values})
+        self.arm(session)
+
+    def bring_to(self, state: State) -> None:
+        if state >= State.ARMED:
+            self.begin()
+        elif state > State.BOOT:
+            self.send(m.Identify(self.next_nonce(), 0))
+        if state is State.CONFIGURED:
+            self.configure(RUN_PARAMETERS)
+        elif state is State.RUNNING:
+            self.command(0)
+        elif state is State.FAULT:
+            self.both(lambda device: device.inject_fault(Fault.INTERNAL))
+        assert self.c.state is state
+
+    def command(
+        self, current: int, lifetime_us: int = 20_000, mode: int = Mode.CURRENT, skip: int = 0
+    ) -> None:
+        self.sequence = (self.sequence + skip) & 0xFFFF
+        self.send(m.Command(0, lifetime_us, int(mode), 0, current), sequence=self.sequence)
+        self.sequence = (self.sequence + 1) & 0xFFFF
+
+    def ask_everything(self) -> None:
+        """What a device can be asked, from the first page to behind the last."""
+        for offset in range(0, 200, 40):
+            self.send(m.GetParameters(self.next_nonce(), offset))
+        for offset in (0, 34, len(self.python._configuration._packed) - 1, 0xFFFF):
+            self.send(m.Identify(self.next_nonce(), offset))
+        for first in (*range(0, 258, 2), 255, 0xFFFF):
+            self.send(m.GetFaultLog(self.next_nonce(), first))
+        self.send(m.GetTime(self.next_nonce(), 2**64 - 1))
+        self.send(m.GetStatistics(self.next_nonce()))
+        counted, ours = self.python.connection.statistics, self.c.core.status.counters
+        assert {name: getattr(ours, name) for name in COUNTERS} == {
+            name: getattr(counted, name) for name in COUNTERS
+        }
+
+
+def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR) -> bytes:
+    layout = LAYOUT_OF[type(message)]
+    return encode_frame(HEADER.pack(major, layout.type_id, 0, session, sequence) + layout.pack(message))
+
+
+# ---------------------------------------------------------------------- what can happen
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that happens to both: `act`, described by `name` and `values`."""
+
+    name: str
+    values: tuple[Any, ...]
+
+    def act(self, pair: Pair) -> None:
+        getattr(self, f"_{self.name}")(pair, *self.values)
+
+    def _tick(self, pair: Pair, ticks: int) -> None:
+        pair.tick(ticks)
+
+    def _drive(self, pair: Pair, ticks: int, current: int, lifetime_us: int, mode: int, skip: int) -> None:
+        for _ in range(ticks):
+            pair.command(current, lifetime_us, mode, skip)
+            pair.tick()
+
+    def _configure(self, pair: Pair, values: dict[str, Value]) -> None:
+        pair.configure(values)
+
+    def _run(self, pair: Pair, session: int, values: dict[str, Value]) -> None:
+        pair.begin(session, **values)
+
+    def _arm(self, pair: Pair, session: int, flip: int) -> None:
+        pair.arm(session, flip)
+
+    def _disarm(self, pair: Pair, flags: int) -> None:
+        pair.send(m.Disarm(pair.next_nonce(), flags))
+
+    def _send(self, pair: Pair, message: Message, session: int, sequence: int, major: int) -> None:
+        pair.send(message, session, sequence, major)
+
+    def _twice(self, pair: Pair, message: Message) -> None:
+        pair.write(pair.send(message))
+
+    def _frame(self, pair: Pair, header: tuple[int, ...], payload: bytes) -> None:
+        pair.write(encode_frame(bytes(header) + payload))
+
+    def _damaged(self, pair: Pair, message: Message, bit: int, cut: int) -> None:
+        frame = bytearray(frame_of(message, pair.python.connection.session, 0))
+        frame[bit // 8 % len(frame)] ^= 1 << bit % 8
+        pair.write(bytes(frame[: len(frame) - cut % len(frame)]))
+
+    def _noise(self, pair: Pair, data: bytes) -> None:
+        pair.write(data)
+
+    def _emergency(self, pair: Pair, pressed: bool) -> None:
+        pair.both(lambda device: device.press_emergency_stop(pressed))
+
+    def _hold(self, pair: Pair, held: bool) -> None:
+        pair.both(lambda device: device.hold_to_run(held))
+
+    def _fault(self, pair: Pair, fault: Fault) -> None:
+        pair.both(lambda device: device.inject_fault(fault))
+
+    def _push(self, pair: Pair, effort: float) -> None:
+        pair.python.hardware.external_effort = pair.c.hardware.external_effort = effort
+
+    def _shake(self, pair: Pair, jump: int, spike: int) -> None:
+        for hardware in (pair.python.hardware, pair.c.hardware):
+            assert isinstance(hardware, Shaky)
+            hardware.jump, hardware.spike = jump, spike
+
+    def _again(self, pair: Pair, back: int) -> None:
+        if pair.frames:
+            pair.write(pair.frames[-1 - back % len(pair.frames)])
+
+    def _ask(self, pair: Pair) -> None:
+        pair.ask_everything()
+
+    def _reset(self, pair: Pair) -> None:
+        pair.both(lambda device: device.reset())
+
+
+def steps(name: str, *values: st.SearchStrategy[Any]) -> st.SearchStrategy[Step]:
+    return st.tuples(*values).map(lambda drawn: Step(name, drawn))
+
+
+u8, u16 = st.integers(0, 255), st.integers(0, 0xFFFF)
+host_messages = st.sampled_from(HOST_MESSAGES).flatmap(messages_of)
+currents = st.sampled_from([0, 1, 60, 300, 501, 5_000, 32_767]).flatmap(
+    lambda size: st.sampled_from([size, -size])
+)
+CHOICES: dict[str, list[Value]] = {
+    "current_limit": [0, 100, 3_000, 10_000],
+    "continuous_current": [0, 50, 200, 10_000],
+    "thermal_time_constant": [0.125, 0.5, 8.0],
+    "slew_limit": [1, 30, 1_000, 65_534, 65_535],
+    "speed_limit": [0, 1_000, 30_000, 2**32 - 1],
+    "window_minimum": [-1_000_000, -100, -3, 0],
+    "window_maximum": [0, 7, 100, 1_000_000],
+    "command_lifetime_us": [100, 3_333, 20_000],
+    "ramp_us": [0, 1, 777, 10_000],
+    "hold_to_run": [0, 1],
+    "verified": [0, 1, 1, 1],
+}
+SINGLES = [(name, choice) for name, choices in CHOICES.items() for choice in choices]
+SHAKES = [(0, 0), (1, 0), (-40, 300), (5_000, -20_000), (-(2**30), 32_767)]
+run_values = st.fixed_dictionaries(
+    {"position_rate": st.sampled_from(RATES)},
+    optional={name: st.sampled_from(choices) for name, choices in CHOICES.items()},
+)
+any_step = st.one_of(
+    steps("tick", st.integers(1, 40)),
+    steps(
+        "drive", st.integers(1, 40), currents, st.sampled_from(LIFETIMES_US),
+        st.sampled_from([0, 0, 0, 0, 1, 2, 9]), st.sampled_from([0, 0, 0, 1, 0x7FFE, 0x8000, 0xFFFF]),
+    ),
+    steps("run", u8, run_values),
+    steps("configure", parameter_sets()),
+    steps("arm", u8, st.sampled_from([0, 0, 1])),
+    steps("disarm", st.sampled_from([0, int(DisarmFlag.CLEAR_FAULT), 0xFF])),
+    steps("send", host_messages, st.integers(0, 3), u16, st.sampled_from([m.MAJOR, m.MAJOR, 0, 2])),
+    steps("twice", host_messages),
+    steps("frame", st.tuples(st.sampled_from([0, 1, 2]), u8, u8, st.integers(0, 2), u8, u8), st.binary(max_size=240)),
+    steps("damaged", host_messages, st.integers(0, 511), st.sampled_from([0, 0, 0, 1, 7])),
+    steps("noise", st.binary(max_size=300)),
+    steps("emergency", st.booleans()),
+    steps("hold", st.booleans()),
+    steps("fault", st.sampled_from([fault for fault in Fault if fault is not Fault.NONE])),
+    steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
+    steps("reset"),
+    steps("shake", st.sampled_from([jump for jump, _ in SHAKES]), st.sampled_from([spike for _, spike in SHAKES])),
+    steps("again", st.integers(0, 7)),
+)  # fmt: skip
+run_step = st.one_of(
+    steps("tick", st.integers(1, 400)),
+    steps("drive", st.integers(1, 400), currents, st.sampled_from(LIFETIMES_US), st.sampled_from([0, 0, 0, 1, 2]),
+          st.sampled_from([0, 0, 0, 1, 0xFFFF])),
+    steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
+    steps("hold", st.booleans()),
+)  # fmt: skip
+
+
+def random_message(rng: random.Random) -> Message:
+    """Any request or command, of plausible or extreme values."""
+    cls = rng.choice(HOST_MESSAGES)
+    values: dict[str, Any] = {}
+    for name, wire in wire_fields(cls).items():
+        if wire.ctype == "bytes":
+            values[name] = rng.randbytes(rng.randrange(data_limit(cls) + 1))
+        else:
+            bits = int(wire.ctype[1:])
+            values[name] = rng.choice([0, 1, 2, 9, (1 << bits - 1) - 1, rng.getrandbits(bits - 1)])
+    return cls(**values)
+
+
+def random_step(rng: random.Random) -> Step:
+    """One step of a host, a person or an accident, mostly of those that lead on."""
+    choose, draw = rng.choice, rng.randrange
+    values = {name: choose(choices) for name, choices in CHOICES.items() if rng.random() < 0.3}
+    values["position_rate"] = choose(RATES)
+    clear = int(DisarmFlag.CLEAR_FAULT)
+    current = choose([1, -1]) * choose([0, 1, 60, 300, 501, 5_000, 32_767])
+    mode, skip = choose([0, 0, 0, 0, 1, 2, 9]), choose([0, 0, 0, 1, 0x8000])
+    kinds: list[tuple[int, str, tuple[Any, ...]]] = [
+        (14, "drive", (draw(60), current, choose(LIFETIMES_US), mode, skip)),
+        (8, "tick", (draw(40),)),
+        (10, "run", (draw(4), values)),
+        (6, "disarm", (choose([0, clear, clear, clear]),)),
+        (4, "again", (draw(8),)),
+        (3, "shake", choose(SHAKES)),
+        (2, "push", (choose([0.0, 0.02, -0.5, 3.0]),)),
+        (2, "emergency", (choose([True, False, False]),)),
+        (2, "hold", (choose([True, True, False]),)),
+        (2, "send", (random_message(rng), draw(4), draw(3), m.MAJOR)),
+        (2, "arm", (draw(4), choose([0, 0, 1]))),
+        (2, "configure", (dict([choose(SINGLES)]),)),
+        (1, "frame", ((choose([1, 1, 2]), rng.getrandbits(8), 0, draw(3), draw(4), 0), rng.randbytes(draw(60)))),
+        (1, "damaged", (random_message(rng), draw(512), choose([0, 0, 1]))),
+        (1, "noise", (rng.randbytes(draw(300)),)),
+        (1, "fault", (choose(list(Fault)[1:]),)),
+        (1, "ask", ()),
+        (1, "reset", ()),
+    ]  # fmt: skip
+    ((_, name, arguments),) = rng.choices(kinds, [weight for weight, *_ in kinds])
+    return Step(name, arguments)
+
+
+def rig_of(sign: int = 1) -> RigModel:
+    return rotary_rig(damping=1e-4, coulomb=2e-3, lag_s=2e-4, current_noise_a=0.004, sign=sign)
+
+
+# ---------------------------------------------------------------------- the laws
+
+
+@settings(max_examples=120, deadline=None)
+@given(st.lists(any_step, max_size=30), st.booleans())
+def test_whatever_happens_both_say_the_same(library: ctypes.CDLL, script: list[Step], run: bool) -> None:
+    pair = Pair(library, rig_of())
+    if run:
+        pair.begin()
+    for step in script:
+        step.act(pair)
+    pair.write(b"\0")
+    pair.ask_everything()
+
+
+@pytest.mark.parametrize("seed", range(WALKS))
+def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> None:
+    """Hypothesis shrinks what it finds and rarely goes far; a walk goes far."""
+    rng = random.Random(seed)
+    pair = Pair(library, rig_of(rng.choice([1, -1])), seed=seed)
+    pair.begin(position_rate=rng.choice(RATES))
+    for _ in range(WALK_STEPS):
+        random_step(rng).act(pair)
+    pair.write(b"\0")
+    pair.ask_everything()
+
+
+@settings(max_examples=60, deadline=None)
+@given(run_values, st.lists(run_step, max_size=12), st.sampled_from([1, -1]))
+@example(
+    {"position_rate": 2_000, "current_limit": 10_000, "speed_limit": 1_000},
+    [Step("drive", (400, 300, 3_000, 0, 0))],
+    1,
+)
+def test_under_any_limits_both_run_alike(
+    library: ctypes.CDLL, values: dict[str, Value], script: list[Step], sign: int
+) -> None:
+    pair = Pair(library, rig_of(sign), seed=3)
+    pair.begin(**{**values, "verified": 1})
+    for step in script:
+        step.act(pair)
+    pair.ask_everything()
+    pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
+    pair.tick(50)
+    pair.ask_everything()
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.binary(max_size=600), max_size=8))
+def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[bytes]) -> None:
+    pair = Pair(library, rig_of())
+    for piece in pieces:
+        pair.write(piece)
+    pair.write(b"\0")
+    pair.ask_everything()
+
+
+@settings(max_examples=200, deadline=None)
+@example([(10, b"\1\0\0\0"), (10, b"\1\0\0\0")], False, 0)
+@example([(11, b"\0\1\0\0"), (10, b"\1\0\0\0")], False, 0)
+@given(
+    st.lists(st.tuples(st.integers(0, 25), st.binary(min_size=4, max_size=4)), max_size=6),
+    st.booleans(),
+    st.integers(0, 7),
+)
+def test_the_same_blocks_are_taken_and_refused(
+    library: ctypes.CDLL, entries: list[tuple[int, bytes]], in_order: bool, cut: int
+) -> None:
+    """Any numbers under any bytes, NaN and infinity among them; with broken lengths."""
+    pair = Pair(library, linear_rig())
+    pair.send(m.Identify(pair.next_nonce(), 0))
+    entries = sorted(dict(entries).items()) if in_order else entries
+    block = b"".join(number.to_bytes(2, "little") + value for number, value in entries)[cut // 6 * cut :]
+    for message in set_parameters(block, pair.next_nonce()):
+        pair.send(message)
+    pair.ask_everything()
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.name)
+@pytest.mark.parametrize("model", [rotary_rig(), linear_rig()], ids=["rotary", "linear"])
+def test_every_range_ends_at_the_same_value(library: ctypes.CDLL, model: RigModel, parameter: Any) -> None:
+    pair = Pair(library, model)
+    pair.send(m.Identify(pair.next_nonce(), 0))
+    values = {0, 1, 2**31 - 1, 2**31, 2**32 - 1}
+    for bound in (parameter.minimum, parameter.maximum, parameter.default, *parameter.excluded):
+        number = _bits(parameter.ctype, bound)
+        values |= {(number + step) & 0xFFFFFFFF for step in (-1, 0, 1)}
+    for value in sorted(values):
+        block = parameter.id.to_bytes(2, "little") + value.to_bytes(4, "little")
+        for message in set_parameters(block, pair.next_nonce()):
+            pair.send(message)
+
+
+def _bits(ctype: str, value: Value) -> int:
+    code = "<f" if ctype == "f32" else "<q"
+    return int.from_bytes(struct.pack(code, value)[:4], "little")
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    st.integers(0, 1100),
+    st.lists(st.tuples(st.integers(0, 1100), st.integers(0, 46)), max_size=40),
+    st.booleans(),
+)
+def test_chunks_in_any_order_fill_the_same_bytes(
+    library: ctypes.CDLL, length: int, chunks: list[tuple[int, int]], honest: bool
+) -> None:
+    pair = Pair(library, rig_of())
+    pair.send(m.Identify(pair.next_nonce(), 0))
+    whole = encode_block(RUN_PARAMETERS)
+    content = (whole * 30)[: max(length, 1100)]
+    crc = block_crc(content[:length]) if honest else 0
+    pair.send(m.SetBegin(9, length, crc))
+    for offset, count in chunks:
+        pair.send(m.SetChunk(9 + offset % 7 // 6, offset, content[offset : offset + count]))
+        pair.send(m.SetCommit(9 + count % 2))
+        if offset % 5 == 0:
+            pair.send(m.SetBegin(9, length, crc if count % 5 else crc ^ 1))
+    for offset in range(0, length, 46):
+        pair.send(m.SetChunk(9, offset, content[offset : min(offset + 46, length)]))
+    pair.send(m.SetCommit(9))
+    pair.send(m.SetCommit(10))
+
+
+@pytest.mark.parametrize("fill", [0, 1])
+def test_frames_of_every_length_are_counted_alike(library: ctypes.CDLL, fill: int) -> None:
+    """Also those that no honest sender makes: shorter than a header or longer than a batch, with a good CRC."""
+    pair = Pair(library, linear_rig())
+    for size in range(270):
+        raw = (bytes([m.MAJOR]) + bytes([fill]) * size)[:size]
+        runs = (raw + crc32(raw).to_bytes(4, "little")).split(b"\0")
+        pair.write(b"".join(bytes([min(len(run) + 1, 255)]) + run for run in runs) + b"\0")
+    pair.ask_everything()
+
+
+@pytest.mark.parametrize("state", list(State), ids=lambda state: state.name)
+def test_every_type_in_every_length_is_answered_alike(library: ctypes.CDLL, state: State) -> None:
+    model = linear_rig()
+    for type_id in (*range(0x18), 0x3E, 0x40, 0x41, 0x42, 0x5E, 0x60, 0x61, 0xFE, 0xFF):
+        layout = LAYOUTS.get(type_id)
+        sizes = {0, 1, 2, 3, 8, 50, 51, 242} | (
+            {layout.size - 1, layout.size, layout.size + 1} if layout else set()
+        )
+        for session in (0, 1):
+            pair = Pair(library, model)
+            pair.bring_to(state)
+            for size in sorted(sizes):
+                header = HEADER.pack(m.MAJOR, type_id, 0, session, size)
+                pair.write(encode_frame(header + bytes(range(1, size + 1))))
+            pair.tick()
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_long_run_ends_alike(library: ctypes.CDLL, rate: int) -> None:
+    """Heat, windows and fractional periods over thousands of ticks, with a pause into LINK_LOST at the end."""
+    pair = Pair(library, rig_of(), seed=rate)
+    pair.begin(position_rate=rate, current_limit=10_000, continuous_current=300, thermal_time_constant=0.125)
+    for tick in range(2_000):
+        pair.command(700 if tick // 7 % 2 else -700, lifetime_us=20_000)
+        pair.tick()
+    pair.tick(round(0.04 * rate) + 5)
+    pair.ask_everything()
+    assert pair.python.fault in {Fault.LINK_LOST, Fault.THERMAL}
+
+
+def test_the_fault_log_survives_its_clear_and_the_next_run(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    for session, ticks in pairwise([1, 300, 20, 700]):
+        pair.begin(session % 255)
+        Step("drive", (ticks, 60, 20_000, 0, 0)).act(pair)
+        Step("fault", (Fault.BATCH_OVERFLOW,)).act(pair)
+        pair.tick(3)
+        pair.ask_everything()
+        pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
+        pair.tick(400)
+        pair.ask_everything()
+
+
+@pytest.mark.parametrize("step", [0, 1, 2, 0x7FFE, 0x7FFF, 0x8000, 0x8001, 0xFFFF])
+@pytest.mark.parametrize("start", [0, 5, 0xFFFF])
+def test_the_circle_of_sequences_is_halved_at_the_same_place(
+    library: ctypes.CDLL, start: int, step: int
+) -> None:
+    pair = Pair(library, rig_of())
+    pair.begin()
+    for sequence, current in ((start, 10), ((start + step) & 0xFFFF, 20)):
+        pair.send(m.Command(0, 20_000, 0, 0, current), sequence=sequence)
+        pair.tick()
+    pair.ask_everything()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
+    """Strokes with and against the effort, rest, reversals, about as long as the windows in which they are judged."""
+    rng = random.Random(seed)
+    sign = rng.choice([1, -1])
+    pair = Pair(library, rotary_rig(coulomb=2e-3, sign=sign))
+    for device in (pair.python, pair.c):
+        device.hardware.__class__ = Puppet
+    for session in range(1, 30):
+        rate = rng.choice([200, 1_000, 2_000])
+        window = max(1, rate // 200)
+        pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
+        limits = {
+            "speed_limit": 1_000 * rng.randrange(4),
+            "hold_to_run": rng.randrange(2),
+            "current_limit": 500,
+        }
+        position = pair.python.hardware.count
+        limits |= {
+            "window_minimum": position - rng.randrange(90),
+            "window_maximum": position + rng.randrange(90),
+        }
+        pair.both(lambda device: device.hold_to_run(True))
+        pair.begin(session, position_rate=rate, **limits)
+        while pair.c.state in {State.ARMED, State.RUNNING}:
+            current, speed = rng.choice([0, 99, 100, 101, 300]) * rng.choice([1, -1]), rng.randrange(-3, 4)
+            measured = rng.choice([0, 0, 0, current, 11_000, -11_000, 11_001]) if rng.random() < 0.1 else 0
+            for hardware in (pair.python.hardware, pair.c.hardware):
+                hardware.speed, hardware.measured = speed, measured
+            for _ in range(rng.choice([1, window - 1, window, window + 1, 3 * window, 10 * window])):
+                pair.command(current)
+                pair.tick()
+
+
+def test_a_motor_that_bears_nothing_gets_nothing_from_the_first_tick(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rotary_rig())  # whose sensor is silent: the heat is exactly zero
+    pair.begin(continuous_current=0)
+    pair.command(100)
+    pair.tick()
+    assert pair.c.core.status.current == 0
+
+
+@pytest.mark.parametrize("slew_limit", [65_534, 65_535])
+def test_the_largest_slew_limits_let_every_change_pass(library: ctypes.CDLL, slew_limit: int) -> None:
+    pair = Pair(library, rotary_rig(effort_limit=10.0))
+    pair.begin(slew_limit=slew_limit, current_limit=32_767, continuous_current=32_767)
+    for current in (32_767, -32_767, -32_768, 32_767):
+        pair.command(current)
+        pair.tick()
+        assert pair.c.core.status.current == max(current, -32_767)
+
+
+def test_a_nonce_of_another_session_is_no_repeat(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    pair.bring_to(State.CONFIGURED)
+    configuration = pair.python._configuration
+    pair.send(m.Arm(77, configuration.hash ^ 1, configuration.crc), session=3)
+    pair.send(m.Arm(77, configuration.hash, configuration.crc), session=4)
+    assert pair.c.state is State.ARMED
+
+
+def test_a_late_repeat_of_disarm_leaves_a_new_fault_latched(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    pair.begin()
+    late = pair.send(m.Disarm(77, DisarmFlag.CLEAR_FAULT), session=1)
+    Step("fault", (Fault.ENCODER,)).act(pair)
+    pair.write(late)
+    assert (pair.c.state, pair.c.fault) == (State.FAULT, Fault.ENCODER)
+    pair.send(m.Disarm(78, DisarmFlag.CLEAR_FAULT), session=1)
+    assert (pair.c.state, pair.c.fault) == (State.CONFIGURED, Fault.NONE)
+
+
+def test_every_fault_has_the_same_gravity(library: ctypes.CDLL) -> None:
+    pair = Pair(library, rig_of())
+    faults = [fault for fault in Fault if fault is not Fault.NONE]
+    for session, (first, second) in enumerate(pairwise([*faults, *reversed(faults)]), start=1):
+        pair.begin(session)
+        Step("fault", (first,)).act(pair)
+        Step("fault", (second,)).act(pair)
+        pair.ask_everything()
+        pair.send(m.Disarm(pair.next_nonce(), DisarmFlag.CLEAR_FAULT))
+
+
+def test_there_is_nothing_else_to_count() -> None:
+    pair_counts = asdict(SimulatedDevice(rotary_rig()).connection.statistics)
+    assert set(COUNTERS) == set(pair_counts) - {"cobs_errors", "too_long", "too_short", "overrun"} | {
+        "framing_errors"
+    }

@@ -1,0 +1,68 @@
+"""What the compiler makes of the core: no globals, no heap, and a size that a small board has room for."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tests.firmware.build import COMPILE_S, FIRMWARE, FLAGS, compiler
+
+CORE = sorted((FIRMWARE / "core").glob("*.c"))
+BOARDS = {
+    "cortex-m0plus": ["-mcpu=cortex-m0plus", "-mthumb"],
+    "cortex-m4f": ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"],
+    "cortex-m7": ["-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"],
+}
+CODE_LIMIT = 12 * 1024  # bytes of code and constants; an RP2040 has 264 KiB of memory
+# What a core may ask of a C library: copying, and three functions when a block of parameters comes.
+LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil"}
+CHANGEABLE = set("BbCDdGgSs")  # symbol types of nm(1)
+
+
+def compile_objects(gcc: str, directory: Path, flags: list[str]) -> list[Path]:
+    objects = []
+    for source in CORE:
+        built = directory / f"{source.stem}.o"
+        command = [gcc, *FLAGS, "-Os", "-fno-stack-protector", *flags, "-c", "-o", str(built), str(source)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_S, check=False)
+        assert done.returncode == 0, done.stderr
+        objects.append(built)
+    return objects
+
+
+def test_nothing_that_changes_stands_outside_of_the_struct_and_nothing_is_allocated(tmp_path: Path) -> None:
+    objects = compile_objects(compiler(), tmp_path, [])
+    listed = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
+    symbols = [line.split()[-2:] for line in listed.splitlines() if len(line.split()) > 1]
+    assert not [name for kind, name in symbols if kind in CHANGEABLE]
+    defined = {name for kind, name in symbols if kind != "U"}
+    wanted = {name for kind, name in symbols if kind == "U"} - defined
+    assert {name for name in wanted if not name.startswith("_")} <= LIBRARY
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_it_builds_for_a_board_and_is_small(tmp_path: Path, board: str) -> None:
+    gcc = shutil.which("arm-none-eabi-gcc")
+    if gcc is None:
+        pytest.skip(
+            "arm-none-eabi-gcc is not installed (packages gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
+        )
+    has_newlib = subprocess.run(
+        [gcc, "-E", "-include", "string.h", "-x", "c", "/dev/null"], capture_output=True, check=False
+    )
+    if has_newlib.returncode != 0:
+        pytest.skip("newlib is not installed (package libnewlib-arm-none-eabi)")
+    objects = compile_objects(gcc, tmp_path, BOARDS[board])
+    listed = subprocess.run(
+        ["arm-none-eabi-size", *objects], capture_output=True, text=True, check=True
+    ).stdout
+    sizes: Counter[str] = Counter()
+    names, *rows = (line.split() for line in listed.splitlines())
+    for row in rows:
+        sizes.update({name: int(size) for name, size in zip(names[:3], row, strict=False)})
+    assert (sizes["data"], sizes["bss"]) == (0, 0)
+    assert 0 < sizes["text"] < CODE_LIMIT
