@@ -7,7 +7,7 @@
 
 typedef struct {
     law_output out;
-    float velocity;
+    float velocity, limited;
     int32_t velocity_fixed;
     uint32_t window;
 } driver_tick;
@@ -29,6 +29,7 @@ void driver_run(law_state *s, const law_parameters *p, const law_input *in, size
     for (k = 0; k < ticks; k++) {
         out[k].out = law_tick(s, p, &in[k]);
         out[k].velocity = s->velocity;
+        out[k].limited = s->limited;
         out[k].velocity_fixed = s->velocity_fixed;
         out[k].window = s->window;
     }

@@ -115,6 +115,7 @@ TICKS = np.dtype(
         ("flags", "<u4"),
         ("phase", "<u4"),
         ("velocity", "<f4"),
+        ("limited", "<f4"),
         ("velocity_fixed", "<i4"),
         ("window", "<u4"),
     ]

@@ -103,10 +103,10 @@ def test_windows_of_foaw_are_the_hosts(law, name, data):
     assert np.abs(ticks["velocity"] - host).max() <= 3 * EPS * max(1.0, np.abs(host).max())
 
 
-@pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit"])
+@pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit", "implicit"])
 @pytest.mark.parametrize("output", ["u", "u1"])
-def test_explicit_levant_equals_the_host_step_by_step(law, discretisation, output):
-    """A chattering sign makes another path of every rounding: so each step starts from the host's own state."""
+def test_levant_equals_the_host_step_by_step(law, discretisation, output):
+    """A sign that turns makes another path of every rounding: so each step starts from the host's own state."""
     counts, elapsed = motion(3)
     given_ = {"discretisation": discretisation, "output": output, "lipschitz": 20.0}
     prepared = estimators.get("levant").prepare(given_, DELTA, PERIOD_S)
