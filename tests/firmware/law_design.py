@@ -200,5 +200,3 @@ def _set_fixed_wall(p: Any, c: dict[str, Any], law: Floats, velocity: Format) ->
 def scale_of(prepared: Prepared) -> float:
     """SI velocity of one count per period, signed."""
     return float(prepared.parameters[RESOLUTION] / prepared.parameters[PERIOD])
-
-

@@ -156,12 +156,16 @@ class LawLibrary:
         self.so.law_reset(ct.byref(state), ct.byref(parameters))
         return state
 
-    def tick(self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1) -> ct.Structure:
+    def tick(
+        self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1
+    ) -> ct.Structure:
         """One tick."""
         sample = Input(count, 0, elapsed)
         return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
 
-    def run(self, parameters: ct.Structure, table: np.ndarray, state: ct.Structure | None = None) -> np.ndarray:
+    def run(
+        self, parameters: ct.Structure, table: np.ndarray, state: ct.Structure | None = None
+    ) -> np.ndarray:
         """Run a law, a fresh one if none is given, over a table of inputs; what each tick left."""
         state = self.reset(parameters) if state is None else state
         out = np.zeros(len(table), TICKS)

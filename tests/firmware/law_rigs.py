@@ -22,7 +22,9 @@ DUAL = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000}
 UNIFORM = {"controller.position_rate": 20_000, "controller.velocity_rate": 20_000}
 
 
-def experiment_of(estimator: str, parameters: dict[str, float | str], *changes: dict[str, object]) -> Experiment:
+def experiment_of(
+    estimator: str, parameters: dict[str, float | str], *changes: dict[str, object]
+) -> Experiment:
     """The preset `koul-compliant` with another estimator and further changes."""
     given: dict[str, object] = {"controller.estimator": estimator, "controller.parameters": parameters}
     for change in changes:

@@ -1,4 +1,4 @@
-"""Estimators of the C law against the compiled ones of the host: fixed point to the bit, float32 to a stated rounding."""
+"""Estimators of the C law against the host's: fixed point to the bit, float32 to a stated rounding."""
 
 from __future__ import annotations
 

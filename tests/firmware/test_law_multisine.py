@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from rig.excitation import Multisine
 from rig.sample import Phase
-from tests.conformance.fixed_law import golden_vectors
+from tests.firmware.law_cases import shaken
 from tests.firmware.law_design import FIXED, FLOAT
 from tests.firmware.law_library import inputs
-from tests.firmware.test_law_fixed import golden_parameters
 
 M32 = 2**32
 
@@ -54,18 +53,6 @@ def played(m, ticks: np.ndarray) -> list[int]:
     return values
 
 
-def shaken(arithmetic, *, period, harmonics, amplitudes, seed=1, ramp=0):
-    """Parameters without a wall that play an excitation, in their trial; constant effort 0."""
-    p = golden_parameters(golden_vectors(1))
-    p.arithmetic, p.bilateral, p.current_limit = arithmetic, 1, 32767
-    p.fixed_wall.stiffness = p.fixed_wall.damping = p.fixed_wall.constant = 0
-    p.wall.side, p.wall.trial_slew, p.wall.homing_slew, p.wall.speed_limit = p.fixed_wall.side, 1e9, 1e9, 1e9
-    m = p.multisine
-    m.lines, m.seed, m.period, m.ramp = len(harmonics), seed, period, ramp
-    m.harmonic[: m.lines], m.amplitude[: m.lines] = harmonics, amplitudes
-    return p
-
-
 def run(law, p, elapsed):
     state = law.reset(p)
     state.phase = Phase.TRIAL
@@ -84,9 +71,7 @@ def test_currents_are_pythons_to_the_bit(law, data):
     draw = data.draw
     lines = draw(st.integers(1, 12))
     period = draw(st.integers(2 * lines + 2, 200_000))
-    harmonics = sorted(
-        draw(st.sets(st.integers(1, (period - 1) // 2), min_size=lines, max_size=lines))
-    )
+    harmonics = sorted(draw(st.sets(st.integers(1, (period - 1) // 2), min_size=lines, max_size=lines)))
     amplitudes = draw(st.lists(st.integers(-(2**26), 2**26), min_size=lines, max_size=lines))
     elapsed = draw(st.lists(st.sampled_from([1, 1, 1, 2, 9, 100_000]), min_size=1, max_size=40))
     ramp = draw(st.integers(0, 60))

@@ -4,6 +4,8 @@
  * began. The cosine is a polynomial. */
 #include "multisine.h"
 
+#include "numbers.h"
+
 enum { COSINE_BITS = 30 };
 
 uint32_t law_line_phase(uint32_t seed, uint32_t line)
@@ -47,12 +49,8 @@ int32_t law_multisine_run(law_multisine_state *s, const law_multisine *p, uint32
     int64_t sum = 0;
     uint32_t tick, j;
 
-    if (p->lines == 0)
-        return 0;
-    tick = s->played == 0 ? 0 : s->played - 1 + elapsed;
-    if (s->played > UINT32_MAX - elapsed)
-        tick = UINT32_MAX - 1; /* asks only whether the ramp is over */
-    s->played = tick + 1;
+    s->played = s->played == 0 ? 1 : law_add(s->played, elapsed);
+    tick = s->played - 1; /* asked only whether the ramp is over */
     for (j = 0; j < p->lines; j++) {
         uint32_t residue = s->residue[j], phase;
         if (moved == 1) {
