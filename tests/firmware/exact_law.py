@@ -37,7 +37,7 @@ class ExactLaw:
         )  # fmt: skip
         self.index = self.period = -1
         self.velocity = self.phase_ticks = self.rest_ticks = self.setpoint = 0
-        self.limited = Fraction(0)  # quanta, of 2^-20
+        self.limited = Fraction(0)  # quanta, in steps of 2^-15
         self.phase, self.flags = Phase.WAIT, RowFlag(0)
 
     def tick(self, count: int, elapsed: int = 1) -> tuple[int, int, int]:
@@ -63,18 +63,17 @@ class ExactLaw:
         if self.flags & ENDS:
             self.phase, self.limited = Phase.DONE, Fraction(0)
             return 0, int(self.flags), int(self.phase)
+        wanted = Fraction(clipped(math.floor(wanted * 2**15), 32), 2**15)
         if abs(wanted) > p.current_limit:
             wanted = within(wanted, Fraction(p.current_limit))
             self.flags |= RowFlag.SATURATED
         slew = w.homing_slew if self.phase in (Phase.HOMING, Phase.SETTLE) else w.trial_slew
-        step = Fraction(slew * min(elapsed, 65535), 2**20)
-        fine = Fraction(math.floor(wanted * 2**20), 2**20)
-        bound = self.limited + within(fine - self.limited, step)
-        if bound != fine:
+        step = Fraction(min(slew * elapsed, 2**31 - 1), 2**15)
+        bound = self.limited + within(wanted - self.limited, step)
+        if bound != wanted:
             self.flags |= RowFlag.SLEW_BOUND
-            wanted = bound
         self.limited = bound
-        return within(math.floor(wanted + HALF), p.current_limit), int(self.flags), int(self.phase)
+        return within(math.floor(bound + HALF), p.current_limit), int(self.flags), int(self.phase)
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self.phase_ticks = phase, 0

@@ -25,8 +25,8 @@ def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
     p.home_timeout_ticks = 2**32 - 1
     copy_wall(p, vectors.wall)
     w, f = p.fixed_wall, vectors.filter
-    w.trial_slew = w.homing_slew = 2**36
-    w.speed_limit, w.home_shift = 2**40, 1
+    w.trial_slew = w.homing_slew = 2**31 - 1
+    w.speed_limit, w.home_shift = 2**31 - 1, 1
     for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
         setattr(p.biquad, name, getattr(f, name))
     p.biquad.state_bits, p.biquad.word_bits = f.state.fraction_bits, f.state.word_bits
@@ -150,7 +150,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         p.release_ticks, p.trial_ticks = 50, 100
         good.append(p)
     bound = golden_parameters(golden_vectors(2))
-    bound.fixed_wall.homing_slew = bound.fixed_wall.trial_slew = 3 << 18
+    bound.fixed_wall.homing_slew = bound.fixed_wall.trial_slew = 3 << 13
     good.append(bound)
     for p in good:
         yield p, wild(300)

@@ -18,8 +18,7 @@ from tests.firmware.law_library import Parameters
 
 FIXED, FLOAT = 0, 1
 ESTIMATORS = ("fdm-butterworth-fixed", "fdm", "fdm-butterworth", "foaw-end", "foaw-best", "levant", "kalman")
-SETPOINT_BITS, SLEW_BITS, BAND_BITS = 24, 20, 8
-MOST_SLEW = 1 << (16 + SLEW_BITS)
+SETPOINT_BITS, SLEW_BITS, BAND_BITS = 24, 15, 8
 MOST_TICKS = 2**32 - 1
 I32 = (-(2**31), 2**31 - 1)
 
@@ -192,9 +191,9 @@ def _set_fixed_wall(p: Any, c: dict[str, Any], law: Floats, velocity: Format) ->
     w.home_stiffness, w.home_damping = (round(gain * 2**shift) for gain in gains)
     w.home_effort = round(c["home_effort"] / quantum * 2**shift)
     for name in ("trial_slew", "homing_slew"):
-        setattr(w, name, min(round(c[name] / quantum * 2**SLEW_BITS), MOST_SLEW))
-    w.speed_limit = min(math.floor(c["speed_limit"] / lsb), 2**62)
-    w.slow_speed = min(math.ceil(c["slow_speed"] / lsb), 2**62)
+        setattr(w, name, min(round(c[name] / quantum * 2**SLEW_BITS), I32[1]))
+    w.speed_limit = min(math.floor(c["speed_limit"] / lsb), I32[1])
+    w.slow_speed = min(math.ceil(c["slow_speed"] / lsb), I32[1])
 
 
 def scale_of(prepared: Prepared) -> float:

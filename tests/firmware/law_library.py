@@ -47,8 +47,9 @@ Levant = _structure("Levant", (f32, "alpha lambda_"), (i32, "discretisation inte
 Kalman = _structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration"))
 Fixed = _structure(
     "Fixed",
-    (i64, "constant trial_slew homing_slew home_effort speed_limit slow_speed"),
-    (i32, "direction side surface stiffness damping shift home_stiffness home_damping home_shift"),
+    (i64, "constant home_effort"),
+    (i32, "trial_slew homing_slew speed_limit slow_speed direction side surface stiffness damping shift"),
+    (i32, "home_stiffness home_damping home_shift reserved"),
 )
 Wall = _structure(
     "Wall",
@@ -95,7 +96,8 @@ class Memory(ct.Union):
 
 State = _structure(
     "State",
-    (i64, "setpoint limited_fixed"),
+    (i64, "setpoint"),
+    (i32, "limited_fixed"),
     (f32, "limited velocity velocity_sampled velocity_slope"),
     (i32, "velocity_fixed"),
     (u32, "window since velocity_ticks sampled phase phase_ticks rest_ticks"),

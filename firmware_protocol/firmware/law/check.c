@@ -7,7 +7,6 @@ enum { MOST_DIVIDER = 1 << 16, MOST_SHIFT = 40, MOST_CURRENT = 32767, MOST_BAND 
 
 static const int64_t most_setpoint = INT64_C(1) << (31 + LAW_SETPOINT_BITS);
 static const int64_t most_home_step = INT64_C(1) << 40;                    /* 2^16 counts a tick */
-static const int64_t most_slew = INT64_C(1) << (16 + LAW_SLEW_BITS);       /* more than from end to end */
 static const int64_t most_lines = INT64_C(2147482624);                     /* 2^31 - 2^10: the cosine's error fits */
 
 static int between(int64_t value, int64_t low, int64_t high)
@@ -109,8 +108,7 @@ static int good_fixed_wall(const law_fixed_wall *w, int32_t sense, int64_t excit
     if (!is_sign(w->side) || w->direction != w->side * sense || !between(w->shift, 1, MOST_SHIFT)
         || !between(w->home_shift, 1, MOST_SHIFT) || w->stiffness < 0 || w->damping < 0 || w->home_stiffness < 0
         || w->home_damping < 0 || w->home_effort < 0 || w->speed_limit < 0 || w->slow_speed < 0
-        || !between(w->trial_slew, 0, most_slew) || !between(w->homing_slew, 0, most_slew)
-        || w->constant < -INT64_MAX)
+        || w->trial_slew < 0 || w->homing_slew < 0 || w->constant < -INT64_MAX)
         return 0;
     room -= (int64_t)w->stiffness << 31;
     room -= (int64_t)w->damping << 31; /* both below 2^62 */

@@ -12,8 +12,8 @@ int32_t law_biquad_run(law_biquad_state *s, const law_biquad *p, int32_t moved, 
         wide = law_divide(wide, elapsed, p->rounding);
     x = law_saturate(wide, p->word_bits);
     while (runs-- > 0) {
-        const int64_t total = (int64_t)p->b0 * x + (int64_t)p->b1 * s->x1 + (int64_t)p->b2 * s->x2
-                              - (int64_t)p->a1 * s->y1 - (int64_t)p->a2 * s->y2;
+        const int64_t total = law_product(p->b0, x) + law_product(p->b1, s->x1) + law_product(p->b2, s->x2)
+                              - law_product(p->a1, s->y1) - law_product(p->a2, s->y2);
         s->x2 = s->x1;
         s->x1 = x;
         s->y2 = s->y1;

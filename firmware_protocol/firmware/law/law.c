@@ -8,7 +8,7 @@
 
 enum {
     MOST_ELAPSED = 1 << 30, /* ticks of a gap: a longer one is counted as this */
-    MOST_STEPS = 65535,     /* of those, for a product with a step: its limit is reached long before */
+    MOST_STEPS = 65535,     /* of those, for a product with a step of the set point: it has arrived long before */
     RELEASE_BITS = 15       /* of the share that is left in the release */
 };
 
@@ -35,7 +35,7 @@ static int slow(const law_state *s, const law_parameters *p)
         return 0;
     if (p->arithmetic == LAW_FLOAT)
         return fabsf(s->velocity_sampled) < p->wall.slow_speed;
-    return s->velocity_fixed < p->fixed_wall.slow_speed && -(int64_t)s->velocity_fixed < p->fixed_wall.slow_speed;
+    return s->velocity_fixed < p->fixed_wall.slow_speed && s->velocity_fixed > -p->fixed_wall.slow_speed;
 }
 
 static float float_estimate(law_state *s, const law_parameters *p, int32_t count, int32_t moved, uint32_t periods)
@@ -269,15 +269,13 @@ static int32_t float_current(const tick *t)
 static int64_t fixed_reaction(law_state *s, const law_parameters *p, int32_t depth)
 {
     const law_fixed_wall *w = &p->fixed_wall;
-    int64_t inwards = w->direction * (int64_t)s->velocity_fixed, total;
+    int64_t total, damping = 0;
 
-    if (!p->bilateral) {
-        if (depth <= 0)
-            return 0;
-        if (p->entry_only && inwards < 0)
-            inwards = 0;
-    }
-    total = (int64_t)w->stiffness * depth + w->damping * inwards;
+    if (depth <= 0 && !p->bilateral)
+        return 0;
+    if (p->bilateral || !p->entry_only || (s->velocity_fixed > 0) == (w->direction > 0))
+        damping = law_with_sign(law_product(w->damping, s->velocity_fixed), w->direction);
+    total = law_product(w->stiffness, depth) + damping;
     if (total < 0 && !p->may_pull && !p->bilateral) {
         s->flags |= LAW_CLAMPED;
         return 0;
@@ -285,10 +283,10 @@ static int64_t fixed_reaction(law_state *s, const law_parameters *p, int32_t dep
     return total;
 }
 
-/* An effort in quanta * 2^from, at another binary point; the effort is small enough. */
+/* An effort in quanta * 2^from, at another binary point and rounded down; its value must fit there. */
 static int64_t rescaled(int64_t effort, int32_t from, int32_t to)
 {
-    return from > to ? effort >> (from - to) : effort * ((int64_t)1 << (to - from));
+    return from >= to ? effort >> (from - to) : effort * ((int64_t)1 << (to - from));
 }
 
 /* Returns the wanted effort in quanta * 2^*shift. */
@@ -303,12 +301,13 @@ static int64_t fixed_wanted(const tick *t, int32_t depth, int32_t *shift)
     if (homing(s)) {
         const int32_t error = law_to_32(home_error(t) >> (LAW_SETPOINT_BITS - LAW_DEPTH_BITS));
         *shift = w->home_shift;
-        total = (int64_t)w->home_stiffness * error - w->home_damping * (p->sense * (int64_t)s->velocity_fixed);
+        total = law_product(w->home_stiffness, error)
+                - law_with_sign(law_product(w->home_damping, s->velocity_fixed), p->sense);
         return law_at_most(total, w->home_effort);
     }
     if (s->phase != LAW_TRIAL && s->phase != LAW_RELEASE)
         return 0;
-    total = w->constant - w->side * fixed_reaction(s, p, depth);
+    total = w->constant - law_with_sign(fixed_reaction(s, p, depth), w->side);
     if (p->multisine.lines > 0)
         total += rescaled(law_multisine_run(&s->multisine, &p->multisine, t->elapsed), LAW_LINE_BITS, w->shift);
     if (s->phase == LAW_RELEASE) { /* total * share / 2^15, rounded down, without a product of more than 64 bits */
@@ -320,38 +319,41 @@ static int64_t fixed_wanted(const tick *t, int32_t depth, int32_t *shift)
     return total;
 }
 
+/* Limit and slew work on the effort rounded down to 2^-15 quanta, in 32 bits. To round that to the nearest quantum is
+ * to round the effort itself: half a quantum is a whole number of those steps. */
 static int32_t fixed_current(const tick *t)
 {
     law_state *s = t->s;
     const law_parameters *p = t->p;
     const law_fixed_wall *w = &p->fixed_wall;
-    const int64_t along = w->side * (int64_t)t->travel * (1 << LAW_DEPTH_BITS) - w->surface;
-    const int32_t depth = law_to_32(along);
-    const int64_t speed = s->velocity_fixed;
-    int64_t effort, limit, fine, step;
-    int32_t shift;
+    const int64_t along = law_with_sign(t->travel, w->side) * (1 << LAW_DEPTH_BITS) - w->surface;
+    const int32_t depth = law_to_32(along), limit = p->current_limit * (1 << LAW_SLEW_BITS);
+    int64_t effort;
+    int32_t fine, step, change, shift;
 
     if (depth > 0)
         s->flags |= LAW_INSIDE;
     advance_phase(t);
     effort = fixed_wanted(t, depth, &shift);
-    if (cut(t, speed > w->speed_limit || -speed > w->speed_limit))
+    if (cut(t, s->velocity_fixed > w->speed_limit || s->velocity_fixed < -w->speed_limit))
         return 0;
-    limit = p->current_limit * ((int64_t)1 << shift);
-    if (effort > limit || effort < -limit) {
-        effort = law_at_most(effort, limit);
+    if (shift < LAW_SLEW_BITS)
+        effort = law_at_most(effort, INT64_C(1) << 32); /* still beyond any limit, and it can be scaled up */
+    fine = law_to_32(rescaled(effort, shift, LAW_SLEW_BITS));
+    if (fine > limit || fine < -limit) {
+        fine = fine > 0 ? limit : -limit;
         s->flags |= LAW_SATURATED;
     }
-    fine = rescaled(effort, shift, LAW_SLEW_BITS);
-    step = (homing(s) ? w->homing_slew : w->trial_slew) * (int64_t)(t->elapsed < MOST_STEPS ? t->elapsed : MOST_STEPS);
-    if (fine < s->limited_fixed - step || fine > s->limited_fixed + step) {
-        fine = s->limited_fixed + law_at_most(fine - s->limited_fixed, step);
-        s->limited_fixed = fine;
+    step = homing(s) ? w->homing_slew : w->trial_slew;
+    if (t->elapsed > 1)
+        step = law_to_32(step * (int64_t)t->elapsed);
+    change = fine - s->limited_fixed; /* both within 2^15 quanta */
+    if (change > step || change < -step) {
+        fine = change > 0 ? s->limited_fixed + step : s->limited_fixed - step;
         s->flags |= LAW_SLEW_BOUND;
-        return within((int32_t)law_shift_right(fine, LAW_SLEW_BITS, LAW_NEAREST), p->current_limit);
     }
     s->limited_fixed = fine;
-    return within((int32_t)law_shift_right(effort, shift, LAW_NEAREST), p->current_limit);
+    return within((fine + (1 << (LAW_SLEW_BITS - 1))) >> LAW_SLEW_BITS, p->current_limit);
 }
 
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
@@ -362,7 +364,7 @@ law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
     t.s = s;
     t.p = p;
     t.elapsed = in->elapsed_ticks < 1 ? 1 : in->elapsed_ticks > MOST_ELAPSED ? MOST_ELAPSED : in->elapsed_ticks;
-    t.travel = law_to_32(p->sense * (int64_t)law_count_difference(in->count, p->reference));
+    t.travel = law_to_32(law_with_sign(law_count_difference(in->count, p->reference), p->sense));
     s->flags = 0;
     estimate(&t, in->count);
     out.current = p->arithmetic == LAW_FLOAT ? float_current(&t) : fixed_current(&t);

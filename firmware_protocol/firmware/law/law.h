@@ -33,7 +33,7 @@ enum {
 
 enum { LAW_DEPTH_BITS = 8 };     /* fractional bits of a depth in the fixed wall (counts) */
 enum { LAW_SETPOINT_BITS = 24 }; /* of the homing set point (counts) */
-enum { LAW_SLEW_BITS = 20 };     /* of the slew limits of the fixed law (quanta per tick) */
+enum { LAW_SLEW_BITS = 15 };     /* of efforts and slew limits in the fixed law's guard (quanta) */
 enum { LAW_LINE_BITS = 16 };     /* of the multisine's amplitudes (quanta) */
 
 typedef enum { LAW_FIXED = 0, LAW_FLOAT = 1 } law_arithmetic;
@@ -117,11 +117,11 @@ typedef struct {
 /* The wall in integers: rig.fixed_wall.FixedWall, and what the guard and homing need in the same arithmetic. */
 typedef struct {
     int64_t constant;     /* quanta * 2^shift */
-    int64_t trial_slew;   /* quanta * 2^LAW_SLEW_BITS per tick */
-    int64_t homing_slew;
     int64_t home_effort;  /* most that the servo gives, quanta * 2^home_shift */
-    int64_t speed_limit;  /* LSB of the velocity */
-    int64_t slow_speed;   /* LSB of the velocity */
+    int32_t trial_slew;   /* quanta * 2^LAW_SLEW_BITS per tick */
+    int32_t homing_slew;
+    int32_t speed_limit;  /* LSB of the velocity */
+    int32_t slow_speed;   /* LSB of the velocity */
     int32_t direction;    /* +1: the wall is entered with rising counts */
     int32_t side;         /* +1: with rising position */
     int32_t surface;      /* counts * 2^LAW_DEPTH_BITS along direction */
@@ -131,6 +131,7 @@ typedef struct {
     int32_t home_stiffness; /* quanta per LSB of depth * 2^home_shift */
     int32_t home_damping;   /* quanta per LSB of velocity * 2^home_shift */
     int32_t home_shift;
+    int32_t reserved; /* 0 */
 } law_fixed_wall;
 
 /* The wall in float32. The surface is a whole count and a fraction: differences of counts are exact, so that the
@@ -225,7 +226,7 @@ typedef struct {
 
 typedef struct {
     int64_t setpoint;      /* of the homing servo */
-    int64_t limited_fixed; /* last effort before rounding, which the slew limit starts from: quanta * 2^20 */
+    int32_t limited_fixed; /* last effort before rounding, which the slew limit starts from: quanta * 2^15 */
     float limited;         /* the same in the float law (quanta) */
     float velocity;        /* what the wall sees (float law), positive with rising counts */
     float velocity_sampled; /* the estimate itself */

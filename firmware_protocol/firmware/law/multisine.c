@@ -23,12 +23,12 @@ int32_t law_cosine(uint32_t phase)
     const uint32_t turned = phase + UINT32_C(0x40000000); /* cos x = sin(x + a quarter) */
     const int32_t within = (int32_t)(turned & UINT32_C(0x3FFFFFFF));
     const int32_t x = turned & UINT32_C(0x40000000) ? (1 << COSINE_BITS) - within : within;
-    const int32_t square = (int32_t)(((int64_t)x * x) >> COSINE_BITS);
+    const int32_t square = (int32_t)(law_product(x, x) >> COSINE_BITS);
     int32_t sum = c[4], value, i;
 
     for (i = 3; i >= 0; i--)
-        sum = c[i] + (int32_t)(((int64_t)sum * square) >> COSINE_BITS);
-    value = (int32_t)(((int64_t)sum * x) >> COSINE_BITS);
+        sum = c[i] + (int32_t)(law_product(sum, square) >> COSINE_BITS);
+    value = (int32_t)(law_product(sum, x) >> COSINE_BITS);
     return turned & UINT32_C(0x80000000) ? -value : value;
 }
 
@@ -62,7 +62,7 @@ int32_t law_multisine_run(law_multisine_state *s, const law_multisine *p, uint32
         }
         s->residue[j] = residue;
         phase = (uint32_t)((residue * s->inverse) >> 24) + s->phase[j];
-        sum += (int64_t)p->amplitude[j] * law_cosine(phase);
+        sum += law_product(p->amplitude[j], law_cosine(phase));
     }
     sum >>= COSINE_BITS;
     if (tick < p->ramp) {

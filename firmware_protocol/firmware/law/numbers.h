@@ -25,6 +25,28 @@ static inline int32_t law_to_32(int64_t value)
     return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
 }
 
+static inline int64_t law_with_sign(int64_t value, int32_t sign)
+{
+    return sign < 0 ? -value : value;
+}
+
+/* a * b, whole. A processor without a long multiplication (Cortex-M0+) is given four short ones: the compiler would
+ * call a multiplication of 64 by 64 bits. */
+static inline int64_t law_product(int32_t a, int32_t b)
+{
+#if defined(__ARM_ARCH_6M__) || defined(LAW_SHORT_MULTIPLIER)
+    const uint32_t a_low = (uint32_t)a & 0xFFFFU, b_low = (uint32_t)b & 0xFFFFU;
+    const int32_t a_high = a >> 16, b_high = b >> 16;
+    const uint32_t low = a_low * b_low;
+    const int32_t middle = a_high * (int32_t)b_low + (int32_t)(low >> 16);
+    const int32_t other = b_high * (int32_t)a_low + (middle & 0xFFFF);
+    const int32_t high = a_high * b_high + (middle >> 16) + (other >> 16);
+    return (int64_t)((uint64_t)(uint32_t)high << 32 | (uint32_t)other << 16 | (low & 0xFFFFU));
+#else
+    return (int64_t)a * b;
+#endif
+}
+
 /* value / 2^bits, rounded; 0 <= bits <= 62, and value + 2^bits must fit 64 bits. */
 static inline int64_t law_shift_right(int64_t value, int32_t bits, int32_t rounding)
 {
