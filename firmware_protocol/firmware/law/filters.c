@@ -2,22 +2,27 @@
 #include "estimators.h"
 #include "numbers.h"
 
+static void biquad_step(law_biquad_state *s, const law_biquad *p, int32_t x)
+{
+    const int64_t total = law_product(p->b0, x) + law_product(p->b1, s->x1) + law_product(p->b2, s->x2)
+                          - law_product(p->a1, s->y1) - law_product(p->a2, s->y2);
+    s->x2 = s->x1;
+    s->x1 = x;
+    s->y2 = s->y1;
+    s->y1 = law_saturate(law_shift_right(total, p->coefficient_bits, p->rounding), p->word_bits);
+}
+
 int32_t law_biquad_run(law_biquad_state *s, const law_biquad *p, int32_t moved, uint32_t elapsed)
 {
-    int64_t wide = (int64_t)moved * ((int64_t)1 << p->state_bits);
-    uint32_t runs = elapsed < LAW_LONGEST_GAP ? elapsed : LAW_LONGEST_GAP;
-    int32_t x;
+    int64_t wide = law_product(moved, (int32_t)1 << p->state_bits);
 
-    if (elapsed > 1)
+    if (elapsed == 1) { /* nearly always: by itself, so that no loop costs registers */
+        biquad_step(s, p, law_saturate(wide, p->word_bits));
+    } else {
+        uint32_t runs = elapsed < LAW_LONGEST_GAP ? elapsed : LAW_LONGEST_GAP;
         wide = law_divide(wide, elapsed, p->rounding);
-    x = law_saturate(wide, p->word_bits);
-    while (runs-- > 0) {
-        const int64_t total = law_product(p->b0, x) + law_product(p->b1, s->x1) + law_product(p->b2, s->x2)
-                              - law_product(p->a1, s->y1) - law_product(p->a2, s->y2);
-        s->x2 = s->x1;
-        s->x1 = x;
-        s->y2 = s->y1;
-        s->y1 = law_saturate(law_shift_right(total, p->coefficient_bits, p->rounding), p->word_bits);
+        while (runs-- > 0)
+            biquad_step(s, p, law_saturate(wide, p->word_bits));
     }
     return s->y1;
 }

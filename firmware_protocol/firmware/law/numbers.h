@@ -47,13 +47,13 @@ static inline int64_t law_product(int32_t a, int32_t b)
 #endif
 }
 
-/* value / 2^bits, rounded; 0 <= bits <= 62, and value + 2^bits must fit 64 bits. */
+/* value / 2^bits, rounded, without a second shift by a variable; 0 <= bits <= 62, and -value must fit 64 bits. */
 static inline int64_t law_shift_right(int64_t value, int32_t bits, int32_t rounding)
 {
-    if (rounding == LAW_NEAREST)
-        value += ((int64_t)1 << bits) >> 1;
-    else if (rounding == LAW_ZERO && value < 0)
-        value += ((int64_t)1 << bits) - 1;
+    if (rounding == LAW_NEAREST && bits > 0)
+        return ((value >> (bits - 1)) + 1) >> 1;
+    if (rounding == LAW_ZERO && value < 0)
+        return -(-value >> bits);
     return value >> bits;
 }
 
