@@ -55,7 +55,9 @@ class Image:
 def build(core: Core, directory: Path) -> Image:
     """Compile and link the law for a core; the test is skipped where there is no compiler for it."""
     if shutil.which("arm-none-eabi-gcc") is None:
-        pytest.skip("arm-none-eabi-gcc is not installed (packages gcc-arm-none-eabi, libnewlib-arm-none-eabi)")
+        pytest.skip(
+            "arm-none-eabi-gcc is not installed (packages gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
+        )
     elf, raw = directory / "law.elf", directory / "law.bin"
     sources = [str(path) for path in sorted(SOURCES.glob("*.c"))]
     keep = [f"-Wl,-u,{name}" for name in ("law_check", "law_reset", "law_tick")]
@@ -81,7 +83,9 @@ class Simulator:
     """One core with the law in its flash."""
 
     def __init__(self, image: Image):
-        unicorn = pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
+        unicorn = pytest.importorskip(
+            "unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)"
+        )
         arm = pytest.importorskip("unicorn.arm_const")
         self.uc = uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(getattr(arm, image.core.model))
@@ -129,7 +133,15 @@ class Simulator:
             spent[k] = self.instructions
             out = Output.from_buffer_copy(bytes(uc.mem_read(OUTPUT, ct.sizeof(Output))))
             state = State.from_buffer_copy(bytes(uc.mem_read(STATE, ct.sizeof(State))))
-            rows[k] = (out.current, out.flags, out.phase, state.velocity, state.limited, state.velocity_fixed, state.window)
+            rows[k] = (
+                out.current,
+                out.flags,
+                out.phase,
+                state.velocity,
+                state.limited,
+                state.velocity_fixed,
+                state.window,
+            )
         return rows, spent
 
     @property
@@ -137,5 +149,3 @@ class Simulator:
         """Bytes of stack that were ever used."""
         painted = bytes(self.uc.mem_read(STACK_LEAST, STACK - STACK_LEAST))
         return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
-
-

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rig.sample import Phase, RowFlag
 from rig.step import step
@@ -69,6 +71,28 @@ def test_a_tick_equals_the_hosts(law, name, scheme):
     assert decided.mean() > 0.9
     np.testing.assert_array_equal(ticks["current"][decided], currents[decided])
     assert np.abs(ticks["current"] - currents).max() <= 1
+
+
+@given(st.data())
+@settings(max_examples=50)
+def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data):
+    """Window and homing tolerance: whole counts on the device, float64 on the host, often on the very edge."""
+    host = controller_of(experiment_of("fdm", {}, DUAL, SHORT))
+    c, draw = host.control[0], data.draw
+    delta = abs(c["resolution"])
+
+    def place(low: int, high: int) -> float:
+        return draw(st.integers(low, high)) * delta + draw(st.sampled_from([0.0, 0.3 * delta, 1e-17]))
+
+    c["window_minimum"], c["window_maximum"] = place(-900, -200), place(200, 900)
+    c["home_target"], c["home_tolerance"] = place(-90, 90), place(0, 9)
+    p = parameters_of(host)
+    for travel in range(-1000, 1000):
+        position = c["resolution"] * (p.sense * travel)
+        in_window = c["window_minimum"] <= position <= c["window_maximum"]
+        assert (p.window_minimum <= travel <= p.window_maximum) == in_window
+        at_home = not abs(position - c["home_target"]) > c["home_tolerance"]
+        assert (p.home_minimum <= travel <= p.home_maximum) == at_home
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -20,9 +20,10 @@ def run_program(program, data):
     return run.stdout
 
 
-def test_no_undefined_behaviour_and_the_answers_of_the_library(law, tmp_path):
+@pytest.mark.parametrize("multiplier", [(), ("-DLAW_SHORT_MULTIPLIER",)], ids=["long", "short"])
+def test_no_undefined_behaviour_and_the_answers_of_the_library(law, tmp_path, multiplier):
     options = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
-    program = compile_law(tmp_path / "sanitised", *options)
+    program = compile_law(tmp_path / "sanitised", *options, *multiplier)
     listed = list(cases())
     answer = run_program(program, case_bytes(listed))
     refused, at = 0, 0

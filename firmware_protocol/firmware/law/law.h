@@ -278,7 +278,7 @@ law_verdict law_check(const law_parameters *p);
 /* A law that has seen nothing. The parameters must have passed law_check. */
 void law_reset(law_state *s, const law_parameters *p);
 
-/* One tick. A wall may be exchanged between two ticks; another estimator needs law_reset. */
+/* One tick. A wall or a limit may change between two ticks; another estimator or multisine needs law_reset. */
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in);
 
 /* Phase of line j for a seed, in 2^-32 turns: with z = seed + 0x9E3779B9 * (j + 1),
