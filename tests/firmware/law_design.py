@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from rig.estimators import fdm_butterworth, foaw, foaw_best, kalman, levant
 from rig.estimators import fdm_butterworth_fixed as fixed
 from rig.estimators.estimator import PERIOD, RESOLUTION, Floats, Prepared
@@ -24,9 +26,10 @@ I32 = (-(2**31), 2**31 - 1)
 
 
 def parameters_of(controller: Controller, arithmetic: int = FLOAT) -> ct.Structure:
-    """Parameters of the C law for a controller with the wall `spring-damper`; the multisine is left silent."""
+    """Parameters of the C law for a controller with `spring-damper` or `bilateral`; the multisine is left silent."""
     c = {name: controller.control[name][0].item() for name in controller.control.dtype.names}
-    law = controller.law.parameters
+    two_sided = controller.law.law.name == "bilateral"  # which has no options
+    law = np.append(controller.law.parameters, [0.0, 0.0]) if two_sided else controller.law.parameters
     delta, quantum = abs(c["resolution"]), c["effort_quantum"]
     target = c["home_target"]
     p = Parameters(
@@ -49,6 +52,7 @@ def parameters_of(controller: Controller, arithmetic: int = FLOAT) -> ct.Structu
         current_limit=math.floor(c["effort_limit"] / quantum * (1.0 + 1e-12)),
         may_pull=int(law[MAY_PULL]),
         entry_only=int(law[ENTRY_ONLY]),
+        bilateral=int(two_sided),
         extrapolate=c["extrapolate"],
         velocity_divider=c["velocity_divider"],
         slow_multiple=c["slow_multiple"],

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig import estimators, laws
 from rig.sample import Phase, RowFlag
-from rig.step import step
+from rig.step import CONTROL, Controller, new_memory, step
 from tests.firmware.law_design import parameters_of
 from tests.firmware.law_library import inputs
 from tests.firmware.law_rigs import (
@@ -31,6 +32,7 @@ ESTIMATORS = {
 }
 SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
+WALK_ERROR = 0.02  # quanta; the set point is rounded to 2^-24 counts a tick
 ERROR = 12 * EPS  # of an effort, against the limit; three times what was measured with 8 seeds
 
 
@@ -71,6 +73,82 @@ def test_a_tick_equals_the_hosts(law, name, scheme):
     assert decided.mean() > 0.9
     np.testing.assert_array_equal(ticks["current"][decided], currents[decided])
     assert np.abs(ticks["current"] - currents).max() <= 1
+
+
+def drawn_controller(random):
+    """A controller with every option and limit drawn, such that each binds now and then."""
+    control = np.zeros(1, CONTROL)
+    count, quantum = 1.5707963e-4, 2.34e-4
+    divider = int(random.choice([1, 2, 5]))
+    period_s = divider / 20_000
+    values = {
+        "resolution": count * random.choice([-1, 1]),
+        "reference_count": int(random.choice([0, 12_345, 2**31 - 40])),
+        "tick_s": 1 / 20_000,
+        "velocity_divider": divider,
+        "extrapolate": int(random.integers(2)),
+        "slow_multiple": int(random.integers(1, 4)),
+        "slow_speed": random.uniform(0, 3) * count / period_s,
+        "wall_position": random.uniform(-20, 20) * count,
+        "wall_side": float(random.choice([-1, 1])),
+        "effort_limit": int(random.integers(300, 6000)) * quantum,
+        "effort_quantum": quantum,
+        "trial_slew": random.choice([random.uniform(50, 500), 1e9]) * quantum,
+        "homing_slew": random.choice([random.uniform(2, 60), 1e9]) * quantum,
+        "window_minimum": -random.uniform(30, 300) * count,
+        "window_maximum": random.uniform(30, 300) * count,
+        "speed_limit": random.choice([random.uniform(5, 30), 1e9]) * count / period_s,
+        "home_target": random.uniform(-30, 30) * count,
+        "home_step": random.uniform(0.5, 20) * count,
+        "home_stiffness": random.uniform(1, 20) * quantum / count,
+        "home_damping": random.uniform(0, 20) * quantum * period_s / count,
+        "home_effort": random.uniform(50, 900) * quantum,
+        "home_tolerance": random.uniform(3, 60) * count,
+        "settle_ticks": int(random.integers(0, 6)),
+        "home_timeout_ticks": int(random.integers(20, 300)),
+        "constant_effort": random.uniform(-500, 500) * quantum,
+        "trial_ticks": int(random.integers(5, 60)),
+        "release_ticks": int(random.integers(1, 30)),
+    }
+    for name, value in values.items():
+        control[name] = value
+    wall = {
+        "stiffness": random.uniform(1, 100) * quantum / count,
+        "damping": random.uniform(0, 100) * quantum * period_s / count,
+        "pull": random.choice(["clamp", "allow"]),
+        "damping_on": random.choice(["both", "entry"]),
+    }
+    estimator = estimators.get(str(random.choice(["fdm", "fdm-butterworth", "foaw-end"])))
+    law_ = laws.get(str(random.choice(["spring-damper", "spring-damper", "bilateral"])))
+    prepared = estimator.prepare({}, values["resolution"], period_s)
+    return Controller(control, new_memory(), prepared, law_.prepare(wall))
+
+
+def test_every_option_and_limit_is_the_hosts(law):
+    """Walks of counts with gaps, under 200 drawn controllers: each phase and each flag is seen, and equal."""
+    seen = set()
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        host = drawn_controller(random)
+        c = host.control[0]
+        ticks = 120
+        drift = np.cumsum(random.normal(0.0, 0.3, ticks))
+        walk = np.cumsum(np.rint(drift)) + round(c["home_target"] / c["resolution"]) + random.integers(-9, 9)
+        table = inputs(c["reference_count"] + walk.astype(np.int64), random.choice([1, 1, 1, 1, 2, 5], ticks))
+        p = parameters_of(host)
+        ours = law.run(p, table)
+        plugs, arguments = (host.estimator.estimator.update, host.law.law.function), host.arguments()
+        for sample, tick in zip(table, ours, strict=True):
+            quanta = step(*plugs, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), *arguments)
+            m = host.memory[0]
+            assert tick["phase"] == m["phase"], seed
+            assert (int(tick["flags"]) ^ int(m["flags"])) & ~RowFlag.CLAMPED == 0, seed
+            assert abs(tick["limited"] - m["limited_effort"] / c["effort_quantum"]) <= WALK_ERROR, seed
+            assert abs(tick["current"] - quanta) <= 1
+            seen |= {(Phase(m["phase"]), flag) for flag in RowFlag(int(m["flags"]))}
+    assert {phase for phase, _ in seen} == set(Phase) - {Phase.WAIT}
+    assert {flag for _, flag in seen} == set(RowFlag) - {RowFlag.LATE, RowFlag.GAP, RowFlag.NONFINITE}
+    assert {(Phase.HOMING, RowFlag.SLEW_BOUND), (Phase.TRIAL, RowFlag.SLEW_BOUND)} <= seen
 
 
 @given(st.data())
