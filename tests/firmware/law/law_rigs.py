@@ -14,7 +14,7 @@ from rig.step import Controller
 from rig.verdict import Signals, Verdict, judge
 from sim_backend import trial
 from sim_backend.plant import DiscretePlant, advance
-from tests.firmware.law_library import LawLibrary
+from tests.firmware.law.law_library import LawLibrary
 
 START = -0.015
 SHORT = {"trial.duration_s": 0.06, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.02}

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rig.sample import Phase
-from tests.firmware.law_cortex import CORES, Simulator, build
-from tests.firmware.law_design import FIXED, FLOAT, parameters_of
-from tests.firmware.law_library import inputs
-from tests.firmware.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
+from tests.firmware.law.law_cortex import CORES, Simulator, build
+from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
+from tests.firmware.law.law_library import inputs
+from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
 
 SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
 LAWS = {

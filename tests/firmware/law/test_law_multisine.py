@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from rig.excitation import Multisine
 from rig.sample import Phase
-from tests.firmware.law_cases import shaken
-from tests.firmware.law_design import FIXED, FLOAT
-from tests.firmware.law_library import inputs
+from tests.firmware.law.law_cases import shaken
+from tests.firmware.law.law_design import FIXED, FLOAT
+from tests.firmware.law.law_library import inputs
 
 M32 = 2**32
 

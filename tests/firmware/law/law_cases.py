@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
-from tests.firmware.law_design import ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
-from tests.firmware.law_library import Parameters, inputs
-from tests.firmware.law_rigs import DUAL, SHORT, controller_of, experiment_of
+from tests.firmware.law.law_design import ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
+from tests.firmware.law.law_library import Parameters, inputs
+from tests.firmware.law.law_rigs import DUAL, SHORT, controller_of, experiment_of
 
 EDGES = np.array([0, 1, -1, 2**31 - 1, -(2**31), 2**30, -(2**30), 255, 2**15])
 GAPS = (1, 1, 1, 2, 7, 1500, 2**32 - 1, 0)

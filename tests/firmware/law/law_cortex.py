@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.firmware.law_library import SOURCES, STRICT, TICKS, Output, State
+from tests.firmware.law.law_library import SOURCES, STRICT, TICKS, Output, State
 
 FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x2_0000
 OUTPUT, INPUT, STATE, PARAMETERS = RAM, RAM + 0x40, RAM + 0x100, RAM + 0x1000

@@ -16,7 +16,7 @@ from rig.fixed_point import Format
 from rig.fixed_wall import GAIN_GREATEST, MOST_SHIFT, FixedWall, design_wall
 from rig.step import Controller
 from rig.wall import DAMPING, ENTRY_ONLY, MAY_PULL, STIFFNESS
-from tests.firmware.law_library import Parameters
+from tests.firmware.law.law_library import Parameters
 
 FIXED, FLOAT = 0, 1
 ESTIMATORS = ("fdm-butterworth-fixed", "fdm", "fdm-butterworth", "foaw-end", "foaw-best", "levant", "kalman")

@@ -13,8 +13,8 @@ from rig import estimators
 from rig.estimators.arrays import inputs as estimator_inputs
 from rig.estimators.arrays import run
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
-from tests.firmware.law_design import FLOAT, scale_of, set_estimator
-from tests.firmware.law_library import Parameters, inputs
+from tests.firmware.law.law_design import FLOAT, scale_of, set_estimator
+from tests.firmware.law.law_library import Parameters, inputs
 
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
 PERIOD_S, DELTA = 1 / 2000, 1e-6

@@ -8,8 +8,8 @@ import subprocess
 
 import pytest
 
-from tests.firmware.law_cases import cases
-from tests.firmware.law_library import SOURCES, TICKS, Parameters, State, case_bytes, compile_law
+from tests.firmware.law.law_cases import cases
+from tests.firmware.law.law_library import SOURCES, TICKS, Parameters, State, case_bytes, compile_law
 
 LEAST_BRANCHES = 90.0  # percent of the branches that the cases must take
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.firmware.law_library import LawLibrary, compile_law
+from tests.firmware.law.law_library import LawLibrary, compile_law
 
 
 @pytest.fixture(scope="session")

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from rig import estimators, laws
 from rig.sample import Phase, RowFlag
 from rig.step import CONTROL, Controller, new_memory, step
-from tests.firmware.law_design import parameters_of
-from tests.firmware.law_library import inputs
-from tests.firmware.law_rigs import (
+from tests.firmware.law.law_design import parameters_of
+from tests.firmware.law.law_library import inputs
+from tests.firmware.law.law_rigs import (
     DUAL,
     SHORT,
     UNIFORM,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-SOURCES = Path(__file__).parents[2] / "firmware_protocol" / "firmware" / "law"
+SOURCES = Path(__file__).parents[3] / "firmware_protocol" / "firmware" / "law"
 DRIVER = Path(__file__).with_name("law_driver.c")
 STRICT = [
     "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wdouble-promotion",

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from rig.sample import Phase, RowFlag
 from tests.conformance.fixed_law import golden_vectors
-from tests.firmware.exact_law import ExactLaw
-from tests.firmware.law_cases import BREAKS, broken, golden_parameters
-from tests.firmware.law_library import SOURCES, inputs
+from tests.firmware.law.exact_law import ExactLaw
+from tests.firmware.law.law_cases import BREAKS, broken, golden_parameters
+from tests.firmware.law.law_library import SOURCES, inputs
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -8,9 +8,9 @@ from rig.fixed_wall import current_quanta
 from rig.sample import Phase
 from rig.verdict import Kind
 from sim_backend.plant import advance
-from tests.firmware.exact_law import ExactLaw
-from tests.firmware.law_design import FIXED, fixed_wall_of, parameters_of, velocity_format
-from tests.firmware.law_rigs import (
+from tests.firmware.law.exact_law import ExactLaw
+from tests.firmware.law.law_design import FIXED, fixed_wall_of, parameters_of, velocity_format
+from tests.firmware.law.law_rigs import (
     DUAL,
     SHORT,
     START,
