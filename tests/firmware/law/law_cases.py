@@ -1,0 +1,180 @@
+"""Parameters of the C law for tests: good ones, ones that the check must refuse, and noise."""
+
+from __future__ import annotations
+
+import ctypes as ct
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from tests.conformance.fixed_law import GoldenVectors, golden_vectors
+from tests.firmware.law.law_design import ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
+from tests.firmware.law.law_library import Parameters, inputs
+from tests.firmware.law.law_rigs import DUAL, SHORT, controller_of, experiment_of
+
+EDGES = np.array([0, 1, -1, 2**31 - 1, -(2**31), 2**30, -(2**30), 255, 2**15])
+GAPS = (1, 1, 1, 2, 7, 1500, 2**32 - 1, 0)
+
+
+def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
+    """Parameters that go to their trial at once, with the filter and the wall of golden vectors; nothing binds."""
+    p = Parameters(arithmetic=FIXED, velocity_divider=vectors.velocity_divider, slow_multiple=1)
+    p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
+    p.home_minimum, p.home_maximum = p.window_minimum, p.window_maximum
+    p.home_step, p.trial_ticks, p.release_ticks = 2**40, 2**32 - 1, 1
+    p.home_timeout_ticks = 2**32 - 1
+    copy_wall(p, vectors.wall)
+    w, f = p.fixed_wall, vectors.filter
+    w.trial_slew = w.homing_slew = 2**31 - 1
+    w.speed_limit, w.home_shift = 2**31 - 1, 1
+    for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
+        setattr(p.biquad, name, getattr(f, name))
+    p.biquad.state_bits, p.biquad.word_bits = f.state.fraction_bits, f.state.word_bits
+    return p
+
+
+def shaken(
+    arithmetic: int,
+    *,
+    period: int,
+    harmonics: Sequence[int],
+    amplitudes: Sequence[int],
+    seed: int = 1,
+    ramp: int = 0,
+) -> ct.Structure:
+    """Parameters without a wall that play an excitation, in their trial; constant effort 0."""
+    p = golden_parameters(golden_vectors(1))
+    p.arithmetic, p.bilateral, p.current_limit = arithmetic, 1, 32767
+    p.fixed_wall.stiffness = p.fixed_wall.damping = p.fixed_wall.constant = 0
+    p.wall.side, p.wall.trial_slew, p.wall.homing_slew, p.wall.speed_limit = p.fixed_wall.side, 1e9, 1e9, 1e9
+    m = p.multisine
+    m.lines, m.seed, m.period, m.ramp = len(harmonics), seed, period, ramp
+    m.harmonic[: m.lines], m.amplitude[: m.lines] = harmonics, amplitudes
+    return p
+
+
+# In the order of law_verdict: what must be refused.
+BREAKS = {
+    "choice": [
+        ("estimator", 7),
+        ("estimator", 3),
+        ("arithmetic", 2),
+        ("sense", 0),
+        ("extrapolate", 1),
+        ("may_pull", 2),
+    ],
+    "rate": [("velocity_divider", 0), ("velocity_divider", 2**17), ("slow_multiple", 0)],
+    "limit": [
+        ("current_limit", -1),
+        ("current_limit", 32768),
+        ("release_ticks", 0),
+        ("home_step", -1),
+        ("home_target", 2**60),
+        ("window_maximum", -(2**31)),
+    ],
+    "filter": [
+        ("biquad.word_bits", 33),
+        ("biquad.rounding", 3),
+        ("biquad.state_bits", -1),
+        ("biquad.coefficient_bits", 31),
+    ],
+    "wall": [
+        ("fixed_wall.shift", 41),
+        ("fixed_wall.stiffness", -1),
+        ("fixed_wall.constant", 2**63 - 1),
+        ("fixed_wall.constant", -(2**63)),
+        ("fixed_wall.direction", 0),
+        ("fixed_wall.trial_slew", -1),
+    ],
+    "multisine": [
+        ("multisine.lines", 65),
+        ("multisine.lines", 1),
+    ],
+}
+BROKEN_FLOATS = (
+    ("fdm-butterworth", "low_pass.sections", 5),
+    ("foaw-end", "foaw.limit", 65),
+    ("levant", "levant.discretisation", 3),
+    ("fdm", "wall.side", 0.5),
+    ("fdm", "wall.stiffness", float("nan")),
+    ("fdm", "wall.trial_slew", float("nan")),
+)
+
+
+def broken(field: str, value: int) -> ct.Structure:
+    """Golden parameters with one field (dots for its owners) set to something that is refused."""
+    p = golden_parameters(golden_vectors(1))
+    p.window_minimum += field == "window_maximum"
+    owner, _, name = field.rpartition(".")
+    setattr(getattr(p, owner) if owner else p, name, value)
+    return p
+
+
+def of_estimator(name: str, **settings: float | str) -> ct.Structure:
+    """The float law with that estimator, in a trial of a few ticks that nothing ends."""
+    settings |= {"gain": "steady"} if name == "kalman" else {}
+    p = parameters_of(controller_of(experiment_of(name, settings, DUAL, SHORT)))
+    p.settle_ticks, p.trial_ticks, p.release_ticks, p.home_step = 2, 20, 7, 2**34
+    p.window_minimum, p.window_maximum = p.home_minimum, p.home_maximum = -(2**31), 2**31 - 1
+    p.wall.speed_limit, p.slow_multiple, p.wall.slow_speed = 3e38, 3, 1.0
+    return p
+
+
+def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
+    """Good parameters with wild inputs, then broken ones, then noise: what the check lets pass must be sound."""
+    random = np.random.default_rng(9)
+
+    def wild(ticks: int) -> np.ndarray:
+        near = random.integers(-400, 400, ticks)
+        counts = np.where(random.random(ticks) < 0.3, random.choice(EDGES, ticks), near)
+        return inputs(counts, random.choice(GAPS, ticks))
+
+    good = []
+    for seed in range(30):
+        vectors = golden_vectors(seed)
+        p = golden_parameters(vectors)
+        yield p, inputs(vectors.counts)
+        p.bilateral, p.slow_multiple, p.fixed_wall.slow_speed = seed % 2, 1 + seed % 3, 1 << 20
+        good.append(p)
+    for name in ESTIMATORS:
+        for divider, stop, scheme in ((1, 0, 0), (10, 1, 1), (1, 1, 2)):
+            p = of_estimator(name)
+            p.velocity_divider, p.bilateral, p.extrapolate = divider, int(scheme == 1), stop
+            p.may_pull, p.entry_only = stop, int(scheme == 2)
+            p.foaw.stop_first = p.foaw.least_squares = stop
+            p.levant.discretisation, p.levant.integrator = scheme, stop
+            good.append(p)
+    good.append(of_estimator("fdm-butterworth", order=3))
+    for arithmetic in (FIXED, FLOAT):
+        p = shaken(arithmetic, period=1000, harmonics=[1, 499], amplitudes=[2**30, -(2**29)], ramp=9)
+        p.release_ticks, p.trial_ticks = 50, 100
+        good.append(p)
+    bound = golden_parameters(golden_vectors(2))
+    bound.fixed_wall.homing_slew = bound.fixed_wall.trial_slew = 3 << 13
+    good.append(bound)
+    for p in good:
+        yield p, wild(300)
+        calm = np.cumsum(random.integers(-1, 3, 300)) + p.reference - 100
+        yield p, inputs(calm, random.choice(GAPS[:6], 300))
+    for field, value in (change for changes in BREAKS.values() for change in changes):
+        yield broken(field, value), wild(3)
+    for harmonics, amplitudes in (([500], [1]), ([0], [1]), ([1, 2], [2**30, 2**30])):
+        yield shaken(FIXED, period=1000, harmonics=harmonics, amplitudes=amplitudes), wild(3)
+    third_order = of_estimator("fdm-butterworth")
+    third_order.low_pass.section[0].order = 3
+    yield third_order, wild(3)
+    short = of_estimator("fdm")
+    short.home_timeout_ticks, short.home_minimum = 5, 2**31 - 1
+    yield short, wild(10)
+    for name, field, value in BROKEN_FLOATS:
+        p = of_estimator(name)
+        owner, _, last = field.rpartition(".")
+        setattr(getattr(p, owner), last, value)
+        yield p, wild(3)
+    for _ in range(600):
+        noise = bytearray(good[int(random.integers(len(good)))])
+        for _ in range(random.integers(1, 6)):
+            word = int(random.integers(0, 80 if random.random() < 0.8 else len(noise) // 4))
+            value = int(random.choice([*EDGES, 2, 3, 16, 40, *random.integers(-(2**31), 2**31, 4)]))
+            noise[4 * word : 4 * word + 4] = value.to_bytes(4, "little", signed=True)
+        yield Parameters.from_buffer_copy(noise), wild(40)

@@ -1,0 +1,185 @@
+"""The law in C as tests see it: its structures in ctypes, the compiler, and one object that remembers a run."""
+
+from __future__ import annotations
+
+import ctypes as ct
+import shutil
+import subprocess
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SOURCES = Path(__file__).parents[3] / "firmware_protocol" / "firmware" / "law"
+DRIVER = Path(__file__).with_name("law_driver.c")
+STRICT = [
+    "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wdouble-promotion",
+    "-Wstrict-prototypes", "-Wmissing-prototypes", "-Werror", "-ffp-contract=off",
+]  # fmt: skip
+WINDOW, RING, SECTIONS, LINES = 64, 128, 4, 64
+
+i32, u32, i64, u64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_float
+
+
+def compile_law(output: Path, *options: str, driver: bool = True) -> Path:
+    """Compile the law, with the driver unless told otherwise; the test is skipped where there is no gcc."""
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed (package gcc)")
+    sources = [str(path) for path in sorted(SOURCES.glob("*.c"))] + ([str(DRIVER)] if driver else [])
+    command = ["gcc", *STRICT, *options, f"-I{SOURCES}", "-o", str(output), *sources, "-lm"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=output.parent)
+    assert run.returncode == 0, run.stderr
+    return output
+
+
+def _structure(name: str, *fields: tuple[type, str]) -> type[ct.Structure]:
+    """A structure from (type, "names in order") pairs, as law.h writes it."""
+    listed = [(word, kind) for kind, words in fields for word in words.split()]
+    return type(name, (ct.Structure,), {"_fields_": listed})
+
+
+Biquad = _structure("Biquad", (i32, "b0 b1 b2 a1 a2 coefficient_bits state_bits word_bits rounding"))
+Section = _structure("Section", (f32, "inner band low"), (i32, "order"))
+LowPass = _structure("LowPass", (i32, "sections"), (Section * SECTIONS, "section"))
+Foaw = _structure("Foaw", (i32, "band limit stop_first least_squares"))
+Levant = _structure("Levant", (f32, "alpha lambda_"), (i32, "discretisation integrator"))
+Kalman = _structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration"))
+Fixed = _structure(
+    "Fixed",
+    (i64, "constant home_effort"),
+    (i32, "trial_slew homing_slew speed_limit slow_speed direction side surface stiffness damping shift"),
+    (i32, "home_stiffness home_damping home_shift reserved"),
+)
+Wall = _structure(
+    "Wall",
+    (f32, "surface_fraction side stiffness damping constant trial_slew homing_slew speed_limit slow_speed"),
+    (f32, "velocity_lsb home_stiffness home_damping home_effort"),
+    (i32, "surface_whole"),
+)
+Lines = _structure(
+    "Lines", (u32, "lines seed period ramp"), (u32 * LINES, "harmonic"), (i32 * LINES, "amplitude")
+)
+Parameters = _structure(
+    "Parameters",
+    (i64, "home_target home_step"),
+    (i32, "arithmetic estimator reference sense window_minimum window_maximum home_minimum home_maximum"),
+    (i32, "current_limit may_pull entry_only bilateral extrapolate"),
+    (u32, "velocity_divider slow_multiple settle_ticks home_timeout_ticks trial_ticks release_ticks"),
+    (Biquad, "biquad"),
+    (LowPass, "low_pass"),
+    (Foaw, "foaw"),
+    (Levant, "levant"),
+    (Kalman, "kalman"),
+    (Wall, "wall"),
+    (Fixed, "fixed_wall"),
+    (Lines, "multisine"),
+)
+LinesState = _structure(
+    "LinesState", (u64, "inverse"), (u32, "played"), (u32 * LINES, "residue"), (u32 * LINES, "phase")
+)
+FoawState = _structure(
+    "FoawState",
+    (u32, "samples newest period"),
+    (i32 * RING, "count"),
+    (u32 * RING, "taken"),
+    (i32 * (WINDOW + 1), "rise span"),
+)
+LevantState = _structure("LevantState", (f32, "error integrator"))
+
+
+class Memory(ct.Union):
+    """Memory of the one estimator that runs."""
+
+    _fields_ = (("foaw", FoawState), ("levant", LevantState))  # the largest, and what tests look into
+
+
+State = _structure(
+    "State",
+    (i64, "setpoint"),
+    (i32, "limited_fixed"),
+    (f32, "limited velocity velocity_sampled velocity_slope"),
+    (i32, "velocity_fixed"),
+    (u32, "window since velocity_ticks sampled phase phase_ticks rest_ticks"),
+    (i32, "previous"),
+    (u32, "flags"),
+    (LinesState, "multisine"),
+    (Memory, "of"),
+)
+Input = _structure("Input", (i32, "count"), (u32, "edge_age elapsed_ticks"))
+Output = _structure("Output", (i32, "current"), (u32, "flags phase"))
+
+INPUTS = np.dtype([("count", "<i4"), ("edge_age", "<u4"), ("elapsed_ticks", "<u4")])
+# what the driver leaves of a tick
+TICKS = np.dtype(
+    [
+        ("current", "<i4"),
+        ("flags", "<u4"),
+        ("phase", "<u4"),
+        ("velocity", "<f4"),
+        ("limited", "<f4"),
+        ("velocity_fixed", "<i4"),
+        ("window", "<u4"),
+    ]
+)
+
+
+def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarray | int = 1) -> np.ndarray:
+    """Inputs of as many ticks; counts wrap at 32 bits as an encoder's do."""
+    table = np.zeros(len(counts), INPUTS)
+    table["count"] = np.asarray(counts, np.int64).astype(np.uint32).view(np.int32)
+    table["elapsed_ticks"] = elapsed
+    return table
+
+
+class LawLibrary:
+    """The shared library."""
+
+    def __init__(self, path: Path):
+        self.so = so = ct.CDLL(str(path))
+        so.law_tick.restype = Output
+        so.law_tick.argtypes = so.driver_run.argtypes = None
+        so.law_line_phase.restype = u32
+        so.law_line_phase.argtypes = [u32, u32]
+        so.law_cosine.argtypes = [u32]
+        so.driver_size.restype = ct.c_size_t
+        for number, kind in enumerate((Parameters, State, Input, Output)):
+            assert so.driver_size(number) == ct.sizeof(kind), kind.__name__
+        assert so.driver_size(4) == TICKS.itemsize
+
+    def check(self, parameters: ct.Structure) -> int:
+        """Verdict of law_check: 0 is good."""
+        return int(self.so.law_check(ct.byref(parameters)))
+
+    def reset(self, parameters: ct.Structure) -> ct.Structure:
+        """A law that has seen nothing, for parameters that pass the check."""
+        assert self.check(parameters) == 0
+        state = State()
+        self.so.law_reset(ct.byref(state), ct.byref(parameters))
+        return state
+
+    def tick(
+        self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1
+    ) -> ct.Structure:
+        """One tick."""
+        sample = Input(count, 0, elapsed)
+        return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
+
+    def run(
+        self, parameters: ct.Structure, table: np.ndarray, state: ct.Structure | None = None
+    ) -> np.ndarray:
+        """Run a law, a fresh one if none is given, over a table of inputs; what each tick left."""
+        state = self.reset(parameters) if state is None else state
+        out = np.zeros(len(table), TICKS)
+        self.so.driver_run(
+            ct.byref(state), ct.byref(parameters), table.ctypes.data_as(ct.c_void_p),
+            ct.c_size_t(len(table)), out.ctypes.data_as(ct.c_void_p),
+        )  # fmt: skip
+        return out
+
+
+def case_bytes(cases: Iterable[tuple[ct.Structure, np.ndarray]]) -> bytes:
+    """What the driver as a program reads: for each case parameters, number of ticks, inputs."""
+    return b"".join(
+        bytes(parameters) + len(table).to_bytes(8, "little") + table.tobytes() for parameters, table in cases
+    )

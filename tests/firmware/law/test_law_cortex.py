@@ -1,0 +1,86 @@
+"""The law on Cortex-M0+, M4F and M7: the bits of the host's build, within a budget of instructions and of stack."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.sample import Phase
+from tests.firmware.law.law_cortex import CORES, Simulator, build
+from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
+from tests.firmware.law.law_library import inputs
+from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
+
+SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
+LAWS = {
+    "fixed": (FIXED, "fdm-butterworth-fixed", {}),
+    "butterworth": (FLOAT, "fdm-butterworth", {}),
+    "foaw-end": (FLOAT, "foaw-end", {}),
+    "foaw-best": (FLOAT, "foaw-best", {}),
+    "levant": (FLOAT, "levant", {}),
+    "kalman": (FLOAT, "kalman", {"gain": "steady"}),
+}
+# Instructions of the worst tick, either scheme: what was measured with gcc 12.2 -O2, and a tenth more.
+BUDGETS = {
+    "M0+": {
+        "fixed": 900,
+        "butterworth": 3720,
+        "foaw-end": 9320,
+        "foaw-best": 37_100,
+        "levant": 4820,
+        "kalman": 3800,
+    },
+    "M4F": {
+        "fixed": 410,
+        "butterworth": 360,
+        "foaw-end": 2310,
+        "foaw-best": 7700,
+        "levant": 375,
+        "kalman": 350,
+    },
+    "M7": {
+        "fixed": 400,
+        "butterworth": 350,
+        "foaw-end": 2110,
+        "foaw-best": 7950,
+        "levant": 360,
+        "kalman": 340,
+    },
+}
+IMAGE_BYTES = 20_000
+STACK_BYTES = 512
+
+
+@pytest.fixture(scope="module", params=CORES)
+def image(request, tmp_path_factory):
+    pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
+    return build(CORES[request.param], tmp_path_factory.mktemp("cortex"))
+
+
+@pytest.fixture(scope="module", params=SCHEMES)
+def hits(request):
+    """For each law parameters, and the inputs of a hit around its contact."""
+
+    def hit(arithmetic, estimator, settings):
+        experiment = experiment_of(estimator, settings, SCHEMES[request.param], SHORT)
+        counts = on_the_host(experiment).counts
+        contact = np.flatnonzero(counts > 0)[0]
+        parameters = parameters_of(controller_of(experiment), arithmetic)
+        return parameters, inputs(counts[contact - 100 : contact + 300])
+
+    return {name: hit(*law) for name, law in LAWS.items()}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_every_tick_has_the_bits_of_the_host_within_its_budget(law, image, hits):
+    assert len(image.code) <= IMAGE_BYTES
+    for name, (parameters, table) in hits.items():
+        simulator = Simulator(image)
+        rows, spent = simulator.run(parameters, table, Phase.TRIAL)
+        state = law.reset(parameters)
+        state.phase = Phase.TRIAL
+        assert rows.tobytes() == law.run(parameters, table, state).tobytes(), name
+        print(f"{image.core.name} {name}: {np.median(spent):.0f} instructions, {spent.max()} at most")
+        assert spent.max() <= BUDGETS[image.core.name][name], name
+        assert simulator.stack <= STACK_BYTES, name

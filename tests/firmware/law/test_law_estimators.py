@@ -1,0 +1,164 @@
+"""Estimators of the C law against the host's: fixed point to the bit, float32 to a stated rounding."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig import estimators
+from rig.estimators.arrays import inputs as estimator_inputs
+from rig.estimators.arrays import run
+from tests.conformance.fixed_law import ExactFilter, golden_vectors
+from tests.firmware.law.law_design import FLOAT, scale_of, set_estimator
+from tests.firmware.law.law_library import Parameters, inputs
+
+EPS = 2.0**-24  # half a unit in the last place of float32, relative
+PERIOD_S, DELTA = 1 / 2000, 1e-6
+WIDE = 3.0e38
+
+
+def bare(prepared, divider=1):
+    """Float parameters in which nothing but the estimator does anything."""
+    p = Parameters(arithmetic=FLOAT, sense=1, velocity_divider=divider, slow_multiple=1, release_ticks=1)
+    p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
+    p.home_timeout_ticks = 2**32 - 1
+    p.wall.side, p.wall.speed_limit, p.wall.velocity_lsb = 1.0, WIDE, 1.0
+    set_estimator(p, prepared)
+    return p
+
+
+def motion(seed, samples=1500):
+    """Counts and elapsed periods of a handle that goes, rings, stands, jumps; every twentieth sample is after a gap."""
+    random = np.random.default_rng(seed)
+    elapsed = np.where(random.random(samples) < 0.05, random.integers(2, 12, samples), 1)
+    elapsed[samples // 2] = 1200  # longer than any memory
+    t = np.cumsum(elapsed) * PERIOD_S
+    swing = 0.004 * np.sin(2 * np.pi * 3.0 * t) + 0.0005 * np.sin(2 * np.pi * 61.0 * t)
+    place = np.where(t % 0.5 < 0.1, 0.002, swing) / DELTA
+    place += np.cumsum(random.random(samples) < 0.004) * 300
+    return (np.floor(place) + 2**31 - 3000).astype(np.int64), elapsed  # wraps on its way
+
+
+def both(law, name, counts, elapsed, **given):
+    """Velocities (counts per period) and windows: of the host, of C."""
+    prepared = estimators.get(name).prepare(given, DELTA, PERIOD_S)
+    p = bare(prepared)
+    ticks = law.run(p, inputs(counts, elapsed))
+    velocities, windows = run(prepared, *estimator_inputs(counts, PERIOD_S, None, elapsed))
+    return velocities / scale_of(prepared), windows, ticks
+
+
+# Error allowed, in units of EPS times the largest velocity that was. A difference and a FOAW slope are one division of
+# whole numbers: rounded once. The others: three times what was measured with 20 seeds. Levant's with a C that cannot
+# follow the jumps of the motion switches its sign at another moment for every rounding, which the steps then forget.
+CASES = {
+    "fdm": ("fdm", {}, 1),
+    "butterworth-200": ("fdm-butterworth", {"cutoff_hz": 200.0}, 8),
+    "butterworth-20": ("fdm-butterworth", {"cutoff_hz": 20.0}, 32),
+    "butterworth-order-1": ("fdm-butterworth", {"order": 1}, 4),
+    "butterworth-order-3": ("fdm-butterworth", {"order": 3}, 12),
+    "butterworth-order-8": ("fdm-butterworth", {"order": 8, "cutoff_hz": 300.0}, 16),
+    "foaw-end": ("foaw-end", {}, 1),
+    "foaw-end-global": ("foaw-end", {"stop": "global", "window_limit": 64.0}, 1),
+    "foaw-end-band": ("foaw-end", {"band": 1.3, "window_limit": 32.0}, 1),
+    "foaw-best": ("foaw-best", {}, 1),
+    "foaw-best-global": ("foaw-best", {"stop": "global", "window_limit": 40.0}, 1),
+    "foaw-best-last": ("foaw-best", {"anchor": "last", "band": 1.5}, 1),
+    "levant-implicit": ("levant", {}, 8),
+    "levant-implicit-tight": ("levant", {"lipschitz": 1.0, "output": "u1"}, 1000),
+    "kalman-steady": ("kalman", {"gain": "steady"}, 32),
+    "kalman-steady-slow": ("kalman", {"gain": "steady", "bandwidth_hz": 20.0}, 32),
+    "kalman-steady-double": ("kalman", {"gain": "steady", "model": "double"}, 12),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_float_velocity_equals_the_host_to_rounding(law, case, seed):
+    name, settings_, allowed = CASES[case]
+    host, windows, ticks = both(law, name, *motion(seed), **settings_)
+    worst = np.abs(ticks["velocity"] - host).max() / (EPS * np.abs(host).max())
+    assert worst <= allowed, worst
+    assert (ticks["window"] == windows).all()
+
+
+@given(st.data())
+@settings(max_examples=60)
+@pytest.mark.parametrize("name", ["foaw-end", "foaw-best"])
+def test_windows_of_foaw_are_the_hosts(law, name, data):
+    """Steps of whole counts, so that samples lie on the edge of the band time and again."""
+    steps = data.draw(st.lists(st.integers(-3, 3), min_size=2, max_size=80))
+    elapsed = data.draw(st.lists(st.integers(1, 4), min_size=len(steps), max_size=len(steps)))
+    given_ = {
+        "band": data.draw(st.sampled_from([0.5, 1.0, 1.5, 2.0])),
+        "window_limit": float(data.draw(st.integers(1, 64))),
+        "stop": data.draw(st.sampled_from(["first", "global"])),
+    }
+    host, windows, ticks = both(law, name, np.cumsum(steps), np.array(elapsed), **given_)
+    assert ticks["window"].tolist() == windows.tolist()
+    assert np.abs(ticks["velocity"] - host).max() <= 3 * EPS * max(1.0, np.abs(host).max())
+
+
+@pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit", "implicit"])
+@pytest.mark.parametrize("output", ["u", "u1"])
+def test_levant_equals_the_host_step_by_step(law, discretisation, output):
+    """A sign that turns makes another path of every rounding: so each step starts from the host's own state."""
+    counts, elapsed = motion(3)
+    given_ = {"discretisation": discretisation, "output": output, "lipschitz": 20.0}
+    prepared = estimators.get("levant").prepare(given_, DELTA, PERIOD_S)
+    p = bare(prepared)
+    state = law.reset(p)
+    update, worst, scale = prepared.estimator.update, 0.0, scale_of(prepared)
+    for count, periods in zip(counts.tolist(), elapsed.tolist(), strict=True):
+        error, integrator = state.of.levant.error, state.of.levant.integrator = prepared.state_f.tolist()
+        prepared.state_f[:] = state.of.levant.error, state.of.levant.integrator  # as float32 has them
+        law.tick(state, p, np.int64(count).astype(np.int32).item(), periods)
+        host = update(count, 0.0, periods, prepared.state_f, prepared.state_i, prepared.parameters) / scale
+        size = max(abs(error), abs(integrator), abs(host), 1.0)
+        if periods == 1:  # within a gap the sign may turn as well
+            worst = max(worst, abs(state.velocity - host) / (size * EPS))
+    assert worst <= 8.0, worst
+
+
+@pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit"])
+def test_explicit_levant_stays_within_its_own_chatter_of_the_host(law, discretisation):
+    counts, elapsed = motion(4)
+    given_ = {"discretisation": discretisation, "lipschitz": 20.0}
+    alpha = estimators.get("levant").prepare(given_, DELTA, PERIOD_S).parameters[2]
+    host, _, ticks = both(law, "levant", counts, elapsed, **given_)
+    off = ticks["velocity"] - host
+    assert math.sqrt(np.mean(off**2)) <= 2.0 * alpha
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_fixed_velocity_is_the_golden_one(law, seed):
+    vectors = golden_vectors(seed)
+    p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0), vectors.velocity_divider)
+    _set_biquad(p, vectors.filter)
+    ticks = law.run(p, inputs(vectors.counts))
+    assert tuple(ticks["velocity_fixed"].tolist()) == vectors.velocities
+
+
+@given(st.data())
+@settings(max_examples=60)
+def test_fixed_velocity_is_exact_after_gaps(law, data):
+    vectors = golden_vectors(data.draw(st.integers(0, 1000)), ticks=1)
+    p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0))
+    _set_biquad(p, vectors.filter)
+    counts = data.draw(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=30))
+    gaps = st.sampled_from([1, 1, 1, 2, 3, 7, 40, 1000, 5000])
+    elapsed = data.draw(st.lists(gaps, min_size=len(counts), max_size=len(counts)))
+    exact = ExactFilter(vectors.filter)
+    expected = [exact.velocity(*sample) for sample in zip(counts, elapsed, strict=True)]
+    assert law.run(p, inputs(counts, np.array(elapsed)))["velocity_fixed"].tolist() == expected
+
+
+def _set_biquad(p, filter_):
+    p.estimator = 0
+    for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
+        setattr(p.biquad, name, getattr(filter_, name))
+    p.biquad.state_bits, p.biquad.word_bits = filter_.state.fraction_bits, filter_.state.word_bits

@@ -1,0 +1,194 @@
+"""The float32 law of a tick against `rig.step`: the same inputs, and the same hit in a closed loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig import estimators, laws
+from rig.sample import Phase, RowFlag
+from rig.step import CONTROL, Controller, new_memory, step
+from tests.firmware.law.law_design import parameters_of
+from tests.firmware.law.law_library import inputs
+from tests.firmware.law.law_rigs import (
+    DUAL,
+    SHORT,
+    UNIFORM,
+    controller_of,
+    experiment_of,
+    in_lock_step,
+    on_the_host,
+)
+
+ESTIMATORS = {
+    "fixed": ("fdm-butterworth-fixed", {}),
+    "butterworth": ("fdm-butterworth", {}),
+    "foaw-end": ("foaw-end", {}),
+    "foaw-best": ("foaw-best", {"window_limit": 24.0}),
+    "levant": ("levant", {}),
+    "kalman": ("kalman", {"gain": "steady"}),
+}
+SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
+EPS = 2.0**-24  # half a unit in the last place of float32, relative
+WALK_ERROR = 0.02  # quanta; the set point is rounded to 2^-24 counts a tick
+ERROR = 12 * EPS  # of an effort, against the limit; three times what was measured with 8 seeds
+
+
+# At 20 kHz Levant's copy of the position swings on single counts, and a difference of one rounding grows: there only
+# single steps compare (test_law_estimators.py), and what a hit is judged by (below).
+@pytest.mark.parametrize(
+    ("name", "scheme"), [(n, s) for n in ESTIMATORS for s in SCHEMES if (n, s) != ("levant", "uniform")]
+)
+def test_a_tick_equals_the_hosts(law, name, scheme):
+    """Counts of a hit with every tenth tick or so missing: phases and flags equal, efforts but for rounding."""
+    experiment = experiment_of(*ESTIMATORS[name], SCHEMES[scheme], SHORT)
+    counts = on_the_host(experiment).counts
+    random = np.random.default_rng(5)
+    taken = np.flatnonzero((random.random(len(counts)) < 0.9) | (np.arange(len(counts)) == 0))
+    table = inputs(counts[taken], np.diff(taken, prepend=-1))
+
+    host = controller_of(experiment)
+    plugs, arguments = (host.estimator.estimator.update, host.law.law.function), host.arguments()
+    names = ("flags", "phase", "limited_effort", "current_sent")
+    rows = []
+    for sample in table:
+        step(*plugs, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), *arguments)
+        rows.append([host.memory[name][0] for name in names])
+    flags, phases, limited, currents = np.array(rows).T
+    limited /= host.control["effort_quantum"][0]
+
+    p = parameters_of(controller_of(experiment))
+    ticks = law.run(p, table)
+    assert {Phase.TRIAL, Phase.RELEASE, Phase.DONE} <= set(phases.astype(int).tolist())
+    assert np.abs(limited).max() > 0.7 * p.current_limit
+    np.testing.assert_array_equal(ticks["phase"], phases)
+    # A reaction of zero but for rounding is clamped in one of the two only.
+    np.testing.assert_array_equal(ticks["flags"] & ~RowFlag.CLAMPED, flags.astype(int) & ~RowFlag.CLAMPED)
+    assert (ticks["flags"] != flags).mean() < 0.005
+    error = ERROR * p.current_limit  # quanta
+    assert np.abs(ticks["limited"] - limited).max() <= error
+    decided = np.abs(limited - np.floor(limited) - 0.5) > error
+    assert decided.mean() > 0.9
+    np.testing.assert_array_equal(ticks["current"][decided], currents[decided])
+    assert np.abs(ticks["current"] - currents).max() <= 1
+
+
+def drawn_controller(random):
+    """A controller with every option and limit drawn, such that each binds now and then."""
+    control = np.zeros(1, CONTROL)
+    count, quantum = 1.5707963e-4, 2.34e-4
+    divider = int(random.choice([1, 2, 5]))
+    period_s = divider / 20_000
+    values = {
+        "resolution": count * random.choice([-1, 1]),
+        "reference_count": int(random.choice([0, 12_345, 2**31 - 40])),
+        "tick_s": 1 / 20_000,
+        "velocity_divider": divider,
+        "extrapolate": int(random.integers(2)),
+        "slow_multiple": int(random.integers(1, 4)),
+        "slow_speed": random.uniform(0, 3) * count / period_s,
+        "wall_position": random.uniform(-20, 20) * count,
+        "wall_side": float(random.choice([-1, 1])),
+        "effort_limit": int(random.integers(300, 6000)) * quantum,
+        "effort_quantum": quantum,
+        "trial_slew": random.choice([random.uniform(50, 500), 1e9]) * quantum,
+        "homing_slew": random.choice([random.uniform(2, 60), 1e9]) * quantum,
+        "window_minimum": -random.uniform(30, 300) * count,
+        "window_maximum": random.uniform(30, 300) * count,
+        "speed_limit": random.choice([random.uniform(5, 30), 1e9]) * count / period_s,
+        "home_target": random.uniform(-30, 30) * count,
+        "home_step": random.uniform(0.5, 20) * count,
+        "home_stiffness": random.uniform(1, 20) * quantum / count,
+        "home_damping": random.uniform(0, 20) * quantum * period_s / count,
+        "home_effort": random.uniform(50, 900) * quantum,
+        "home_tolerance": random.uniform(3, 60) * count,
+        "settle_ticks": int(random.integers(0, 6)),
+        "home_timeout_ticks": int(random.integers(20, 300)),
+        "constant_effort": random.uniform(-500, 500) * quantum,
+        "trial_ticks": int(random.integers(5, 60)),
+        "release_ticks": int(random.integers(1, 30)),
+    }
+    for name, value in values.items():
+        control[name] = value
+    wall = {
+        "stiffness": random.uniform(1, 100) * quantum / count,
+        "damping": random.uniform(0, 100) * quantum * period_s / count,
+        "pull": random.choice(["clamp", "allow"]),
+        "damping_on": random.choice(["both", "entry"]),
+    }
+    estimator = estimators.get(str(random.choice(["fdm", "fdm-butterworth", "foaw-end"])))
+    law_ = laws.get(str(random.choice(["spring-damper", "spring-damper", "bilateral"])))
+    prepared = estimator.prepare({}, values["resolution"], period_s)
+    return Controller(control, new_memory(), prepared, law_.prepare(wall))
+
+
+def test_every_option_and_limit_is_the_hosts(law):
+    """Walks of counts with gaps, under 200 drawn controllers: each phase and each flag is seen, and equal."""
+    seen = set()
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        host = drawn_controller(random)
+        c = host.control[0]
+        ticks = 120
+        drift = np.cumsum(random.normal(0.0, 0.3, ticks))
+        walk = np.cumsum(np.rint(drift)) + round(c["home_target"] / c["resolution"]) + random.integers(-9, 9)
+        table = inputs(c["reference_count"] + walk.astype(np.int64), random.choice([1, 1, 1, 1, 2, 5], ticks))
+        p = parameters_of(host)
+        ours = law.run(p, table)
+        plugs, arguments = (host.estimator.estimator.update, host.law.law.function), host.arguments()
+        for sample, tick in zip(table, ours, strict=True):
+            quanta = step(*plugs, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), *arguments)
+            m = host.memory[0]
+            assert tick["phase"] == m["phase"], seed
+            assert (int(tick["flags"]) ^ int(m["flags"])) & ~RowFlag.CLAMPED == 0, seed
+            assert abs(tick["limited"] - m["limited_effort"] / c["effort_quantum"]) <= WALK_ERROR, seed
+            assert abs(tick["current"] - quanta) <= 1
+            seen |= {(Phase(m["phase"]), flag) for flag in RowFlag(int(m["flags"]))}
+    assert {phase for phase, _ in seen} == set(Phase) - {Phase.WAIT}
+    assert {flag for _, flag in seen} == set(RowFlag) - {RowFlag.LATE, RowFlag.GAP, RowFlag.NONFINITE}
+    assert {(Phase.HOMING, RowFlag.SLEW_BOUND), (Phase.TRIAL, RowFlag.SLEW_BOUND)} <= seen
+
+
+@given(st.data())
+@settings(max_examples=50)
+def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data):
+    """Window and homing tolerance: whole counts on the device, float64 on the host, often on the very edge."""
+    host = controller_of(experiment_of("fdm", {}, DUAL, SHORT))
+    c, draw = host.control[0], data.draw
+    delta = abs(c["resolution"])
+
+    def place(low: int, high: int) -> float:
+        return draw(st.integers(low, high)) * delta + draw(st.sampled_from([0.0, 0.3 * delta, 1e-17]))
+
+    c["window_minimum"], c["window_maximum"] = place(-900, -200), place(200, 900)
+    c["home_target"], c["home_tolerance"] = place(-90, 90), place(0, 9)
+    p = parameters_of(host)
+    for travel in range(-1000, 1000):
+        position = c["resolution"] * (p.sense * travel)
+        in_window = c["window_minimum"] <= position <= c["window_maximum"]
+        assert (p.window_minimum <= travel <= p.window_maximum) == in_window
+        at_home = not abs(position - c["home_target"]) > c["home_tolerance"]
+        assert (p.home_minimum <= travel <= p.home_maximum) == at_home
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", ["butterworth", "foaw-end", "levant", "kalman"])
+def test_a_hit_in_a_closed_loop_has_the_hosts_verdict(law, name, scheme):
+    """One count that comes a tick later makes another path; what a hit is judged by stays."""
+    longer = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.01, "wall.damping": 0.3}
+    experiment = experiment_of(*ESTIMATORS[name], SCHEMES[scheme], SHORT, longer)
+    p = parameters_of(controller_of(experiment))
+    ours = in_lock_step(law, experiment, p, law.reset(p), 20_000).verdict(experiment)
+    host = on_the_host(experiment).verdict(experiment)
+    assert ours.kind == host.kind
+    for number, tolerance in (
+        ("peak_penetration", 0.01),
+        ("impact_velocity", 0.01),
+        ("peak_effort", 0.01),
+        ("contact_s", 0.001),
+    ):
+        assert getattr(ours, number) == pytest.approx(getattr(host, number), rel=tolerance), number
+    assert ours.heard == pytest.approx(host.heard, rel=0.1, abs=0.01)
+    assert ours.moved == pytest.approx(host.moved, rel=0.1, abs=2 * experiment.rig.encoder.resolution)

@@ -1,0 +1,65 @@
+"""The law under the sanitisers, with parameters and counts from all over: nothing undefined, the same answers."""
+
+from __future__ import annotations
+
+import ctypes as ct
+import re
+import subprocess
+
+import pytest
+
+from tests.firmware.law.law_cases import cases
+from tests.firmware.law.law_library import SOURCES, TICKS, Parameters, State, case_bytes, compile_law
+
+LEAST_BRANCHES = 90.0  # percent of the branches that the cases must take
+
+
+def run_program(program, data):
+    run = subprocess.run([program], input=data, capture_output=True, check=False, timeout=60)
+    assert run.returncode == 0, run.stderr.decode()[-4000:]
+    return run.stdout
+
+
+@pytest.mark.parametrize("multiplier", [(), ("-DLAW_SHORT_MULTIPLIER",)], ids=["long", "short"])
+def test_no_undefined_behaviour_and_the_answers_of_the_library(law, tmp_path, multiplier):
+    options = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    program = compile_law(tmp_path / "sanitised", *options, *multiplier)
+    listed = list(cases())
+    answer = run_program(program, case_bytes(listed))
+    refused, at = 0, 0
+    for p, table in listed:
+        verdict = int.from_bytes(answer[at : at + 4], "little")
+        assert verdict == law.check(p)
+        size = len(table) * TICKS.itemsize
+        if verdict == 0:
+            assert answer[at + 4 : at + 4 + size] == law.run(p, table).tobytes()
+        refused += verdict != 0
+        at += 4 + size
+    assert at == len(answer)
+    assert 100 < refused < 500, "the noise must be refused often, and often not"
+
+
+def test_the_cases_reach_nearly_every_branch(tmp_path, law):
+    program = compile_law(tmp_path / "covered", "-O0", "--coverage")
+    run_program(program, case_bytes(cases()))
+    notes = [str(path) for path in tmp_path.glob("*.gcno") if "law_driver" not in path.name]
+    try:
+        gcov = subprocess.run(
+            ["gcov", "-b", *notes], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+    except FileNotFoundError:
+        pytest.skip("gcov is not installed (package gcc)")
+    whole = re.compile(r"File '(.*/law/\w+\.c)'\nLines executed:([\d.]+)% of (\d+)\nBranches executed:[^\n]*\n"
+                       r"Taken at least once:([\d.]+)% of (\d+)")  # fmt: skip
+    found = whole.findall(gcov.stdout)
+    assert len(found) == len(list(SOURCES.glob("*.c"))), gcov.stdout
+    for name, lines, _, taken, _ in found:
+        print(f"{name.rpartition('/')[2]}: {lines} % of lines, {taken} % of branches")
+    assert all(float(lines) == 100.0 for _, lines, *_ in found), found
+    branches = sum(float(taken) * int(of) for *_, taken, of in found) / sum(int(of) for *_, of in found)
+    assert branches >= LEAST_BRANCHES, found
+
+
+def test_the_state_is_small():
+    assert ct.sizeof(State) < 2600
+    assert ct.sizeof(Parameters) < 1000
