@@ -29,11 +29,14 @@ class Replies:
         """Return the remembered reply if this request was the last one executed, else that of `execute()`."""
         if event.request not in REMEMBERED:
             return execute()
-        key = (event.request, event.nonce, event.session)
-        if key != self._key or self._reply is None:
+        if not self.remembers(event) or self._reply is None:
             self._reply = execute()
-            self._key = key
+            self._key = (event.request, event.nonce, event.session)
         return self._reply
+
+    def remembers(self, event: Event) -> bool:
+        """Whether a request is the one executed last, come again: its answer is told, and moves nothing any more."""
+        return self._reply is not None and self._key == (event.request, event.nonce, event.session)
 
     def forget(self) -> None:
         """Remember nothing: after a reset of the device."""

@@ -21,6 +21,7 @@ silent host could leave behind, so the watchdog waits longer then (`IDLE_LIFETIM
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -289,6 +290,8 @@ class SimulatedDevice:
         self._watchdog.feed(self.time, 0 if supervise else command.current, lifetime, self._ramp)
 
     def _answer(self, event: Event) -> Message:
+        if self._replies.remembers(event):
+            self.connection.told_again(event)
         if isinstance(event, Refused):
             return self._replies.answer(event, event.ack)
         handler = self._handlers().get(type(event.message))
@@ -303,6 +306,7 @@ class SimulatedDevice:
             m.GetParameters: lambda request, _: self._configuration.parameters(request),
             m.GetTime: lambda request, _: self._stamps(request),
             m.GetFaultLog: lambda request, _: self._faults.page(request),
+            m.GetStatistics: lambda request, _: self._statistics(request),
             m.SetBegin: lambda request, event: self._ack(event, self._configuration.begin(request)),
             m.SetChunk: lambda request, event: self._ack(
                 event, self._configuration.chunk(request), request.offset
@@ -320,6 +324,11 @@ class SimulatedDevice:
     def _stamps(self, request: m.GetTime) -> m.Time:
         received = self._received_at
         return m.Time(request.nonce, request.host_sent, received, max(received, self.time))
+
+    def _statistics(self, request: m.GetStatistics) -> m.Statistics:
+        counted = self.connection.statistics
+        values = {field.name: getattr(counted, field.name) & _U32 for field in fields(m.Statistics)[1:]}
+        return m.Statistics(request.nonce, **values)
 
     def _arm(self, request: m.Arm) -> tuple[Status, int]:
         configuration = self._configuration

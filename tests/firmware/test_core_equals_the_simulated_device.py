@@ -21,7 +21,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
-from firmware_protocol.connection import Event, Received, State
+from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import DisarmFlag, Message, Mode
@@ -46,32 +46,6 @@ COUNTERS = [
     "frames", "framing_errors", "crc_errors", "malformed", "unknown_type", "wrong_direction", "foreign_major",
     "stale_session", "out_of_state", "lost", "duplicated", "reordered",
 ]  # fmt: skip
-
-
-class Reference(SimulatedDevice):
-    """The simulated device, with the request that it leaves out, and without the step that a repeat takes in it.
-
-    A repeated DISARM gets the remembered answer, and moves the state with it: out of a fault that came in between,
-    which stays latched. The firmware stays in FAULT.
-    """
-
-    def _answer(self, event: Event) -> Message:
-        last = self._replies._key
-        reply = super()._answer(event)
-        if last == (event.request, event.nonce, event.session):
-            self.connection._open.pop((event.request, event.nonce), None)
-        return reply
-
-    def _handlers(self) -> dict[type[Message], Callable[[Any, Received], Message]]:
-        return {**super()._handlers(), m.GetStatistics: lambda request, _: self._statistics(request)}
-
-    def _statistics(self, request: m.GetStatistics) -> m.Statistics:
-        counted = self.connection.statistics
-        values = {name: getattr(counted, name) & 0xFFFFFFFF for name in LAYOUT_NAMES}
-        return m.Statistics(request.nonce, **values)
-
-
-LAYOUT_NAMES = [name for name in COUNTERS if name != "wrong_direction"]
 
 
 class Shaky(Hardware):
@@ -99,7 +73,7 @@ class Pair:
     """Both devices under the same hand; every step compares them."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
-        self.python = Reference(model, **options)
+        self.python = SimulatedDevice(model, **options)
         self.c = CoreDevice(library, model, **options)
         self.nonce = 0
         self.session = 0

@@ -117,9 +117,24 @@ def test_before_arming_it_shows_itself_a_hundred_times_a_second_and_not_before_i
     assert {state.current_commanded for state in states} == {0}
 
 
-def test_what_it_does_not_implement_is_unsupported_in_every_state() -> None:
+def test_it_tells_what_it_counted_on_its_link() -> None:
     host = armed()
-    assert host.ask(m.GetStatistics(host.nonce())).status == Status.UNSUPPORTED
+    counted = host.ask(m.GetStatistics(host.nonce()))
+    assert counted.frames > 0
+    assert (counted.crc_errors, counted.lost, counted.stale_session) == (0, 0, 0)
+
+
+def test_a_late_repeat_of_disarm_does_not_lead_out_of_a_fault_that_came_in_between() -> None:
+    """The first one was answered; its repeat, still on the way when the host went on, gets that answer and no more."""
+    host = armed()
+    nonce = host.nonce()
+    disarm = host.connection.send(m.Disarm(nonce, int(m.DisarmFlag.CLEAR_FAULT)))
+    host.link.write(disarm)
+    assert host.answer(nonce).status == Status.OK
+    host.link.device.connection.fault()
+    host.link.write(disarm)
+    assert host.answer(nonce).status == Status.OK
+    assert host.link.device.connection.state is State.FAULT
 
 
 def test_parameters_cannot_change_while_armed() -> None:
