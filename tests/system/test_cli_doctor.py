@@ -10,7 +10,6 @@ from queue import Queue
 import numpy as np
 import pytest
 
-import rig.cli
 import sim_backend.device
 from rig import config, presets
 from rig.devices import port_facts
@@ -25,20 +24,6 @@ from sim_backend import pty
 
 WAIT_S = 30.0
 QUICK = ("--seconds", "0.3", "--set", "host.realtime=off")
-
-
-@pytest.fixture
-def run(capfd, tmp_path, monkeypatch):
-    """Run a command line in an empty directory: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = rig.cli.run([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
-
-    return call
 
 
 @pytest.fixture(autouse=True)

@@ -7,23 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import rig.cli
-
 SHORT = ("--periods", "2", "--realisations", "2", "--set", "excitation.settle_periods=1")
-
-
-@pytest.fixture
-def run(capfd, tmp_path, monkeypatch):
-    """Run a command line in an empty directory: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = rig.cli.run([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
-
-    return call
 
 
 def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run, tmp_path):

@@ -10,23 +10,8 @@ import sys
 import numpy as np
 import pytest
 
-import rig.cli
 from rig import theory
 from rig.theory import limits
-
-
-@pytest.fixture
-def run(capfd, tmp_path, monkeypatch):
-    """Run a command line in an empty directory: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = rig.cli.run([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
-
-    return call
 
 
 def test_it_prints_limits_and_what_binds_and_draws_a_picture(run, tmp_path):

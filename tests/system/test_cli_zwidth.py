@@ -15,7 +15,6 @@ import pytest
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-import rig.cli
 from rig.plots import zwidth as pictures
 from rig.recording.reader import open_recording
 
@@ -26,20 +25,6 @@ BRIEF = [
 ]  # fmt: skip
 TINY = [*BRIEF, "--search", "bisection", "--ratio", "3", "--scheme", "uniform:10k", "-B", "0.1,0.3"]
 WAIT_S = 60.0
-
-
-@pytest.fixture
-def run(capfd, tmp_path, monkeypatch):
-    """Run a command line in an empty directory: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = rig.cli.run([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
-
-    return call
 
 
 def the_map(directory):

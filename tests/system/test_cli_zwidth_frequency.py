@@ -7,27 +7,11 @@ from pathlib import Path
 
 import pytest
 
-import rig.cli
-
 SMALL = (
     "zwidth", "--domain", "frequency", "-K", "5000,10000,400000", "-B", "60,120", "--realisations", "2",
     "--periods", "2", "--set", "excitation.settle_periods=1",
 )  # fmt: skip
 FDM = ("--scheme", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499")
-
-
-@pytest.fixture
-def run(capfd, tmp_path, monkeypatch):
-    """Run a command line in an empty directory: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = rig.cli.run([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
-
-    return call
 
 
 def test_the_papers_four_estimators_stand_beside_the_paper(run, tmp_path):
