@@ -138,9 +138,12 @@ def test_a_late_repeat_of_disarm_does_not_lead_out_of_a_fault_that_came_in_betwe
     assert host.link.device.connection.state is State.FAULT
 
 
-def test_what_is_not_live_cannot_change_while_armed() -> None:
+def test_only_live_parameters_change_while_armed() -> None:
     host = armed()
-    ack = host.configure(ramp_us=0, stiffness=100.0)
+    ack = host.configure(stiffness=5.0)
+    assert ack.status == Status.OK
+    assert device_of(host).connection.state is State.ARMED
+    ack = host.configure(stiffness=6.0, ramp_us=0)
     assert (ack.status, ack.detail) == (Status.NOT_LIVE, BY_NAME["ramp_us"].id)
 
 
