@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from firmware_protocol import dictionary as dictionaries
-from firmware_protocol.parameters import Value
+from firmware_protocol.parameter import Value
 from rig.model import RigModel
 
 CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire

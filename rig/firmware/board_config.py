@@ -1,7 +1,7 @@
 """A rig as a C constant: what the core must know of it, and where the board's wires go.
 
 `board_config.h` has the board's settings as numbers for the preprocessor and declares two constants: `board_config`
-(struct board of the core) and `image_record` (`rig.firmware.record`), into which the first one points for its dictionary.
+(struct board of the core) and `image_record` (`rig.firmware.record`), in which the first finds its dictionary.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import struct
 from dataclasses import asdict, dataclass
 
 from firmware_protocol import dictionary as dictionaries
-from firmware_protocol.parameters import PARAMETERS, Value
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import PARAMETERS
 from rig.board import describe, moved_mechanics, over_current
 from rig.firmware.boards import Board, SettingValue
 from rig.firmware.record import ImageFacts, Record, pack
@@ -107,7 +108,9 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
     content = pack(record)
     at = len(content) - len(record.packed)
     narrower = _narrower(record.dictionary)
-    mechanics = ",\n".join(f"        .{name} = {value!r}" for name, value in asdict(moved_mechanics(model)).items())
+    mechanics = ",\n".join(
+        f"        .{name} = {value!r}" for name, value in asdict(moved_mechanics(model)).items()
+    )
     lines = [
         f"/* {board.name} for the rig {_one_line(model.name)}. Made by `rig firmware build`: an edit is lost. */",
         '#include "board_config.h"',
@@ -149,14 +152,14 @@ def _byte_lines(content: bytes) -> list[str]:
 
 def _narrower(dictionary: dictionaries.Dictionary) -> list[tuple[str, int, int]]:
     """Parameters whose range is not the table's: name in C and both bounds as on the wire, rising by parameter."""
-    found = []
+    found: list[tuple[str, int, int]] = []
     for parameter in PARAMETERS:
         info = dictionary.parameter(parameter.name)
         assert info is not None
         if (info.minimum, info.maximum) != (parameter.minimum, parameter.maximum):
-            bounds = (_bits(parameter.ctype, bound) for bound in (info.minimum, info.maximum))
-            found.append((f"HR_PARAMETER_{parameter.name.upper()}", *bounds))
-    return [(name, low, high) for name, low, high in found]
+            low, high = (_bits(parameter.ctype, bound) for bound in (info.minimum, info.maximum))
+            found.append((f"HR_PARAMETER_{parameter.name.upper()}", low, high))
+    return found
 
 
 def _bits(ctype: str, value: Value) -> int:

@@ -1,7 +1,7 @@
 """What a board is to the compiler and to whoever wires it, read from the ``board.toml`` beside its port.
 
-A port is a directory of `firmware_protocol/firmware/boards`: C files, a linker script and this file. A new board needs no
-line of Python.
+A port is a directory of `firmware_protocol/firmware/boards`: C files, a linker script and this file. A new board needs
+no line of Python.
 """
 
 from __future__ import annotations
@@ -98,7 +98,9 @@ class Board:
 
     def sources(self, application: str) -> tuple[Path, ...]:
         """C and assembler files of one of its programs, in the order of their names."""
-        foreign = {name for other, names in self.applications.items() if other != application for name in names}
+        foreign = {
+            name for other, names in self.applications.items() if other != application for name in names
+        }
         found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
         return tuple(path for path in found if path.name not in foreign - set(self.applications[application]))
 
@@ -130,7 +132,9 @@ def load(name: str) -> Board:
         compile=tuple(content.get("compile", ("-O2",))),
         link=tuple(content.get("link", ())),
         linker_script=content["linker_script"],
-        applications={key: tuple(files) for key, files in content.get("applications", {"device": ()}).items()},
+        applications={
+            key: tuple(files) for key, files in content.get("applications", {"device": ()}).items()
+        },
         rate_maximum=content["rate_maximum"],
         law_maximum=content["law_maximum"],
         excitation_ticks=content["excitation_ticks"],

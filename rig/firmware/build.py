@@ -25,7 +25,7 @@ from rig.firmware.uf2 import write_uf2
 from rig.model import RigModel
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
-# Floats must round as on the host: no contraction, no reassociation. Sections of their own let the linker drop the rest.
+# Floats must round as on the host: no contraction, no reassociation.
 CODE = (
     "-mthumb",
     "-g",
@@ -35,7 +35,13 @@ CODE = (
     "-fno-math-errno",
     "-fno-common",
 )
-LINK = ("-nostartfiles", "--specs=nosys.specs", "-Wl,--gc-sections", "-Wl,--fatal-warnings", "-Wl,-u,image_record")
+LINK = (
+    "-nostartfiles",
+    "--specs=nosys.specs",
+    "-Wl,--gc-sections",
+    "-Wl,--fatal-warnings",
+    "-Wl,-u,image_record",
+)
 SHARED = ("core", "law")  # directories whose C files belong to every image
 DEVICE = "device"  # the program that is the firmware
 
@@ -74,8 +80,8 @@ class BuildResult:
     Attributes
     ----------
     elf, bin, uf2, facts
-        The files: for a debugger, as plain bytes, for the boot ROM's drive (None: the board takes none), and all of this
-        as JSON.
+        The files: for a debugger, as plain bytes, for the boot ROM's drive (None: the board takes none), and all of
+        this as JSON.
     firmware
         Version, as the device will say it.
     dictionary_hash
@@ -106,7 +112,9 @@ class BuildResult:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return it for JSON."""
-        return {name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()}
+        return {
+            name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()
+        }
 
 
 def build(request: BuildRequest, told: Told = lambda _what, _share: None) -> BuildResult:
@@ -137,9 +145,7 @@ def build(request: BuildRequest, told: Told = lambda _what, _share: None) -> Bui
     compiler = find_compiler()
     settings = settings_of(board, request.settings)
     sources = (*shared_sources(), *board.sources(request.application))
-    config = configure(
-        board, request.model, settings, package=package_version(), sources=sources_hash(board)
-    )
+    config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
         content = _compiled(compiler, board, sources, config, Path(scratch), told)
     segments = read_segments(content, "the new program")
@@ -245,7 +251,11 @@ def _written(
         ram_room=board.ram.bytes,
         sha256=hashlib.sha256(image).hexdigest(),
     )
-    said = {name: value for name, value in result.as_mapping().items() if name not in ("elf", "bin", "uf2", "facts")}
+    said = {
+        name: value
+        for name, value in result.as_mapping().items()
+        if name not in ("elf", "bin", "uf2", "facts")
+    }
     try:
         request.output.mkdir(parents=True, exist_ok=True)
         paths["elf"].write_bytes(content)

@@ -1,7 +1,7 @@
 """The record by which an image says what it is: found in an ELF, a UF2 or plain bytes alike.
 
-Sixteen bytes of magic, then the lengths of a text and of the compressed dictionary, the CRC-32 of both, and both. The text is
-JSON; the dictionary is the one that the device tells its host, so that a file answers what a device would.
+Sixteen bytes of magic, then the lengths of a text and of the compressed dictionary, the CRC-32 of both, and both. The
+text is JSON; the dictionary is the one that the device tells its host, so that a file answers what a device would.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.errors import RemoteProtocolError
 from rig.errors import ConfigError
 
-MAGIC = bytes.fromhex("6861 7074 6963 2d72 6967 0d0a 1a00 fe01")  # "haptic-rig", what a text transfer breaks, version 1
+MAGIC = bytes.fromhex(
+    "6861 7074 6963 2d72 6967 0d0a 1a00 fe01"
+)  # "haptic-rig", what a text transfer breaks, version 1
 _LENGTHS = struct.Struct("<3I")
 HEAD_BYTES = len(MAGIC) + _LENGTHS.size
 

@@ -48,7 +48,11 @@ def find_compiler() -> Compiler:
     named = os.environ.get(COMPILER_VARIABLE)
     path = shutil.which(named or COMPILER)
     if path is None:
-        missing = f"{COMPILER_VARIABLE} names {named}, which does not run" if named else f"{COMPILER} is not installed"
+        missing = (
+            f"{COMPILER_VARIABLE} names {named}, which does not run"
+            if named
+            else f"{COMPILER} is not installed"
+        )
         raise ToolchainError(missing, remedy=INSTALL)
     version = _called([path, "--version"], None)
     if version.returncode != 0 or not version.stdout:
@@ -79,5 +83,5 @@ def _called(command: list[str], directory: Path | None) -> subprocess.CompletedP
 
 def _remedy(complaint: str) -> str:
     if "overflowed" in complaint or "will not fit" in complaint:
-        return "it is too large for the board: leave out what its board.toml sizes (excitation_ticks), or take a larger board"
+        return "it is too large for the board: make what its board.toml sizes smaller, or take a larger board"
     return "report it, with this output and the compiler's version"

@@ -2,8 +2,8 @@
 
 Blocks of 512 bytes, each complete in itself: two magic numbers, flags, an address in the processor's memory, up to
 476 bytes for it, its number among all blocks, the family of the processor, and a third magic number. Source: the UF2
-specification (github.com/microsoft/uf2). The RP2040's boot ROM wants 256 bytes a block, at addresses that are multiples of
-256 (RP2040 data sheet, section 2.8.4.2, "UF2 format details").
+specification (github.com/microsoft/uf2). The RP2040's boot ROM wants 256 bytes a block, at addresses that are
+multiples of 256 (RP2040 data sheet, section 2.8.4.2, "UF2 format details").
 """
 
 from __future__ import annotations
