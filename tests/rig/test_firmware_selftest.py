@@ -32,7 +32,7 @@ def test_a_sound_device_passes_and_is_left_as_it_was(device):
     found = selftest(device, replace(REQUEST, model=model), lambda what, share: told.append((what, share)))
     assert found.passed
     assert failure(found) is None
-    assert [check.outcome for check in found.checks if check.name != "encoder"] == ["ok"] * 8
+    assert [check.outcome for check in found.checks if check.name != "encoder"] == ["ok"] * 9
     assert device.in_force() == before
     assert [what for what, _ in told] == [check.name for check in found.checks]
     assert found.as_mapping()["passed"] is True
