@@ -3,7 +3,7 @@
 #include <math.h>
 
 #include "estimators.h"
-#include "multisine.h"
+#include "excitation.h"
 #include "numbers.h"
 
 enum {
@@ -20,11 +20,11 @@ typedef struct {
     int32_t travel; /* counts from the reference, along the position */
 } tick;
 
-void law_reset(law_state *s, const law_parameters *p)
+void law_reset(law_state *s, const law_parameters *p, const int16_t *table)
 {
     *s = (law_state){0};
     s->since = p->velocity_divider - 1; /* the first sample begins a period */
-    law_multisine_reset(&s->multisine, &p->multisine);
+    law_excitation_reset(&s->excitation, &p->excitation, table);
 }
 
 /* Step 3. */
@@ -216,8 +216,8 @@ static float float_wanted(const tick *t, float depth)
     if (s->phase != LAW_TRIAL && s->phase != LAW_RELEASE)
         return 0.0f;
     total = w->constant - w->side * float_reaction(s, p, depth);
-    if (p->multisine.lines > 0)
-        total += (float)law_multisine_run(&s->multisine, &p->multisine, t->elapsed) * (1.0f / (1 << LAW_LINE_BITS));
+    if (p->excitation.lines > 0)
+        total += (float)law_excitation_run(&s->excitation, &p->excitation, t->elapsed) * (1.0f / (1 << LAW_LINE_BITS));
     if (s->phase == LAW_RELEASE)
         total *= 1.0f - (float)s->phase_ticks / (float)p->release_ticks;
     return total;
@@ -308,8 +308,8 @@ static int64_t fixed_wanted(const tick *t, int32_t depth, int32_t *shift)
     if (s->phase != LAW_TRIAL && s->phase != LAW_RELEASE)
         return 0;
     total = w->constant - law_with_sign(fixed_reaction(s, p, depth), w->side);
-    if (p->multisine.lines > 0)
-        total += rescaled(law_multisine_run(&s->multisine, &p->multisine, t->elapsed), LAW_LINE_BITS, w->shift);
+    if (p->excitation.lines > 0)
+        total += rescaled(law_excitation_run(&s->excitation, &p->excitation, t->elapsed), LAW_LINE_BITS, w->shift);
     if (s->phase == LAW_RELEASE) { /* total * share / 2^15, rounded down, without a product of more than 64 bits */
         const int64_t left = (int64_t)p->release_ticks - s->phase_ticks;
         const int64_t share = left * (1 << RELEASE_BITS) / p->release_ticks;
