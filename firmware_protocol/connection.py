@@ -77,12 +77,14 @@ TRANSITIONS: dict[State, dict[type[Message], State]] = {
         m.Arm: State.ARMED,
     },
     State.ARMED: {
-        **dict.fromkeys(_QUESTIONS, State.ARMED),
+        **dict.fromkeys(_QUESTIONS + _SETTING, State.ARMED),
+        m.SetCommit: State.ARMED,  # of live parameters
         m.Command: State.RUNNING,
         m.Disarm: State.CONFIGURED,
     },
     State.RUNNING: {
-        **dict.fromkeys(_QUESTIONS, State.RUNNING),
+        **dict.fromkeys(_QUESTIONS + _SETTING, State.RUNNING),
+        m.SetCommit: State.RUNNING,
         m.Command: State.RUNNING,
         m.Disarm: State.CONFIGURED,
     },

@@ -19,7 +19,8 @@ from typing import Any, NoReturn
 from firmware_protocol.errors import RemoteProtocolError
 from firmware_protocol.faults import Described, Fault, Status
 from firmware_protocol.messages import MAJOR, MINOR, TIME_UNIT_NS
-from firmware_protocol.parameters import PARAMETERS, Parameter, Value
+from firmware_protocol.parameter import Parameter, Value
+from firmware_protocol.parameters import PARAMETERS
 
 COMPRESSED_LIMIT = 0xFFFF  # IDENTITY counts its bytes in a u16
 PLAIN_LIMIT = 1 << 18  # what a host is willing to unpack

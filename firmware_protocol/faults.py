@@ -101,8 +101,8 @@ class Fault(Described):
     INTERNAL = 12, "the device found itself inconsistent", "restart the device; report it with its fault log"
     BATCH_OVERFLOW = (
         13,
-        "a count difference did not fit its batch layout, or the batch buffer ran over",
-        "choose a wider layout or a faster link; then clear the fault",
+        "a count difference did not fit its batch layout",
+        "choose a wider layout or a higher rate; then clear the fault",
     )
 
 
@@ -173,6 +173,17 @@ class Status(Described):
         "parameters that contradict each other (detail)",
         "see the rule in the parameter's meaning",
     )
+    NOT_LIVE = (
+        16,
+        "this parameter (detail) does not change while the device is armed",
+        "disarm first, or send live parameters alone",
+    )
+    INSIDE_WALL = (
+        17,
+        "the handle is inside the wall that is, or inside the one that would be",
+        "send it again when the handle is in free space",
+    )
+    NOT_READY = 18, "the device is still working out its excitation", "arm a little later"
 
 
 class Input(DescribedFlag):
@@ -180,3 +191,4 @@ class Input(DescribedFlag):
 
     EMERGENCY_STOP = 1, "the wired emergency stop is pressed", "release it when the rig is safe"
     HOLD_TO_RUN = 2, "the hold-to-run switch is held", ""
+    SYNC = 4, "the sync input is high", ""

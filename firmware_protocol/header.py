@@ -18,7 +18,8 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import TRANSITIONS, State
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, LAYOUTS, Header, Layout
-from firmware_protocol.parameters import BLOCK_LIMIT, PARAMETERS, Parameter
+from firmware_protocol.parameter import Parameter
+from firmware_protocol.parameters import BLOCK_LIMIT, PARAMETERS
 from firmware_protocol.replies import REMEMBERED
 from firmware_protocol.wire import FORMATS, wire_fields
 
@@ -121,6 +122,7 @@ struct hr_parameter {
     uint16_t id;
     uint8_t kind;        /* enum hr_kind */
     uint8_t excludes;    /* whether there is a value inside the range that is not allowed */
+    uint8_t live;        /* whether it may change while the device is armed */
     uint32_t minimum;    /* these four as on the wire */
     uint32_t maximum;
     uint32_t initial;
@@ -184,7 +186,8 @@ def _parameter_row(parameter: Parameter) -> str:
     values = (parameter.minimum, parameter.maximum, parameter.default, excluded)
     bits = ", ".join(_wire_bits(parameter, value) for value in values)
     kind = _KINDS[parameter.ctype[0]]
-    return f"{{{parameter.id}, {kind}, {len(parameter.excluded)}, {bits}}}, /* {parameter.name} */"
+    flags = f"{len(parameter.excluded)}, {int(parameter.live)}"
+    return f"{{{parameter.id}, {kind}, {flags}, {bits}}}, /* {parameter.name} */"
 
 
 def _transition_row(state: State) -> str:

@@ -269,6 +269,12 @@ class State(Message):
     missed_ticks: Annotated[int, Wire("u16", "tick", "ticks missed since arming; saturates")]
     state: Annotated[int, Wire("u8", "", "state of the device (connection.State)")]
     inputs: Annotated[int, Wire("u8", "", "Input")]
+    phase: Annotated[
+        int, Wire("u8", "", "what the law on the device is doing (firmware/law/law.h); 0 without one")
+    ]
+    sync_time: Annotated[
+        int, Wire("u32", "1/16 µs", "device time of the last rising edge of the sync input; 0: none")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +284,7 @@ class Batch(Message):
     first_index: Annotated[int, Wire("u32", "tick", "sample index of the first sample")]
     device_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the first sample")]
     base_count: Annotated[int, Wire("i32", "count", "encoder count before the first sample's difference")]
-    layout: Annotated[int, Wire("u8", "", "key of BATCH_LAYOUTS")]
-    samples: Annotated[int, Wire("u8", "", "number of samples")]
+    layout: Annotated[int, Wire("u8", "", "key of BATCH_LAYOUTS; as many samples as the data holds")]
     data: Tail
 
 

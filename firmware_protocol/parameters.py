@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from zlib import crc32
 
 from firmware_protocol.errors import ProtocolError
 from firmware_protocol.faults import Status
-
-Value = int | float
+from firmware_protocol.law_parameters import LAW_PARAMETERS
+from firmware_protocol.parameter import Parameter, Value
 
 _ENTRY_BYTES = 6
 _I16_MAXIMUM = 2**15 - 1
@@ -26,28 +25,6 @@ _I32_MINIMUM, _I32_MAXIMUM = -(2**31), 2**31 - 1
 _U32_MAXIMUM = 2**32 - 1
 # Every value travels in four bytes; the C type says how they are read and what the device stores.
 _FORMATS = {"u8": "<HI", "u16": "<HI", "u32": "<HI", "i8": "<Hi", "i32": "<Hi", "f32": "<Hf"}
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter: its number on the wire, its name everywhere else, type, unit, range and meaning.
-
-    `excluded` are values inside the range that are not allowed.
-    """
-
-    id: int
-    name: str
-    ctype: str
-    unit: str
-    minimum: Value
-    maximum: Value
-    default: Value
-    meaning: str
-    excluded: tuple[Value, ...] = ()
-
-    def accepts(self, value: Value) -> bool:
-        """Whether a value is in range; no NaN is."""
-        return self.minimum <= value <= self.maximum and value not in self.excluded
 
 
 class ParameterError(ProtocolError):
@@ -79,10 +56,38 @@ PARAMETERS: tuple[Parameter, ...] = (
         1,
         "N: the velocity is sampled every N ticks, T2 = N T1",
     ),
-    Parameter(4, "stiffness", "f32", "stiffness", 0.0, 1e6, 0.0, "of the wall; law on the device"),
-    Parameter(5, "damping", "f32", "damping", 0.0, 1e5, 0.0, "of the wall; law on the device"),
     Parameter(
-        6, "wall_position", "f32", "position", -1e3, 1e3, 0.0, "of the wall's surface, from the reference"
+        4,
+        "stiffness",
+        "f32",
+        "stiffness",
+        0.0,
+        1e6,
+        0.0,
+        "of the wall, in SI: to be read, the law has its own",
+        live=True,
+    ),
+    Parameter(
+        5,
+        "damping",
+        "f32",
+        "damping",
+        0.0,
+        1e5,
+        0.0,
+        "of the wall, in SI: to be read, the law has its own",
+        live=True,
+    ),
+    Parameter(
+        6,
+        "wall_position",
+        "f32",
+        "position",
+        -1e3,
+        1e3,
+        0.0,
+        "of the wall's surface, from the reference",
+        live=True,
     ),
     Parameter(
         7,
@@ -188,14 +193,14 @@ PARAMETERS: tuple[Parameter, ...] = (
         20_000,
         "cap on the lifetime of a COMMAND that supervises a law on the device",
     ),
+    *LAW_PARAMETERS,
 )
 
 BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in PARAMETERS}
 BY_ID: dict[int, Parameter] = {parameter.id: parameter for parameter in PARAMETERS}
 DEFAULTS: dict[str, Value] = {parameter.name: parameter.default for parameter in PARAMETERS}
-BLOCK_LIMIT = (
-    1024  # a longer block is refused at BEGIN; far above one entry for every parameter there will ever be
-)
+LIVE: frozenset[str] = frozenset(parameter.name for parameter in PARAMETERS if parameter.live)
+BLOCK_LIMIT = 1024  # a longer block is refused at BEGIN; above one entry for every parameter
 
 
 def check(values: Mapping[str, Value]) -> None:

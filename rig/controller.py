@@ -11,7 +11,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from firmware_protocol.parameters import BY_NAME, Value
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME
 from rig import estimators, friction, laws
 from rig.config import Experiment, motor_push
 from rig.errors import PlanError

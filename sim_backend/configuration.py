@@ -8,9 +8,11 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.faults import Status
 from firmware_protocol.packing import data_limit
+from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import (
+    BY_NAME,
+    LIVE,
     ParameterError,
-    Value,
     block_crc,
     check,
     decode_block,
@@ -23,8 +25,13 @@ from sim_backend.sensors import CURRENT_QUANTA_LIMIT
 FIRMWARE = "simulated 1"
 
 
-def describe(model: RigModel, name: str, rate_default: int, rate_maximum: int) -> dictionaries.Dictionary:
-    """Dictionary of a simulated device: narrower than the parameter table by its motion and its amplifier's peak."""
+def describe(
+    model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
+) -> dictionaries.Dictionary:
+    """Dictionary of a simulated device: narrower than the parameter table by its motion and its amplifier's peak.
+
+    `law_maximum` says which laws it runs itself (parameter `law`): 0 none.
+    """
     motion = 0 if model.motion == "rotary" else 1
     whole = (
         model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
@@ -37,7 +44,12 @@ def describe(model: RigModel, name: str, rate_default: int, rate_maximum: int) -
         current_quantum_a=model.amplifier.current_quantum_a,
         position_rate_default=rate_default,
         position_rate_maximum=rate_maximum,
-        ranges={"motion": (motion, motion), "current_limit": (0, peak), "continuous_current": (0, peak)},
+        ranges={
+            "motion": (motion, motion),
+            "current_limit": (0, peak),
+            "continuous_current": (0, peak),
+            "law": (0, law_maximum),
+        },
     )
 
 
@@ -93,15 +105,22 @@ class Configuration:
         """Take a piece of it."""
         return self._assembler.chunk(request)
 
-    def commit(self, request: m.SetCommit) -> tuple[Status, int]:
-        """Put the block in force: status, and the parameter that it is about."""
+    def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:
+        """Put the block in force: status, and the parameter that it is about. An armed device takes live ones alone."""
         status, block = self._assembler.commit(request)
         if status is not Status.OK:
             return status, 0
         try:
             values = decode_block(block)
             self._check_ranges(values)
-            self._put_in_force({**self.values, "verified": 0, **values})
+            grave = [name for name in values if name not in LIVE]
+            if armed and grave:
+                detail = BY_NAME[grave[0]].id
+                raise ParameterError(
+                    Status.NOT_LIVE, f"{grave[0]} of an armed device", detail=detail, name=grave[0]
+                )
+            cleared = {"verified": 0} if grave else {}
+            self._put_in_force({**self.values, **cleared, **values})
         except ParameterError as error:
             return error.status, error.detail
         self.homed = self.homed or "reference_count" in values

@@ -31,7 +31,8 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Event, Received, Refused, State
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from firmware_protocol.messages import Message, Mode, Role
-from firmware_protocol.parameters import BY_NAME, ParameterError, Value
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME, ParameterError
 from firmware_protocol.replies import Replies
 from rig.errors import ConfigError
 from rig.model import RigModel
@@ -173,8 +174,7 @@ class SimulatedDevice:
     def tick(self) -> bytes:
         """Let one period pass; return the STATE frame that is due then, or nothing."""
         connection, hardware, limits, monitor = self.connection, self.hardware, self._limits, self._monitor
-        armed = connection.state is State.RUNNING or connection.state is State.ARMED
-        current = self._current() if armed else 0
+        current = self._current() if self._armed else 0
         hardware.advance(current)
         count, measured = hardware.count, hardware.measured
         self.sample_index += 1
@@ -254,6 +254,8 @@ class SimulatedDevice:
             min(self.missed_ticks, _U16),
             self.connection.state,
             self.inputs,
+            0,  # no law of its own
+            0,  # and nothing on a sync input
         )
 
     # ------------------------------------------------------------------ the conversation
@@ -311,7 +313,7 @@ class SimulatedDevice:
             m.SetChunk: lambda request, event: self._ack(
                 event, self._configuration.chunk(request), request.offset
             ),
-            m.SetCommit: lambda request, event: self._ack(event, *self._configuration.commit(request)),
+            m.SetCommit: lambda request, event: self._ack(event, *self._commit(request)),
             m.Arm: lambda request, event: self._ack(event, *self._arm(request)),
             m.Disarm: lambda _, event: self._ack(event, *self._disarm()),
         }
@@ -361,8 +363,21 @@ class SimulatedDevice:
             return Fault.EMERGENCY_STOP
         return Fault.THERMAL if self._thermal.overheated else Fault.NONE
 
+    def _commit(self, request: m.SetCommit) -> tuple[Status, int]:
+        return self._configuration.commit(request, armed=self._armed)
+
+    @property
+    def _armed(self) -> bool:
+        state = self.connection.state
+        return state is State.RUNNING or state is State.ARMED
+
     def _apply(self, values: Mapping[str, Value]) -> None:
-        """Run under new parameters from the next tick on, or raise `ParameterError` and go on as before."""
+        """Run under new parameters from the next tick on, or raise `ParameterError` and go on as before.
+
+        What may change on an armed device concerns a law on it, and here is none.
+        """
+        if self._armed:
+            return
         rate = int(values["position_rate"])
         try:
             self.hardware.set_rate(rate)

@@ -20,7 +20,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.messages import TIME_UNIT_NS
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, data_limit, pack_fault_entries
-from firmware_protocol.parameters import Value
+from firmware_protocol.parameter import Value
 from rig.model import RigModel
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time

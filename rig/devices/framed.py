@@ -22,7 +22,8 @@ from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, St
 from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.packing import type_id_of, unpack_fault_entries
-from firmware_protocol.parameters import ParameterError, Value, block_crc, decode_block, encode_block
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import ParameterError, block_crc, decode_block, encode_block
 from firmware_protocol.transfer import PageReader, set_parameters
 from rig.clock_fit import EXCHANGE, ClockFit, fit_clock
 from rig.devices.device import Link

@@ -9,7 +9,8 @@ from firmware_protocol import dictionary, transfer
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
-from firmware_protocol.parameters import Value, encode_block
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import encode_block
 from rig.devices.device import Link
 
 ANSWER_S = 2.0  # far beyond any honest answer

@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 from firmware_protocol.messages import MESSAGES, Message
 from firmware_protocol.packing import data_limit
-from firmware_protocol.parameters import PARAMETERS, Parameter
+from firmware_protocol.parameter import Parameter
+from firmware_protocol.parameters import PARAMETERS
 from firmware_protocol.wire import wire_fields
 
 

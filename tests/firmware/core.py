@@ -135,7 +135,7 @@ class Core:
             _mechanics(model),
         )
         library.host_setup(self.address, ctypes.byref(setup))
-        for name in ("motion", "position_rate", "current_limit", "continuous_current"):
+        for name in ("motion", "position_rate", "current_limit", "continuous_current", "law"):
             info = self.dictionary.parameter(name)
             assert info is not None
             bounds = [_bits(name, bound) for bound in (info.minimum, info.maximum)]

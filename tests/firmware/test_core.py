@@ -14,7 +14,8 @@ from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import ENCODED_LIMIT
 from firmware_protocol.header import CORE, FILES
 from firmware_protocol.messages import Message, Role
-from firmware_protocol.parameters import BY_NAME, Value, encode_block
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig.model import RigModel
 from sim_backend.safety import Thermal

@@ -26,7 +26,8 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import DisarmFlag, Message, Mode
 from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, data_limit
-from firmware_protocol.parameters import PARAMETERS, Value, block_crc, encode_block
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
 from rig.model import RigModel

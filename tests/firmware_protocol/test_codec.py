@@ -115,7 +115,7 @@ def test_both_agree_on_every_corrupt_frame_and_on_its_defect(encoded: bytes) -> 
 @given(st.integers(0, 3), st.integers(0, 255), st.binary(max_size=60))
 def test_both_refuse_the_same_payloads(major: int, type_id: int, payload: bytes) -> None:
     raw = HEADER.pack(major, type_id, 0, 0, 0) + payload
-    values, header = np.zeros(14, dtype=np.int64), np.zeros(5, dtype=np.int64)
+    values, header = np.zeros(16, dtype=np.int64), np.zeros(5, dtype=np.int64)
     result = codec.decode_state(buffer_of(raw), len(raw), header, values)
     if major != MAJOR:
         assert result == codec.FOREIGN_MAJOR
@@ -130,12 +130,12 @@ def test_both_refuse_the_same_payloads(major: int, type_id: int, payload: bytes)
             assert result == 0
 
 
-@pytest.mark.parametrize("length", [39, 40, 41, 56, 57, 80])
+@pytest.mark.parametrize("length", [44, 45, 46, 56, 57, 80])
 def test_lengths_of_a_state_at_both_limits(length: int) -> None:
     raw = HEADER.pack(MAJOR, LAYOUT_OF[State].type_id, 0, 0, 0) + bytes(length - 6)
-    values, header = np.zeros(14, dtype=np.int64), np.zeros(5, dtype=np.int64)
+    values, header = np.zeros(16, dtype=np.int64), np.zeros(5, dtype=np.int64)
     result = codec.decode_state(buffer_of(raw), len(raw), header, values)
-    assert result == (0 if 40 <= length <= 56 else codec.BAD_PAYLOAD)
+    assert result == (0 if 45 <= length <= 56 else codec.BAD_PAYLOAD)
 
 
 @given(
@@ -196,14 +196,14 @@ from firmware_protocol import codec
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import State
 from firmware_protocol.packing import pack
-state = State(65535, 65535, 2**32 - 1, 7, -2**31, 0, -2**15, 2**15 - 1, 3, 0, 65535, 0, 4, 255)
+state = State(65535, 65535, 2**32 - 1, 7, -2**31, 0, -2**15, 2**15 - 1, 3, 0, 65535, 0, 4, 255, 5, 0)
 values = np.array([getattr(state, name) for name in codec.STATE._fields], dtype=np.int64)
 out, raw = np.zeros(codec.FRAME_BYTES, np.uint8), np.zeros(codec.RAW_BYTES, np.uint8)
 size = codec.encode_state(9, 65535, values, out)
 assert out[:size].tobytes() == encode_frame(pack(state, session=9, sequence=65535))
 end = codec.find_delimiter(out, 0, size)
 length = codec.decode_frame(out, 0, end, raw)
-header, back = np.zeros(5, np.int64), np.zeros(14, np.int64)
+header, back = np.zeros(5, np.int64), np.zeros(16, np.int64)
 assert codec.decode_state(raw, length, header, back) == 0 and (back == values).all()
 assert header[codec.HEAD.sequence] == 65535
 out[5] ^= 4

@@ -43,7 +43,7 @@ def example(cls: type[Message]) -> Message:
 
 
 def state_message(state: State, sequence: int = 0) -> m.State:
-    return m.State(sequence, 0, 1, 2, 3, 4, 0, 0, 0, 0, 0, 0, int(state), 0)
+    return m.State(sequence, 0, 1, 2, 3, 4, 0, 0, 0, 0, 0, 0, int(state), 0, 0, 0)
 
 
 def events(connection: Connection, data: bytes) -> list[Event]:
@@ -374,7 +374,7 @@ def test_an_echo_is_counted_and_dropped(pair: Pair) -> None:
 
 
 def test_a_state_that_does_not_exist_is_malformed(pair: Pair) -> None:
-    assert events(pair.host, encode_frame(pack(m.State(*[0] * 12, 77, 0)))) == []
+    assert events(pair.host, encode_frame(pack(m.State(*[0] * 12, 77, 0, 0, 0)))) == []
     assert pair.host.statistics.malformed == 1
 
 
@@ -421,7 +421,7 @@ def test_half_of_the_circle_lies_ahead(pair: Pair, step: int, delivered: bool) -
 
 def test_a_late_batch_is_still_delivered_but_not_twice_in_a_row(pair: Pair) -> None:
     pair.bring_to(State.RUNNING)
-    frames = [pair.device.send(m.Batch(7 * i, 0, 0, 0, 0, b"")) for i in range(3)]
+    frames = [pair.device.send(m.Batch(7 * i, 0, 0, 0, b"")) for i in range(3)]
     order = [0, 2, 1, 2]
     told = [event for i in order for event in events(pair.host, frames[i])]
     assert [event.message.first_index for event in told] == [0, 14, 7]  # type: ignore[union-attr]

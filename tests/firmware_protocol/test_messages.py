@@ -114,7 +114,7 @@ def test_data_fills_a_frame_and_no_more() -> None:
 
 def test_a_batch_of_seven_samples_fits_a_usb_packet() -> None:
     sample = sum(int(ctype[1:]) // 8 for ctype in m.BATCH_LAYOUTS[0])
-    batch = m.Batch(0, 0, 0, 0, 7, bytes(7 * sample))
+    batch = m.Batch(0, 0, 0, 0, bytes(7 * sample))
     assert len(pack(batch)) + CRC_BYTES <= SHORT_RAW_LIMIT
 
 

@@ -11,13 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.faults import Status
+from firmware_protocol.parameter import Parameter, Value
 from firmware_protocol.parameters import (
     BY_NAME,
     DEFAULTS,
     PARAMETERS,
-    Parameter,
     ParameterError,
-    Value,
     block_crc,
     check,
     decode_block,

@@ -15,7 +15,8 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import unpack_fault_entries
-from firmware_protocol.parameters import BY_NAME, Value
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME
 from rig.errors import ConfigError
 from rig.model import RigModel
 from rig.sample import TRUTH

@@ -137,11 +137,12 @@ static struct refusal set_commit(struct device *device, const uint8_t *raw)
     struct refusal refusal = {assembler_commit(&device->assembler, nonce_of(raw)), 0};
     if (refusal.status != HR_STATUS_OK)
         return refusal;
-    refusal = configuration_read(&device->configuration, device->board, device->assembler.block,
+    const bool armed = device_is_armed(device);
+    refusal = configuration_read(&device->configuration, device->board, armed, device->assembler.block,
                                  device->assembler.length, &candidate);
     if (refusal.status != HR_STATUS_OK)
         return refusal;
-    if (!device_apply(device, &candidate)) {
+    if (!armed && !device_apply(device, &candidate)) {
         refusal.status = HR_STATUS_INCONSISTENT;
         refusal.detail = hr_parameters[HR_PARAMETER_POSITION_RATE].id;
         return refusal;

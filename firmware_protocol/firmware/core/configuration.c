@@ -111,17 +111,30 @@ static struct refusal check_together(const uint32_t *values)
     return ACCEPTED;
 }
 
-struct refusal configuration_read(const struct configuration *configuration, const struct board *board,
+/* The first parameter of those given that is not live, or HR_PARAMETERS. */
+static size_t first_not_live(const bool *given)
+{
+    size_t index = 0;
+    while (index < HR_PARAMETERS && (!given[index] || hr_parameters[index].live))
+        index++;
+    return index;
+}
+
+struct refusal configuration_read(const struct configuration *configuration, const struct board *board, bool armed,
                                   const uint8_t *block, size_t count, struct candidate *candidate)
 {
     bool given[HR_PARAMETERS] = {false};
     if (count % HR_PARAMETER_BYTES != 0)
         return refused(HR_STATUS_BAD_LENGTH, 0);
     memcpy(candidate->values, configuration->values, sizeof candidate->values);
-    candidate->values[HR_PARAMETER_VERIFIED] = 0; /* unless the block says it again */
     struct refusal refusal = read_entries(block, count, candidate->values, given);
+    const size_t grave = first_not_live(given);
+    if (grave < HR_PARAMETERS && !given[HR_PARAMETER_VERIFIED])
+        candidate->values[HR_PARAMETER_VERIFIED] = 0; /* unless the block says it again */
     if (refusal.status == HR_STATUS_OK)
         refusal = check_board(board, candidate->values, given);
+    if (refusal.status == HR_STATUS_OK && armed && grave < HR_PARAMETERS)
+        refusal = refused(HR_STATUS_NOT_LIVE, hr_parameters[grave].id);
     if (refusal.status == HR_STATUS_OK)
         refusal = check_together(candidate->values);
     candidate->homes = given[HR_PARAMETER_REFERENCE_COUNT];

@@ -32,8 +32,9 @@ struct candidate {
 /* What the device starts with: the table's values, inside this board's ranges. */
 void configuration_initial(const struct board *board, struct candidate *candidate);
 
-/* Read a block on top of the parameters in force and check it, all of it. */
-struct refusal configuration_read(const struct configuration *configuration, const struct board *board,
+/* Read a block on top of the parameters in force and check it, all of it. An armed device takes live parameters alone;
+ * any other block that does not repeat `verified` clears it. */
+struct refusal configuration_read(const struct configuration *configuration, const struct board *board, bool armed,
                                   const uint8_t *block, size_t count, struct candidate *candidate);
 
 void configuration_put_in_force(struct configuration *configuration, const struct candidate *candidate);

@@ -8,7 +8,7 @@
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 
 
-static bool is_armed(const struct device *device)
+bool device_is_armed(const struct device *device)
 {
     return device->connection.state == HR_STATE_ARMED || device->connection.state == HR_STATE_RUNNING;
 }
@@ -171,7 +171,7 @@ static int16_t next_current(struct device *device)
 
 void device_drive(struct device *device)
 {
-    device->driven = is_armed(device) ? next_current(device) : 0;
+    device->driven = device_is_armed(device) ? next_current(device) : 0;
     device->hal->set_current(device->hal->context, device->driven);
 }
 
@@ -239,6 +239,8 @@ static void send_state(struct device *device, const struct fault_entry *tick)
     put_u16(raw + HR_AT_STATE_MISSED_TICKS, saturated(device->missed_ticks));
     raw[HR_AT_STATE_STATE] = device->connection.state;
     raw[HR_AT_STATE_INPUTS] = device->hal->inputs(device->hal->context);
+    raw[HR_AT_STATE_PHASE] = 0; /* there is no law yet */
+    put_u32(raw + HR_AT_STATE_SYNC_TIME, (uint32_t)device->hal->sync_time(device->hal->context));
     device_send(device, &packet);
 }
 
@@ -298,7 +300,7 @@ void device_tick(struct device *device)
     const uint64_t execution = hal->time(hal->context) - begun;
     if (execution > device->worst_execution_time)
         device->worst_execution_time = (uint32_t)execution;
-    if (is_armed(device) && execution > device->period)
+    if (device_is_armed(device) && execution > device->period)
         latch(device, FAULT(TICK_OVERRUN));
 }
 

@@ -42,6 +42,9 @@ struct hal {
 
     /* A pin that is high while a tick is worked on: an oscilloscope shows rate, jitter and load. */
     void (*sync)(void *context, bool high);
+
+    /* Device time of the last rising edge of the sync input; 0 before the first. */
+    uint64_t (*sync_time)(void *context);
 };
 
 #endif

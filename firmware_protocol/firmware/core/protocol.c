@@ -19,40 +19,129 @@ const struct hr_message hr_messages[HR_MESSAGES] = {
     {HR_TYPE_GET_STATISTICS, 8, 56, 0},
     {HR_TYPE_STATISTICS, 52, 56, 0},
     {HR_TYPE_COMMAND, 16, 56, 0},
-    {HR_TYPE_STATE, 40, 56, 0},
-    {HR_TYPE_BATCH, 20, 248, 0},
+    {HR_TYPE_STATE, 45, 56, 0},
+    {HR_TYPE_BATCH, 19, 248, 0},
 };
 
 const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
-    {1, HR_UNSIGNED, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* motion */
-    {2, HR_UNSIGNED, 0, 0x00000032u, 0x0000C350u, 0x000003E8u, 0x00000000u}, /* position_rate */
-    {3, HR_UNSIGNED, 0, 0x00000001u, 0x000003E8u, 0x00000001u, 0x00000000u}, /* velocity_divider */
-    {4, HR_FLOAT, 0, 0x00000000u, 0x49742400u, 0x00000000u, 0x00000000u}, /* stiffness */
-    {5, HR_FLOAT, 0, 0x00000000u, 0x47C35000u, 0x00000000u, 0x00000000u}, /* damping */
-    {6, HR_FLOAT, 0, 0xC47A0000u, 0x447A0000u, 0x00000000u, 0x00000000u}, /* wall_position */
-    {7, HR_SIGNED, 1, 0xFFFFFFFFu, 0x00000001u, 0x00000001u, 0x00000000u}, /* wall_side */
-    {8, HR_UNSIGNED, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* wall_pull */
-    {9, HR_SIGNED, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* reference_count */
-    {10, HR_UNSIGNED, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* verified */
-    {11, HR_UNSIGNED, 0, 0x00000064u, 0x00004E20u, 0x00000BB8u, 0x00000000u}, /* command_lifetime_us */
-    {12, HR_UNSIGNED, 0, 0x00000000u, 0x00002710u, 0x00002710u, 0x00000000u}, /* ramp_us */
-    {13, HR_UNSIGNED, 0, 0x00000000u, 0x00007FFFu, 0x00000000u, 0x00000000u}, /* current_limit */
-    {14, HR_UNSIGNED, 0, 0x00000001u, 0x0000FFFFu, 0x0000FFFFu, 0x00000000u}, /* slew_limit */
-    {15, HR_UNSIGNED, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* speed_limit */
-    {16, HR_SIGNED, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* window_minimum */
-    {17, HR_SIGNED, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* window_maximum */
-    {18, HR_UNSIGNED, 0, 0x00000000u, 0x00007FFFu, 0x00000000u, 0x00000000u}, /* continuous_current */
-    {19, HR_FLOAT, 0, 0x3E000000u, 0x46000000u, 0x41000000u, 0x00000000u}, /* thermal_time_constant */
-    {20, HR_UNSIGNED, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* hold_to_run */
-    {21, HR_UNSIGNED, 0, 0x00000064u, 0x000186A0u, 0x00004E20u, 0x00000000u}, /* supervise_lifetime_us */
+    {1, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* motion */
+    {2, HR_UNSIGNED, 0, 0, 0x00000032u, 0x0000C350u, 0x000003E8u, 0x00000000u}, /* position_rate */
+    {3, HR_UNSIGNED, 0, 0, 0x00000001u, 0x000003E8u, 0x00000001u, 0x00000000u}, /* velocity_divider */
+    {4, HR_FLOAT, 0, 1, 0x00000000u, 0x49742400u, 0x00000000u, 0x00000000u}, /* stiffness */
+    {5, HR_FLOAT, 0, 1, 0x00000000u, 0x47C35000u, 0x00000000u, 0x00000000u}, /* damping */
+    {6, HR_FLOAT, 0, 1, 0xC47A0000u, 0x447A0000u, 0x00000000u, 0x00000000u}, /* wall_position */
+    {7, HR_SIGNED, 1, 0, 0xFFFFFFFFu, 0x00000001u, 0x00000001u, 0x00000000u}, /* wall_side */
+    {8, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* wall_pull */
+    {9, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* reference_count */
+    {10, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* verified */
+    {11, HR_UNSIGNED, 0, 0, 0x00000064u, 0x00004E20u, 0x00000BB8u, 0x00000000u}, /* command_lifetime_us */
+    {12, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00002710u, 0x00002710u, 0x00000000u}, /* ramp_us */
+    {13, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00007FFFu, 0x00000000u, 0x00000000u}, /* current_limit */
+    {14, HR_UNSIGNED, 0, 0, 0x00000001u, 0x0000FFFFu, 0x0000FFFFu, 0x00000000u}, /* slew_limit */
+    {15, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* speed_limit */
+    {16, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* window_minimum */
+    {17, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* window_maximum */
+    {18, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00007FFFu, 0x00000000u, 0x00000000u}, /* continuous_current */
+    {19, HR_FLOAT, 0, 0, 0x3E000000u, 0x46000000u, 0x41000000u, 0x00000000u}, /* thermal_time_constant */
+    {20, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* hold_to_run */
+    {21, HR_UNSIGNED, 0, 0, 0x00000064u, 0x000186A0u, 0x00004E20u, 0x00000000u}, /* supervise_lifetime_us */
+    {32, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* law */
+    {33, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* batch_layout */
+    {34, HR_UNSIGNED, 0, 0, 0x00000001u, 0x0000004Cu, 0x0000002Du, 0x00000000u}, /* batch_samples */
+    {35, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000006u, 0x00000000u, 0x00000000u}, /* estimator */
+    {36, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* extrapolate */
+    {37, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* damping_on_entry */
+    {38, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* bilateral */
+    {39, HR_UNSIGNED, 0, 0, 0x00000001u, 0x0000FFFFu, 0x00000001u, 0x00000000u}, /* slow_multiple */
+    {40, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* settle_ticks */
+    {41, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* home_timeout_ticks */
+    {42, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* trial_ticks */
+    {43, HR_UNSIGNED, 0, 0, 0x00000001u, 0xFFFFFFFFu, 0x00000001u, 0x00000000u}, /* release_ticks */
+    {44, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* law_window_minimum */
+    {45, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* law_window_maximum */
+    {46, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* home_minimum */
+    {47, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* home_maximum */
+    {48, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* home_target */
+    {49, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00FFFFFFu, 0x00000000u, 0x00000000u}, /* home_target_fraction */
+    {50, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* home_step */
+    {51, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* biquad_b0 */
+    {52, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* biquad_b1 */
+    {53, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* biquad_b2 */
+    {54, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* biquad_a1 */
+    {55, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* biquad_a2 */
+    {56, HR_UNSIGNED, 0, 0, 0x00000000u, 0x0000001Eu, 0x00000000u, 0x00000000u}, /* biquad_coefficient_bits */
+    {57, HR_UNSIGNED, 0, 0, 0x00000000u, 0x0000001Eu, 0x00000000u, 0x00000000u}, /* biquad_state_bits */
+    {58, HR_UNSIGNED, 0, 0, 0x00000002u, 0x00000020u, 0x00000020u, 0x00000000u}, /* biquad_word_bits */
+    {59, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* biquad_rounding */
+    {60, HR_UNSIGNED, 0, 0, 0x00000001u, 0x00000008u, 0x00000001u, 0x00000000u}, /* low_pass_order */
+    {61, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_inner_1 */
+    {62, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_inner_2 */
+    {63, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_inner_3 */
+    {64, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_inner_4 */
+    {65, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_band_1 */
+    {66, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_band_2 */
+    {67, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_band_3 */
+    {68, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_band_4 */
+    {69, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_low_1 */
+    {70, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_low_2 */
+    {71, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_low_3 */
+    {72, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* low_pass_low_4 */
+    {73, HR_SIGNED, 0, 0, 0x00000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* foaw_band */
+    {74, HR_UNSIGNED, 0, 0, 0x00000001u, 0x00000040u, 0x00000001u, 0x00000000u}, /* foaw_limit */
+    {75, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* foaw_stop_first */
+    {76, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* foaw_least_squares */
+    {77, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* levant_alpha */
+    {78, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* levant_lambda */
+    {79, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* levant_discretisation */
+    {80, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* levant_integrator */
+    {81, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* kalman_position */
+    {82, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* kalman_velocity */
+    {83, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* kalman_acceleration */
+    {84, HR_SIGNED, 0, 1, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* float_surface */
+    {85, HR_FLOAT, 0, 1, 0x00000000u, 0x3F800000u, 0x00000000u, 0x00000000u}, /* float_surface_fraction */
+    {86, HR_FLOAT, 0, 1, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_stiffness */
+    {87, HR_FLOAT, 0, 1, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_damping */
+    {88, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_constant */
+    {89, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_trial_slew */
+    {90, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_homing_slew */
+    {91, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_speed_limit */
+    {92, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_slow_speed */
+    {93, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_velocity_lsb */
+    {94, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_home_stiffness */
+    {95, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_home_damping */
+    {96, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_home_effort */
+    {97, HR_SIGNED, 0, 1, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_surface */
+    {98, HR_SIGNED, 0, 1, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_stiffness */
+    {99, HR_SIGNED, 0, 1, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_damping */
+    {100, HR_UNSIGNED, 0, 1, 0x00000001u, 0x00000028u, 0x00000001u, 0x00000000u}, /* fixed_shift */
+    {101, HR_SIGNED, 0, 1, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_constant_high */
+    {102, HR_UNSIGNED, 0, 1, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_constant_low */
+    {103, HR_SIGNED, 0, 0, 0x00000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_trial_slew */
+    {104, HR_SIGNED, 0, 0, 0x00000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_homing_slew */
+    {105, HR_SIGNED, 0, 0, 0x00000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_speed_limit */
+    {106, HR_SIGNED, 0, 0, 0x00000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_slow_speed */
+    {107, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_home_stiffness */
+    {108, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_home_damping */
+    {109, HR_UNSIGNED, 0, 0, 0x00000001u, 0x00000028u, 0x00000001u, 0x00000000u}, /* fixed_home_shift */
+    {110, HR_SIGNED, 0, 0, 0x80000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_home_effort_high */
+    {111, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* fixed_home_effort_low */
+    {112, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00001000u, 0x00000000u, 0x00000000u}, /* excitation_lines */
+    {113, HR_UNSIGNED, 0, 0, 0x00000001u, 0x00007FFFu, 0x00000001u, 0x00000000u}, /* excitation_first */
+    {114, HR_UNSIGNED, 0, 0, 0x00000001u, 0x00007FFFu, 0x00000001u, 0x00000000u}, /* excitation_step */
+    {115, HR_UNSIGNED, 0, 0, 0x00000002u, 0x00010000u, 0x00000002u, 0x00000000u}, /* excitation_period */
+    {116, HR_UNSIGNED, 0, 0, 0x00000000u, 0x01000000u, 0x00000000u, 0x00000000u}, /* excitation_ramp */
+    {117, HR_UNSIGNED, 0, 0, 0x00000000u, 0x7FFFFFFFu, 0x00000000u, 0x00000000u}, /* excitation_amplitude */
+    {118, HR_UNSIGNED, 0, 0, 0x00000000u, 0x0000000Fu, 0x00000000u, 0x00000000u}, /* excitation_bits */
+    {119, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* excitation_phases */
+    {120, HR_UNSIGNED, 0, 0, 0x00000000u, 0xFFFFFFFFu, 0x00000000u, 0x00000000u}, /* excitation_seed */
 };
 
 const uint8_t hr_transitions[HR_STATES][HR_MESSAGES] = {
     {1, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255}, /* BOOT */
     {1, 255, 255, 1, 1, 2, 1, 255, 255, 255, 1, 255, 1, 255, 1, 255, 255, 255, 255}, /* IDENTIFIED */
     {2, 255, 255, 2, 2, 2, 2, 255, 3, 255, 2, 255, 2, 255, 2, 255, 255, 255, 255}, /* CONFIGURED */
-    {3, 255, 255, 255, 255, 255, 3, 255, 255, 2, 3, 255, 3, 255, 3, 255, 4, 255, 255}, /* ARMED */
-    {4, 255, 255, 255, 255, 255, 4, 255, 255, 2, 4, 255, 4, 255, 4, 255, 4, 255, 255}, /* RUNNING */
+    {3, 255, 255, 3, 3, 3, 3, 255, 255, 2, 3, 255, 3, 255, 3, 255, 4, 255, 255}, /* ARMED */
+    {4, 255, 255, 4, 4, 4, 4, 255, 255, 2, 4, 255, 4, 255, 4, 255, 4, 255, 255}, /* RUNNING */
     {5, 255, 255, 255, 255, 255, 5, 255, 255, 2, 5, 255, 5, 255, 5, 255, 255, 255, 255}, /* FAULT */
 };
 

@@ -103,6 +103,11 @@ static void hal_sync(void *context, bool high)
     host->sync = high;
 }
 
+static uint64_t hal_sync_time(void *context)
+{
+    return host_of(context)->sync_time;
+}
+
 /* ------------------------------------------------------------------ start */
 
 size_t host_bytes(void)
@@ -127,6 +132,7 @@ void host_setup(struct host *host, const struct host_setup *setup)
         .link_write = hal_link_write,
         .feed_watchdog = hal_feed_watchdog,
         .sync = hal_sync,
+        .sync_time = hal_sync_time,
     };
     host->hal = hal;
     host->board.dictionary = setup->dictionary;

@@ -29,6 +29,7 @@ struct host {
     /* What the device did to it. */
     int16_t current;
     bool enabled, driving, sync;
+    uint64_t sync_time;
     uint32_t cuts; /* times that the current was taken away between two ticks */
     uint32_t rate, feeds, syncs;
 
