@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.firmware.law.law_library import SOURCES, STRICT, TICKS, Output, State
+from tests.firmware.law.law_library import SOURCES, STRICT, TICKS, Output, Parameters, State
 
 FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x2_0000
 OUTPUT, INPUT, STATE, PARAMETERS = RAM, RAM + 0x40, RAM + 0x100, RAM + 0x1000
-STACK, STACK_LEAST = RAM + 0x8000, RAM + 0x4000
+STACK, STACK_LEAST, WORK, TABLE = RAM + 0x8000, RAM + 0x4000, RAM + 0x9000, RAM + 0xA000
 PAINT = b"\xa5"
 RETURN = FLASH + SIZE - 0x100  # where the law returns to: nothing is there
 
@@ -60,7 +60,10 @@ def build(core: Core, directory: Path) -> Image:
         )
     elf, raw = directory / "law.elf", directory / "law.bin"
     sources = [str(path) for path in sorted(SOURCES.glob("*.c"))]
-    keep = [f"-Wl,-u,{name}" for name in ("law_check", "law_reset", "law_tick")]
+    keep = [
+        f"-Wl,-u,{name}"
+        for name in ("law_check", "law_reset", "law_tick", "law_excitation_continue", "law_excitation_begin")
+    ]
     link = ["-nostartfiles", "--specs=nosys.specs", f"-Wl,-Ttext={FLASH:#x},-e,law_tick,--gc-sections", *keep]
     sections = ["-ffunction-sections", "-fdata-sections", "-fno-math-errno"]
     command = ["arm-none-eabi-gcc", *STRICT, "-O2", "-mthumb", *core.flags, *sections, *link]
@@ -124,7 +127,10 @@ class Simulator:
         uc = self.uc
         uc.mem_write(PARAMETERS, bytes(parameters))
         assert self.call("law_check", PARAMETERS) == 0
-        self.call("law_reset", STATE, PARAMETERS)
+        self.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
+        while not self.call("law_excitation_continue", WORK, 1000) & 0xFF:
+            pass
+        self.call("law_reset", STATE, PARAMETERS, TABLE)
         uc.mem_write(STATE + State.phase.offset, phase.to_bytes(4, "little"))
         rows, spent = np.zeros(len(table), TICKS), np.zeros(len(table), np.int64)
         for k, sample in enumerate(table):

@@ -26,7 +26,7 @@ I32 = (-(2**31), 2**31 - 1)
 
 
 def parameters_of(controller: Controller, arithmetic: int = FLOAT) -> ct.Structure:
-    """Parameters of the C law for a controller with `spring-damper` or `bilateral`; the multisine is left silent."""
+    """Parameters of the C law for a controller with `spring-damper` or `bilateral`; the excitation is left silent."""
     c = {name: controller.control[name][0].item() for name in controller.control.dtype.names}
     two_sided = controller.law.law.name == "bilateral"  # which has no options
     law = np.append(controller.law.parameters, [0.0, 0.0]) if two_sided else controller.law.parameters

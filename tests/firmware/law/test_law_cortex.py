@@ -47,7 +47,7 @@ BUDGETS = {
         "kalman": 340,
     },
 }
-IMAGE_BYTES = 20_000
+IMAGE_BYTES = 21_000
 STACK_BYTES = 512
 
 
