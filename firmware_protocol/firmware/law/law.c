@@ -9,7 +9,9 @@
 enum {
     MOST_ELAPSED = 1 << 30, /* ticks of a gap: a longer one is counted as this */
     MOST_STEPS = 65535,     /* of those, for a product with a step of the set point: it has arrived long before */
-    RELEASE_BITS = 15       /* of the share that is left in the release */
+    RELEASE_BITS = 15,      /* of the share that is left in the release: law_part */
+    MOST_ALONG = 1 << 22,   /* counts from the reference: 2^30 as a depth, which leaves room for as much surface */
+    MOST_SURFACE = 1 << 30
 };
 
 /* What one tick works on besides what it keeps. */
@@ -24,6 +26,8 @@ void law_reset(law_state *s, const law_parameters *p, const int16_t *table)
 {
     *s = (law_state){0};
     s->since = p->velocity_divider - 1; /* the first sample begins a period */
+    if (p->estimator == LAW_FDM_BUTTERWORTH_FIXED)
+        law_biquad_reset(&s->of.biquad, &p->biquad);
     law_excitation_reset(&s->excitation, &p->excitation, table);
 }
 
@@ -156,23 +160,30 @@ static int64_t home_error(const tick *t)
 {
     law_state *s = t->s;
     const int64_t target = t->p->home_target;
-    const int64_t step = t->p->home_step * (int64_t)(t->elapsed < MOST_STEPS ? t->elapsed : MOST_STEPS);
-    s->setpoint += law_at_most(target - s->setpoint, step);
+    int64_t step = t->p->home_step;
+    if (t->elapsed > 1)
+        step *= t->elapsed < MOST_STEPS ? t->elapsed : MOST_STEPS;
+    if (s->setpoint != target)
+        s->setpoint += law_at_most(target - s->setpoint, step);
     return s->setpoint - t->travel * ((int64_t)1 << LAW_SETPOINT_BITS);
 }
 
-/* Whether the run must end here, and if so, that it does. */
-static int cut(const tick *t, int too_fast)
+/* Whether the run must end here. */
+static int ends(const tick *t, int too_fast)
 {
     law_state *s = t->s;
     if (t->travel < t->p->window_minimum || t->travel > t->p->window_maximum || too_fast)
         s->flags |= LAW_OUT_OF_WINDOW;
-    if ((s->flags & LAW_ENDS_RUN) == 0)
-        return 0;
+    return (s->flags & LAW_ENDS_RUN) != 0;
+}
+
+/* It does, without current. */
+static int32_t end(law_state *s)
+{
     enter(s, LAW_DONE);
     s->limited = 0.0f;
     s->limited_fixed = 0;
-    return 1;
+    return 0;
 }
 
 static int32_t within(int32_t quanta, int32_t limit)
@@ -242,12 +253,11 @@ static int32_t float_current(const tick *t)
 
     if (depth > 0.0f)
         s->flags |= LAW_INSIDE;
-    advance_phase(t);
     effort = float_wanted(t, depth);
     if (!isfinite(effort) || !isfinite(s->velocity))
         s->flags |= LAW_NONFINITE;
-    if (cut(t, fabsf(s->velocity) > w->speed_limit))
-        return 0;
+    if (ends(t, fabsf(s->velocity) > w->speed_limit))
+        return end(s);
     if (fabsf(effort) > limit) {
         effort = effort > 0.0f ? limit : -limit;
         s->flags |= LAW_SATURATED;
@@ -266,16 +276,24 @@ static int32_t float_current(const tick *t)
 
 /* Steps 4 to 7 in integers: rig.fixed_wall, with homing, release and slew around it. */
 
+/* Counts along a direction less a surface, in counts * 2^LAW_DEPTH_BITS. */
+static int32_t fixed_depth(int32_t along, int32_t surface)
+{
+    if (along >= -MOST_ALONG && along < MOST_ALONG && surface >= -MOST_SURFACE && surface <= MOST_SURFACE)
+        return along * (1 << LAW_DEPTH_BITS) - surface; /* as always; the other way takes 64 bits */
+    return law_to_32((int64_t)along * (1 << LAW_DEPTH_BITS) - surface);
+}
+
 static int64_t fixed_reaction(law_state *s, const law_parameters *p, int32_t depth)
 {
     const law_fixed_wall *w = &p->fixed_wall;
-    int64_t total, damping = 0;
+    int64_t total;
 
     if (depth <= 0 && !p->bilateral)
         return 0;
+    total = law_product(w->stiffness, depth);
     if (p->bilateral || !p->entry_only || (s->velocity_fixed > 0) == (w->direction > 0))
-        damping = law_with_sign(law_product(w->damping, s->velocity_fixed), w->direction);
-    total = law_product(w->stiffness, depth) + damping;
+        total += law_with_sign(law_product(w->damping, s->velocity_fixed), w->direction);
     if (total < 0 && !p->may_pull && !p->bilateral) {
         s->flags |= LAW_CLAMPED;
         return 0;
@@ -286,7 +304,34 @@ static int64_t fixed_reaction(law_state *s, const law_parameters *p, int32_t dep
 /* An effort in quanta * 2^from, at another binary point and rounded down; its value must fit there. */
 static int64_t rescaled(int64_t effort, int32_t from, int32_t to)
 {
-    return from >= to ? effort >> (from - to) : effort * ((int64_t)1 << (to - from));
+    return from >= to ? law_shift(effort, from - to) : effort * ((int64_t)1 << (to - from));
+}
+
+/* The share of the effort that is left in the release, floor(2^15 left/release_ticks): a division when the release
+ * begins, and where ticks were missed; else what one tick takes away. */
+static uint32_t release_share(const tick *t)
+{
+    law_state *s = t->s;
+    const uint32_t ticks = t->p->release_ticks;
+
+    if (s->phase_ticks == 0) {
+        s->release_share = (uint32_t)1 << RELEASE_BITS;
+        s->release_rest = 0;
+        s->release_step = s->release_share / ticks;
+        s->release_step_rest = s->release_share % ticks;
+    } else if (t->elapsed == 1) {
+        s->release_share -= s->release_step;
+        if (s->release_rest < s->release_step_rest) {
+            s->release_share--;
+            s->release_rest += ticks;
+        }
+        s->release_rest -= s->release_step_rest;
+    } else {
+        const uint64_t left = (uint64_t)(ticks - s->phase_ticks) << RELEASE_BITS;
+        s->release_share = (uint32_t)(left / ticks);
+        s->release_rest = (uint32_t)(left % ticks);
+    }
+    return s->release_share;
 }
 
 /* Returns the wanted effort in quanta * 2^*shift. */
@@ -310,12 +355,8 @@ static int64_t fixed_wanted(const tick *t, int32_t depth, int32_t *shift)
     total = w->constant - law_with_sign(fixed_reaction(s, p, depth), w->side);
     if (p->excitation.lines > 0)
         total += rescaled(law_excitation_run(&s->excitation, &p->excitation, t->elapsed), LAW_LINE_BITS, w->shift);
-    if (s->phase == LAW_RELEASE) { /* total * share / 2^15, rounded down, without a product of more than 64 bits */
-        const int64_t left = (int64_t)p->release_ticks - s->phase_ticks;
-        const int64_t share = left * (1 << RELEASE_BITS) / p->release_ticks;
-        const int64_t rest = total & ((1 << RELEASE_BITS) - 1);
-        total = (total >> RELEASE_BITS) * share + ((rest * share) >> RELEASE_BITS);
-    }
+    if (s->phase == LAW_RELEASE)
+        total = law_part(total, release_share(t));
     return total;
 }
 
@@ -326,17 +367,16 @@ static int32_t fixed_current(const tick *t)
     law_state *s = t->s;
     const law_parameters *p = t->p;
     const law_fixed_wall *w = &p->fixed_wall;
-    const int64_t along = law_with_sign(t->travel, w->side) * (1 << LAW_DEPTH_BITS) - w->surface;
-    const int32_t depth = law_to_32(along), limit = p->current_limit * (1 << LAW_SLEW_BITS);
+    const int32_t depth = fixed_depth(law_signed(t->travel, w->side), w->surface);
+    const int32_t limit = p->current_limit * (1 << LAW_SLEW_BITS);
     int64_t effort;
     int32_t fine, step, change, shift;
 
     if (depth > 0)
         s->flags |= LAW_INSIDE;
-    advance_phase(t);
     effort = fixed_wanted(t, depth, &shift);
-    if (cut(t, s->velocity_fixed > w->speed_limit || s->velocity_fixed < -w->speed_limit))
-        return 0;
+    if (ends(t, s->velocity_fixed > w->speed_limit || s->velocity_fixed < -w->speed_limit))
+        return end(s);
     if (shift < LAW_SLEW_BITS)
         effort = law_at_most(effort, INT64_C(1) << 32); /* still beyond any limit, and it can be scaled up */
     fine = law_to_32(rescaled(effort, shift, LAW_SLEW_BITS));
@@ -364,9 +404,10 @@ law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
     t.s = s;
     t.p = p;
     t.elapsed = in->elapsed_ticks < 1 ? 1 : in->elapsed_ticks > MOST_ELAPSED ? MOST_ELAPSED : in->elapsed_ticks;
-    t.travel = law_to_32(law_with_sign(law_count_difference(in->count, p->reference), p->sense));
+    t.travel = law_signed(law_count_difference(in->count, p->reference), p->sense);
     s->flags = 0;
     estimate(&t, in->count);
+    advance_phase(&t);
     out.current = p->arithmetic == LAW_FLOAT ? float_current(&t) : fixed_current(&t);
     out.flags = s->flags;
     out.phase = s->phase;

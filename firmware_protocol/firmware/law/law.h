@@ -194,7 +194,10 @@ typedef struct {
 } law_parameters;
 
 typedef struct {
-    int32_t x1, x2, y1, y2;
+    int32_t x1, x2; /* inputs: counts when whole is 2, else in the format of the filter */
+    int32_t y1, y2;
+    int32_t quick;  /* which short cut is exact for the coefficients (filters.c) */
+    int32_t whole;  /* of the last inputs, how many were a few whole counts; at most 2 */
 } law_biquad_state;
 
 typedef struct {
@@ -240,6 +243,8 @@ typedef struct {
     uint32_t sampled;      /* 1 once the estimator has run */
     uint32_t phase;        /* law_phase */
     uint32_t phase_ticks, rest_ticks;
+    uint32_t release_share, release_rest; /* of the effort, 2^-15, in the fixed law: quotient and remainder */
+    uint32_t release_step, release_step_rest; /* of the share, in a tick */
     int32_t previous;      /* count of the last estimate */
     uint32_t flags;
     union {
