@@ -47,8 +47,12 @@ CORES = {
     core.name: core
     for core in (
         Core("M0+", ("-mcpu=cortex-m0plus", "-mfloat-abi=soft"), "UC_CPU_ARM_CORTEX_M0", 125e6),
-        Core("M4F", ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"), "UC_CPU_ARM_CORTEX_M4", 168e6),
-        Core("M7", ("-mcpu=cortex-m7", "-mfloat-abi=hard", "-mfpu=fpv5-sp-d16"), "UC_CPU_ARM_CORTEX_M7", 600e6),
+        Core(
+            "M4F", ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"), "UC_CPU_ARM_CORTEX_M4", 168e6
+        ),
+        Core(
+            "M7", ("-mcpu=cortex-m7", "-mfloat-abi=hard", "-mfpu=fpv5-sp-d16"), "UC_CPU_ARM_CORTEX_M7", 600e6
+        ),
     )
 }
 
@@ -72,7 +76,11 @@ def build(core: Core, directory: Path, sources: Sequence[Path], entries: Iterabl
     elf, raw = directory / "image.elf", directory / "image.bin"
     names = list(entries)
     keep = [f"-Wl,-u,{name}" for name in names]
-    link = ["-nostartfiles", "--specs=nosys.specs", f"-Wl,-Ttext={FLASH:#x},-Tbss={RAM:#x},-e,{names[0]},--gc-sections"]
+    link = [
+        "-nostartfiles",
+        "--specs=nosys.specs",
+        f"-Wl,-Ttext={FLASH:#x},-Tbss={RAM:#x},-e,{names[0]},--gc-sections",
+    ]
     options = ["-O2", "-mthumb", "-ffunction-sections", "-fdata-sections", "-fno-math-errno", *more]
     includes = [f"-I{FIRMWARE / part}" for part in ("core", "law")]
     listed = [str(path) for path in sources]
@@ -202,22 +210,25 @@ def _extra(word: int, taken: int) -> int:
     return 0
 
 
+# Long instructions: masks and values of both halves, cycles beyond one, and whether a jump comes on top.
+_WIDE = (
+    (0xF800, 0xF000, 0xD000, 0xD000, 2, False),  # call
+    (0xF800, 0xF000, 0xD000, 0x9000, 0, True),  # jump
+    (0xFFF0, 0xE8D0, 0xFFE0, 0xF000, 2, True),  # jump by table
+    (0xFE40, 0xE840, 0x0000, 0x0000, 2, False),  # two words
+    (0xFE00, 0xF800, 0x0000, 0x0000, 1, False),  # load and store
+    (0xFFD0, 0xFB90, 0x0000, 0x0000, 7, False),  # division
+    (0xFF20, 0xED00, 0x0000, 0x0000, 1, False),  # load and store of a float
+    (0xFFB0, 0xEE80, 0x0000, 0x0000, 13, False),  # its division
+    (0xFFBF, 0xEEB1, 0x00C0, 0x00C0, 13, False),  # its root
+)
+
+
 def _extra_wide(first: int, second: int, taken: int) -> int:
     """The same of a long instruction."""
-    if first >> 11 == 0b11110 and second & 0x8000:
-        if second & 0xD000 == 0xD000:
-            return 2  # a call
-        return taken if second & 0xD000 == 0x9000 else 0
     if first & 0xFE40 == 0xE800:
-        return second.bit_count()
-    if first & 0xFE40 == 0xE840:
-        return 2 + (taken if first & 0xFFF0 == 0xE8D0 else 0)  # a pair; a jump by table
-    if first >> 9 == 0b1111100:
-        return 1
-    if first & 0xFFD0 == 0xFB90:
-        return 7
-    if first & 0xFE00 == 0xEC00:  # floats
-        return 1 if first & 0x0120 == 0x0100 else second & 0xFF
-    if first & 0xFFB0 == 0xEE80 or (first & 0xFFBF == 0xEEB1 and second & 0x00C0 == 0x00C0):
-        return 13
-    return 0
+        return second.bit_count()  # several words
+    for mask, value, mask_2, value_2, cycles, jumps in _WIDE:
+        if first & mask == value and second & mask_2 == value_2:
+            return cycles + (taken if jumps else 0)
+    return second & 0xFF if first & 0xFE00 == 0xEC00 else 0  # several floats

@@ -12,9 +12,9 @@ enum {
     MOST_SURFACE = 1 << 30
 };
 
-/* Counts along a direction less a surface, in counts * 2^LAW_DEPTH_BITS. */
-static int32_t fixed_depth(int32_t along, int32_t surface)
+int32_t law_fixed_depth(const law_parameters *p, int32_t travel)
 {
+    const int32_t along = law_signed(travel, p->fixed_wall.side), surface = p->fixed_wall.surface;
     if (along >= -MOST_ALONG && along < MOST_ALONG && surface >= -MOST_SURFACE && surface <= MOST_SURFACE)
         return along * (1 << LAW_DEPTH_BITS) - surface; /* as always; the other way takes 64 bits */
     return law_to_32((int64_t)along * (1 << LAW_DEPTH_BITS) - surface);
@@ -125,7 +125,7 @@ void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, 
     flags |= law_advance(s, p, travel, elapsed);
     phase = s->phase;
     velocity = s->velocity_fixed;
-    depth = fixed_depth(law_signed(travel, w->side), w->surface);
+    depth = law_fixed_depth(p, travel);
     if (depth > 0)
         flags |= LAW_INSIDE;
     if (law_is_rendering(phase)) {

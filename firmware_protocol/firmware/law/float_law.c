@@ -5,6 +5,12 @@
 #include "excitation.h"
 #include "phases.h"
 
+float law_float_depth(const law_parameters *p, int32_t travel)
+{
+    const law_float_wall *w = &p->wall;
+    return w->side * ((float)law_to_32((int64_t)travel - w->surface_whole) - w->surface_fraction);
+}
+
 /* Step 3. */
 
 static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, uint32_t periods)
@@ -133,8 +139,7 @@ void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, 
     const law_float_wall *w = &p->wall;
     const uint32_t elapsed = law_elapsed(in);
     const int32_t travel = law_travel(p, in->count);
-    const float offset = (float)law_to_32((int64_t)travel - w->surface_whole) - w->surface_fraction;
-    const float depth = w->side * offset;
+    const float depth = law_float_depth(p, travel);
     float effort;
 
     s->flags = depth > 0.0f ? LAW_INSIDE : 0;

@@ -26,6 +26,12 @@ int64_t law_home_error(law_state *s, const law_parameters *p, int32_t travel, ui
     return s->setpoint - travel * ((int64_t)1 << LAW_SETPOINT_BITS);
 }
 
+int law_inside(const law_parameters *p, int32_t count)
+{
+    const int32_t travel = law_travel(p, count);
+    return p->arithmetic == LAW_FLOAT ? law_float_depth(p, travel) > 0.0f : law_fixed_depth(p, travel) > 0;
+}
+
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
 {
     law_output out;

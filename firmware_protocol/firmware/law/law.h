@@ -289,4 +289,7 @@ void law_reset(law_state *s, const law_parameters *p, const int16_t *table);
 /* One tick. A wall or a limit may change between two ticks; another estimator or excitation needs law_reset. */
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in);
 
+/* Whether a handle at this count is inside the wall. */
+int law_inside(const law_parameters *p, int32_t count);
+
 #endif

@@ -16,6 +16,10 @@ enum {
 void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, law_output *out);
 void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, law_output *out);
 
+/* Depth inside the wall: counts * 2^LAW_DEPTH_BITS, or counts. */
+int32_t law_fixed_depth(const law_parameters *p, int32_t travel);
+float law_float_depth(const law_parameters *p, int32_t travel);
+
 /* Distance of the homing set point from the handle (counts * 2^LAW_SETPOINT_BITS), once it has moved by at most one
  * step a tick. */
 int64_t law_home_error(law_state *s, const law_parameters *p, int32_t travel, uint32_t elapsed);

@@ -134,8 +134,12 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
             p.levant.discretisation, p.levant.integrator = scheme, stop
             good.append(p)
     good.append(of_estimator("fdm-butterworth", order=3))
-    for settings in ({"cutoff_hz": 900.0}, {"cutoff_hz": 20.0, "coefficient_bits": 20}, {"rounding": "floor"}):
-        good.append(of_estimator("fdm-butterworth-fixed", **settings))  # the other short cuts of the low pass
+    others: tuple[dict[str, float | str], ...] = (
+        {"cutoff_hz": 900.0},
+        {"cutoff_hz": 20.0, "coefficient_bits": 20},
+        {"rounding": "floor"},
+    )  # the other short cuts of the low pass
+    good += [of_estimator("fdm-butterworth-fixed", **settings) for settings in others]
     for arithmetic, phases in ((FIXED, "schroeder"), (FLOAT, "hashed")):
         table = ExcitationTable(2, 1, 498, 1000, 2**30, ramp=9, phases=phases, bits=arithmetic)
         p = shaken(arithmetic, table)
