@@ -134,7 +134,7 @@ static enum hr_parameter_index subject(law_verdict verdict, const law_parameters
         return law->estimator == LAW_FDM_BUTTERWORTH_FIXED ? HR_PARAMETER_BIQUAD_B0 : HR_PARAMETER_FOAW_BAND;
     case LAW_BAD_WALL:
         return law->arithmetic == LAW_FLOAT ? HR_PARAMETER_FLOAT_STIFFNESS : HR_PARAMETER_FIXED_STIFFNESS;
-    case LAW_BAD_MULTISINE:
+    case LAW_BAD_EXCITATION:
         return HR_PARAMETER_EXCITATION_LINES;
     case LAW_BAD_CHOICE:
     case LAW_GOOD:

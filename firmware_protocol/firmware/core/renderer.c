@@ -1,5 +1,7 @@
 #include "renderer.h"
 
+#include <stddef.h>
+
 #include "protocol.h"
 
 void renderer_configure(struct renderer *renderer, const law_parameters *parameters)
@@ -20,7 +22,7 @@ void renderer_disable(struct renderer *renderer)
 
 void renderer_reset(struct renderer *renderer)
 {
-    law_reset(&renderer->state, &renderer->parameters);
+    law_reset(&renderer->state, &renderer->parameters, NULL);
     renderer->begun = false;
     renderer->phase = LAW_WAIT;
     renderer->flags = 0;

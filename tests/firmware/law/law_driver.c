@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "excitation.h"
 #include "law.h"
 
 typedef struct {
@@ -19,7 +20,7 @@ int main(void);
 size_t driver_size(int of)
 {
     const size_t sizes[] = {sizeof(law_parameters), sizeof(law_state), sizeof(law_input), sizeof(law_output),
-                            sizeof(driver_tick)};
+                            sizeof(driver_tick), sizeof(law_excitation_work)};
     return sizes[of];
 }
 
@@ -39,6 +40,17 @@ void driver_run(law_state *s, const law_parameters *p, const law_input *in, size
     }
 }
 
+/* Memory for the excitation's table, which is worked out; NULL without lines. */
+static int16_t *excitation(const law_excitation *p)
+{
+    law_excitation_work work;
+    int16_t *table = p->lines > 0 ? calloc(p->period, sizeof *table) : NULL;
+    law_excitation_begin(&work, p, table);
+    while (!law_excitation_continue(&work, 1000))
+        ;
+    return table;
+}
+
 int main(void)
 {
     law_parameters p;
@@ -52,8 +64,10 @@ int main(void)
         if (in == NULL || out == NULL || fread(in, sizeof *in, (size_t)ticks, stdin) != ticks)
             return 2;
         if (verdict == LAW_GOOD) {
-            law_reset(&s, &p);
+            int16_t *table = excitation(&p.excitation);
+            law_reset(&s, &p, table);
             driver_run(&s, &p, in, (size_t)ticks, out);
+            free(table);
         }
         if (fwrite(&verdict, sizeof verdict, 1, stdout) != 1
             || fwrite(out, sizeof *out, (size_t)ticks, stdout) != ticks)
