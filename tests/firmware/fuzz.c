@@ -182,8 +182,9 @@ static uint32_t host_value(size_t index)
     case HR_PARAMETER_MOTION:
         return 0;
     case HR_PARAMETER_CURRENT_LIMIT:
-    case HR_PARAMETER_CONTINUOUS_CURRENT:
         return below(NARROWED_LIMIT + 1);
+    case HR_PARAMETER_CONTINUOUS_CURRENT:
+        return below(4) ? below(NARROWED_LIMIT + 1) : below(20); /* that a spike overheats */
     case HR_PARAMETER_WINDOW_MINIMUM:
         return (uint32_t)(below(4) ? INT32_MIN : -50);
     case HR_PARAMETER_WINDOW_MAXIMUM:
