@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ class CortexLibrary:
         assert self.host_bytes() <= SETUP - HOST
         self.instructions: list[int] = []  # of each tick
         self.cycles: list[int] = []
+        self.profile: list[Counter[int]] | None = None  # cycles of each block in each tick, if wanted
 
     def host_bytes(self) -> int:
         return self.simulator.call("host_bytes")
@@ -75,7 +77,11 @@ class CortexLibrary:
         self.simulator.call("host_set_world", HOST, 0, low, high, stack=rest)
 
     def host_tick(self, address: int) -> None:
+        if self.profile is not None:
+            self.simulator.profile = Counter()
+            self.profile.append(self.simulator.profile)
         self.simulator.call("host_tick", HOST)
+        self.simulator.profile = None
         self.instructions.append(self.simulator.instructions)
         self.cycles.append(self.simulator.cycles)
 
