@@ -29,6 +29,8 @@ void driver_run(law_state *s, const law_parameters *p, const law_input *in, size
     size_t k;
     for (k = 0; k < ticks; k++) {
         out[k].out = law_tick(s, p, &in[k]);
+        if (law_inside(p, in[k].count) != ((out[k].out.flags & LAW_INSIDE) != 0))
+            abort(); /* both say where the handle is */
         out[k].velocity = s->velocity;
         out[k].limited = s->limited;
         out[k].velocity_fixed = s->velocity_fixed;
