@@ -198,8 +198,8 @@ void device_drive(struct device *device)
  * the exact rate leaves the grid slowly; half a period away from it, the grid follows. */
 static void step_grid(struct device *device)
 {
-    const uint64_t half = device->period / 2u;
-    if (device->time + half < device->due || device->time > device->due + half) {
+    const uint32_t half = device->period / 2u;
+    if (device->time - device->due + half > 2u * (uint64_t)half) { /* modulo 2⁶⁴: further away, on either side */
         device->due = device->time;
         device->due_rest = 0;
     }
