@@ -97,7 +97,7 @@ def test_a_law_in_float_arrives_as_it_was_designed(
     p = parameters_of(controller_of(experiment_of(estimator, OWN.get(estimator, {}), scheme), -77))
     seen = law_of(Board(library).begin(**told_to_run(p)))
     ours, theirs = content(seen), content(p)
-    skipped = {name for name in theirs if name.startswith("fixed_wall") or name.startswith("biquad")}
+    skipped = {name for name in theirs if name.startswith(("fixed_wall", "biquad", "excitation"))}
     skipped |= {name for name in theirs if name.startswith("low_pass.") and p.low_pass.sections == 0}
     skipped |= {f"low_pass.section[{n}].order" for n in range(p.low_pass.sections, 4)} | {"foaw.limit"}
     assert {name: ours[name] for name in theirs if name not in skipped} == {
@@ -111,7 +111,11 @@ def test_a_law_in_integers_arrives_as_it_was_designed(library: ctypes.CDLL, sign
     p = parameters_of(controller_of(experiment, reference_count=1234), FIXED)
     board = Board(library, config.rig_model(experiment)).begin(**told_to_run(p))
     ours, theirs = content(law_of(board)), content(p)
-    names = [name for name in theirs if name.partition(".")[0] not in {"low_pass", "foaw", "levant", "wall"}]
+    names = [
+        name
+        for name in theirs
+        if name.partition(".")[0] not in {"low_pass", "foaw", "levant", "wall", "excitation"}
+    ]
     assert {name: ours[name] for name in names} == {name: theirs[name] for name in names}
 
 
@@ -129,7 +133,7 @@ REFUSED: list[tuple[str, dict[str, Value]]] = [
     ("biquad_b0", {"biquad_b0": 2**31 - 1, "biquad_b1": 2**31 - 1, "biquad_a1": -(2**31)}),
     ("fixed_stiffness", {"fixed_stiffness": -1}),
     ("fixed_stiffness", {"fixed_constant_high": 2**31 - 1, "fixed_stiffness": 2**31 - 1}),
-    ("excitation_lines", {"excitation_lines": 1}),
+    ("excitation_lines", {"excitation_lines": 1, "excitation_first": 3, "excitation_period": 6}),
 ]  # fmt: skip
 
 
@@ -205,6 +209,67 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
     assert [sample.index for sample in rig.samples] == [*range(first, first + len(rig.samples))]
     assert {state.phase for state in rig.states} >= {Phase.HOMING, Phase.TRIAL, Phase.RELEASE, Phase.DONE}
     assert max(map(abs, currents)) > 400, "it must hit"
+
+
+# ---------------------------------------------------------------------- excitation
+
+
+def shaking() -> ctypes.Structure:
+    """A law whose motor plays 20 lines over 700 ticks, some 200 quanta at most."""
+    p = push(fixed_wall__constant=0)
+    for name, value in {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}.items():
+        setattr(p.excitation, name, value)
+    p.excitation.amplitude, p.excitation.bits = 30 << 16, 6
+    return p
+
+
+@pytest.mark.parametrize("phases", [0, 1])
+def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
+    library: ctypes.CDLL, law: LawLibrary, phases: int
+) -> None:
+    p = shaking()
+    p.excitation.phases = phases
+    board = Board(library)
+    board.prepare(**told_to_run(p))
+    while (status := board.arm().status) == Status.NOT_READY:
+        board.tick()
+    assert status == Status.OK
+    board.run([0] * 1_600)
+    board.command(Mode.STOP)
+    currents = expected(law, p, board.samples)
+    assert driven(board.samples) == currents[:-1]
+    assert max(currents) > 60
+    assert currents[100:800] == currents[800:1500]
+
+
+def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.prepare(**told_to_run(shaking()))
+    refused = 0
+    while board.arm().status == Status.NOT_READY:
+        refused += 1
+        library.host_poll(board.core.address, b"", 0)
+    assert 700 * 20 / 32 / 4 < refused < 700 * 20 / 32
+    board.disarm()
+    board.prepare(**told_to_run(shaking(), ramp_us=5_000))
+    assert board.arm().status == Status.OK  # the same table, and it is still there
+    board.disarm()
+    other = shaking()
+    other.excitation.seed += 1
+    board.prepare(**told_to_run(other))
+    assert board.arm().status == Status.NOT_READY
+    board.prepare(**told_to_run(push()))
+    assert board.arm().status == Status.OK
+
+
+def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    library.host_set_excitation(board.core.address, 699)
+    board.identify()
+    ack = board.configure(**told_to_run(shaking()))
+    assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["excitation_period"].id)
+    library.host_set_excitation(board.core.address, 700)
+    assert board.configure(**told_to_run(shaking())).status == Status.OK
 
 
 # ---------------------------------------------------------------------- when it runs

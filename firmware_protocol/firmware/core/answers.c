@@ -198,6 +198,8 @@ static struct refusal objection_to_arm(const struct device *device, const uint8_
         refusal.status = HR_STATUS_NOT_HOMED;
     else if (!configuration->values[HR_PARAMETER_VERIFIED])
         refusal.status = HR_STATUS_NOT_VERIFIED;
+    else if (device_is_preparing(device))
+        refusal.status = HR_STATUS_NOT_READY;
     if (refusal.status != HR_STATUS_OK)
         return refusal;
     enum hr_fault present = present_fault(device);
