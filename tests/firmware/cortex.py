@@ -148,12 +148,14 @@ class Simulator:
         if self.profile is not None:
             self.profile[address] += cycles
 
-    def call(self, name: str, *arguments: int) -> int:
-        """Call a function with up to four words; its answer, with `instructions` and `cycles` of it."""
+    def call(self, name: str, *arguments: int, stack: bytes = b"") -> int:
+        """Call a function with up to four words, and more on the stack; its answer, with what it cost."""
         uc, arm = self.uc, self.arm
         for register, value in zip(("R0", "R1", "R2", "R3"), arguments, strict=False):
             uc.reg_write(getattr(arm, f"UC_ARM_REG_{register}"), value & 0xFFFF_FFFF)
-        uc.reg_write(arm.UC_ARM_REG_SP, STACK_TOP)
+        top = STACK_TOP - len(stack)
+        uc.mem_write(top, stack)
+        uc.reg_write(arm.UC_ARM_REG_SP, top)
         uc.reg_write(arm.UC_ARM_REG_LR, RETURN | 1)
         self.instructions = self.cycles = 0
         self._last = Block(self.image.symbols[name] & ~1, 0, 0, 0)
@@ -166,13 +168,12 @@ class Simulator:
         painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
         return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
 
-    def by_function(self) -> list[tuple[str, int]]:
-        """Cycles of each function since `profile` was begun, most first."""
-        assert self.profile is not None
+    def by_function(self, profile: Counter[int]) -> list[tuple[str, int]]:
+        """Cycles of each function in a profile, most first."""
         spans = sorted((self.image.symbols[name] & ~1, name) for name in self.image.sizes)
         starts = np.array([start for start, _ in spans])
         sums: Counter[str] = Counter()
-        for address, cycles in self.profile.items():
+        for address, cycles in profile.items():
             sums[spans[int(np.searchsorted(starts, address, "right")) - 1][1]] += cycles
         return sums.most_common()
 

@@ -83,7 +83,7 @@ static void tell_faults(struct device *device, const uint8_t *request)
     put_u16(raw + HR_AT_FAULT_LOG_FIRST, first);
     const size_t room = HR_DATA_LIMIT_FAULT_LOG / HR_FAULT_ENTRY_BYTES;
     for (size_t number = first; number < ring->count && number < first + room; number++) {
-        memcpy(raw + packet.count, fault_ring_at(ring, (uint16_t)number), HR_FAULT_ENTRY_BYTES);
+        fault_ring_read(ring, (uint16_t)number, raw + packet.count);
         packet.count += HR_FAULT_ENTRY_BYTES;
     }
     device_send(device, &packet);
