@@ -396,6 +396,7 @@ int main(int count, char **arguments)
     host_narrow(fuzz.host, HR_PARAMETER_CURRENT_LIMIT, 0, NARROWED_LIMIT);
     host_narrow(fuzz.host, HR_PARAMETER_CONTINUOUS_CURRENT, 0, NARROWED_LIMIT);
     host_start(fuzz.host);
+    splitter_reset(&fuzz.output);
     for (unsigned long left = strtoul(arguments[2], NULL, 10); left > 0; left--) {
         step(&fuzz);
         check(&fuzz);
