@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-import firmware_protocol
+from sim_backend.firmware_library import FIRMWARE, sources
 
-FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
-SOURCES = [*sorted((FIRMWARE / "core").glob("*.c")), FIRMWARE / "host" / "host.c"]
+__all__ = ["FIRMWARE", "SOURCES"]
+SOURCES = sources()
 FLAGS = ("-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
 ADDRESS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -6,9 +6,10 @@ import ctypes
 
 import pytest
 
-from tests.firmware import build, core
+from sim_backend import firmware_library
+from tests.firmware import build
 
 
 @pytest.fixture(scope="session")
 def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    return core.load(build.library(tmp_path_factory.mktemp("firmware")))
+    return firmware_library.load(build.library(tmp_path_factory.mktemp("firmware")))
