@@ -31,7 +31,8 @@ from sim_backend.hardware import Hardware
 from sim_backend.lockstep import DUE, INPUTS, WORDS, Lockstep
 from sim_backend.safety import OVER_CURRENT_MARGIN, STALL_COUNTS, UNITS_PER_SECOND
 
-OUTPUT_BYTES = 16384
+OUTPUT_BYTES = 65536
+LAWS = 2  # fixed point and float32, parameter `law`
 _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 _CTYPES = {parameter.name: "<i" if parameter.ctype[0] == "i" else "<I" for parameter in PARAMETERS}
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
@@ -46,6 +47,7 @@ class Core:
         model: RigModel,
         rate: int = 1_000,
         maximum: int = 50_000,
+        law_maximum: int = LAWS,
         *,
         name: str | None = None,
     ) -> None:
@@ -53,7 +55,7 @@ class Core:
         self._memory = ctypes.create_string_buffer(library.host_bytes())
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
-        self.dictionary = describe(model, name or model.name, rate, maximum)
+        self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
         self._packed = dictionaries.encode(self.dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
         setup = Setup(
@@ -106,6 +108,8 @@ class FirmwareDevice:
     ----------
     model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
         As of `SimulatedDevice`.
+    law_maximum
+        The last of the laws (parameter `law`) that it says it can run itself; 0 none.
     library
         The firmware's library; the shipped one unless given, compiled when nobody has yet.
 
@@ -136,6 +140,7 @@ class FirmwareDevice:
         seed: int = 0,
         initial_position: float | None = None,
         keep_truth: bool = True,
+        law_maximum: int = LAWS,
         library: ctypes.CDLL | None = None,
     ) -> None:
         if not 1 <= position_rate_default <= position_rate_maximum:
@@ -144,7 +149,7 @@ class FirmwareDevice:
                 remedy="choose a rate that the device can run",
             )
         library = library or firmware_library.library()
-        self.core = Core(library, model, position_rate_default, position_rate_maximum, name=name)
+        self.core = Core(library, model, position_rate_default, position_rate_maximum, law_maximum, name=name)
         self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
         self.inputs = 0 if model.operator is None else int(Input.HOLD_TO_RUN)  # a person holds the switch too
         self.time = 0
@@ -249,6 +254,7 @@ class FirmwareDevice:
         self.time = int(self._seen.due)
         self._show_world()
         library.host_sample(address)
+        library.host_tell(address)
         self._act()
         if self._truth is not None and self._seen.session:
             self.hardware.log(self._truth, self.sample_index)
@@ -276,6 +282,12 @@ class FirmwareDevice:
         """Hold the hold-to-run switch, or let it go."""
         self._input(Input.HOLD_TO_RUN, held)
 
+    def sync_input(self, high: bool) -> None:
+        """Put a level on the sync input; the device keeps the time at which it rose."""
+        if high and not self.inputs & Input.SYNC:
+            self.core.library.host_set_sync_time(self.core.address, self.time)
+        self._input(Input.SYNC, high)
+
     def fail_encoder(self) -> None:
         """Let the counter see an illegal transition before the next sample."""
         self.core.library.host_fail_encoder(self.core.address)
@@ -292,6 +304,7 @@ class FirmwareDevice:
         self.hardware.cut()
         self.hardware.reset()
         self._show_world()
+        self.core.library.host_set_sync_time(self.core.address, 0)
         self.core.library.host_restart(self.core.address)
         self._act()
         self._start()

@@ -75,6 +75,7 @@ class Status(ctypes.Structure):
         ("current", ctypes.c_int32),
         *((name, ctypes.c_uint8) for name in ("state", "session", "fault", "enabled")),
         ("counters", Counters),
+        ("sync", ctypes.c_uint8),
     ]
 
 
@@ -96,8 +97,11 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_set_inputs": (None, [_P, _U8]),
     "host_fail_encoder": (None, [_P]),
     "host_refuse_rate": (None, [_P, _U32]),
+    "host_set_sync_time": (None, [_P, _U64]),
+    "host_set_room": (None, [_P, _N]),
     "host_drive": (ctypes.c_int16, [_P]),
     "host_sample": (None, [_P]),
+    "host_tell": (None, [_P]),
     "host_tick": (None, [_P]),
     "host_missed": (None, [_P, _U32]),
     "host_fault": (None, [_P, _U8]),

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend.firmware_library import FIRMWARE, sources
+from sim_backend.firmware_library import FIRMWARE, PARTS, sources
 
-__all__ = ["FIRMWARE", "SOURCES"]
+__all__ = ["CORE", "FIRMWARE", "SOURCES"]
+CORE = [path for part in PARTS if part != "host" for path in sorted((FIRMWARE / part).glob("*.c"))]
 SOURCES = sources()
-FLAGS = ("-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+FLAGS = ("-std=c99", "-O1", "-g", "-ffp-contract=off", *WARNINGS)
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
 ADDRESS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 LIBRARY_VARIABLE = "HAPTIC_RIG_FIRMWARE_LIBRARY"  # one that was built before: see coverage.py

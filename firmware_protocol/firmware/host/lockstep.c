@@ -17,6 +17,7 @@ int lockstep_sample(struct host *host, struct lockstep *lockstep)
     host_set_world(host, time, (int32_t)lockstep->count, age < time ? time - age : 0, (int16_t)lockstep->measured,
                    (uint8_t)lockstep->inputs);
     host_sample(host);
+    host_tell(host);
     lockstep->cuts = host->cuts - cuts;
     lockstep->due = (int64_t)host->device.due;
     lockstep->sample_index = host->device.sample_index;
