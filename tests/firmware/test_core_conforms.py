@@ -15,4 +15,4 @@ from tests.conformance.rigs import linear_rig, rotary_rig
 
 @pytest.mark.parametrize("model", [rotary_rig(), linear_rig()], ids=["rotary", "linear"])
 def test_the_core_conforms(library: ctypes.CDLL, model: RigModel) -> None:
-    check_device(lambda: MemoryLink(FirmwareDevice(model, library=library)))  # type: ignore[arg-type]
+    check_device(lambda: MemoryLink(FirmwareDevice(model, library=library)))
