@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from firmware_protocol.parameters import PARAMETERS
+from rig import board
 from rig.errors import ConfigError
 from rig.model import RigModel
 from sim_backend import firmware_library
@@ -29,7 +31,7 @@ from sim_backend.configuration import describe
 from sim_backend.firmware_library import Mechanics, Setup, Status
 from sim_backend.hardware import Hardware
 from sim_backend.lockstep import DUE, INPUTS, WORDS, Lockstep
-from sim_backend.safety import OVER_CURRENT_MARGIN, STALL_COUNTS, UNITS_PER_SECOND
+from sim_backend.safety import UNITS_PER_SECOND
 
 OUTPUT_BYTES = 65536
 LAWS = 2  # fixed point and float32, parameter `law`
@@ -64,8 +66,8 @@ class Core:
             len(self._packed),
             rate,
             model.encoder.sign,
-            _over_current(model),
-            _mechanics(model),
+            board.over_current(model),
+            Mechanics(**asdict(board.moved_mechanics(model))),
         )
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in ("motion", "position_rate", "current_limit", "continuous_current", "law"):
@@ -343,20 +345,3 @@ def _address(function: Any) -> int:
 
 def _bits(name: str, value: float) -> int:
     return int.from_bytes(struct.pack(_CTYPES[name], int(value)), "little")
-
-
-def _over_current(model: RigModel) -> int:
-    return int(OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum)
-
-
-def _mechanics(model: RigModel) -> Mechanics:
-    mechanics, amplifier = model.mechanics, model.amplifier
-    return Mechanics(
-        amplifier.effort_quantum,
-        amplifier.effort_limit,
-        mechanics.motor_coulomb + mechanics.link_coulomb + abs(mechanics.gravity_effort),
-        STALL_COUNTS * model.encoder.resolution,
-        mechanics.motor_inertia + mechanics.loaded_link_inertia,
-        mechanics.motor_damping + mechanics.link_damping + amplifier.back_emf_damping,
-        amplifier.lag_s,
-    )
