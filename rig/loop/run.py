@@ -191,6 +191,19 @@ class LoopThread:
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
         return LoopEnd(reason, failure, counters)
 
+    @property
+    def fault(self) -> int:
+        """Fault that the newest STATE told, 0 for none."""
+        return int(self._buffers.state[STATE.fault])
+
+    def messages(self) -> list[str]:
+        """What the user should hear of the run, besides how it ended."""
+        return []
+
+    def findings(self) -> dict[str, Any]:
+        """What the recording's trailer should have of the run, besides what every run has."""
+        return {}
+
     def exchanges(self) -> NDArray[np.int64]:
         """The clock exchanges of the run: rows of four stamps (`rig.clock_fit.EXCHANGE`), oldest first."""
         done = self.ring.get(words.EXCHANGES)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from firmware_protocol.codec import STATE
@@ -333,7 +332,7 @@ def run(
     resting = listening or reason in (SILENT, CLOSED)
     stopped = 0
     while resting:
-        ready = np.int64(-1)
+        ready = -1
         if listening:
             ready = _listen(
                 read, wait, now, link, clock, until_ns,

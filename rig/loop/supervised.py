@@ -99,12 +99,6 @@ class SupervisedThread(LoopThread):
         """Fault that the newest STATE told, 0 for none."""
         return int(self._supervision.newest[STATE.fault])
 
-    @property
-    def parameters_crc(self) -> int | None:
-        """CRC of all parameters in force on the device after the last new wall; None when there was none."""
-        crc = int(self._supervision.supervision[0]["parameters_crc"])
-        return None if crc < 0 else crc
-
     def agreement(self) -> Agreement:
         """How the device's current followed the host's law so far."""
         v = self._supervision.supervision[0]
@@ -119,29 +113,38 @@ class SupervisedThread(LoopThread):
             holds=beyond <= max(MANY_TICKS, MANY_SHARE * compared),
         )
 
-    def refusals(self) -> list[str]:
-        """New walls that came to nothing: why, for the user."""
-        said = list(self._refused)
+    def messages(self) -> list[str]:
+        """New walls that came to nothing, and a device that does not follow the law."""
+        found, said = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:
-            status = Status(int(v["refused_status"])) if v["refused_status"] in set(Status) else None
-            text = f"status {int(v['refused_status'])}" if status is None else status.text
+            status, known = int(v["refused_status"]), int(v["refused_status"]) in set(Status)
+            why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
+            said.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
+        if not found.holds:
             said.append(
-                f"the device refused parameter set {int(v['refused_set'])}: {text} ({int(v['refused_detail'])})"
+                f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
+                f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}: check that firmware "
+                "and package are of one version (rig firmware info)"
             )
         return said
+
+    def findings(self) -> dict[str, Any]:
+        """How the device followed the law (`Agreement`)."""
+        return {"law_agreement": self.agreement().as_mapping()}
 
     def handover(self) -> dict[str, int] | None:
         """As `LoopThread.handover`; commands leave before the first STATE comes."""
         progress, v = self._buffers.progress[0], self._supervision.supervision[0]
         if not progress["sequence"] and not v["stop_sequence"] >= 0:
             return None
-        heard = bool(v["heard"])
+        heard, changed = bool(v["heard"]), int(v["parameters_crc"])
         return {
             "next_command": int(progress["sequence"]),
             "newest_state": int(progress["answers"]) if heard else 0xFFFF,
             "state": int(self._supervision.newest[STATE.state]) if heard else int(State.RUNNING),
             "nonce": int(progress["nonce"]),
+            **({} if changed < 0 else {"parameters_crc": changed}),
         }
 
     def _run(self) -> None:
