@@ -25,7 +25,7 @@ VARIANTS = [
         "fdm-butterworth-fixed",
         {"coefficient_bits": 20, "state_bits": 4, "word_bits": 16, "rounding": "floor"},
     ),
-    ("fdm-butterworth-fixed", {"numerator": "rounded"}),
+    ("fdm-butterworth-fixed", {"numerator": "nearest"}),
     ("fdm", {}),
     ("fdm-butterworth", {}),
     ("fdm-butterworth", {"order": 1}),
