@@ -34,6 +34,8 @@ EXCHANGES = 8  # of the clock, when nobody says how many
 GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
 COUNT_TIMEOUT_S = 0.5
 FAULT_LOG_S = 2.0
+READY_S = 120.0  # for the largest excitation on the slowest processor
+READY_AGAIN_S = 0.05  # between two questions whether it is ready
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
 
@@ -201,18 +203,33 @@ class FramedDevice:
     def arm(self) -> int:
         """Open a session and return its number; the device streams STATE from now on, with zero effort.
 
+        A device that is still working out its excitation is waited for.
+
         Raises `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
         """
         session = self._other_than(self._next_nonce() % 0xFF, self._session)
         try:
-            self._arm(session)
+            self._arm_when_ready(session)
         except DeviceRefusedError as error:
             if error.status != Status.STALE_SESSION:
                 raise
             session = self._other_than(session, self._session)
-            self._arm(session)
+            self._arm_when_ready(session)
         self._session = session
         return session
+
+    def _arm_when_ready(self, session: int) -> None:
+        deadline_ns = self.link.clock.now_ns() + round(READY_S * 1e9)
+        while True:
+            try:
+                self._arm(session)
+            except DeviceRefusedError as error:
+                now_ns = self.link.clock.now_ns()
+                if error.status != Status.NOT_READY or now_ns > deadline_ns:
+                    raise
+                self._listen_until(now_ns + round(READY_AGAIN_S * 1e9))
+            else:
+                return
 
     def _arm(self, session: int) -> None:
         self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc or 0), session=session)
