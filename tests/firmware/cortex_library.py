@@ -1,6 +1,6 @@
 """The host port built for a Cortex-M, behind the functions of the shared library: what drives one drives the other.
 
-`CortexLibrary` offers what `tests.firmware.core.load` gives; addresses of this computer stand for the one device that it
+`CortexLibrary` offers what `sim_backend.firmware_library.load` gives; addresses of this computer stand for the one device that it
 has. Each `host_tick` leaves what it cost.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 
 from tests.firmware import cortex
 from tests.firmware.build import FIRMWARE, SOURCES
-from tests.firmware.core import Status
+from sim_backend.firmware_library import Status
 from tests.firmware.cortex import RAM, Image, Simulator
 
 ENTRIES = (
