@@ -79,7 +79,9 @@ class Partner:
     def __init__(self, command: list[str], directory: Path) -> None:
         for name in ("requests", "replies"):
             os.mkfifo(directory / name)
-        self._requests = os.open(directory / "requests", os.O_RDWR)  # both ways, so that nobody waits to open it
+        self._requests = os.open(
+            directory / "requests", os.O_RDWR
+        )  # both ways, so that nobody waits to open it
         self._replies = os.open(directory / "replies", os.O_RDWR)
         self._process = subprocess.Popen(command, cwd=directory, stdin=subprocess.DEVNULL)
 
@@ -122,7 +124,8 @@ def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
     (directory / "board_config.h").write_text(config.header)
     (directory / "board_config.c").write_text(config.source)
     port = kind.directory
-    sources = [*SOURCES, port / "lockstep.c", directory / "board_config.c", HERE / "on_this_computer.c"]
+    own = [port / name for name in ("tests.c", "lockstep.c", "law_vectors.c")]
+    sources = [*SOURCES, *own, directory / "board_config.c", HERE / "on_this_computer.c"]
     include = [f"-I{path}" for path in (directory, FIRMWARE / "core", FIRMWARE / "law", port)]
     program = compile_c(directory / "program", sources, [*include, *UNDEFINED])
     return Partner([str(program)], directory)

@@ -1,0 +1,93 @@
+"""The law as a unit test on emulated processors: golden vectors go in, an exit code comes out."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.firmware.build import BuildResult
+from rig.sample import Phase
+from tests.firmware import cross
+from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
+from tests.firmware.law.law_library import INPUTS, TICKS, LawLibrary, compile_law, inputs
+from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
+from tests.firmware.mps2.lockstep import emulator
+
+BOARDS = ["mps2-m0plus", "mps2-an385", "mps2-an386", "mps2-an500"]
+LAWS = {
+    "fixed": (FIXED, "fdm-butterworth-fixed", {}),
+    "butterworth": (FLOAT, "fdm-butterworth", {}),
+    "foaw-end": (FLOAT, "foaw-end", {}),
+    "foaw-best": (FLOAT, "foaw-best", {}),
+    "levant": (FLOAT, "levant", {}),
+    "kalman": (FLOAT, "kalman", {"gain": "steady"}),
+}
+RUN_S = 60.0
+LINE = np.dtype([("in", INPUTS), ("left", TICKS)])
+ANOTHER_ANSWER, BAD_FILE = 5, 3
+
+
+@pytest.fixture(scope="module")
+def law(tmp_path_factory: pytest.TempPathFactory) -> LawLibrary:
+    """The law built for this computer, which the tests of `tests/firmware/law` hold against the Python law."""
+    directory = tmp_path_factory.mktemp("law")
+    return LawLibrary(compile_law(directory / "law.so", "-O2", "-shared", "-fPIC"))
+
+
+@pytest.fixture(scope="module")
+def vectors(law: LawLibrary) -> bytes:
+    """Every estimator under both schemes, from the start of a hit through its contact."""
+    cases = []
+    for scheme in (DUAL, UNIFORM):
+        for arithmetic, estimator, settings in LAWS.values():
+            experiment = experiment_of(estimator, settings, scheme, SHORT)
+            counts = on_the_host(experiment).counts
+            contact = int(np.flatnonzero(counts > 0)[0])
+            parameters = parameters_of(controller_of(experiment), arithmetic)
+            for phase, piece in (
+                (Phase.HOMING, counts[:200]),
+                (Phase.TRIAL, counts[contact - 100 : contact + 300]),
+            ):
+                state = law.reset(parameters)
+                state.phase = phase
+                lines = np.zeros(len(piece), LINE)
+                lines["in"] = inputs(piece)
+                lines["left"] = law.run(parameters, lines["in"].copy(), state)
+                cases.append(bytes(parameters) + struct.pack("<II", phase, len(lines)) + lines.tobytes())
+    return b"HRGOLD01" + struct.pack("<II", len(cases), len(bytes(parameters))) + b"".join(cases)
+
+
+def run(built: BuildResult, vectors: bytes, directory: Path) -> int:
+    (directory / "vectors").write_bytes(vectors)
+    command = [*emulator(built.board), "-kernel", str(built.elf)]
+    return subprocess.run(
+        command, cwd=directory, stdin=subprocess.DEVNULL, timeout=RUN_S, check=False
+    ).returncode
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_every_vector_comes_out_of_the_processor(
+    board: str, tests_image: Callable[[str], BuildResult], vectors: bytes, tmp_path: Path
+) -> None:
+    cross.need_qemu()
+    code = run(tests_image(board), vectors, tmp_path)
+    failure = tmp_path / "failure"
+    assert code == 0, failure.read_bytes().hex(" ") if failure.exists() else code
+
+
+def test_a_vector_that_is_wrong_is_found(
+    tests_image: Callable[[str], BuildResult], vectors: bytes, tmp_path: Path
+) -> None:
+    cross.need_qemu()
+    spoilt = bytearray(vectors)
+    spoilt[-TICKS.itemsize] ^= 1  # the current of the last tick
+    built = tests_image(BOARDS[0])
+    assert run(built, bytes(spoilt), tmp_path) == ANOTHER_ANSWER
+    case, tick = struct.unpack_from("<II", (tmp_path / "failure").read_bytes())
+    assert (case, tick) == (len(LAWS) * 4 - 1, 399)
+    assert run(built, vectors[:-1], tmp_path) == BAD_FILE
