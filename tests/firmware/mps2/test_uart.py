@@ -1,6 +1,6 @@
 """The device on an emulated board, behind a UART that is a pseudo-terminal here: the whole way of a host to a board.
 
-The emulator keeps no time on a busy machine, so nothing is said of time: a host that waits in vain gets its typed error.
+The emulator keeps no time on a busy machine, so nothing is said of time: who waits in vain gets a typed error.
 """
 
 from __future__ import annotations
