@@ -32,7 +32,7 @@ VIRTUAL_S = 0.1  # where time costs computing
 DRIFT_LIMIT_PPM = 300.0  # two crystals differ by less than 200; an RC oscillator by thousands
 RATE_LIMIT_PPM = 300.0
 JITTER_LIMIT = 0.05  # of a period: the time between two samples is what a velocity is divided by
-INPUTS_S = 0.05
+INPUTS_S, INPUTS_LOOKS = 0.05, 20
 STREAM_SHARE = 0.9  # of the ticks must be told: the rest is beginning and end
 MOVE_COUNTS = 20  # a hand moves farther; one channel alone, or noise, does not
 MOVE_LOOK_S, REST_S = 0.1, 0.5
@@ -343,7 +343,8 @@ def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
 
 
 def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    states = device.states(INPUTS_S)
+    looks = (device.states(INPUTS_S) for _ in range(INPUTS_LOOKS))
+    states = next((found for found in looks if found), [])
     if not states:
         return Check("inputs", "failed", "no STATE came", "update its firmware")
     inputs = states[-1].inputs

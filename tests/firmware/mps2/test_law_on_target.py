@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -71,22 +70,18 @@ def run(built: BuildResult, vectors: bytes, directory: Path) -> int:
 
 
 @pytest.mark.parametrize("board", BOARDS)
-def test_every_vector_comes_out_of_the_processor(
-    board: str, tests_image: Callable[[str], BuildResult], vectors: bytes, tmp_path: Path
-) -> None:
+def test_every_vector_comes_out_of_the_processor(board: str, vectors: bytes, tmp_path: Path) -> None:
     cross.need_qemu()
-    code = run(tests_image(board), vectors, tmp_path)
+    code = run(cross.image(board, "tests"), vectors, tmp_path)
     failure = tmp_path / "failure"
     assert code == 0, failure.read_bytes().hex(" ") if failure.exists() else code
 
 
-def test_a_vector_that_is_wrong_is_found(
-    tests_image: Callable[[str], BuildResult], vectors: bytes, tmp_path: Path
-) -> None:
+def test_a_vector_that_is_wrong_is_found(vectors: bytes, tmp_path: Path) -> None:
     cross.need_qemu()
     spoilt = bytearray(vectors)
     spoilt[-TICKS.itemsize] ^= 1  # the current of the last tick
-    built = tests_image(BOARDS[0])
+    built = cross.image(BOARDS[0], "tests")
     assert run(built, bytes(spoilt), tmp_path) == ANOTHER_ANSWER
     case, tick = struct.unpack_from("<II", (tmp_path / "failure").read_bytes())
     assert (case, tick) == (len(LAWS) * 4 - 1, 399)

@@ -5,7 +5,6 @@ Both are closed around the simulated plant, a tick of the board at a time; the h
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from firmware_protocol.transfer import set_parameters
 from rig import config, controller, device_law, presets
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
-from rig.firmware.build import BuildResult
 from rig.firmware.flash import read_image
 from tests.firmware import cross
 from tests.firmware.mps2.lockstep import Partner, Rig, in_emulator, on_this_computer
@@ -79,15 +77,13 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_image_does_and_says_what_this_computer_does(
-    case: str, tests_image: Callable[[str], BuildResult], tmp_path: Path
-) -> None:
+def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Path) -> None:
     board, changes, ticks = CASES[case]
     cross.need_qemu()
     experiment = experiment_of(changes)
     for name in ("there", "here"):
         (tmp_path / name).mkdir()
-    built = tests_image(board)
+    built = cross.image(board, "tests")
     traces, said = [], []
     partners = (
         lambda: in_emulator(built, tmp_path / "there"),

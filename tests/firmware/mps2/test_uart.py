@@ -23,13 +23,12 @@ from tests.firmware import cross
 
 BOOT_S = 30.0
 BOARD, MACHINE = "mps2-an386", "mps2-an386"
-UNTIMED = {"protocol", "fault memory", "parameters", "refusals", "inputs"}
+UNTIMED = {"protocol", "fault memory", "parameters", "refusals"}
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
-    cross.need_qemu()
-    return cross.image(BOARD, tmp_path_factory.mktemp("image"))
+@pytest.fixture
+def built() -> BuildResult:
+    return cross.image(BOARD)
 
 
 @pytest.fixture
