@@ -54,7 +54,7 @@ def met(device: FramedDevice) -> None:
     deadline = time.monotonic() + BOOT_S
     while True:
         try:
-            device.identify()
+            assert device.dictionary.device
             return
         except LinkLostError:
             assert time.monotonic() < deadline, "the device never answered"
