@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import ctypes as ct
 import struct
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rig.excitation_table import ExcitationTable
 from rig.firmware.build import BuildResult
 from rig.sample import Phase
+from tests.conformance.fixed_law import golden_vectors
 from tests.firmware import cross
+from tests.firmware.law.law_cases import golden_parameters, shaken
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
-from tests.firmware.law.law_library import INPUTS, TICKS, LawLibrary, compile_law, inputs
+from tests.firmware.law.law_library import INPUTS, TICKS, LawLibrary, Parameters, compile_law, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
 from tests.firmware.mps2.lockstep import emulator
 
@@ -26,6 +31,7 @@ LAWS = {
     "levant": (FLOAT, "levant", {}),
     "kalman": (FLOAT, "kalman", {"gain": "steady"}),
 }
+GOLDEN_SEEDS = 40
 RUN_S = 60.0
 LINE = np.dtype([("in", INPUTS), ("left", TICKS)])
 ANOTHER_ANSWER, BAD_FILE = 5, 3
@@ -40,8 +46,38 @@ def law(tmp_path_factory: pytest.TempPathFactory) -> LawLibrary:
 
 @pytest.fixture(scope="module")
 def vectors(law: LawLibrary) -> bytes:
-    """Every estimator under both schemes, from the start of a hit through its contact."""
-    cases = []
+    """All cases as a file (`boards/mps2/law_vectors.c`)."""
+    cases = [*golden(law), *hits(law), shaking(law)]
+    return b"HRGOLD01" + struct.pack("<II", len(cases), ct.sizeof(Parameters)) + b"".join(cases)
+
+
+def case(parameters: ct.Structure, phase: Phase, table: np.ndarray, left: np.ndarray) -> bytes:
+    lines = np.zeros(len(table), LINE)
+    lines["in"], lines["left"] = table, left
+    return bytes(parameters) + struct.pack("<II", phase, len(lines)) + lines.tobytes()
+
+
+def by_this_computer(
+    law: LawLibrary, parameters: ct.Structure, phase: Phase, table: np.ndarray
+) -> np.ndarray:
+    """What the ticks leave in the build for this computer."""
+    state = law.reset(parameters)
+    state.phase = phase
+    return law.run(parameters, table, state)
+
+
+def golden(law: LawLibrary) -> Iterator[bytes]:
+    """The vectors of the law in integers that Python computes without any rounding."""
+    for seed in range(GOLDEN_SEEDS):
+        vector = golden_vectors(seed)
+        parameters, table = golden_parameters(vector), inputs(vector.counts)
+        left = by_this_computer(law, parameters, Phase.TRIAL, table)
+        left["current"], left["velocity_fixed"] = vector.quanta, vector.velocities
+        yield case(parameters, Phase.TRIAL, table, left)
+
+
+def hits(law: LawLibrary) -> Iterator[bytes]:
+    """Every estimator under both schemes: the start of a hit, and its contact."""
     for scheme in (DUAL, UNIFORM):
         for arithmetic, estimator, settings in LAWS.values():
             experiment = experiment_of(estimator, settings, scheme, SHORT)
@@ -49,16 +85,17 @@ def vectors(law: LawLibrary) -> bytes:
             contact = int(np.flatnonzero(counts > 0)[0])
             parameters = parameters_of(controller_of(experiment), arithmetic)
             for phase, piece in (
-                (Phase.HOMING, counts[:200]),
-                (Phase.TRIAL, counts[contact - 100 : contact + 300]),
+                (Phase.HOMING, inputs(counts[:200])),
+                (Phase.TRIAL, inputs(counts[contact - 100 : contact + 300])),
             ):
-                state = law.reset(parameters)
-                state.phase = phase
-                lines = np.zeros(len(piece), LINE)
-                lines["in"] = inputs(piece)
-                lines["left"] = law.run(parameters, lines["in"].copy(), state)
-                cases.append(bytes(parameters) + struct.pack("<II", phase, len(lines)) + lines.tobytes())
-    return b"HRGOLD01" + struct.pack("<II", len(cases), len(bytes(parameters))) + b"".join(cases)
+                yield case(parameters, phase, piece, by_this_computer(law, parameters, phase, piece))
+
+
+def shaking(law: LawLibrary) -> bytes:
+    """An excitation of the rig's own motor, whose table Python knows to the bit."""
+    excitation = ExcitationTable(12, 3, 7, 500, 40 << 16, ramp=60, phases="hashed", seed=5).with_most_bits()
+    parameters, table = shaken(FIXED, excitation), inputs(np.zeros(600, np.int64))
+    return case(parameters, Phase.TRIAL, table, by_this_computer(law, parameters, Phase.TRIAL, table))
 
 
 def run(built: BuildResult, vectors: bytes, directory: Path) -> int:
@@ -83,6 +120,6 @@ def test_a_vector_that_is_wrong_is_found(vectors: bytes, tmp_path: Path) -> None
     spoilt[-TICKS.itemsize] ^= 1  # the current of the last tick
     built = cross.image(BOARDS[0], "tests")
     assert run(built, bytes(spoilt), tmp_path) == ANOTHER_ANSWER
-    case, tick = struct.unpack_from("<II", (tmp_path / "failure").read_bytes())
-    assert (case, tick) == (len(LAWS) * 4 - 1, 399)
+    number, tick = struct.unpack_from("<II", (tmp_path / "failure").read_bytes())
+    assert (number, tick) == (GOLDEN_SEEDS + 4 * len(LAWS), 599)
     assert run(built, vectors[:-1], tmp_path) == BAD_FILE

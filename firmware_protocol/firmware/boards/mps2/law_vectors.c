@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "bytes.h"
+#include "excitation.h"
 #include "law.h"
 #include "semihosting.h"
 #include "tests.h"
@@ -13,6 +14,9 @@
 #define MAGIC "HRGOLD01"
 #define MAGIC_BYTES 8u
 #define HEAD_BYTES 16u
+
+#define EXCITATION_TICKS 65536u /* most that law_check lets pass */
+#define COSINES_AT_ONCE 1000u
 
 enum verdict { GOOD = 0, BAD_FILE = 3, BAD_PARAMETERS = 4, ANOTHER_ANSWER = 5 };
 
@@ -31,6 +35,7 @@ struct line {
 
 static law_parameters parameters;
 static law_state state;
+static int16_t excitation[EXCITATION_TICKS];
 
 static struct left one_tick(const law_input *in)
 {
@@ -41,6 +46,14 @@ static struct left one_tick(const law_input *in)
     left.velocity_fixed = state.velocity_fixed;
     left.window = state.window;
     return left;
+}
+
+static void work_out_excitation(void)
+{
+    law_excitation_work work;
+    law_excitation_begin(&work, &parameters.excitation, excitation);
+    while (!law_excitation_continue(&work, COSINES_AT_ONCE))
+        continue;
 }
 
 /* Say what went wrong, for whoever looks. */
@@ -62,7 +75,8 @@ static enum verdict run_case(int32_t file, uint32_t number)
         return BAD_FILE;
     if (law_check(&parameters) != LAW_GOOD)
         return BAD_PARAMETERS;
-    law_reset(&state, &parameters);
+    work_out_excitation();
+    law_reset(&state, &parameters, excitation);
     state.phase = get_u32(head);
     const uint32_t ticks = get_u32(head + 4);
     for (uint32_t tick = 0; tick < ticks; tick++) {
