@@ -10,7 +10,7 @@ import struct
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from tests.firmware import build
 
@@ -50,7 +50,10 @@ class Host:
         self.address = 0
         self.command("x")
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._process.stdin.close()
         self._process.stdout.close()
         assert self._process.wait() == 0
