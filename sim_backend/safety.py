@@ -21,6 +21,7 @@ from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.messages import TIME_UNIT_NS
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, data_limit, pack_fault_entries
 from firmware_protocol.parameter import Value
+from rig.board import OVER_CURRENT_MARGIN, STALL_COUNTS
 from rig.model import RigModel
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time
@@ -40,13 +41,10 @@ NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warn
 # A motor that follows its own sign error accelerates under most of its current. Below a fifth of the limit an
 # automated rig may rest in friction, and a handle may be thrown along the effort by a person.
 RUNAWAY_SHARE = 0.2
-STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
 STALL_MARGIN = 3.0  # times the longest time in which the free rig passes STALL_COUNTS
 
 # At the budget the current is reduced; heat well above it says that the reduction does not help.
 THERMAL_CUT = 1.25
-# Above the amplifier's own peak: noise and ripple of the sensor are no fault, a shorted winding is.
-OVER_CURRENT_MARGIN = 1.1
 
 # Faults found in one tick, gravest first: the first of them is latched, the others go into the mask.
 GRAVITY = (

@@ -58,6 +58,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.doctor:doctor",
         "Say what this machine and a link can do, which walls that supports, and what mends the rest.",
     ),
+    "firmware": (
+        "rig.cli.firmware:firmware",
+        "Build the firmware of a controller board for a rig, flash it, have it test itself.",
+    ),
     "preset": ("rig.cli.preset:preset", "List the built-in rigs, or print one as a file to start from."),
     "sim": ("rig.cli.sim:sim", "Serve a simulated rig on a serial port of its own."),
 }

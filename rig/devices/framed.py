@@ -114,6 +114,12 @@ class FramedDevice:
                 raise RemoteProtocolError("the dictionary does not have the hash that the device announced")
             return dictionaries.decode(reader.content)
 
+    @property
+    def dictionary_hash(self) -> int:
+        """Fingerprint of the dictionary, as the device announces it."""
+        self.dictionary  # noqa: B018
+        return self._dictionary_hash
+
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
@@ -187,6 +193,13 @@ class FramedDevice:
             if isinstance(event.message, m.State):
                 return event.message.count
         raise DeviceRefusedError("the device does not show its encoder count", remedy="update its firmware")
+
+    def in_force(self) -> dict[str, Value]:
+        """Parameters in force, read from the device; nothing changes."""
+        self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
+        block = self._read_parameters()
+        with self._understood():
+            return decode_block(block)
 
     def _read_parameters(self) -> bytes:
         reader = PageReader(BLOCK_LIMIT)
@@ -271,6 +284,24 @@ class FramedDevice:
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
         """Host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
         return fit_clock(self.exchange_clock(exchanges, over_s=over_s))
+
+    def statistics(self) -> m.Statistics:
+        """Return what the device has counted on its end of the link since it started."""
+        reply: m.Statistics = self._ask(m.GetStatistics(self._next_nonce()), m.Statistics)
+        return reply
+
+    def states(self, seconds: float) -> list[m.State]:
+        """Return the STATE frames that come on their own within a time; an unarmed device sends a hundred a second."""
+        self.dictionary  # noqa: B018  (a device in BOOT says nothing)
+        return [event.message for event in self._events(seconds) if isinstance(event.message, m.State)]
+
+    def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
+        """Send a request of one's own making, with a fresh nonce, and return the status of its answer.
+
+        For requests that must be refused: whoever sends one that may be taken undoes it.
+        """
+        message = self._transact(replace(request, nonce=self._next_nonce()), session).message  # type: ignore[type-var]
+        return Status(message.status) if isinstance(message, m.Ack) else Status.OK
 
     def _listen_until(self, deadline_ns: int) -> None:
         """Let time pass, and throw away what the device says meanwhile, so that it does not stand before an answer."""

@@ -1,0 +1,305 @@
+"""``rig firmware``: build an image for a board and a rig, look at it, flash it, and have a device test itself."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options, output
+from rig.errors import ConfigError, IncompatibleDeviceError
+
+if TYPE_CHECKING:
+    from rig.firmware.boards import Board, Setting
+    from rig.firmware.build import BuildResult
+    from rig.firmware.info import FirmwareInfo
+    from rig.firmware.selftest import SelfTest
+    from rig.model import RigModel
+
+DEFAULT_BOARD = "rp2040"
+_MARKS = {"ok": ("ok", "green"), "skipped": ("--", "yellow"), "failed": ("no", "red")}
+
+
+@click.group()
+def firmware() -> None:
+    """The firmware of a controller board: build it for a rig, look at it, flash it, test it."""
+
+
+@firmware.command()
+@click.option(
+    "--rig",
+    "preset",
+    default=options.DEFAULT_PRESET,
+    show_default=True,
+    help="Built-in rig or TOML file: the image knows its limits.",
+)
+@click.option(
+    "--board", default=DEFAULT_BOARD, show_default=True, help="Board to build for; list: all of them."
+)
+@click.option(
+    "-o",
+    "--output",
+    "directory",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("firmware"),
+    show_default=True,
+    help="Directory for the image.",
+)
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A pin or scale of the board: --set enable_pin=6.",
+)
+@click.option(
+    "--settings",
+    "settings_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="TOML file of such settings; --set wins.",
+)
+@options.json_option
+def build(
+    preset: str,
+    board: str,
+    directory: Path,
+    sets: tuple[str, ...],
+    settings_file: Path | None,
+    as_json: bool,
+) -> None:
+    """Build the firmware of a board for one rig: ELF, BIN, UF2 where the board takes it, and what they are as JSON.
+
+    Needs the cross compiler of the distribution (gcc-arm-none-eabi, libnewlib-arm-none-eabi). The same inputs give the
+    same bytes.
+    """
+    from rig.firmware import boards  # noqa: PLC0415
+    from rig.firmware.build import BuildRequest  # noqa: PLC0415
+    from rig.firmware.build import build as build_image  # noqa: PLC0415
+
+    if board == "list":
+        _list([boards.load(name) for name in boards.names()], as_json)
+        return
+    chosen = {**_settings(settings_file), **options.key_values(sets)}
+    request = BuildRequest(model=_rig(preset), board=board, output=directory, settings=chosen)
+    with Progress(quiet=as_json) as progress:
+        built = build_image(request, progress.told)
+    if as_json:
+        output.print_json(built.as_mapping())
+        return
+    _print_built(built)
+
+
+@firmware.command()
+@click.argument("source", metavar="FILE|URL")
+@options.json_option
+def info(source: str, as_json: bool) -> None:
+    """Say what an image, or the device at a URL, is, and whether this package can speak to it.
+
+    Exits with 4 when it cannot.
+    """
+    from rig.firmware.info import info as look  # noqa: PLC0415
+
+    found = look(source)
+    if as_json:
+        output.print_json(found.as_mapping())
+    else:
+        _print_info(found)
+    if not found.compatible:
+        refused = IncompatibleDeviceError(
+            f"this package cannot run the firmware of {source}",
+            remedy="build it again with this package (rig firmware build) and flash it (rig firmware flash)",
+        )
+        refused.told = as_json
+        raise refused
+
+
+@firmware.command()
+@click.argument("image", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--drive",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Where the board's drive is mounted. [found]",
+)
+@options.json_option
+def flash(image: Path, drive: Path | None, as_json: bool) -> None:
+    """Copy an image (.uf2) to a board that shows its drive, and wait until the board has started it.
+
+    Hold BOOTSEL while you plug the board in: its drive appears. Motor power must be off.
+    """
+    from rig.firmware.flash import flash as copy_image  # noqa: PLC0415
+
+    with Progress(quiet=as_json) as progress:
+        done = copy_image(image, drive, progress.told)
+    if as_json:
+        output.print_json({**asdict(done), "image": str(done.image), "drive": str(done.drive)})
+        return
+    click.echo(f"{done.board} at {done.drive} runs {done.firmware}, for the rig {done.rig}")
+    click.echo("next: rig devices lists it; then rig firmware selftest URL")
+
+
+@firmware.command()
+@click.argument("url")
+@click.option("--rig", "preset", help="Built-in rig or TOML file that the image should belong to.")
+@click.option(
+    "--rate", type=click.IntRange(50, 200_000), help="Tick rate to test (Hz). [the device's maximum]"
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.05, 600.0),
+    default=1.0,
+    show_default=True,
+    help="How long ticks are counted.",
+)
+@click.option("--move", is_flag=True, help="Ask for the handle to be moved by hand, and look for its counts.")
+@click.option(
+    "--stream",
+    is_flag=True,
+    help="Check the samples of the law on the device: it is armed, with a current limit of zero.",
+)
+@options.json_option
+def selftest(
+    url: str, preset: str | None, rate: int | None, seconds: float, move: bool, stream: bool, as_json: bool
+) -> None:
+    """Have the device at URL test itself and its link. Nothing moves: no command asks for a current.
+
+    Exits with 5 when a check fails.
+    """
+    with output.compiling():
+        from rig.devices import open_device  # noqa: PLC0415
+        from rig.firmware.selftest import SelfTestRequest, failure  # noqa: PLC0415
+        from rig.firmware.selftest import selftest as run  # noqa: PLC0415
+
+    model = None if preset is None else _rig(preset)
+    request = SelfTestRequest(model=model, rate=rate, seconds=seconds, move=move, stream=stream)
+    with open_device(url, model) as device, Progress(quiet=as_json) as progress:
+        found = run(device, request, progress.told)
+    if as_json:
+        output.print_json(found.as_mapping())
+    else:
+        _print_selftest(found)
+    error = failure(found)
+    if error is not None:
+        error.told = as_json
+        raise error
+
+
+class Progress:
+    """What is being done, on one line of standard error, on a terminal only."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._shown = not quiet and sys.stderr is not None and sys.stderr.isatty()
+        self._said = False
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._said:
+            click.echo("\r\033[K", nl=False, err=True)
+
+    def told(self, what: str, share: float) -> None:
+        """Show it."""
+        if self._shown:
+            self._said = True
+            click.echo(f"\r\033[K{what} … {100 * share:.0f} %", nl=False, err=True)
+
+
+def _rig(preset: str) -> RigModel:
+    from rig import config  # noqa: PLC0415
+
+    path = Path(preset)
+    chosen = (path, None) if path.suffix == ".toml" else (None, preset)
+    return config.rig_model(options.chosen_experiment(*chosen))
+
+
+def _settings(path: Path | None) -> dict[str, Any]:
+    import tomllib  # noqa: PLC0415
+
+    if path is None:
+        return {}
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(
+            f"{path} cannot be read: {error}", remedy="write lines like enable_pin = 6"
+        ) from None
+
+
+def _list(found: list[Board], as_json: bool) -> None:
+    if as_json:
+        output.print_json(
+            [
+                {
+                    "name": board.name,
+                    "description": board.description,
+                    "rate_maximum": board.rate_maximum,
+                    "settings": {name: asdict(setting) for name, setting in board.settings.items()},
+                }
+                for board in found
+            ]
+        )
+        return
+    for board in found:
+        click.echo(f"{board.name}: {board.description}, up to {board.rate_maximum / 1e3:g} kHz")
+        output.print_pairs([_setting_pair(setting) for setting in board.settings.values()])
+
+
+def _setting_pair(setting: Setting) -> tuple[str, str]:
+    unit = f" ({setting.unit})" if setting.unit else ""
+    return f"{setting.name} = {setting.default}", f"{setting.meaning}{unit}"
+
+
+def _print_built(built: BuildResult) -> None:
+    output.print_pairs(
+        [
+            ("firmware", built.firmware),
+            ("rig", built.rig),
+            ("protocol", f"{built.protocol}, dictionary {built.dictionary_hash}"),
+            ("flash", _share(built.flash_bytes, built.flash_room)),
+            ("memory", _share(built.ram_bytes, built.ram_room)),
+            ("compiler", built.compiler),
+            *((f"{name}", str(value)) for name, value in built.settings.items()),
+        ]
+    )
+    for path in (built.elf, built.bin, built.uf2, built.facts):
+        if path is not None:
+            click.echo(str(path))
+    if built.uf2 is not None:
+        click.echo(f"rig: next: rig firmware flash {built.uf2}", err=True)
+
+
+def _share(taken: int, room: int) -> str:
+    return f"{taken} bytes, {100 * taken / room:.3g} % of {room // 1024} KiB"
+
+
+def _print_info(found: FirmwareInfo) -> None:
+    from rig.firmware.info import LAWS  # noqa: PLC0415
+
+    facts = found.facts or {}
+    pairs = [
+        ("firmware", found.firmware),
+        ("rig", found.device + (" (simulated)" if found.simulated else "")),
+        ("protocol", f"{found.protocol}, dictionary {found.dictionary_hash}"),
+        ("rates", f"{found.position_rate_default} Hz, up to {found.position_rate_maximum} Hz"),
+        ("law on the device", LAWS.get(found.law, f"up to kind {found.law}")),
+        ("current quantum", f"{found.current_quantum_a:g} A"),
+    ]
+    if facts:
+        pairs.insert(0, ("board", facts["board"]))
+        pairs += [(name, str(value)) for name, value in facts["settings"].items()]
+    verdict = click.style("yes", fg="green") if found.compatible else click.style("no", fg="red")
+    output.print_pairs(
+        [*pairs, ("compatible", verdict), *(("", text) for text in (*found.problems, *found.notes))]
+    )
+
+
+def _print_selftest(found: SelfTest) -> None:
+    click.echo(f"{found.device}, firmware {found.firmware}")
+    for check in found.checks:
+        mark, colour = _MARKS[check.outcome]
+        click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {check.text}")
+        if check.remedy:
+            click.echo(f"     {check.remedy}")
