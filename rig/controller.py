@@ -13,7 +13,7 @@ import numpy as np
 
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
-from rig import estimators, friction, laws
+from rig import device_law, estimators, friction, laws
 from rig.config import Experiment, motor_push
 from rig.errors import PlanError
 from rig.laws import Law
@@ -21,6 +21,7 @@ from rig.step import CONTROL, Controller, new_memory
 
 LIFETIME_PERIODS = 5
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
+SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
 FEWEST_PERIODS = 2  # a loop that needs more than the longest lifetime for these is too slow, and refused
 I16_MAXIMUM = 32767
 
@@ -103,7 +104,7 @@ def for_experiment(
         "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
         "constant_effort": motor_push(experiment),
         "trial_ticks": _ticks(trial.duration_s, tick_s),
-        "release_ticks": _ticks(trial.release_s, tick_s),
+        "release_ticks": max(1, _ticks(trial.release_s, tick_s)),
     }
     for name, value in values.items():
         control[name] = value
@@ -147,15 +148,30 @@ def command_lifetime_s(experiment: Experiment) -> float:
     return max(min(wanted, LONGEST_LIFETIME_S), FEWEST_PERIODS * period_s)
 
 
+def supervise_lifetime_s(experiment: Experiment) -> float:
+    """How long a law on the device goes on without a word from the host (s)."""
+    configured = experiment.controller.supervise_lifetime_s
+    return SUPERVISE_LIFETIME_S if configured is None else configured
+
+
 def device_parameters(
-    experiment: Experiment, *, current_quantum_a: float, reference_count: int, verified: bool
+    experiment: Experiment,
+    *,
+    current_quantum_a: float,
+    reference_count: int,
+    verified: bool,
+    law: Law | None = None,
 ) -> dict[str, Value]:
     """Values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
+
+    With ``controller.loop = "device"`` the device's law is among them, as `rig.device_law` designs it; else it is
+    switched off. `law` stands in for the law that the experiment names, as in `for_experiment`.
 
     Raises
     ------
     PlanError
-        A limit that does not fit the wire: more current than a 16-bit command carries, a window beyond 32-bit counts.
+        A limit that does not fit the wire: more current than a 16-bit command carries, a window beyond 32-bit counts. A
+        law that the device does not have.
     """
     rig, rates, wall = experiment.rig, experiment.controller, experiment.wall
     limits, delta = rig.limits, abs(rig.encoder.resolution)
@@ -185,7 +201,18 @@ def device_parameters(
         "thermal_time_constant": limits.thermal_time_constant_s,
         # A person can hold the handle still against any effort: only with this does the device not call that a stall.
         "hold_to_run": 1 if experiment.trial.kind == "human" else 0,
+        "law": 0,
     }
+    if rates.loop == "device":
+        host = for_experiment(
+            experiment, current_quantum_a=current_quantum_a, reference_count=reference_count, law=law
+        )
+        values |= device_law.law_parameters(host, device_law.arithmetic_of(rates))
+        values |= {
+            "batch_layout": device_law.batch_layout(experiment),
+            "batch_samples": device_law.batch_samples(experiment),
+            "supervise_lifetime_us": round(supervise_lifetime_s(experiment) * 1e6),
+        }
     for name, value in values.items():
         if not BY_NAME[name].accepts(value):
             parameter = BY_NAME[name]

@@ -120,6 +120,7 @@ def design_wall(
     wall_position: float = 0.0,
     side: int = 1,
     constant_effort: float = 0.0,
+    added_effort: float = 0.0,
     reference_count: int = 0,
     may_pull: bool = False,
     entry_only: bool = False,
@@ -144,6 +145,8 @@ def design_wall(
         Surface of the wall from the reference (rad or m), and +1 when it is entered with rising position.
     constant_effort
         Added inside and outside the wall (N·m or N), positive with position.
+    added_effort
+        Largest size of an effort that the device will add besides, for which the sums keep room (N·m or N).
     reference_count
         Count at position zero.
     may_pull, entry_only
@@ -171,7 +174,7 @@ def design_wall(
             raise ConfigError(
                 f"{name} is {value:g} quanta, beyond 0 to {GAIN_GREATEST}", remedy="choose a softer wall"
             )
-    shift = _greatest_shift(tuple(gains.values()), constant, velocity)
+    shift = _greatest_shift(tuple(gains.values()), abs(constant) + added_effort / effort_quantum, velocity)
     whole = {name: _nearest(value, shift) for name, value in gains.items()}
     for name, value in gains.items():
         if abs(math.ldexp(whole[name], -shift) - value) > PRECISION * value:
@@ -194,7 +197,7 @@ def design_wall(
     )
 
 
-def _greatest_shift(gains: tuple[float, ...], constant: float, velocity: Format) -> int:
+def _greatest_shift(gains: tuple[float, ...], added: float, velocity: Format) -> int:
     """Fractional bits with which the gains fit their word and no sum leaves 64 bits; at least one such exists.
 
     Without any fractional bit the gains are below 2^31 and so are depth, velocity and constant.
@@ -203,7 +206,7 @@ def _greatest_shift(gains: tuple[float, ...], constant: float, velocity: Format)
     for shift in range(MOST_SHIFT, 0, -1):
         whole = [_nearest(gain, shift) for gain in gains]
         largest = sum(gain * extreme for gain, extreme in zip(whole, extremes, strict=True))
-        if max(whole) <= GAIN_GREATEST and largest + abs(_nearest(constant, shift)) + 2**shift <= GREATEST:
+        if max(whole) <= GAIN_GREATEST and largest + _nearest(added, shift) + 2**shift <= GREATEST:
             return shift
     raise ConfigError(
         "the wall's sums leave 64 bits", remedy="choose a softer wall or a velocity of a shorter word"

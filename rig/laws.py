@@ -8,7 +8,7 @@ or passes a `Law` to a command's function.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -26,6 +26,8 @@ class Law:
 
     `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …) and returns the
     parameters. `floats` counts the whole memory, whose first number is the mark `rig.plugs.LAW_CLAMPED`.
+    `device` are the parameters that tell a device what this law does beside rendering the wall; empty if it does
+    nothing, or if a device cannot run it.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Law:
     function: Any
     floats: int
     design: Callable[[Mapping[str, Any]], list[float]]
+    device: Mapping[str, int] = field(default_factory=dict)
 
     def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
         """Design the parameters and allocate a memory of zeros."""
@@ -66,7 +69,7 @@ def _bilateral() -> Law:
     return Law("bilateral", "spring and damper on both sides", bilateral.bilateral, 1, bilateral.design)
 
 
-def shaken(efforts: ArrayLike = (0.0,), ramp_ticks: int = 0) -> Law:
+def shaken(efforts: ArrayLike = (0.0,), ramp_ticks: int = 0, device: Mapping[str, int] | None = None) -> Law:
     """Return the bilateral wall with an excitation that the rig's own motor plays.
 
     Parameters
@@ -75,6 +78,8 @@ def shaken(efforts: ArrayLike = (0.0,), ramp_ticks: int = 0) -> Law:
         One period at the loop's rate, positive along the position (N·m or N), at least one sample.
     ramp_ticks
         Ticks in which the excitation rises.
+    device
+        Parameters from which a device makes the same table (`rig.excitation_table`).
     """
     from rig import bilateral  # noqa: PLC0415
 
@@ -84,7 +89,7 @@ def shaken(efforts: ArrayLike = (0.0,), ramp_ticks: int = 0) -> Law:
         return bilateral.design_shaken(section, table, ramp_ticks)
 
     summary = "bilateral, and shaken by the rig's own motor"
-    return Law("shaken", summary, bilateral.shaken, bilateral.SHAKEN_STATE, design)
+    return Law("shaken", summary, bilateral.shaken, bilateral.SHAKEN_STATE, design, dict(device or {}))
 
 
 BUILT_IN: dict[str, Callable[[], Law]] = {

@@ -46,7 +46,7 @@ _U32 = 0xFFFFFFFF
 _U16 = 0xFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
 _RAMPING, _RELEASED = int(LimitFlag.RAMPING), int(LimitFlag.HOLD_TO_RUN_RELEASED)
-_EMERGENCY, _HELD = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN)
+_EMERGENCY, _HELD, _SYNC = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN), int(Input.SYNC)
 _MODES = frozenset(int(mode) for mode in Mode)
 
 
@@ -122,7 +122,7 @@ class SimulatedDevice:
 
     def _start(self) -> None:
         """Set what a microcontroller has in its memory, as its reset leaves it."""
-        self.sample_index = self.time = self._received_at = 0
+        self.sample_index = self.time = self._received_at = self._sync_time = 0
         self._faults = FaultMemory()
         self.hardware.reset()
         self._configuration = Configuration(self._dictionary, self._apply)
@@ -133,7 +133,7 @@ class SimulatedDevice:
         self._watchdog.idle(self.time)
         self._limits.cut()
         self._monitor.forget()
-        self._limits.flags = self._monitor.flags = 0
+        self._limits.flags = self._monitor.flags = self._acted = 0
         self._command_sequence = 0
         self._command_index: int | None = None
         self.worst_execution_time = self.missed_ticks = 0
@@ -183,6 +183,8 @@ class SimulatedDevice:
         self._thermal.update(measured)
         faults = monitor.check(count, current, measured)
         flags = limits.flags | monitor.flags
+        limits.flags = monitor.flags = 0
+        self._acted |= flags
         self._faults.remember((self.sample_index & _U32, count, current, measured, flags))
         if connection.session:
             if faults:
@@ -191,8 +193,8 @@ class SimulatedDevice:
                 hardware.log(self._truth, self.sample_index)
         elif not self._shows_itself():
             return b""
-        limits.flags = monitor.flags = 0
-        return connection.send(self._state(count, current, measured, flags))
+        acted, self._acted = self._acted, 0  # since the last STATE
+        return connection.send(self._state(count, current, measured, acted))
 
     def miss(self) -> None:
         """Let one period pass whose STATE was not sent, and count it: the owner was late."""
@@ -255,7 +257,7 @@ class SimulatedDevice:
             self.connection.state,
             self.inputs,
             0,  # no law of its own
-            0,  # and nothing on a sync input
+            self._sync_time & _U32,
         )
 
     # ------------------------------------------------------------------ the conversation
@@ -409,6 +411,12 @@ class SimulatedDevice:
     def hold_to_run(self, held: bool) -> None:
         """Hold the hold-to-run switch, or let it go."""
         self.inputs = self.inputs | _HELD if held else self.inputs & ~_HELD
+
+    def sync_input(self, high: bool) -> None:
+        """Put a level on the sync input; the device keeps the time at which it rose."""
+        if high and not self.inputs & _SYNC:
+            self._sync_time = self.time
+        self.inputs = self.inputs | _SYNC if high else self.inputs & ~_SYNC
 
     def inject_fault(self, fault: Fault) -> None:
         """Let the device find a fault: zero effort from here on, FAULT latched."""

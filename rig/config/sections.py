@@ -109,7 +109,29 @@ class Controller:
     slow_below: Annotated[
         float, Ge(0), Quantity("velocity", "speed below which slow_velocity_rate holds; 0: never")
     ] = 0.0
-    loop: Annotated[Literal["host"], Quantity("", "where the law runs")] = "host"
+    loop: Annotated[
+        Literal["host", "device"],
+        Quantity(
+            "", "where the law runs: on this computer, or on the device itself, which a computer supervises"
+        ),
+    ] = "host"
+    arithmetic: Annotated[
+        Literal["auto", "fixed", "float32"],
+        Quantity(
+            "",
+            "of a law on the device: integers, float32, or by the estimator: integers for fdm-butterworth-fixed",
+        ),
+    ] = "auto"
+    measured_current: Annotated[
+        bool,
+        Quantity("", "a device that runs the law sends the measured current of every tick, 2 bytes more"),
+    ] = True
+    supervise_lifetime_s: Annotated[
+        float | None,
+        Ge(0.01),
+        Le(0.1),
+        Quantity("s", "a device that runs the law stops after this silence; left out: 20 ms"),
+    ] = None
     friction_compensation: Annotated[
         float,
         Ge(0),

@@ -13,8 +13,10 @@ import pytest
 import firmware_protocol
 
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
-SOURCES = [*sorted((FIRMWARE / "core").glob("*.c")), FIRMWARE / "host" / "host.c"]
-FLAGS = ("-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+CORE = [*sorted((FIRMWARE / "core").glob("*.c")), *sorted((FIRMWARE / "law").glob("*.c"))]
+SOURCES = [*CORE, FIRMWARE / "host" / "host.c"]
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
+FLAGS = ("-std=c99", "-O1", "-g", "-ffp-contract=off", *WARNINGS)
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
 ADDRESS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 LIBRARY_VARIABLE = "HAPTIC_RIG_FIRMWARE_LIBRARY"  # one that was built before: see coverage.py

@@ -20,7 +20,7 @@ from sim_backend.configuration import describe
 from sim_backend.hardware import Hardware
 from sim_backend.safety import OVER_CURRENT_MARGIN, STALL_COUNTS, UNITS_PER_SECOND
 
-OUTPUT_BYTES = 16384
+OUTPUT_BYTES = 65536
 _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 _CTYPES = {parameter.name: "<i" if parameter.ctype[0] == "i" else "<I" for parameter in PARAMETERS}
 
@@ -70,6 +70,7 @@ class Status(ctypes.Structure):
         ("current", ctypes.c_int32),
         *((name, ctypes.c_uint8) for name in ("state", "session", "fault", "enabled")),
         ("counters", Counters),
+        ("sync", ctypes.c_uint8),
     ]
 
 
@@ -91,8 +92,11 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_set_inputs": (None, [_P, _U8]),
     "host_fail_encoder": (None, [_P]),
     "host_refuse_rate": (None, [_P, _U32]),
+    "host_set_sync_time": (None, [_P, _U64]),
+    "host_set_room": (None, [_P, _N]),
     "host_drive": (ctypes.c_int16, [_P]),
     "host_sample": (None, [_P]),
+    "host_tell": (None, [_P]),
     "host_tick": (None, [_P]),
     "host_missed": (None, [_P, _U32]),
     "host_fault": (None, [_P, _U8]),
@@ -116,13 +120,18 @@ class Core:
     """The firmware behind its host port: bytes and a world, no plant."""
 
     def __init__(
-        self, library: ctypes.CDLL, model: RigModel, rate: int = 1_000, maximum: int = 50_000
+        self,
+        library: ctypes.CDLL,
+        model: RigModel,
+        rate: int = 1_000,
+        maximum: int = 50_000,
+        law_maximum: int = 0,
     ) -> None:
         self.library = library
         self._memory = ctypes.create_string_buffer(library.host_bytes())
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
-        self.dictionary = describe(model, model.name, rate, maximum)
+        self.dictionary = describe(model, model.name, rate, maximum, law_maximum)
         self._packed = dictionaries.encode(self.dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
         setup = Setup(
@@ -173,8 +182,9 @@ class CoreDevice:
         position_rate_maximum: int = 50_000,
         seed: int = 0,
         initial_position: float | None = None,
+        law_maximum: int = 0,
     ) -> None:
-        self.core = Core(library, model, position_rate_default, position_rate_maximum)
+        self.core = Core(library, model, position_rate_default, position_rate_maximum, law_maximum)
         self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
         self.inputs = 0 if model.operator is None else int(Input.HOLD_TO_RUN)
         self.time = 0
@@ -224,6 +234,7 @@ class CoreDevice:
         self.time = int(self._seen.due)
         self._show_world()
         library.host_sample(address)
+        library.host_tell(address)
         self._act()
         return self.core.take()
 
@@ -242,6 +253,11 @@ class CoreDevice:
     def hold_to_run(self, held: bool) -> None:
         self._input(Input.HOLD_TO_RUN, held)
 
+    def sync_input(self, high: bool) -> None:
+        if high and not self.inputs & Input.SYNC:
+            self.core.library.host_set_sync_time(self.core.address, self.time)
+        self._input(Input.SYNC, high)
+
     def inject_fault(self, fault: Fault) -> None:
         self.core.library.host_fault(self.core.address, int(fault))
         self._act()
@@ -252,6 +268,7 @@ class CoreDevice:
         self.hardware.cut()
         self.hardware.reset()
         self._show_world()
+        self.core.library.host_set_sync_time(self.core.address, 0)
         self.core.library.host_restart(self.core.address)
         self._act()
 

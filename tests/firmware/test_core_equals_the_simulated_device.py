@@ -226,6 +226,9 @@ class Step:
     def _hold(self, pair: Pair, held: bool) -> None:
         pair.both(lambda device: device.hold_to_run(held))
 
+    def _sync(self, pair: Pair, high: bool) -> None:
+        pair.both(lambda device: device.sync_input(high))
+
     def _fault(self, pair: Pair, fault: Fault) -> None:
         pair.both(lambda device: device.inject_fault(fault))
 
@@ -293,6 +296,7 @@ any_step = st.one_of(
     steps("noise", st.binary(max_size=300)),
     steps("emergency", st.booleans()),
     steps("hold", st.booleans()),
+    steps("sync", st.booleans()),
     steps("fault", st.sampled_from([fault for fault in Fault if fault is not Fault.NONE])),
     steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
     steps("reset"),
@@ -339,6 +343,7 @@ def random_step(rng: random.Random) -> Step:
         (2, "push", (choose([0.0, 0.02, -0.5, 3.0]),)),
         (2, "emergency", (choose([True, False, False]),)),
         (2, "hold", (choose([True, True, False]),)),
+        (2, "sync", (choose([True, False]),)),
         (2, "send", (random_message(rng), draw(4), draw(3), m.MAJOR)),
         (2, "arm", (draw(4), choose([0, 0, 1]))),
         (2, "configure", (dict([choose(SINGLES)]),)),

@@ -252,7 +252,7 @@ def test_rates_worth_looking_at():
         (1000, "the experiment's"), (2500, "one tick of delay"), (4000, "the device's largest"),
     ]  # fmt: skip
     assert found(link(30e-6, capacity=92_160.0), 4000) == [
-        (1000, "the experiment's"), (1400, "what the link carries"),
+        (1000, "the experiment's"), (1200, "what the link carries"),
     ]  # fmt: skip
     assert found(link(1e-3), 1000) == [(1000, "the experiment's, the device's largest")]
     assert found(link(0.0, virtual=True), 20_000) == [

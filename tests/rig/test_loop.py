@@ -73,6 +73,8 @@ def state_frame(index: int, *, session: int = SESSION, sequence: int | None = No
         "missed_ticks": 0,
         "state": int(State.RUNNING),
         "inputs": 0,
+        "phase": 0,
+        "sync_time": 0,
         **fields,
     }
     raw = pack(m.State(**values), session=session, sequence=(index if sequence is None else sequence) % 65536)

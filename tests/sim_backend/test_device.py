@@ -138,11 +138,38 @@ def test_a_late_repeat_of_disarm_does_not_lead_out_of_a_fault_that_came_in_betwe
     assert host.link.device.connection.state is State.FAULT
 
 
-def test_parameters_cannot_change_while_armed() -> None:
+def test_only_live_parameters_change_while_armed() -> None:
     host = armed()
-    host.believe(State.CONFIGURED)
-    ack = host.configure(ramp_us=0)
-    assert (ack.status, ack.detail) == (Status.BAD_STATE, State.ARMED)
+    ack = host.configure(stiffness=5.0)
+    assert ack.status == Status.OK
+    assert device_of(host).connection.state is State.ARMED
+    ack = host.configure(stiffness=6.0, ramp_us=0)
+    assert (ack.status, ack.detail) == (Status.NOT_LIVE, BY_NAME["ramp_us"].id)
+
+
+def test_live_parameters_change_while_armed_and_leave_it_verified() -> None:
+    host = armed()
+    before = host.configure(stiffness=100.0)
+    after = host.configure(stiffness=200.0)
+    assert before.status == after.status == Status.OK
+    assert before.crc != after.crc
+    host.ask(m.Disarm(host.nonce(), 0))
+    assert host.arm(2, after.crc).status == Status.OK
+
+
+def test_the_sync_input_is_shown_with_the_time_at_which_it_rose() -> None:
+    host = armed()
+    device = device_of(host)
+    assert host.next_state().sync_time == 0
+    device.sync_input(True)
+    rose = device.time
+    for _ in range(3):
+        device.sync_input(True)
+        state = exchange(host, 0)
+        assert (state.sync_time, state.inputs & Input.SYNC) == (rose, Input.SYNC)
+    device.sync_input(False)
+    state = exchange(host, 0)
+    assert (state.sync_time, state.inputs & Input.SYNC) == (rose, 0)
 
 
 @settings(max_examples=60, deadline=None)

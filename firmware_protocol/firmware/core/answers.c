@@ -3,6 +3,7 @@
 
 #include "bytes.h"
 #include "device_internal.h"
+#include "law_settings.h"
 
 /* Every transaction begins with its nonce. */
 #define AT_NONCE HR_HEADER_BYTES
@@ -131,23 +132,50 @@ static struct refusal set_chunk(struct device *device, const uint8_t *raw, size_
     return result;
 }
 
+static struct refusal set_while_idle(struct device *device, const struct candidate *candidate, const law_parameters *law)
+{
+    struct refusal refusal = {HR_STATUS_OK, 0};
+    if (!device_apply(device, candidate)) {
+        refusal.status = HR_STATUS_INCONSISTENT;
+        refusal.detail = hr_parameters[HR_PARAMETER_POSITION_RATE].id;
+        return refusal;
+    }
+    device_take_law(device, law, candidate);
+    return refusal;
+}
+
+/* A wall changes in free space alone: a jump of stiffness under a pressed hand would be a jump of effort. */
+static struct refusal set_while_armed(struct device *device, const law_parameters *law)
+{
+    struct refusal refusal = {HR_STATUS_OK, 0};
+    if (law == NULL)
+        return refusal;
+    if (law_inside(&device->renderer.parameters, device->count) || law_inside(law, device->count))
+        refusal.status = HR_STATUS_INSIDE_WALL;
+    else
+        renderer_change(&device->renderer, law);
+    return refusal;
+}
+
 static struct refusal set_commit(struct device *device, const uint8_t *raw)
 {
     struct candidate candidate;
+    law_parameters law;
     struct refusal refusal = {assembler_commit(&device->assembler, nonce_of(raw)), 0};
     if (refusal.status != HR_STATUS_OK)
         return refusal;
     const bool armed = device_is_armed(device);
     refusal = configuration_read(&device->configuration, device->board, armed, device->assembler.block,
                                  device->assembler.length, &candidate);
+    const bool runs_law = candidate.values[HR_PARAMETER_LAW] != LAW_OF_HOST;
+    if (refusal.status == HR_STATUS_OK && runs_law)
+        refusal = law_settings_read(candidate.values, device->board, &law);
     if (refusal.status != HR_STATUS_OK)
         return refusal;
-    if (!armed && !device_apply(device, &candidate)) {
-        refusal.status = HR_STATUS_INCONSISTENT;
-        refusal.detail = hr_parameters[HR_PARAMETER_POSITION_RATE].id;
-        return refusal;
-    }
-    configuration_put_in_force(&device->configuration, &candidate);
+    const law_parameters *chosen = runs_law ? &law : NULL;
+    refusal = armed ? set_while_armed(device, chosen) : set_while_idle(device, &candidate, chosen);
+    if (refusal.status == HR_STATUS_OK)
+        configuration_put_in_force(&device->configuration, &candidate);
     return refusal;
 }
 
@@ -203,6 +231,7 @@ static struct refusal disarm(struct device *device)
         refusal.detail = (uint16_t)present;
         return refusal;
     }
+    device_end_supervision(device);
     faults_clear(&device->faults);
     device_switch_off(device);
     return refusal;

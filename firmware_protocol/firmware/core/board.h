@@ -33,6 +33,8 @@ struct board {
     int8_t encoder_sign;   /* -1 when counts fall while the position rises */
     uint16_t over_current; /* a measured current above this is a fault (quanta) */
     struct mechanics mechanics;
+    int16_t *excitation;         /* memory for one period of an excitation; NULL: the device has none */
+    uint32_t excitation_length;  /* its numbers */
 };
 
 #endif

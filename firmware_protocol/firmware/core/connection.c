@@ -157,16 +157,21 @@ void connection_fault(struct connection *connection)
     connection->state = HR_STATE_FAULT;
 }
 
-uint8_t *connection_begin(struct connection *connection, struct packet *packet, enum hr_index index, size_t bytes)
+void connection_header(struct connection *connection, uint8_t *raw, enum hr_index index)
 {
-    uint8_t *raw = packet->bytes + HR_RAW_AT;
-    packet->count = bytes;
     raw[HR_AT_HEADER_MAJOR] = HR_MAJOR;
     raw[HR_AT_HEADER_TYPE_ID] = hr_messages[index].type;
     raw[HR_AT_HEADER_FLAGS] = 0;
     raw[HR_AT_HEADER_SESSION] = connection->session;
     put_u16(raw + HR_AT_HEADER_SEQUENCE, connection->to_send[index]);
     connection_skip(connection, index);
+}
+
+uint8_t *connection_begin(struct connection *connection, struct packet *packet, enum hr_index index, size_t bytes)
+{
+    uint8_t *raw = packet->bytes + HR_RAW_AT;
+    packet->count = bytes;
+    connection_header(connection, raw, index);
     return raw;
 }
 

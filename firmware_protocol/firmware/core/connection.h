@@ -46,6 +46,9 @@ void connection_answered(struct connection *connection, uint8_t type, uint8_t se
 /* Latch FAULT. The session stays, so that STATE frames still reach the host that runs it. */
 void connection_fault(struct connection *connection);
 
+/* Write the header of our next frame of a type. */
+void connection_header(struct connection *connection, uint8_t *raw, enum hr_index index);
+
 /* Begin a frame of ours: its header, and `bytes` in all with the fields that the caller fills in. */
 uint8_t *connection_begin(struct connection *connection, struct packet *packet, enum hr_index index, size_t bytes);
 

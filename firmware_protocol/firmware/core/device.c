@@ -4,7 +4,8 @@
 #include "device_internal.h"
 
 #define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
-#define UNARMED_STATES_A_SECOND 100u /* enough to home by hand */
+#define UNARMED_STATES_A_SECOND 100u    /* enough to home by hand */
+#define SUPERVISED_STATES_A_SECOND 200u /* beside BATCH, which has every tick */
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 
 
@@ -37,9 +38,10 @@ void device_restart(struct device *device)
     device->count = device->hal->encoder_count(device->hal->context);
     configuration_initial(device->board, &initial);
     configuration_put_in_force(&device->configuration, &initial);
-    device_begin_session(device);
     if (!device_apply(device, &initial))
         device_fault(device, HR_FAULT_INTERNAL);
+    device_take_law(device, NULL, &initial);
+    device_begin_session(device);
 }
 
 void device_begin_session(struct device *device)
@@ -49,9 +51,15 @@ void device_begin_session(struct device *device)
     monitor_forget(&device->monitor);
     device->limits.flags = 0;
     device->monitor.flags = 0;
+    device->limits_acted = 0;
+    device->fault_told = HR_FAULT_NONE;
+    device->state_due = 1;
     device->command_sequence = 0;
     device->commanded = false;
     device->supervised = false;
+    batch_forget(&device->batch);
+    if (device->renderer.there)
+        renderer_reset(&device->renderer);
     device->worst_execution_time = 0;
     device->missed_ticks = 0;
 }
@@ -99,6 +107,19 @@ bool device_apply(struct device *device, const struct candidate *candidate)
     return true;
 }
 
+void device_take_law(struct device *device, const law_parameters *law, const struct candidate *candidate)
+{
+    const uint32_t *values = candidate->values;
+    const uint32_t every = device->rate / SUPERVISED_STATES_A_SECOND;
+    device->state_every = law != NULL && every > 0 ? every : 1u;
+    batch_configure(&device->batch, (uint8_t)values[HR_PARAMETER_BATCH_LAYOUT],
+                    (uint8_t)values[HR_PARAMETER_BATCH_SAMPLES]);
+    if (law != NULL)
+        renderer_configure(&device->renderer, law);
+    else
+        renderer_disable(&device->renderer);
+}
+
 /* ------------------------------------------------------------------ cutting */
 
 void device_cut(struct device *device)
@@ -128,21 +149,17 @@ void device_fault(struct device *device, uint8_t fault)
     latch(device, UINT32_C(1) << fault);
 }
 
-/* ------------------------------------------------------------------ first half of a tick: the current */
+/* ------------------------------------------------------------------ driving */
 
-/* Here the law on the device comes in (law_tick): called once a tick with the fresh sample, whatever the state,
- * because an estimator must have settled before the handle meets the wall. There is none yet: SUPERVISE feeds
- * the watchdog and gives no current. */
-static int16_t law_current(const struct device *device)
+static bool law_is_in_charge(const struct device *device)
 {
-    (void)device;
-    return 0;
+    return device->supervised && device->renderer.there;
 }
 
 static int16_t wanted_current(struct device *device)
 {
-    if (device->supervised)
-        device->watchdog.current = device->law_current;
+    if (law_is_in_charge(device))
+        return watchdog_faded(&device->watchdog, device->due, device->renderer.current);
     return watchdog_wanted(&device->watchdog, device->due, device->limits.current);
 }
 
@@ -175,7 +192,7 @@ void device_drive(struct device *device)
     device->hal->set_current(device->hal->context, device->driven);
 }
 
-/* ------------------------------------------------------------------ second half: the sample */
+/* ------------------------------------------------------------------ sampling */
 
 /* The grid of the samples: a period that is no whole number of units does not drift. A timer that cannot keep
  * the exact rate leaves the grid slowly; half a period away from it, the grid follows. */
@@ -202,12 +219,47 @@ static void step_index(struct device *device)
     step_grid(device);
 }
 
-/* Whether a STATE is due in a device that nobody has armed. */
-static bool shows_itself(const struct device *device)
+/* Faults of a tick as bits 1 << code. What the motion says concerns an armed device alone; an encoder that
+ * fails, any. */
+static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
-    const uint32_t every = device->rate / UNARMED_STATES_A_SECOND;
-    return device->connection.state != HR_STATE_BOOT && device->sample_index % (every > 0 ? every : 1u) == 0;
+    uint32_t bits = monitor_check(&device->monitor, tick->count, tick->current_commanded, tick->current_measured);
+    if (thermal_is_overheated(&device->thermal))
+        bits |= FAULT(THERMAL);
+    if (device->connection.session == 0)
+        bits = 0;
+    if (device->hal->encoder_failed(device->hal->context)) {
+        device->configuration.homed = false;
+        bits |= FAULT(ENCODER);
+    }
+    return bits;
 }
+
+void device_sample(struct device *device)
+{
+    const struct hal *hal = device->hal;
+    struct told_tick *tick = &device->tick;
+    device->time = hal->time(hal->context);
+    device->count = hal->encoder_count(hal->context);
+    step_index(device);
+    tick->logged = device->faults.latched == HR_FAULT_NONE;
+    tick->supervised = device_is_armed(device) && law_is_in_charge(device);
+    tick->entry.sample_index = device->sample_index;
+    tick->entry.count = device->count;
+    tick->entry.current_commanded = device->driven;
+    tick->entry.current_measured = hal->measured_current(hal->context);
+    thermal_update(&device->thermal, tick->entry.current_measured);
+    uint32_t bits = faults_of(device, &tick->entry);
+    tick->entry.limits = device->limits.flags | device->monitor.flags;
+    device->limits.flags = 0;
+    device->monitor.flags = 0;
+    if (bits == 0 && tick->supervised)
+        bits = renderer_run(&device->renderer, device->count, device->sample_index);
+    if (bits != 0)
+        latch(device, bits);
+}
+
+/* ------------------------------------------------------------------ telling */
 
 static uint32_t edge_time(const struct device *device)
 {
@@ -233,70 +285,111 @@ static void send_state(struct device *device, const struct fault_entry *tick)
     put_u32(raw + HR_AT_STATE_EDGE_TIME, edge_time(device));
     put_u16(raw + HR_AT_STATE_CURRENT_MEASURED, (uint16_t)tick->current_measured);
     put_u16(raw + HR_AT_STATE_CURRENT_COMMANDED, (uint16_t)tick->current_commanded);
-    put_u16(raw + HR_AT_STATE_LIMITS, tick->limits);
+    put_u16(raw + HR_AT_STATE_LIMITS, device->limits_acted);
     put_u16(raw + HR_AT_STATE_FAULT, device->faults.latched);
     put_u16(raw + HR_AT_STATE_EXECUTION_TIME, saturated(device->worst_execution_time));
     put_u16(raw + HR_AT_STATE_MISSED_TICKS, saturated(device->missed_ticks));
     raw[HR_AT_STATE_STATE] = device->connection.state;
     raw[HR_AT_STATE_INPUTS] = device->hal->inputs(device->hal->context);
-    raw[HR_AT_STATE_PHASE] = 0; /* there is no law yet */
+    raw[HR_AT_STATE_PHASE] = device->renderer.phase;
     put_u32(raw + HR_AT_STATE_SYNC_TIME, (uint32_t)device->hal->sync_time(device->hal->context));
     device_send(device, &packet);
 }
 
-/* Faults of a tick as bits 1 << code. What the motion says concerns an armed device alone; an encoder that
- * fails, any. */
-static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
+/* Whether a STATE is due in a device that nobody has armed. */
+static bool shows_itself(const struct device *device)
 {
-    uint32_t bits = monitor_check(&device->monitor, tick->count, tick->current_commanded, tick->current_measured);
-    if (thermal_is_overheated(&device->thermal))
-        bits |= FAULT(THERMAL);
-    if (device->connection.session == 0)
-        bits = 0;
-    if (device->hal->encoder_failed(device->hal->context)) {
-        device->configuration.homed = false;
-        bits |= FAULT(ENCODER);
-    }
-    return bits;
+    const uint32_t every = device->rate / UNARMED_STATES_A_SECOND;
+    return device->connection.state != HR_STATE_BOOT && device->sample_index % (every > 0 ? every : 1u) == 0;
 }
 
-void device_sample(struct device *device)
+/* In a session: every so many ticks, and at once when a fault is latched. */
+static bool state_is_due(struct device *device)
 {
-    const struct hal *hal = device->hal;
-    device->time = hal->time(hal->context);
-    device->count = hal->encoder_count(hal->context);
-    step_index(device);
-    struct fault_entry tick = {
-        .sample_index = device->sample_index,
-        .count = device->count,
-        .current_commanded = device->driven,
-        .current_measured = hal->measured_current(hal->context),
+    if (device->connection.session == 0)
+        return shows_itself(device);
+    if (--device->state_due > 0 && device->faults.latched == device->fault_told)
+        return false;
+    device->state_due = device->state_every;
+    return true;
+}
+
+static void send_batch(struct device *device)
+{
+    const size_t count = batch_finish(&device->batch);
+    if (count > 0)
+        device->hal->link_write(device->hal->context, device->batch.bytes, count);
+}
+
+void device_end_supervision(struct device *device)
+{
+    send_batch(device);
+    device->supervised = false;
+}
+
+/* A frame leaves when it is full, before a gap, and when there is nothing to follow. */
+static void tell_batch(struct device *device)
+{
+    struct batch *batch = &device->batch;
+    const struct fault_entry *entry = &device->tick.entry;
+    const struct batch_sample sample = {
+        .index = entry->sample_index,
+        .device_time = (uint32_t)device->time,
+        .count = entry->count,
+        .current_commanded = entry->current_commanded,
+        .current_measured = entry->current_measured,
     };
-    thermal_update(&device->thermal, tick.current_measured);
-    const uint32_t bits = faults_of(device, &tick);
-    tick.limits = device->limits.flags | device->monitor.flags;
-    faults_remember(&device->faults, &tick);
-    if (bits != 0)
-        latch(device, bits);
-    device->law_current = law_current(device);
-    if (device->connection.session == 0 && !shows_itself(device))
+    if (device->tick.supervised) {
+        if (!batch_fits(batch, &sample))
+            send_batch(device);
+        if (!batch_push(batch, &device->connection, &sample))
+            latch(device, FAULT(BATCH_OVERFLOW));
+    }
+    if (!device->tick.supervised || batch_is_full(batch) || device->faults.latched != HR_FAULT_NONE)
+        send_batch(device);
+}
+
+void device_tell(struct device *device)
+{
+    const struct fault_entry *entry = &device->tick.entry;
+    if (device->tick.logged)
+        faults_remember(&device->faults, entry);
+    device->limits_acted |= entry->limits;
+    if (device->renderer.there)
+        tell_batch(device);
+    if (!state_is_due(device))
         return;
-    device->limits.flags = 0;
-    device->monitor.flags = 0;
-    send_state(device, &tick);
+    send_state(device, entry);
+    device->limits_acted = 0;
+    device->fault_told = device->faults.latched;
 }
 
 /* ------------------------------------------------------------------ the tick of a board */
+
+/* What the law is doing, for the pins. */
+static uint8_t sync_of(const struct device *device)
+{
+    const struct renderer *renderer = &device->renderer;
+    uint8_t bits = 0;
+    if (!device->tick.supervised)
+        return bits;
+    if (renderer->phase == LAW_TRIAL)
+        bits |= HAL_SYNC_TRIAL;
+    if (renderer->flags & LAW_INSIDE)
+        bits |= HAL_SYNC_INSIDE;
+    return bits;
+}
 
 void device_tick(struct device *device)
 {
     const struct hal *hal = device->hal;
     const uint64_t begun = hal->time(hal->context);
-    hal->sync(hal->context, true);
+    hal->sync(hal->context, (uint8_t)(HAL_SYNC_TICK | sync_of(device)));
     hal->feed_watchdog(hal->context);
     device_sample(device);
     device_drive(device);
-    hal->sync(hal->context, false);
+    device_tell(device);
+    hal->sync(hal->context, sync_of(device));
     const uint64_t execution = hal->time(hal->context) - begun;
     if (execution > device->worst_execution_time)
         device->worst_execution_time = (uint32_t)execution;
@@ -310,7 +403,7 @@ void device_missed(struct device *device, uint32_t ticks)
     for (uint32_t i = 0; i < ticks; i++) {
         device->time = device->due;
         step_index(device);
-        if (device->connection.session != 0)
+        if (device->connection.session != 0 && device->state_every == 1)
             connection_skip(&device->connection, HR_INDEX_STATE);
     }
 }
@@ -321,6 +414,13 @@ void device_send(struct device *device, struct packet *packet)
 {
     const size_t count = frame_finish(packet);
     device->hal->link_write(device->hal->context, packet->bytes, count);
+}
+
+static void begin_supervision(struct device *device)
+{
+    device->supervised = true;
+    if (device->renderer.there)
+        renderer_reset(&device->renderer);
 }
 
 static void take_command(struct device *device, const uint8_t *raw)
@@ -334,7 +434,10 @@ static void take_command(struct device *device, const uint8_t *raw)
     device->command_sequence = get_u16(raw + HR_AT_HEADER_SEQUENCE);
     device->command_age = 0;
     device->commanded = true;
-    device->supervised = mode == HR_MODE_SUPERVISE;
+    if (mode != HR_MODE_SUPERVISE)
+        device_end_supervision(device);
+    else if (!device->supervised)
+        begin_supervision(device);
     if (mode == HR_MODE_STOP) {
         watchdog_idle(&device->watchdog, device->time);
         device_cut(device);

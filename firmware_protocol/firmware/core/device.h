@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #include "assembler.h"
+#include "batch.h"
 #include "board.h"
 #include "configuration.h"
 #include "connection.h"
@@ -17,6 +18,7 @@
 #include "hal.h"
 #include "limits.h"
 #include "monitor.h"
+#include "renderer.h"
 #include "thermal.h"
 #include "watchdog.h"
 
@@ -38,6 +40,13 @@ struct remembered {
     struct ack ack; /* names request and nonce */
 };
 
+/* What device_sample leaves for device_tell. */
+struct told_tick {
+    struct fault_entry entry;
+    bool logged;     /* into the fault ring: no fault was latched before it */
+    bool supervised; /* the law on the device was to see it: into BATCH */
+};
+
 struct device {
     const struct hal *hal;
     const struct board *board;
@@ -50,6 +59,8 @@ struct device {
     struct thermal thermal;
     struct limits limits;
     struct monitor monitor;
+    struct renderer renderer;
+    struct batch batch;
 
     uint32_t sample_index; /* modulo 2³² */
     uint64_t time;         /* of the last sample */
@@ -59,12 +70,18 @@ struct device {
 
     int32_t count;        /* at the last sample */
     int16_t driven;       /* current in force since then (quanta) */
-    int16_t law_current;  /* what the law on the device wants */
     bool supervised;      /* by the command in force */
     bool commanded;       /* in this session */
     uint16_t command_sequence;
     uint16_t command_age; /* ticks; saturates */
     uint32_t worst_execution_time, missed_ticks; /* since arming */
+
+    /* What STATE is to tell. */
+    struct told_tick tick;
+    uint16_t limits_acted; /* since the last STATE */
+    uint8_t fault_told;    /* by the last STATE */
+    uint32_t state_every;  /* ticks between STATEs of a session */
+    uint32_t state_due;    /* ticks until the next one */
 
     /* Parameters in the units of a tick. */
     bool needs_hold;
@@ -78,12 +95,14 @@ void device_start(struct device *device, const struct hal *hal, const struct boa
 /* Start anew as after a reset that left the memory alone: the motor's heat and the link counters stay. */
 void device_restart(struct device *device);
 
-/* One tick of a board: sample, tell, decide the current until the next one, feed the hardware watchdog. */
+/* One tick of a board: sample, drive, tell; and food for the hardware watchdog. */
 void device_tick(struct device *device);
 
-/* The two halves of a tick, for whoever lets time pass between them, as a simulation does. */
-void device_drive(struct device *device);
-void device_sample(struct device *device);
+/* The parts of a tick, for whoever lets time pass between them, as a simulation does: it drives, lets the world move,
+ * samples and tells. */
+void device_sample(struct device *device); /* count, time, measured current; faults; the law that runs here */
+void device_drive(struct device *device);  /* the current until the next sample */
+void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks before a fault */
 
 /* Ticks passed that could not be worked on. */
 void device_missed(struct device *device, uint32_t ticks);

@@ -22,6 +22,12 @@ void device_cut(struct device *device);
 /* Cut, and switch the amplifier off. */
 void device_switch_off(struct device *device);
 
+/* Take the law that the parameters choose; checks were made. NULL: the host's. */
+void device_take_law(struct device *device, const law_parameters *law, const struct candidate *candidate);
+
+/* The law on the device runs no longer: what BATCH has not sent yet leaves. */
+void device_end_supervision(struct device *device);
+
 /* Send a frame that connection_begin has begun. */
 void device_send(struct device *device, struct packet *packet);
 

@@ -28,8 +28,6 @@ void faults_reset(struct faults *faults)
 
 void faults_remember(struct faults *faults, const struct fault_entry *entry)
 {
-    if (faults->latched != HR_FAULT_NONE)
-        return;
     struct fault_ring *ring = &faults->live;
     uint8_t *at = ring->entries[ring->next];
     put_u32(at + HR_AT_FAULT_ENTRY_SAMPLE_INDEX, entry->sample_index);

@@ -35,7 +35,7 @@ struct faults {
 
 void faults_reset(struct faults *faults);
 
-/* Put a tick into the ring, unless a fault has frozen it. */
+/* Put a tick into the ring: one that began before a fault was latched. */
 void faults_remember(struct faults *faults, const struct fault_entry *entry);
 
 /* Take faults as bits 1 << code, at least one. The gravest is the first, if there is none yet. */

@@ -1,13 +1,19 @@
 /* What a port gives the core: one struct of functions, each called with `context`, none of which may block.
  *
  * Device time counts 1/16 µs since power-up, 64 bits wide, and never steps back. A port with a 32-bit counter
- * extends it. / */
+ * extends it. */
 #ifndef HR_HAL_H
 #define HR_HAL_H
 
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
+enum hal_sync {
+    HAL_SYNC_TICK = 1,   /* high while a tick is worked on */
+    HAL_SYNC_TRIAL = 2,  /* during the trial of a law on the device */
+    HAL_SYNC_INSIDE = 4, /* while the handle is inside its wall */
+};
 
 struct hal {
     void *context;
@@ -32,16 +38,16 @@ struct hal {
     /* Tick at another rate (Hz) from the last tick on. False, and no change, for one that the timer cannot do. */
     bool (*set_rate)(void *context, uint32_t rate);
 
-    /* Bytes of the host: those that are there, at most `capacity`; and a whole frame to it, sent or dropped in
-     * one. */
+    /* Bytes of the host: those that are there, at most `capacity`; and a whole frame to it, taken or dropped in one:
+     * returns which. */
     size_t (*link_read)(void *context, uint8_t *into, size_t capacity);
-    void (*link_write)(void *context, const uint8_t *frame, size_t count);
+    bool (*link_write)(void *context, const uint8_t *frame, size_t count);
 
     /* The hardware watchdog, of 50 ms at most: fed by the tick alone. */
     void (*feed_watchdog)(void *context);
 
-    /* A pin that is high while a tick is worked on: an oscilloscope shows rate, jitter and load. */
-    void (*sync)(void *context, bool high);
+    /* Pins, bits of enum hal_sync: an oscilloscope shows rate, jitter and load, and what happens when. */
+    void (*sync)(void *context, uint8_t bits);
 
     /* Device time of the last rising edge of the sync input; 0 before the first. */
     uint64_t (*sync_time)(void *context);

@@ -1,6 +1,6 @@
 /* Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
  * ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
- * tick. */
+ * tick. A law on the device goes on while its command fades: the ramp is then a factor on what it wants. */
 #include "watchdog.h"
 
 #include "protocol.h"
@@ -24,6 +24,12 @@ void watchdog_feed(struct watchdog *watchdog, uint64_t now, int16_t current, uin
     watchdog->ramping = false;
 }
 
+/* Division in C goes towards zero, which is down on either side. */
+static int16_t share(int16_t current, uint64_t left, uint32_t ramp)
+{
+    return (int16_t)((int64_t)current * (int64_t)left / (int64_t)ramp);
+}
+
 int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_force)
 {
     if (until <= watchdog->expires) {
@@ -39,6 +45,18 @@ int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_fo
         watchdog->lost = true;
         return 0;
     }
-    /* Division in C goes towards zero, which is down on either side. */
-    return (int16_t)((int64_t)watchdog->from * (int64_t)(end - until) / (int64_t)watchdog->ramp);
+    return share(watchdog->from, end - until, watchdog->ramp);
+}
+
+int16_t watchdog_faded(struct watchdog *watchdog, uint64_t until, int16_t current)
+{
+    if (until <= watchdog->expires)
+        return current;
+    watchdog->ramping = true;
+    const uint64_t end = watchdog->expires + watchdog->ramp;
+    if (until >= end) {
+        watchdog->lost = true;
+        return 0;
+    }
+    return share(current, end - until, watchdog->ramp);
 }

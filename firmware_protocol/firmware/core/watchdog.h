@@ -24,4 +24,7 @@ void watchdog_feed(struct watchdog *watchdog, uint64_t now, int16_t current, uin
 /* The current for a tick that ends at `until`, when `in_force` flowed in the last one. */
 int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_force);
 
+/* The same for a law that the command supervises and that wants `current` now. */
+int16_t watchdog_faded(struct watchdog *watchdog, uint64_t until, int16_t current);
+
 #endif

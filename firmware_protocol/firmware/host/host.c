@@ -80,15 +80,16 @@ static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
     return count;
 }
 
-static void hal_link_write(void *context, const uint8_t *frame, size_t count)
+static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
 {
     struct host *host = host_of(context);
-    if (count > sizeof host->output - host->output_count) {
+    if (host->output_count > host->output_room || count > host->output_room - host->output_count) {
         host->dropped++;
-        return;
+        return false;
     }
     memcpy(host->output + host->output_count, frame, count);
     host->output_count += count;
+    return true;
 }
 
 static void hal_feed_watchdog(void *context)
@@ -96,11 +97,11 @@ static void hal_feed_watchdog(void *context)
     host_of(context)->feeds++;
 }
 
-static void hal_sync(void *context, bool high)
+static void hal_sync(void *context, uint8_t bits)
 {
     struct host *host = host_of(context);
-    host->syncs += high && !host->sync ? 1u : 0u;
-    host->sync = high;
+    host->syncs += bits & ~host->sync & HAL_SYNC_TICK ? 1u : 0u;
+    host->sync = bits;
 }
 
 static uint64_t hal_sync_time(void *context)
@@ -135,6 +136,7 @@ void host_setup(struct host *host, const struct host_setup *setup)
         .sync_time = hal_sync_time,
     };
     host->hal = hal;
+    host->output_room = sizeof host->output;
     host->board.dictionary = setup->dictionary;
     host->board.dictionary_bytes = (uint16_t)setup->dictionary_bytes;
     host->board.dictionary_hash = setup->dictionary_hash;
@@ -190,6 +192,16 @@ void host_fail_encoder(struct host *host)
     host->encoder_failed = true;
 }
 
+void host_set_sync_time(struct host *host, uint64_t time)
+{
+    host->sync_time = time;
+}
+
+void host_set_room(struct host *host, size_t bytes)
+{
+    host->output_room = bytes < sizeof host->output ? bytes : sizeof host->output;
+}
+
 void host_refuse_rate(struct host *host, uint32_t rate)
 {
     host->refused_rate = rate;
@@ -208,6 +220,11 @@ int16_t host_drive(struct host *host)
 void host_sample(struct host *host)
 {
     device_sample(&host->device);
+}
+
+void host_tell(struct host *host)
+{
+    device_tell(&host->device);
 }
 
 void host_tick(struct host *host)
@@ -266,4 +283,5 @@ void host_status(const struct host *host, struct host_status *status)
     status->fault = device->faults.latched;
     status->enabled = host->enabled;
     status->counters = device->connection.counters;
+    status->sync = host->sync;
 }

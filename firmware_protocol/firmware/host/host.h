@@ -8,8 +8,8 @@
 
 #include "../core/device.h"
 
-#define HR_HOST_NARROWER 8u
-#define HR_HOST_OUTPUT_BYTES 16384u
+#define HR_HOST_NARROWER 16u
+#define HR_HOST_OUTPUT_BYTES 65536u
 
 struct host {
     struct device device;
@@ -28,7 +28,8 @@ struct host {
 
     /* What the device did to it. */
     int16_t current;
-    bool enabled, driving, sync;
+    bool enabled, driving;
+    uint8_t sync; /* bits of enum hal_sync */
     uint64_t sync_time;
     uint32_t cuts; /* times that the current was taken away between two ticks */
     uint32_t rate, feeds, syncs;
@@ -38,7 +39,8 @@ struct host {
     size_t input_count;
     uint8_t output[HR_HOST_OUTPUT_BYTES];
     size_t output_count;
-    uint32_t dropped; /* frames that the output had no room for */
+    size_t output_room; /* bytes that the output holds, HR_HOST_OUTPUT_BYTES at most */
+    uint32_t dropped;   /* frames that it had no room for */
 };
 
 struct host_setup {
@@ -65,6 +67,7 @@ struct host_status {
     uint8_t fault;
     uint8_t enabled;
     struct counters counters;
+    uint8_t sync;
 };
 
 size_t host_bytes(void);
@@ -80,11 +83,14 @@ void host_set_world(struct host *host, uint64_t time, int32_t count, uint64_t ed
 void host_set_clock(struct host *host, uint64_t time, uint64_t step);
 void host_set_inputs(struct host *host, uint8_t inputs);
 void host_fail_encoder(struct host *host);
+void host_set_sync_time(struct host *host, uint64_t time);
+void host_set_room(struct host *host, size_t bytes); /* of the output: what does not fit is dropped */
 void host_refuse_rate(struct host *host, uint32_t rate);
 
-/* A tick in two halves, between which the world moves; or in one. */
+/* A tick in its parts: the world moves behind the first; or in one, as a board has it. */
 int16_t host_drive(struct host *host);
 void host_sample(struct host *host);
+void host_tell(struct host *host);
 void host_tick(struct host *host);
 void host_missed(struct host *host, uint32_t ticks);
 void host_fault(struct host *host, uint8_t fault);

@@ -231,13 +231,18 @@ static int32_t nearest(float x)
     return (float)whole > up ? whole - 1 : whole;
 }
 
+static float float_depth(const law_parameters *p, int32_t travel)
+{
+    const law_float_wall *w = &p->wall;
+    return w->side * ((float)law_to_32((int64_t)travel - w->surface_whole) - w->surface_fraction);
+}
+
 static int32_t float_current(const tick *t)
 {
     law_state *s = t->s;
     const law_parameters *p = t->p;
     const law_float_wall *w = &p->wall;
-    const float offset = (float)law_to_32((int64_t)t->travel - w->surface_whole) - w->surface_fraction;
-    const float depth = w->side * offset, limit = (float)p->current_limit;
+    const float depth = float_depth(p, t->travel), limit = (float)p->current_limit;
     float effort, step;
 
     if (depth > 0.0f)
@@ -319,6 +324,12 @@ static int64_t fixed_wanted(const tick *t, int32_t depth, int32_t *shift)
     return total;
 }
 
+static int32_t fixed_depth(const law_parameters *p, int32_t travel)
+{
+    const law_fixed_wall *w = &p->fixed_wall;
+    return law_to_32(law_with_sign(travel, w->side) * (1 << LAW_DEPTH_BITS) - w->surface);
+}
+
 /* Limit and slew work on the effort rounded down to 2^-15 quanta, in 32 bits. To round that to the nearest quantum is
  * to round the effort itself: half a quantum is a whole number of those steps. */
 static int32_t fixed_current(const tick *t)
@@ -326,8 +337,7 @@ static int32_t fixed_current(const tick *t)
     law_state *s = t->s;
     const law_parameters *p = t->p;
     const law_fixed_wall *w = &p->fixed_wall;
-    const int64_t along = law_with_sign(t->travel, w->side) * (1 << LAW_DEPTH_BITS) - w->surface;
-    const int32_t depth = law_to_32(along), limit = p->current_limit * (1 << LAW_SLEW_BITS);
+    const int32_t depth = fixed_depth(p, t->travel), limit = p->current_limit * (1 << LAW_SLEW_BITS);
     int64_t effort;
     int32_t fine, step, change, shift;
 
@@ -356,6 +366,17 @@ static int32_t fixed_current(const tick *t)
     return within((fine + (1 << (LAW_SLEW_BITS - 1))) >> LAW_SLEW_BITS, p->current_limit);
 }
 
+static int32_t travel_of(const law_parameters *p, int32_t count)
+{
+    return law_to_32(law_with_sign(law_count_difference(count, p->reference), p->sense));
+}
+
+int law_inside(const law_parameters *p, int32_t count)
+{
+    const int32_t travel = travel_of(p, count);
+    return p->arithmetic == LAW_FLOAT ? float_depth(p, travel) > 0.0f : fixed_depth(p, travel) > 0;
+}
+
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
 {
     tick t;
@@ -364,7 +385,7 @@ law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
     t.s = s;
     t.p = p;
     t.elapsed = in->elapsed_ticks < 1 ? 1 : in->elapsed_ticks > MOST_ELAPSED ? MOST_ELAPSED : in->elapsed_ticks;
-    t.travel = law_to_32(law_with_sign(law_count_difference(in->count, p->reference), p->sense));
+    t.travel = travel_of(p, in->count);
     s->flags = 0;
     estimate(&t, in->count);
     out.current = p->arithmetic == LAW_FLOAT ? float_current(&t) : fixed_current(&t);

@@ -281,6 +281,9 @@ void law_reset(law_state *s, const law_parameters *p);
 /* One tick. A wall or a limit may change between two ticks; another estimator or multisine needs law_reset. */
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in);
 
+/* Whether a handle at this count is inside the wall. */
+int law_inside(const law_parameters *p, int32_t count);
+
 /* Phase of line j for a seed, in 2^-32 turns: with z = seed + 0x9E3779B9 * (j + 1),
  * z = (z ^ z >> 16) * 0x85EBCA6B; z = (z ^ z >> 13) * 0xC2B2AE35; phase = z ^ z >> 16, all modulo 2^32. */
 uint32_t law_line_phase(uint32_t seed, uint32_t line);

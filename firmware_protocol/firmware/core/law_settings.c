@@ -1,0 +1,176 @@
+#include "law_settings.h"
+
+#include "bytes.h"
+
+/* Nothing is computed here: a host has scaled everything to counts, ticks and quanta. What one law needs and the other
+ * does not is copied all the same; its range was checked, and nobody reads it. */
+
+static int32_t whole(const uint32_t *values, enum hr_parameter_index index)
+{
+    return signed_32(values[index]);
+}
+
+static float real(const uint32_t *values, enum hr_parameter_index index)
+{
+    return value_as_float(values[index]);
+}
+
+/* Two halves of a number of 64 bits. */
+static int64_t wide(const uint32_t *values, enum hr_parameter_index high, enum hr_parameter_index low)
+{
+    return whole(values, high) * (INT64_C(1) << 32) + (int64_t)values[low];
+}
+
+static law_biquad read_biquad(const uint32_t *values)
+{
+    const law_biquad biquad = {
+        .b0 = whole(values, HR_PARAMETER_BIQUAD_B0),
+        .b1 = whole(values, HR_PARAMETER_BIQUAD_B1),
+        .b2 = whole(values, HR_PARAMETER_BIQUAD_B2),
+        .a1 = whole(values, HR_PARAMETER_BIQUAD_A1),
+        .a2 = whole(values, HR_PARAMETER_BIQUAD_A2),
+        .coefficient_bits = whole(values, HR_PARAMETER_BIQUAD_COEFFICIENT_BITS),
+        .state_bits = whole(values, HR_PARAMETER_BIQUAD_STATE_BITS),
+        .word_bits = whole(values, HR_PARAMETER_BIQUAD_WORD_BITS),
+        .rounding = whole(values, HR_PARAMETER_BIQUAD_ROUNDING),
+    };
+    return biquad;
+}
+
+/* Sections of second order, and one of first behind them when the order is odd. */
+static law_low_pass read_low_pass(const uint32_t *values)
+{
+    const int32_t order = whole(values, HR_PARAMETER_LOW_PASS_ORDER);
+    law_low_pass low_pass = {.sections = (order + 1) / 2};
+    for (int32_t i = 0; i < LAW_SECTIONS; i++) {
+        law_section *section = &low_pass.section[i];
+        section->inner = value_as_float(values[HR_PARAMETER_LOW_PASS_INNER_1 + i]);
+        section->band = value_as_float(values[HR_PARAMETER_LOW_PASS_BAND_1 + i]);
+        section->low = value_as_float(values[HR_PARAMETER_LOW_PASS_LOW_1 + i]);
+        section->order = 2 * (i + 1) <= order ? 2 : 1;
+    }
+    return low_pass;
+}
+
+static void read_estimator(const uint32_t *values, law_parameters *law)
+{
+    law->estimator = whole(values, HR_PARAMETER_ESTIMATOR);
+    law->biquad = read_biquad(values);
+    law->low_pass = read_low_pass(values);
+    law->foaw.band = whole(values, HR_PARAMETER_FOAW_BAND);
+    law->foaw.limit = whole(values, HR_PARAMETER_FOAW_LIMIT);
+    law->foaw.stop_first = whole(values, HR_PARAMETER_FOAW_STOP_FIRST);
+    law->foaw.least_squares = whole(values, HR_PARAMETER_FOAW_LEAST_SQUARES);
+    law->levant.alpha = real(values, HR_PARAMETER_LEVANT_ALPHA);
+    law->levant.lambda = real(values, HR_PARAMETER_LEVANT_LAMBDA);
+    law->levant.discretisation = whole(values, HR_PARAMETER_LEVANT_DISCRETISATION);
+    law->levant.integrator = whole(values, HR_PARAMETER_LEVANT_INTEGRATOR);
+    law->kalman.gain_position = real(values, HR_PARAMETER_KALMAN_POSITION);
+    law->kalman.gain_velocity = real(values, HR_PARAMETER_KALMAN_VELOCITY);
+    law->kalman.gain_acceleration = real(values, HR_PARAMETER_KALMAN_ACCELERATION);
+}
+
+static void read_float_wall(const uint32_t *values, law_float_wall *wall)
+{
+    wall->surface_whole = whole(values, HR_PARAMETER_FLOAT_SURFACE);
+    wall->surface_fraction = real(values, HR_PARAMETER_FLOAT_SURFACE_FRACTION);
+    wall->side = (float)whole(values, HR_PARAMETER_WALL_SIDE);
+    wall->stiffness = real(values, HR_PARAMETER_FLOAT_STIFFNESS);
+    wall->damping = real(values, HR_PARAMETER_FLOAT_DAMPING);
+    wall->constant = real(values, HR_PARAMETER_FLOAT_CONSTANT);
+    wall->trial_slew = real(values, HR_PARAMETER_FLOAT_TRIAL_SLEW);
+    wall->homing_slew = real(values, HR_PARAMETER_FLOAT_HOMING_SLEW);
+    wall->speed_limit = real(values, HR_PARAMETER_FLOAT_SPEED_LIMIT);
+    wall->slow_speed = real(values, HR_PARAMETER_FLOAT_SLOW_SPEED);
+    wall->velocity_lsb = real(values, HR_PARAMETER_FLOAT_VELOCITY_LSB);
+    wall->home_stiffness = real(values, HR_PARAMETER_FLOAT_HOME_STIFFNESS);
+    wall->home_damping = real(values, HR_PARAMETER_FLOAT_HOME_DAMPING);
+    wall->home_effort = real(values, HR_PARAMETER_FLOAT_HOME_EFFORT);
+}
+
+static void read_fixed_wall(const uint32_t *values, int32_t sense, law_fixed_wall *wall)
+{
+    wall->side = whole(values, HR_PARAMETER_WALL_SIDE);
+    wall->direction = wall->side * sense;
+    wall->surface = whole(values, HR_PARAMETER_FIXED_SURFACE);
+    wall->stiffness = whole(values, HR_PARAMETER_FIXED_STIFFNESS);
+    wall->damping = whole(values, HR_PARAMETER_FIXED_DAMPING);
+    wall->shift = whole(values, HR_PARAMETER_FIXED_SHIFT);
+    wall->constant = wide(values, HR_PARAMETER_FIXED_CONSTANT_HIGH, HR_PARAMETER_FIXED_CONSTANT_LOW);
+    wall->trial_slew = whole(values, HR_PARAMETER_FIXED_TRIAL_SLEW);
+    wall->homing_slew = whole(values, HR_PARAMETER_FIXED_HOMING_SLEW);
+    wall->speed_limit = whole(values, HR_PARAMETER_FIXED_SPEED_LIMIT);
+    wall->slow_speed = whole(values, HR_PARAMETER_FIXED_SLOW_SPEED);
+    wall->home_stiffness = whole(values, HR_PARAMETER_FIXED_HOME_STIFFNESS);
+    wall->home_damping = whole(values, HR_PARAMETER_FIXED_HOME_DAMPING);
+    wall->home_shift = whole(values, HR_PARAMETER_FIXED_HOME_SHIFT);
+    wall->home_effort = wide(values, HR_PARAMETER_FIXED_HOME_EFFORT_HIGH, HR_PARAMETER_FIXED_HOME_EFFORT_LOW);
+    wall->reserved = 0;
+}
+
+static void read_phases(const uint32_t *values, law_parameters *law)
+{
+    law->home_target = whole(values, HR_PARAMETER_HOME_TARGET) * (INT64_C(1) << LAW_SETPOINT_BITS)
+                       + (int64_t)values[HR_PARAMETER_HOME_TARGET_FRACTION];
+    law->home_step = (int64_t)values[HR_PARAMETER_HOME_STEP];
+    law->home_minimum = whole(values, HR_PARAMETER_HOME_MINIMUM);
+    law->home_maximum = whole(values, HR_PARAMETER_HOME_MAXIMUM);
+    law->settle_ticks = values[HR_PARAMETER_SETTLE_TICKS];
+    law->home_timeout_ticks = values[HR_PARAMETER_HOME_TIMEOUT_TICKS];
+    law->trial_ticks = values[HR_PARAMETER_TRIAL_TICKS];
+    law->release_ticks = values[HR_PARAMETER_RELEASE_TICKS];
+}
+
+/* The parameter that a host had best look at. */
+static enum hr_parameter_index subject(law_verdict verdict, const law_parameters *law)
+{
+    switch (verdict) {
+    case LAW_BAD_RATE:
+        return HR_PARAMETER_VELOCITY_DIVIDER;
+    case LAW_BAD_LIMIT:
+        return law->window_minimum > law->window_maximum ? HR_PARAMETER_LAW_WINDOW_MAXIMUM
+                                                         : HR_PARAMETER_HOME_MAXIMUM;
+    case LAW_BAD_FILTER:
+        return law->estimator == LAW_FDM_BUTTERWORTH_FIXED ? HR_PARAMETER_BIQUAD_B0 : HR_PARAMETER_FOAW_BAND;
+    case LAW_BAD_WALL:
+        return law->arithmetic == LAW_FLOAT ? HR_PARAMETER_FLOAT_STIFFNESS : HR_PARAMETER_FIXED_STIFFNESS;
+    case LAW_BAD_MULTISINE:
+        return HR_PARAMETER_EXCITATION_LINES;
+    case LAW_BAD_CHOICE:
+    case LAW_GOOD:
+    default:
+        return HR_PARAMETER_ESTIMATOR;
+    }
+}
+
+static struct refusal inconsistent(enum hr_parameter_index index)
+{
+    const struct refusal refusal = {HR_STATUS_INCONSISTENT, hr_parameters[index].id};
+    return refusal;
+}
+
+struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law)
+{
+    const struct refusal accepted = {HR_STATUS_OK, 0};
+    if (values[HR_PARAMETER_EXCITATION_LINES] > 0)
+        return inconsistent(HR_PARAMETER_EXCITATION_LINES);
+    *law = (law_parameters){0};
+    law->arithmetic = values[HR_PARAMETER_LAW] == LAW_IN_FLOAT ? LAW_FLOAT : LAW_FIXED;
+    law->reference = whole(values, HR_PARAMETER_REFERENCE_COUNT);
+    law->sense = board->encoder_sign;
+    law->window_minimum = whole(values, HR_PARAMETER_LAW_WINDOW_MINIMUM);
+    law->window_maximum = whole(values, HR_PARAMETER_LAW_WINDOW_MAXIMUM);
+    law->current_limit = whole(values, HR_PARAMETER_CURRENT_LIMIT);
+    law->may_pull = whole(values, HR_PARAMETER_WALL_PULL);
+    law->entry_only = whole(values, HR_PARAMETER_DAMPING_ON_ENTRY);
+    law->bilateral = whole(values, HR_PARAMETER_BILATERAL);
+    law->extrapolate = whole(values, HR_PARAMETER_EXTRAPOLATE);
+    law->velocity_divider = values[HR_PARAMETER_VELOCITY_DIVIDER];
+    law->slow_multiple = values[HR_PARAMETER_SLOW_MULTIPLE];
+    read_phases(values, law);
+    read_estimator(values, law);
+    read_float_wall(values, &law->wall);
+    read_fixed_wall(values, law->sense, &law->fixed_wall);
+    const law_verdict verdict = law_check(law);
+    return verdict == LAW_GOOD ? accepted : inconsistent(subject(verdict, law));
+}

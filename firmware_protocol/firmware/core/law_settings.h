@@ -1,0 +1,22 @@
+/* From the parameters on the wire to those of the law. */
+#ifndef HR_LAW_SETTINGS_H
+#define HR_LAW_SETTINGS_H
+
+#include <stdint.h>
+
+#include "../law/law.h"
+#include "board.h"
+#include "configuration.h"
+
+/* Who computes the current: parameter `law`. */
+enum law_choice {
+    LAW_OF_HOST = 0,
+    LAW_IN_INTEGERS = 1,
+    LAW_IN_FLOAT = 2,
+};
+
+/* Read a law that the device is to run (parameter `law` is not LAW_OF_HOST), and check it: INCONSISTENT names a parameter that
+ * the objection is about. */
+struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law);
+
+#endif

@@ -1,0 +1,36 @@
+/* The law that the device runs itself: which, when, and what it wants. */
+#ifndef HR_RENDERER_H
+#define HR_RENDERER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "../law/law.h"
+
+struct renderer {
+    bool there;      /* the device runs a law in a session; false: the host does */
+    bool begun;      /* it has seen a sample */
+    uint8_t phase;   /* law_phase of the last tick, 0 before the first */
+    int16_t current; /* what it wants (quanta) */
+    uint32_t flags;  /* of its last tick */
+    uint32_t index;  /* of that tick */
+    law_parameters parameters;
+    law_state state;
+};
+
+/* Run this law, checked by law_settings_read, from the next session on. */
+void renderer_configure(struct renderer *renderer, const law_parameters *parameters);
+
+/* Run none. */
+void renderer_disable(struct renderer *renderer);
+
+/* A law that has seen nothing, and wants no current. */
+void renderer_reset(struct renderer *renderer);
+
+/* Put another wall under it between two ticks: parameters that differ in what is live alone. */
+void renderer_change(struct renderer *renderer, const law_parameters *parameters);
+
+/* Run it on the sample of a tick. Returns faults as bits 1 << code. */
+uint32_t renderer_run(struct renderer *renderer, int32_t count, uint32_t index);
+
+#endif
