@@ -48,4 +48,4 @@ boot2:
     .ltorg
 
     .org 252
-    .word 0 /* CRC-32 of the 252 bytes before, polynomial 0x04C11DB7, nothing reflected or inverted at the end; tested */
+    .word 0x573A5463 /* CRC-32 of the 252 bytes before, polynomial 0x04C11DB7, nothing reflected or inverted at the end; tested */

@@ -167,7 +167,7 @@ bool encoder_failed(void)
     return raised != 0;
 }
 
-/* A stamp means what it says for four minutes; so it is turned into device time when it is new. */
+/* A stamp means what it says for an hour; so it is turned into device time when it is new. */
 static uint64_t time_of_last(struct watched *watched)
 {
     uint32_t fine, coarse;

@@ -36,7 +36,7 @@ void time_start(void)
         coarse = REGISTER(TIMER_RAW_LOW);
     } while (coarse == before);
     clock.offset = PWM_COUNTER(TIME_SLICE) - coarse * 16u;
-    clock.now = time_of(PWM_COUNTER(TIME_SLICE), REGISTER(TIMER_RAW_LOW));
+    clock.now = clock.offset + coarse * 16u;
 }
 
 /* Modulo 2³²: the moment near 16 times the microseconds that has the fine count's 16 bits. */
@@ -56,8 +56,8 @@ uint64_t time_now(void)
 uint64_t time_of(uint32_t fine, uint32_t coarse)
 {
     const uint64_t now = time_now();
-    const uint32_t age = (uint32_t)now - joined(fine, coarse);
-    return age < now ? now - age : 0;
+    const uint64_t about = now - (uint64_t)(REGISTER(TIMER_RAW_LOW) - coarse) * 16u;
+    return about + (uint64_t)(int16_t)(uint16_t)(fine - (uint32_t)about);
 }
 
 void stamp_read(const struct stamp *stamp, uint32_t *fine, uint32_t *coarse)

@@ -23,7 +23,7 @@ void time_start(void);
 /* Device time now, 1/16 µs. Not from two places that may interrupt each other. */
 uint64_t time_now(void);
 
-/* Device time of a stamp taken less than four minutes ago. */
+/* Device time of a stamp taken less than an hour ago. */
 uint64_t time_of(uint32_t fine, uint32_t coarse);
 
 /* Read a stamp that may be written meanwhile. */
