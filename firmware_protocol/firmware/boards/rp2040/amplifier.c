@@ -31,7 +31,10 @@
 
 #define VOLTS_A_STEP (3.3 / 4096.0) /* 4.9.3: 12 bits of ADC_AVDD */
 #define MONITOR_ZERO ((int32_t)(BOARD_MONITOR_ZERO / VOLTS_A_STEP + 0.5))
-#define MONITOR_GAIN ((int64_t)(VOLTS_A_STEP / BOARD_MONITOR_SCALE / BOARD_CURRENT_QUANTUM_A * 65536.0))
+#define QUANTA_A_STEP (VOLTS_A_STEP / BOARD_MONITOR_SCALE / BOARD_CURRENT_QUANTUM_A)
+/* With so many fractional bits 4095 steps fit 31 bits. */
+#define MONITOR_BITS (QUANTA_A_STEP < 15.0 && QUANTA_A_STEP > -15.0 ? 15 : 4)
+#define MONITOR_GAIN ((int32_t)(QUANTA_A_STEP * (1 << MONITOR_BITS)))
 
 static int16_t set_point;
 
@@ -78,7 +81,7 @@ void amplifier_set_current(int16_t quanta)
 int16_t amplifier_measured_current(void)
 {
 #ifdef BOARD_CURRENT_MONITOR_ADC
-    const int64_t quanta = ((int32_t)ADC_RESULT - MONITOR_ZERO) * MONITOR_GAIN / 65536;
+    const int32_t quanta = ((int32_t)ADC_RESULT - MONITOR_ZERO) * MONITOR_GAIN >> MONITOR_BITS;
     return (int16_t)(quanta > INT16_MAX ? INT16_MAX : quanta < INT16_MIN ? INT16_MIN : quanta);
 #else
     return set_point;

@@ -129,19 +129,19 @@ static struct {
     volatile bool polled; /* since the last tick */
 } grid;
 
-/* Ticks whose time passed while the conversation held the interrupt. After another rate was set there is no grid yet. */
+/* Ticks whose time passed while the conversation held the interrupt. */
 static void tell_missed(void)
 {
     const uint64_t now = time_now();
-    if (device.rate == grid.rate && now > device.due && now - device.due >= device.period)
+    if (now > device.due && now - device.due >= device.period)
         device_missed(&device, (uint32_t)(now - device.due) / device.period);
-    grid.rate = device.rate;
 }
 
 void tick_interrupt(void)
 {
-    tick_taken();
-    tell_missed();
+    if (!tick_taken() && device.rate == grid.rate) /* under another rate there is no grid yet */
+        tell_missed();
+    grid.rate = device.rate;
     device_tick(&device);
     link_pump();
     grid.polled = false;
@@ -162,12 +162,12 @@ static void unmask(void)
 /* The tick waits while the core takes bytes; so that happens behind a tick, where there is time. */
 static void converse(void)
 {
+    if (grid.polled && tick_cycles_left() < POLL_CYCLES)
+        return;
     mask();
-    if (!grid.polled || tick_cycles_left() > POLL_CYCLES) {
-        device_poll(&device);
-        link_pump();
-        grid.polled = true;
-    }
+    device_poll(&device);
+    link_pump();
+    grid.polled = true;
     unmask();
 }
 

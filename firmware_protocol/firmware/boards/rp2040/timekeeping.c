@@ -18,6 +18,7 @@ static struct {
     uint32_t top;        /* counts of a period, rounded down, less one */
     uint32_t rest, rate; /* a period is top + 1 + rest / rate counts */
     uint32_t saved;      /* of rests, in 1 / rate */
+    uint32_t at, late;   /* the last tick; how much later one is late (µs) */
 } tick;
 
 /* ------------------------------------------------------------------ device time */
@@ -90,6 +91,7 @@ bool tick_set_rate(uint32_t rate)
     tick.top = CLOCK_HZ / tick.rate - 1u;
     tick.rest = CLOCK_HZ % tick.rate;
     tick.saved = 0;
+    tick.late = 1500000u / rate;
     PWM_CONTROL(TICK_SLICE) = 0; /* what is written while it stands is in force at once */
     PWM_DIVIDER(TICK_SLICE) = PWM_DIVIDED_BY(divider << 4);
     PWM_COUNTER(TICK_SLICE) = 0;
@@ -106,14 +108,19 @@ void tick_start(void)
     PWM_WRAPPED = 1u << TICK_SLICE;
     PWM_INTERRUPTS = 1u << TICK_SLICE;
     INTERRUPT_PRIORITY(INTERRUPT_PWM_WRAP / 4u) = 0; /* the highest, of all four */
+    tick.at = REGISTER(TIMER_RAW_LOW);
     INTERRUPTS_FORGET = 1u << INTERRUPT_PWM_WRAP;
     INTERRUPTS_ENABLE = 1u << INTERRUPT_PWM_WRAP;
 }
 
-void tick_taken(void)
+bool tick_taken(void)
 {
+    const uint32_t now = REGISTER(TIMER_RAW_LOW);
+    const bool in_time = now - tick.at < tick.late;
+    tick.at = now;
     PWM_WRAPPED = 1u << TICK_SLICE;
     PWM_TOP(TICK_SLICE) = next_top(); /* in force from the next wrap on (4.5.2.3) */
+    return in_time;
 }
 
 uint32_t tick_cycles_left(void)
