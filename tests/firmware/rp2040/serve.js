@@ -1,0 +1,177 @@
+'use strict';
+/* The board at the end of a pipe: one command a line in, one answer a line out, both JSON. */
+const fs = require('node:fs');
+const readline = require('node:readline');
+const { Pico, NANOS_A_CYCLE } = require('./pico.js');
+const { Plant } = require('./plant.js');
+
+const ADC_STEPS_A_VOLT = 4096 / 3.3;
+const MONITOR_ZERO = 1.65;
+
+let pico = null;
+let motor = null;
+
+/* The motor: the current that the pins ask for, the rig that it moves, the monitor that shows it. */
+class Motor {
+  constructor({ plant, full_scale: fullScale, effort_per_ampere: effortPerAmpere, monitor_scale: monitorScale }) {
+    this.plant = plant ? new Plant(plant) : null;
+    this.fullScale = fullScale;
+    this.effortPerAmpere = effortPerAmpere;
+    this.monitorScale = monitorScale;
+    this.current = 0;
+    this.most = 0; // A, since last asked
+    this.next = pico.now;
+  }
+
+  upTo(now) {
+    while (now >= this.next) {
+      this.current = pico.enabled ? pico.duty * this.fullScale : 0;
+      this.most = Math.max(this.most, Math.abs(this.current));
+      let flows = this.current;
+      if (this.plant) {
+        const at = this.next;
+        const step = this.plant.stepNanos;
+        this.plant.step(this.current * this.effortPerAmpere, (way, share) =>
+          pico.edges.push({ at: at + share * step, way: way * this.plant.sign }),
+        );
+        flows = this.plant.state[2] / this.effortPerAmpere;
+        this.next += step;
+      } else {
+        this.next += 10000;
+      }
+      pico.chip.adc.channelValues[0] = Math.round((MONITOR_ZERO + flows * this.monitorScale) * ADC_STEPS_A_VOLT);
+    }
+  }
+}
+
+const commands = {
+  power({ image, pins, motor: description }) {
+    pico = new Pico(fs.readFileSync(image), pins);
+    motor = new Motor(description);
+    pico.onSteps = (now) => motor.upTo(now);
+    return {};
+  },
+  send({ hex }) {
+    pico.uart.feed(Buffer.from(hex, 'hex'));
+    return {};
+  },
+  run({ us }) {
+    pico.runUntil(pico.now + us * 1000);
+    const sent = Buffer.from(pico.uart.sent).toString('hex');
+    pico.uart.sent.length = 0;
+    return { sent };
+  },
+  /* Move the encoder: pairs of counts (signed) and nanoseconds between them. */
+  move({ motion }) {
+    let at = pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now;
+    for (const [counts, nanos] of motion)
+      for (let i = 0; i < Math.abs(counts); i++) {
+        at += nanos;
+        pico.edges.push({ at, way: Math.sign(counts) });
+      }
+    return { ends: at };
+  },
+  /* Both channels at once. */
+  jump() {
+    pico.edges.push({ at: pico.now, way: 2 });
+    return {};
+  },
+  set(switches) {
+    Object.assign(pico.switches, switches);
+    pico.showSwitches();
+    return {};
+  },
+  /* The processor stands still, as a crash would leave it: at a branch to itself, interrupts masked. */
+  hang() {
+    const { core } = pico.chip;
+    pico.chip.sramView.setUint16(0x41000, 0xe7fe, true);
+    core.PM = true;
+    core.PC = 0x20041000;
+    core.IPSR = 0;
+    return {};
+  },
+  look() {
+    const most = motor.most;
+    motor.most = 0;
+    return {
+      now: pico.now,
+      truth: pico.truth,
+      enabled: pico.enabled,
+      duty: pico.duty,
+      current: motor.current,
+      most,
+      resets: pico.resets,
+      overruns: pico.uart.overruns,
+      baud: pico.uart.divider ? pico.uart.baud : 0,
+      position: motor.plant ? motor.plant.state[0] : 0,
+      state: motor.plant ? motor.plant.state : [],
+      complaints: Object.fromEntries(pico.complaints),
+      vtor: pico.chip.core.VTOR,
+      clock: pico.chip.clkSys,
+    };
+  },
+  /* Every tick since the last question. */
+  ticks() {
+    const { ticks } = pico;
+    const column = (name) => ticks.map((tick) => tick[name]);
+    const answer = {};
+    for (const name of ['at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
+    pico.clear();
+    return answer;
+  },
+  /* Time that a pin is high (ns) over the next stretch of time. */
+  high({ pin, us }) {
+    const begins = pico.now;
+    let high = 0;
+    let since = pico.level(pin) ? begins : null;
+    const stop = pico.chip.gpio[pin].addListener(() => {
+      const level = pico.level(pin);
+      const at = pico.born + pico.chip.clock.nanos;
+      if (level && since === null) since = at;
+      if (!level && since !== null) {
+        high += at - since;
+        since = null;
+      }
+    });
+    pico.runUntil(begins + us * 1000);
+    stop();
+    if (since !== null) high += pico.now - since;
+    return { high, time: pico.now - begins };
+  },
+  /* Cycles by instruction over the next stretch of time: all, or those of ticks. */
+  profile({ us, ticks }) {
+    const spent = new Map();
+    const ends = pico.now + us * 1000;
+    while (pico.now < ends) {
+      motor.upTo(pico.now);
+      const { PC } = pico.chip.core;
+      const { cycles, inTick } = pico;
+      pico.step();
+      if (!ticks || inTick) spent.set(PC & ~1, (spent.get(PC & ~1) || 0) + pico.cycles - cycles);
+    }
+    return { spent: [...spent] };
+  },
+  /* The plant alone, for comparison: a command for each step. */
+  plant({ plant, commands: efforts }) {
+    const alone = new Plant(plant);
+    const states = [];
+    for (const effort of efforts) {
+      alone.step(effort, () => {});
+      states.push([...alone.state]);
+    }
+    return { states };
+  },
+};
+
+const lines = readline.createInterface({ input: process.stdin, terminal: false });
+lines.on('line', (line) => {
+  let answer;
+  try {
+    const command = JSON.parse(line);
+    answer = commands[command.op](command);
+  } catch (error) {
+    answer = { error: error.stack };
+  }
+  process.stdout.write(JSON.stringify(answer) + '\n');
+});
+void NANOS_A_CYCLE;
