@@ -2,7 +2,8 @@
 /* The board at the end of a pipe: one command a line in, one answer a line out, both JSON. */
 const fs = require('node:fs');
 const readline = require('node:readline');
-const { Pico, NANOS_A_CYCLE } = require('./pico.js');
+const { NANOS_A_CYCLE } = require('./pico.js');
+const { UsbPico: Pico } = require('./usb_pico.js');
 const { Plant } = require('./plant.js');
 
 const ADC_STEPS_A_VOLT = 4096 / 3.3;
@@ -162,6 +163,8 @@ const commands = {
     return { states };
   },
 };
+
+Object.assign(commands, require('./usb_commands.js')(() => pico));
 
 const lines = readline.createInterface({ input: process.stdin, terminal: false });
 lines.on('line', (line) => {
