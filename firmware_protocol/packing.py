@@ -8,8 +8,18 @@ from typing import Annotated, NamedTuple
 
 from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
 from firmware_protocol.framing import CRC_BYTES, HEADER_BYTES, RAW_LIMIT, SHORT_RAW_LIMIT
-from firmware_protocol.messages import MAJOR, MESSAGES, Delivery, FaultEntry, Message, delivery_of, sender_of
-from firmware_protocol.wire import Wire, field_getter, fixed_fields, record_struct, wire_fields
+from firmware_protocol.messages import (
+    BATCH_LAYOUTS,
+    MAJOR,
+    MESSAGES,
+    Batch,
+    Delivery,
+    FaultEntry,
+    Message,
+    delivery_of,
+    sender_of,
+)
+from firmware_protocol.wire import FORMATS, Wire, field_getter, fixed_fields, record_struct, wire_fields
 
 STUFFING_BYTES = 1  # COBS adds one byte up to 254
 
@@ -137,3 +147,30 @@ def unpack_fault_entries(data: bytes) -> list[FaultEntry]:
     if len(data) % FAULT_ENTRY_BYTES:
         raise RemoteProtocolError(f"a fault log of {len(data)} bytes")
     return [FaultEntry(*values) for values in _FAULT_ENTRY.iter_unpack(data)]
+
+
+_SAMPLES = {
+    layout: struct.Struct("<" + "".join(FORMATS[ctype] for ctype in ctypes))
+    for layout, ctypes in BATCH_LAYOUTS.items()
+}
+
+
+def pack_batch_samples(layout: int, samples: Iterable[tuple[int, ...]]) -> bytes:
+    """Bytes of the samples of a BATCH (difference, commanded, measured where the layout has it).
+
+    Raises `LocalProtocolError` for values that do not fit.
+    """
+    try:
+        return b"".join(_SAMPLES[layout].pack(*sample) for sample in samples)
+    except struct.error as error:
+        raise LocalProtocolError(f"sample of a batch: {error}") from None
+
+
+def unpack_batch_samples(batch: Batch) -> list[tuple[int, ...]]:
+    """Samples of a BATCH, oldest first; raises `RemoteProtocolError` for an unknown layout or a broken length."""
+    found = _SAMPLES.get(batch.layout)
+    if found is None:
+        raise RemoteProtocolError(f"a batch of the unknown layout {batch.layout}")
+    if not batch.data or len(batch.data) % found.size:
+        raise RemoteProtocolError(f"a batch with {len(batch.data)} bytes of samples")
+    return list(found.iter_unpack(batch.data))

@@ -238,9 +238,13 @@ def _draw(results: tuple[ImpedanceResult, ...], path: Path) -> str | None:
 
 
 def _print(results: tuple[ImpedanceResult, ...]) -> None:
+    from rig.experiments.plan import STANDS_FOR_DEVICE  # noqa: PLC0415
+
     for result in results:
         click.echo(click.style(result.label, bold=True))
         output.print_pairs(_pairs(result))
+    if any(result.of_device_loop for result in results):
+        click.echo(f"  {STANDS_FOR_DEVICE}")
 
 
 def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:

@@ -29,6 +29,7 @@ _KEYS = {
     "stiffness": "wall.stiffness",
     "damping": "wall.damping",
     "estimator": "controller.estimator",
+    "loop": "controller.loop",
     "effort": "trial.effort",
     "start": "trial.start",
     "duration": "trial.duration_s",
@@ -50,6 +51,11 @@ def experiment_options(command: F) -> F:
             "--rate", metavar="T1[/T2]", help="Position rate and velocity rate: 20k/2k; uniform: 1k."
         ),
         click.option("--estimator", help="Velocity estimator."),
+        click.option(
+            "--loop",
+            type=click.Choice(["host", "device"]),
+            help="Where the law runs: on this computer, or on the device.",
+        ),
         click.option("--effort", type=float, help="Constant push (N·m or N)."),
         click.option(
             "--operator",

@@ -102,6 +102,7 @@ def headline(experiment: Experiment) -> str:
         f"{experiment.rig.name}: K = {wall.stiffness:g} {unit_of('stiffness', motion)}, "
         f"B = {wall.damping:g} {unit_of('damping', motion)}, "
         f"{scheme} {rates.position_rate / 1e3:g}/{rates.velocity_rate / 1e3:g} kHz, {rates.estimator}"
+        + (", law on the device" if rates.loop == "device" else "")
     )
 
 

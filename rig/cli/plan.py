@@ -25,10 +25,10 @@ def plan(file: Path | None, preset: str | None, realtime: bool, as_json: bool, *
     from rig import config  # noqa: PLC0415
 
     experiment = options.chosen_experiment(file, preset)
-    if realtime:
-        experiment = config.with_realtime(experiment)
     changes = options.changes(**changed)
-    if changes:
+    if realtime:
+        experiment = config.with_realtime(experiment, changes)
+    elif changes:
         experiment = config.override(experiment, changes)
     with output.compiling():
         from rig.experiments.plan import make_plan  # noqa: PLC0415

@@ -188,6 +188,8 @@ def _print(found: ZWidth) -> None:
 
 
 def _notes(found: ZWidth) -> list[str]:
+    from rig.experiments.plan import STANDS_FOR_DEVICE  # noqa: PLC0415
+
     notes = []
     if any(b.capped for b in found.boundaries):
         notes.append(
@@ -198,6 +200,8 @@ def _notes(found: ZWidth) -> list[str]:
         notes.append("≥ before B: the map ends before the scheme does; the range goes on")
     if any(limit.islands for b in found.boundaries for limit in b.limits):
         notes.append("there are islands: stiffer walls that hold beyond one that fails (see the picture)")
+    if found.of_device_loop:
+        notes.append(STANDS_FOR_DEVICE)
     unknown = sum(b.unknown for b in found.boundaries if b.criterion == "any")
     if unknown:
         why = ", ".join(f"{reason} ({number})" for reason, number in found.silent().items())

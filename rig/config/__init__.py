@@ -20,7 +20,14 @@ from rig.config.derive import (
     shaken,
     verdict_limits,
 )
-from rig.config.load import as_mapping, experiment_from_mapping, load_experiment, override, with_realtime
+from rig.config.load import (
+    as_mapping,
+    experiment_from_mapping,
+    load_experiment,
+    override,
+    realtime_changes,
+    with_realtime,
+)
 from rig.config.sections import (
     Controller,
     Excitation,
@@ -56,6 +63,7 @@ __all__ = [
     "motor_push",
     "override",
     "push_at_rest",
+    "realtime_changes",
     "rig_model",
     "shaken",
     "verdict_limits",

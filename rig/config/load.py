@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 DEFAULT_PRESET = "koul-compliant"
 DEFAULT_GRIP = "normal"
+LOOP = "controller.loop"
 FREE = "controller.parameters"  # the one table whose keys belong to somebody else: the estimator
 
 _WRITE = {
@@ -78,9 +79,21 @@ def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "
     return _validated(_stack(as_mapping(experiment), nest(tidy(changes))), source)
 
 
-def with_realtime(experiment: Experiment) -> Experiment:
-    """Return the experiment with its own changes for a loop in real time (``[realtime]``), checked."""
-    return override(experiment, experiment.realtime, f"[realtime] of {experiment.rig.name}")
+def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what ``[realtime]`` changes, and over it what the user sets by hand, by dotted key.
+
+    A law that the device runs needs nothing gentler: of ``[realtime]`` only what is about this computer is left then.
+    """
+    gentler: dict[str, Any] = dict(experiment.realtime)
+    if changes.get(LOOP, experiment.controller.loop) == "device":
+        gentler = {key: value for key, value in gentler.items() if key.startswith("host.")}
+    return {**gentler, **changes}
+
+
+def with_realtime(experiment: Experiment, changes: Mapping[str, Any] | None = None) -> Experiment:
+    """Return the experiment as it runs in real time, checked; see `realtime_changes`."""
+    wanted = realtime_changes(experiment, changes or {})
+    return override(experiment, wanted, f"[realtime] of {experiment.rig.name}")
 
 
 def as_mapping(experiment: Experiment) -> dict[str, Any]:

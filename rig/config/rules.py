@@ -309,6 +309,17 @@ def heartbeat(x: Experiment) -> Iterator[Problem]:
         )
 
 
+def device_loop(x: Experiment) -> Iterator[Problem]:
+    """A law on the device has the device's beat."""
+    if x.controller.loop == "device" and x.host.pacing == "host":
+        yield _problem(
+            x,
+            "host.pacing",
+            'must be "device" where the device runs the law (controller.loop = "device")',
+            "leave it out",
+        )
+
+
 RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     rates,
     slow_rate,
@@ -325,6 +336,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     times,
     excitation,
     heartbeat,
+    device_loop,
 )
 
 

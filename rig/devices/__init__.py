@@ -26,6 +26,7 @@ BUILT_IN = {
     "serial": "rig.devices.serial:open_link",
     "usb": "rig.devices.usb:open_link",
 }
+FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
 SHAKERS = {"sim": "sim_backend.shaken:Shaker"}  # and shaken
 
@@ -103,6 +104,13 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
         named = config.rig_model(presets.load(url.place))
         return named if model is None else named.held_by(model.operator, model.reach)
     return model
+
+
+def url_for(url: str, loop: str) -> str:
+    """URL of a far end for this ``controller.loop``: a simulated rig that runs the law itself is the firmware."""
+    if loop != "device" or not url.startswith("sim:") or FIRMWARE in DeviceUrl.parse(url).options:
+        return url
+    return f"{url}{'&' if '?' in url else '?'}{FIRMWARE}=1"
 
 
 def simulated_rig(scheme: str = "sim") -> OpenRig:

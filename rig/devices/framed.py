@@ -196,6 +196,7 @@ class FramedDevice:
 
     def in_force(self) -> dict[str, Value]:
         """Parameters in force, read from the device; nothing changes."""
+        self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
         block = self._read_parameters()
         with self._understood():
             return decode_block(block)

@@ -164,7 +164,7 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
     url = question.url or "sim://"
     with ExitStack() as stack:
         if url.startswith("sim:") and question.realtime:
-            experiment = config.override(config.with_realtime(question.experiment), question.changes)
+            experiment = config.with_realtime(question.experiment, question.changes)
             realtime = "off" if experiment.host.realtime == "off" else "try"
             model, seed = config.rig_model(experiment), experiment.trial.seed
             url = stack.enter_context(serve_locally(url, model, seed=seed, realtime=realtime))

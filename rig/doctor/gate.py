@@ -8,6 +8,10 @@ Refused is, on a real device,
 * a wall that linear theory finds unstable at the loop's rate with the delay that was measured, in no hand or in any of
   those that may hold it (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
 
+A law that the device runs itself answers within the tick: what delays it is the device's own execution time, which is
+less than a tick or the device says so (missed ticks). Its wall is judged without delay, and what a whole tick would
+make of it is said. The link only has to bring a word within the lifetime of that loop, which is longer.
+
 Linear theory leaves out Coulomb friction, which holds walls that it calls unstable; the gate does not count on it. That
 the wall is passive is not asked, but said. A simulated device is never refused.
 """
@@ -22,9 +26,9 @@ from weakref import WeakKeyDictionary
 
 from rig.config import Experiment
 from rig.config.sections import Host
-from rig.controller import command_lifetime_s
+from rig.controller import command_lifetime_s, supervise_lifetime_s
 from rig.devices.framed import FramedDevice
-from rig.doctor.late_loops import LateLoops
+from rig.doctor.late_loops import LateLoops, loop_delay_ticks
 from rig.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.errors import ConfigError, PlanError
 from rig.sample import unit_of
@@ -112,13 +116,15 @@ class Gate:
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     """Judge one experiment on one measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
-    delay = measurement.delay_ticks(rate, experiment.host.pacing)
+    on_the_device = experiment.controller.loop == "device"
+    delay = loop_delay_ticks(experiment, measurement, rate)
     travel_s = measurement.travel.almost_all
-    lifetime_s = command_lifetime_s(experiment)
+    lifetime_s = (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
     reasons: list[Reason] = []
     notes: list[str] = []
     if travel_s > LIFETIME_SHARE * lifetime_s:
-        reasons.append(_too_slow(travel_s, lifetime_s, delay))
+        ticks = measurement.delay_ticks(rate, experiment.host.pacing)
+        reasons.append(_too_slow(travel_s, lifetime_s, ticks, on_the_device))
     if measurement.loss_share > LOST_SHARE:
         reasons.append(_too_many_lost(measurement))
     if measurement.travel.p999.high is None and not measurement.virtual:
@@ -141,6 +147,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         notes += [loops.stand_in] if loops.stand_in else []
         notes += _on_homing(homing, delay)
         notes.append(_on_passivity(experiment, passive))
+        notes += _on_execution(experiment) if on_the_device and not measurement.virtual else []
     unstable = _hands_that_swing(radius, wall.stiffness)
     if unstable:
         reasons.append(_unstable(experiment, delay, unstable, radius, limits))
@@ -204,11 +211,12 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
         raise PlanError(f"this wall must not be rendered here: {reason.text}", remedy=reason.remedy)
 
 
-def _too_slow(travel_s: float, lifetime_s: float, delay: int) -> Reason:
+def _too_slow(travel_s: float, lifetime_s: float, delay: int, on_the_device: bool) -> Reason:
     return Reason(
         f"the way to the device and back takes up to {1e3 * travel_s:.3g} ms ({delay} ticks), more than half of a "
         f"command's lifetime of {1e3 * lifetime_s:.3g} ms",
-        "run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or choose a lower rate",
+        "run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or "
+        + ("lengthen controller.supervise_lifetime_s" if on_the_device else "choose a lower rate"),
     )
 
 
@@ -257,6 +265,18 @@ def _on_homing(radius: Mapping[str, float], delay: int) -> list[str]:
         f"homing would swing in {held} with a delay of {delay} (spectral radius {radius[worst]:.4g}), within "
         "homing.effort"
     ]
+
+
+def _on_execution(experiment: Experiment) -> list[str]:
+    """What a whole tick of delay, more than a device that keeps its ticks can have, would make of the wall."""
+    wall = experiment.wall
+    says = "the law runs on the device, within the tick"
+    late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
+    if _hands_that_swing(late, wall.stiffness):
+        return [
+            f"{says}; with a whole tick of delay this wall would swing (spectral radius {max(late.values()):.4g})"
+        ]
+    return [f"{says}; with a whole tick of delay this wall would hold, too"]
 
 
 def _on_passivity(experiment: Experiment, passive: float) -> str:

@@ -15,11 +15,13 @@ RATES = ("controller.position_rate", "controller.velocity_rate")
 def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str, Any]) -> Experiment:
     """Return the experiment as it runs on this device: in real time its gentler variant at the device's own rate.
 
-    `changes` are the keys that the user set by hand; they win over everything else.
+    `changes` are the keys that the user set by hand; they win over everything else. Where the law runs on the device
+    itself, rates and wall are the experiment's.
     """
     if device.link.clock.virtual:
         return config.override(experiment, changes)
-    gentler: dict[str, Any] = dict(experiment.realtime)
-    if not any(key in changes for key in RATES):
-        gentler.update(dict.fromkeys(RATES, device.dictionary.position_rate_default))
-    return config.override(experiment, {**gentler, **changes}, "real time and command line")
+    wanted = config.realtime_changes(experiment, changes)
+    on_the_host = wanted.get("controller.loop", experiment.controller.loop) == "host"
+    if on_the_host and not any(key in changes for key in RATES):
+        wanted |= dict.fromkeys(RATES, device.dictionary.position_rate_default)
+    return config.override(experiment, wanted, "real time and command line")

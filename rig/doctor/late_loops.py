@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from rig.config import Experiment
+from rig.doctor.round_trip import LinkMeasurement
 from rig.errors import ConfigError
 from rig.model import Operator
 from rig.operators import GRIPS
@@ -39,6 +40,13 @@ def late_by(experiment: Experiment, ticks: int) -> Experiment:
     """Return the experiment on a rig whose commands act so many ticks late."""
     simulation = replace(experiment.rig.simulation, computation_delay_ticks=ticks)
     return replace(experiment, rig=replace(experiment.rig, simulation=simulation))
+
+
+def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
+    """Whole ticks from a sample to its effort: the link's, or none where the device itself runs the law."""
+    if experiment.controller.loop == "device":
+        return 0
+    return measurement.delay_ticks(rate, experiment.host.pacing)
 
 
 @dataclass(frozen=True)

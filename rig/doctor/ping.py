@@ -15,6 +15,7 @@ from numba import types
 from firmware_protocol import codec
 from firmware_protocol.codec import GET_TIME, HEAD, STATE, TIME
 from firmware_protocol.kernel import kernel
+from rig.loop.frames import NO_FRAME, keep_rest, next_frame
 from rig.plugs import NOW, TRANSFER, WAIT
 
 RECEIVE_BYTES = 4096
@@ -82,25 +83,19 @@ def _gather(
         end = filled + got
         start = 0
         while True:
-            stop = codec.find_delimiter(received, start, end)
-            if stop < 0:
+            length, start = next_frame(received, start, end, raw)
+            if length == NO_FRAME:
                 break
-            if stop > start:
-                length = codec.decode_frame(received, start, stop, raw)
-                if length < 0:
-                    tally[TALLY.bad_frames] += 1
-                elif _take(raw, length, header, values, tally) == 1:
-                    came = 1
-                    for i in range(len(answer)):
-                        answer[i] = values[i]
-            start = stop + 1
-        rest = end - start
-        if rest > RECEIVE_BYTES // 2:  # noise without a delimiter
+            if length < 0:
+                tally[TALLY.bad_frames] += 1
+            elif _take(raw, length, header, values, tally) == 1:
+                came = 1
+                for i in range(len(answer)):
+                    answer[i] = values[i]
+        rest = keep_rest(received, start, end)
+        if rest < 0:
             tally[TALLY.bad_frames] += 1
-            rest = 0
-        for i in range(rest):
-            received[i] = received[start + i]
-        tally[TALLY.filled] = rest
+        tally[TALLY.filled] = max(rest, 0)
     return came
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from firmware_protocol import messages
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment
-from rig.doctor.late_loops import LateLoops
+from rig.doctor.late_loops import LateLoops, loop_delay_ticks
 from rig.doctor.round_trip import LinkMeasurement
 from rig.errors import ConfigError
 from rig.schemes import Scheme
@@ -81,15 +81,15 @@ class Supported:
 def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int) -> list[Rate]:
     """Return the rates worth looking at, the slowest first, each once."""
     found = [Rate(experiment.controller.position_rate, "the experiment's")]
-    fastest = rate_maximum
-    if measurement.capacity is not None:
+    fastest, on_the_device = rate_maximum, experiment.controller.loop == "device"
+    if measurement.capacity is not None and not on_the_device:
         carried = int(LINK_SHARE * measurement.capacity // STATE_BYTES)
         if carried < rate_maximum:
             found.append(Rate(_round(carried), "what the link carries"))
             fastest = carried
     if fastest == rate_maximum:
         found.append(Rate(rate_maximum, "the device's largest"))
-    if measurement.loop_rate_hz < fastest:
+    if measurement.loop_rate_hz < fastest and not on_the_device:
         found.append(Rate(_round(measurement.loop_rate_hz), "one tick of delay"))
     names: dict[int, str] = {}
     for rate in found:
@@ -131,7 +131,7 @@ def supported_walls(
     for rate, scheme in wanted:
         if progress is not None:
             progress(len(rows) / len(wanted))
-        delay = measurement.delay_ticks(rate.hertz, experiment.host.pacing)
+        delay = loop_delay_ticks(experiment, measurement, rate.hertz)
         rows.append(_row(experiment, scheme, rate.because, delay))
     if progress is not None:
         progress(1.0)

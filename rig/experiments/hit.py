@@ -17,7 +17,7 @@ from rig.devices.local import serve_locally
 from rig.doctor.in_effect import in_effect
 from rig.errors import ConfigError, PlanError
 from rig.experiments.judgement import as_trailer, judge
-from rig.experiments.plan import Check, Outcome, link_checks, make_plan
+from rig.experiments.plan import Check, Outcome, device_checks, link_checks, make_plan
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.laws import Law
 from rig.recording.data import Recording
@@ -48,7 +48,7 @@ class HitRequest:
     output
         Directory of the recordings.
     law
-        A law of the caller's own instead of the named one.
+        A law of the caller's own instead of the named one, or what makes one for the device's current quantum (A).
     device
         Open device to use instead of `url`; it stays open.
     reference_count
@@ -67,7 +67,7 @@ class HitRequest:
     realtime: bool = False
     verified: bool = False
     output: Path = Path("recordings")
-    law: Law | None = None
+    law: Law | Callable[[float], Law] | None = None
     device: FramedDevice | None = None
     reference_count: int | None = None
     arm_anyway: bool = False
@@ -99,6 +99,7 @@ class HitResult:
             "position_rate": self.experiment.controller.position_rate,
             "velocity_rate": self.experiment.controller.velocity_rate,
             "estimator": self.experiment.controller.estimator,
+            "loop": self.experiment.controller.loop,
             "resolution": self.experiment.rig.encoder.resolution,
             "kind": self.experiment.trial.kind,
             "grip": self.experiment.operator.grip if self.experiment.trial.kind == "human" else None,
@@ -139,14 +140,18 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         experiment = _experiment_for(request, device)
         config.check_plugins(experiment, experiment.rig.name)
         _refuse(make_plan(experiment).checks)
+        law = request.law
+        if law is not None and not isinstance(law, Law):
+            law = law(device.dictionary.current_quantum_a)
+        _refuse(device_checks(experiment, device.dictionary, law))
         _refuse(
             link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
         )
         _check_same_rig(experiment, device)
         _check_verified(request, device)
         _check_person(experiment, device)
-        if request.law is not None:
-            experiment = replace(experiment, wall=replace(experiment.wall, law=request.law.name))
+        if law is not None:
+            experiment = replace(experiment, wall=replace(experiment.wall, law=law.name))
         gate = _gate(request, device, experiment)
         with plain_errors("make", request.output):
             request.output.mkdir(parents=True, exist_ok=True)
@@ -157,7 +162,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
             verified=request.verified or device.dictionary.simulated,
             reference_count=_reference_count(request, device),
             seed=experiment.trial.seed,
-            law=request.law,
+            law=law,
         )
         for repeat in range(experiment.trial.repeats):
             yield _one(
@@ -212,13 +217,17 @@ def _opened(request: HitRequest) -> Iterator[FramedDevice]:
     if request.device is not None:
         yield request.device
         return
-    url = request.url or "sim://"
+    loop = request.changes.get("controller.loop", request.experiment.controller.loop)
+    url = devices.url_for(request.url or "sim://", loop)
     if not url.startswith("sim:"):
         with devices.open_device(url) as device:
             yield device
         return
-    experiment = config.with_realtime(request.experiment) if request.realtime else request.experiment
-    model = config.rig_model(config.override(experiment, request.changes))
+    if request.realtime:
+        experiment = config.with_realtime(request.experiment, request.changes)
+    else:
+        experiment = config.override(request.experiment, request.changes)
+    model = config.rig_model(experiment)
     if request.realtime:
         with (
             serve_locally(

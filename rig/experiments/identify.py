@@ -198,7 +198,15 @@ def without_end_mass(request: IdentifyRequest) -> Experiment:
 
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
-    """What a request will do on a rig (`without_end_mass`)."""
+    """What a request will do on a rig (`without_end_mass`).
+
+    Raises `PlanError` where a device is to run the law: it does not have these motions.
+    """
+    if free.controller.loop == "device":
+        raise PlanError(
+            'controller.loop = "device": the motions of an identification are laws that a device does not have',
+            remedy="say --set controller.loop=host, and with --url a --rate that the link carries",
+        )
     return identification_plan(
         free, realisations=request.realisations, period_s=request.period_s, seed=request.seed
     )

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +25,7 @@ from rig.config import Excitation, Experiment
 from rig.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import THROWN_OUT
-from rig.experiments.plan import Outcome
+from rig.experiments.plan import STANDS_FOR_DEVICE, Outcome
 from rig.experiments.results import write_table
 from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, record_of, shaken_law
 from rig.experiments.shaking_plan import excitation_checks
@@ -120,6 +121,11 @@ class ImpedanceResult:
         stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)
         return f"K = {self.wall[0]:g} {stiffness}, B = {self.wall[1]:g} {damping}, {scheme}"
 
+    @property
+    def of_device_loop(self) -> bool:
+        """Whether the host's law, without bytes, stands for a law on the device."""
+        return self.experiment.controller.loop == "device" and not self.recordings
+
     def expected(self, lines_hz: Floats) -> Complexes | None:
         """Closed form of rig and wall without friction and quantum; None for an estimator that is not linear."""
         return expected(self.experiment, lines_hz, self.signal)
@@ -143,6 +149,8 @@ class ImpedanceResult:
             "damping": self.wall[1],
             "method": self.method,
             "signal": self.signal,
+            "loop": x.controller.loop,
+            "note": STANDS_FOR_DEVICE if self.of_device_loop else None,
             "excitation": {
                 **config.as_mapping(x)["excitation"],
                 **config.excitation_size(x),
@@ -429,7 +437,7 @@ def _recorded(
         realtime=device.realtime,
         arm_anyway=device.arm_anyway,
         output=device.recordings,
-        law=shaken_law(experiment, realisation),
+        law=partial(shaken_law, experiment, realisation),
         **session,
     )
     try:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from rig import config, controller, running
+from rig import config, controller, device_law, running
 from rig.config import Experiment
 from rig.doctor.gate import check_change
 from rig.errors import ConfigError, PlanError, RigError
@@ -86,7 +86,7 @@ def change_wall(
     ConfigError
         No loop runs, a key that may not change, or a value out of its range.
     PlanError
-        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`).
+        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`), or a law on the device.
     RigError
         The loop ended, another version started it, or it says too little about itself.
     """
@@ -154,11 +154,14 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
         experiment = config.override(running_now, changes, "the change")
         if info.get("gate"):
             check_change(experiment, info["gate"])
-        values = parameter_set(
-            experiment,
-            current_quantum_a=info["current_quantum_a"],
-            reference_count=info.get("reference_count", 0),
-        )
+        device = {
+            "current_quantum_a": info["current_quantum_a"],
+            "reference_count": info.get("reference_count", 0),
+        }
+        values = parameter_set(experiment, **device)
+        if experiment.controller.loop == "device":  # refused here, where somebody hears it
+            armed = controller.for_experiment(running_now, **device)
+            device_law.live_parameters(armed, device_law.arithmetic_of(experiment.controller), values)
         if ring.get(LOOP_DONE):
             raise RigError("the loop has ended", remedy="start another one")
         number = ring.replace(values, partial(_info_with, info, experiment, changes), word)

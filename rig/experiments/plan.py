@@ -7,18 +7,28 @@ side: a real hit is slower and softer.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
 from firmware_protocol import messages
+from firmware_protocol.dictionary import Dictionary
+from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
-from rig import controller
+from rig import controller, device_law
 from rig.config import Experiment, push_at_rest, rig_model
+from rig.laws import Law
 from rig.sample import unit_of
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
+STANDS_FOR_DEVICE = (
+    "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
+    "rounds to a quantum or two"
+)
+FLASH = "flash the firmware of this package (rig firmware)"
+LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
+ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
 
 
 class Outcome(StrEnum):
@@ -104,7 +114,9 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
             f"choose --rate {rate_maximum} or less",
         )
     ]
-    if bytes_per_second is not None:
+    if bytes_per_second is not None and experiment.controller.loop == "device":
+        checks.append(_batch_check(experiment, LINK_SHARE * bytes_per_second))
+    elif bytes_per_second is not None:
         needed, usable = rate * STATE_BYTES, LINK_SHARE * bytes_per_second
         possible = int(usable // STATE_BYTES)
         checks.append(
@@ -116,6 +128,80 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
             )
         )
     return checks
+
+
+def _batch_check(x: Experiment, usable: float) -> Check:
+    """Whether the link carries every tick of a law on the device."""
+    needed = device_law.bytes_per_second(x)
+    remedy = "choose a lower --rate, or a faster link"
+    if x.controller.measured_current:
+        short = replace(x, controller=replace(x.controller, measured_current=False))
+        if device_law.bytes_per_second(short) <= usable:
+            remedy = f"leave the measured current out (--set controller.measured_current=false), {remedy}"
+    return Check(
+        "link capacity",
+        Outcome.OK if needed <= usable else Outcome.REFUSED,
+        f"{needed / 1e3:.1f} kB/s for every tick at {x.controller.position_rate} Hz, "
+        f"the link carries {usable / 1e3:.1f} kB/s",
+        remedy,
+    )
+
+
+def device_checks(experiment: Experiment, dictionary: Dictionary, law: Law | None = None) -> list[Check]:
+    """Whether a device has the law that it is to run; nothing to check where the host runs it.
+
+    Parameters
+    ----------
+    experiment
+        As it is about to run.
+    dictionary
+        What the device says of itself.
+    law
+        Stands in for the law that the experiment names.
+
+    Raises
+    ------
+    PlanError
+        As `rig.device_law.law_parameters`: no device has that.
+    """
+    if experiment.controller.loop != "device":
+        return []
+    arithmetic = device_law.arithmetic_of(experiment.controller)
+    own = dictionary.parameter("law")
+    if own is None or own.maximum < 1:
+        simulated = "open sim://NAME?firmware=1, which runs the firmware" if dictionary.simulated else FLASH
+        return [
+            Check(
+                "law on the device",
+                Outcome.REFUSED,
+                f"{dictionary.device} ({dictionary.firmware}) runs no law of its own",
+                f'{simulated}; or let the host run it (controller.loop = "host")',
+            )
+        ]
+    values = controller.device_parameters(
+        experiment,
+        current_quantum_a=dictionary.current_quantum_a,
+        reference_count=0,
+        verified=True,
+        law=law,
+    )
+    narrow = [
+        f"{name} = {value:g} (it takes {info.minimum:g} to {info.maximum:g})"
+        for name, value in values.items()
+        if name in LAW_NAMES
+        and (info := dictionary.parameter(name)) is not None
+        and not info.minimum <= value <= info.maximum
+    ]
+    return [
+        Check(
+            "law on the device",
+            Outcome.REFUSED if narrow else Outcome.OK,
+            f"{dictionary.device} does not have {'; '.join(narrow)}"
+            if narrow
+            else f"{dictionary.device} runs it in {ARITHMETIC_WORDS[arithmetic]}",
+            "choose another rate, estimator or arithmetic, or a firmware that has it",
+        )
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +262,17 @@ def _push_text(x: Experiment) -> str:
     )
 
 
+def where_it_runs(x: Experiment) -> str:
+    """Where the law runs, in words: with the device's arithmetic and what it sends of every tick."""
+    if x.controller.loop == "host":
+        return "the law on this computer"
+    arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]
+    return (
+        f"the law on the device in {arithmetic}, which sends every tick, {device_law.batch_samples(x)} to a frame "
+        f"({device_law.bytes_per_second(x) / 1e3:.1f} kB/s)"
+    )
+
+
 def _steps(x: Experiment) -> tuple[Step, ...]:
     position, effort, velocity = (unit_of(q, x.rig.motion) for q in ("position", "effort", "velocity"))
     c, t, h, w = x.controller, x.trial, x.homing, x.wall
@@ -184,7 +281,8 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
     return (
         Step(
             "configure",
-            f"{scheme}: position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}",
+            f"{scheme}: position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, "
+            f"{where_it_runs(x)}",
             0.0,
         ),
         Step(

@@ -16,6 +16,7 @@ the wall: sampled answer over true answer of the rig to an effort that is held (
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -26,6 +27,7 @@ from rig import bilateral, config, controller, devices, laws
 from rig.config import Experiment
 from rig.errors import RecordingError
 from rig.excitation import Multisine
+from rig.excitation_table import ExcitationTable, Phases
 from rig.experiments.judgement import experiment_of
 from rig.impedance.signals import Complexes, Floats, Shaken, hold
 from rig.laws import Law
@@ -67,7 +69,18 @@ class Run:
 
 
 def multisine_of(experiment: Experiment, realisation: int = 0) -> Multisine:
-    """Excitation of one realisation, as ``[excitation]`` says it."""
+    """Excitation of one realisation, as ``[excitation]`` says it; where a device makes it, with the device's phases."""
+    if _made_by_the_device(experiment):
+        quantum = experiment.rig.amplifier.effort_quantum
+        return device_table(experiment, realisation).multisine(experiment.controller.position_rate, quantum)
+    return _own_multisine(experiment, realisation)
+
+
+def _made_by_the_device(experiment: Experiment) -> bool:
+    return experiment.controller.loop == "device" and experiment.excitation.channel == "motor"
+
+
+def _own_multisine(experiment: Experiment, realisation: int) -> Multisine:
     given = experiment.excitation
     band, size = (given.low_hz, given.high_hz), config.excitation_size(experiment)
     if given.kind == "schroeder":
@@ -80,8 +93,64 @@ def ramp_s(experiment: Experiment) -> float:
     return SETTLING_SHARE * config.excitation_s(experiment)[1]
 
 
-def shaken_law(experiment: Experiment, realisation: int = 0) -> Law:
-    """The bilateral wall, and the excitation of one realisation by the rig's own motor."""
+def device_table(
+    experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None
+) -> ExcitationTable:
+    """One realisation as a device makes it: its lines and its size are those of ``[excitation]``, its phases its own.
+
+    Raises `ConfigError` for an excitation that a device cannot make.
+    """
+    given, amplifier = experiment.excitation, experiment.rig.amplifier
+    quantum = amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
+    size = config.excitation_size(experiment)
+    return _device_table(
+        given,
+        realisation,
+        size.get("rms"),
+        size.get("peak"),
+        experiment.controller.position_rate,
+        amplifier.effort_per_ampere * quantum,
+        round(ramp_s(experiment) * experiment.controller.position_rate),
+    )
+
+
+@lru_cache(maxsize=64)  # a table takes a tenth of a second, and plan, law and record ask for it
+def _device_table(
+    given: config.Excitation,
+    realisation: int,
+    rms: float | None,
+    peak: float | None,
+    rate: int,
+    effort_quantum: float,
+    ramp: int,
+) -> ExcitationTable:
+    seed = int(np.random.SeedSequence((given.seed, realisation)).generate_state(1)[0])
+    phases: Phases = "schroeder" if given.kind == "schroeder" else "hashed"
+
+    def table(wanted: float) -> ExcitationTable:
+        flat = Multisine.schroeder((given.low_hz, given.high_hz), given.period_s, rms=wanted)
+        return ExcitationTable.of(flat, rate, effort_quantum, ramp=ramp, phases=phases, seed=seed)
+
+    if peak is None:
+        assert rms is not None
+        return table(rms)
+    first = table(peak / 4.0)  # whose crest factor is that of its phases, whatever its size
+    return table(peak / first.multisine(rate, effort_quantum).crest_factor)
+
+
+def shaken_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
+    """The bilateral wall, and the excitation of one realisation by the rig's own motor.
+
+    Where a device makes the excitation, its table is that of the device, to the bit, in the quantum that it declares.
+    """
+    if _made_by_the_device(experiment):
+        quantum = (
+            experiment.rig.amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
+        )
+        table = device_table(experiment, realisation, current_quantum_a)
+        return laws.shaken(
+            table.efforts(controller.effort_quantum(experiment, quantum)), table.ramp, table.parameters()
+        )
     rate = experiment.controller.position_rate
     efforts = multisine_of(experiment, realisation).period(rate)
     return laws.shaken(efforts, round(ramp_s(experiment) * rate))

@@ -12,7 +12,7 @@ from rig import config
 from rig.config import Experiment
 from rig.errors import ConfigError
 from rig.excitation import Check as Found
-from rig.experiments.plan import Check, Outcome, Plan, Step
+from rig.experiments.plan import Check, Outcome, Plan, Step, where_it_runs
 from rig.experiments.shaking import multisine_of
 from rig.impedance.ideal import bare, rendered
 from rig.sample import Motion, unit_of
@@ -120,7 +120,9 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
     who = "the rig's own motor" if e.channel == "motor" else "a second actuator"
     return (
         Step(
-            "configure", f"position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}", 0.0
+            "configure",
+            f"position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, {where_it_runs(x)}",
+            0.0,
         ),
         Step(
             "home",

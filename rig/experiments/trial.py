@@ -96,6 +96,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         current_quantum_a=quantum,
         reference_count=request.reference_count,
         verified=request.verified,
+        law=request.law,
     )
     echo = device.configure(parameters)
     virtual = device.link.clock.virtual

@@ -28,6 +28,7 @@ from rig.config import Experiment
 from rig.errors import PlanError
 from rig.experiments.bench import Bench
 from rig.experiments.ladder import Limit, Outcomes, Search, limit_of
+from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.measure import NUMBERS
 from rig.schemes import Scheme
 from rig.verdict import CRITERIA, INVALID, Finding, Measured, findings
@@ -239,9 +240,15 @@ class ZWidth:
     boundaries: tuple[Boundary, ...]
     hits: int
     climbs: Sequence[list[dict[str, Any]]]  # rows of `run_climb`, in the order of `MapPlan.climbs`
+    on_device: bool = False  # every hit ran over a link
+
+    @property
+    def of_device_loop(self) -> bool:
+        """Whether simulated hits under the host's law stand for a law on the device."""
+        return self.plan.experiment.controller.loop == "device" and not self.on_device
 
     @classmethod
-    def of(cls, plan: MapPlan, climbs: Sequence[list[dict[str, Any]]]) -> ZWidth:
+    def of(cls, plan: MapPlan, climbs: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
         """Find the boundaries in the hits of every climb."""
         limits: dict[tuple[int, float, str], list[Limit]] = {}
         hits = 0
@@ -250,7 +257,8 @@ class ZWidth:
             for criterion in CRITERIA:
                 column = (climb.scheme, climb.damping, criterion)
                 limits.setdefault(column, []).append(limit_of(_tried(rows, criterion, plan.judged)))
-        return cls(plan, tuple(Boundary.of(*column, found) for column, found in limits.items()), hits, climbs)
+        boundaries = tuple(Boundary.of(*column, found) for column, found in limits.items())
+        return cls(plan, boundaries, hits, climbs, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
         """Boundaries of one scheme under one criterion, by damping."""
@@ -322,6 +330,7 @@ class ZWidth:
             "judged": plan.judged,
             "hits": self.hits,
             "silent": self.silent(),
+            "note": STANDS_FOR_DEVICE if self.of_device_loop else None,
             "experiment": config.as_mapping(plan.experiment),
         }
 

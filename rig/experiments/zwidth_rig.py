@@ -26,7 +26,7 @@ from rig.errors import DeviceFaultError, GuardError, PlanError, RigError, Stoppe
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import THROWN_OUT, ended_early, experiment_of
 from rig.experiments.ladder import Outcomes, Search
-from rig.experiments.plan import Outcome, link_checks, make_plan
+from rig.experiments.plan import Outcome, device_checks, link_checks, make_plan
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
@@ -116,9 +116,9 @@ def zwidth_on_rig(plan: MapPlan, session: Session, *, journal: Path | None = Non
             except (KeyboardInterrupt, StoppedError) as stop:
                 raise _stopped(stop, first, journal) from stop
 
-        return ZWidth.of(
-            plan, sweep.run_here(work_of(session.url, session.realtime), perform, tasks, journal=journal)
-        )
+        work = work_of(session.url, session.realtime)
+        climbs_done = sweep.run_here(work, perform, tasks, journal=journal)
+        return ZWidth.of(plan, climbs_done, on_device=True)
 
 
 def work_of(url: str, realtime: bool) -> str:
@@ -147,7 +147,8 @@ def _opened(plan: MapPlan, session: Session) -> Iterator[FramedDevice]:
         ):
             yield device
     else:
-        with devices.open_device(session.url, model) as device:
+        url = devices.url_for(session.url, plan.experiment.controller.loop)
+        with devices.open_device(url, model) as device:
             yield device
 
 
@@ -196,6 +197,7 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
         climb = next(climb for climb in plan.climbs() if climb.scheme == number)
         under = plan.experiment_of(climb)
         checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
+        checks += device_checks(under, device.dictionary)
         for stiffness in (rungs[0], rungs[-1]):
             checks += make_plan(config.override(under, _changes(under, stiffness), "the map")).checks
         refused = {check.name: check for check in checks if check.outcome is Outcome.REFUSED}.values()

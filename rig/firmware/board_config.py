@@ -121,6 +121,7 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
         *_byte_lines(content),
         "};",
         "",
+        *_excitation(board),
         "static const struct narrower narrower[] = {",
         *(f"    {{{name}, {low:#x}u, {high:#x}u}}," for name, low, high in narrower),
         "};",
@@ -137,10 +138,21 @@ def _source(board: Board, model: RigModel, record: Record) -> str:
         "    .mechanics = {",
         f"{mechanics},",
         "    },",
+        *_where_excitation(board),
         "};",
         "",
     ]
     return "\n".join(lines)
+
+
+def _excitation(board: Board) -> list[str]:
+    return ["static int16_t excitation[BOARD_EXCITATION_TICKS];", ""] if board.excitation_ticks else []
+
+
+def _where_excitation(board: Board) -> list[str]:
+    if not board.excitation_ticks:
+        return []
+    return ["    .excitation = excitation,", "    .excitation_length = BOARD_EXCITATION_TICKS,"]
 
 
 def _byte_lines(content: bytes) -> list[str]:

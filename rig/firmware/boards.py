@@ -9,6 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os.path import normpath
 from pathlib import Path
 from typing import Any
 
@@ -97,12 +98,11 @@ class Board:
     settings: Mapping[str, Setting]
 
     def sources(self, application: str) -> tuple[Path, ...]:
-        """C and assembler files of one of its programs, in the order of their names."""
-        foreign = {
-            name for other, names in self.applications.items() if other != application for name in names
-        }
+        """C and assembler files of one of its programs: those of the port by name, then the program's own."""
+        special = {name for names in self.applications.values() for name in names}
         found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
-        return tuple(path for path in found if path.name not in foreign - set(self.applications[application]))
+        own = (Path(normpath(self.directory / name)) for name in self.applications[application])
+        return (*(path for path in found if path.name not in special), *own)
 
 
 def names() -> list[str]:

@@ -29,6 +29,7 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werr
 CODE = (
     "-mthumb",
     "-g",
+    "-gno-record-gcc-switches",
     "-ffp-contract=off",
     "-ffunction-sections",
     "-fdata-sections",
@@ -142,6 +143,7 @@ def build(request: BuildRequest, told: Told = lambda _what, _share: None) -> Bui
             f"board {board.name} has no program {request.application!r}",
             remedy=f"its programs: {', '.join(board.applications)}",
         )
+    _make_directory(request.output)
     compiler = find_compiler()
     settings = settings_of(board, request.settings)
     sources = (*shared_sources(), *board.sources(request.application))
@@ -191,7 +193,8 @@ def _compiled(
     names = [f"firmware/{path.relative_to(FIRMWARE).as_posix()}" for path in sources] + ["board_config.c"]
     here = f"firmware/{board.directory.relative_to(FIRMWARE).as_posix()}"
     include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), f"-I{here}"]
-    common = [*WARNINGS, *CODE, *board.processor, *board.compile, *include]
+    nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
+    common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
     objects = [f"{number}.o" for number in range(len(names))]
 
     def compile_one(number: int) -> None:
@@ -257,18 +260,28 @@ def _written(
         if name not in ("elf", "bin", "uf2", "facts")
     }
     try:
-        request.output.mkdir(parents=True, exist_ok=True)
         paths["elf"].write_bytes(content)
         paths["bin"].write_bytes(image)
         if board.uf2_family is not None:
             paths["uf2"].write_bytes(write_uf2(pieces, board.uf2_family))
         paths["json"].write_text(json.dumps(said, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
-        raise RecordingError(
-            f"the image cannot be written to {request.output}: {error.strerror or error}",
-            remedy="name another directory with --output",
-        ) from None
+        raise _not_written(request.output, error) from None
     return result
+
+
+def _make_directory(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _not_written(directory, error) from None
+
+
+def _not_written(directory: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        f"the image cannot be written to {directory}: {error.strerror or error}",
+        remedy="name another directory with --output",
+    )
 
 
 def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Status
+from firmware_protocol.faults import Input, Status
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.board import describe
@@ -21,13 +21,17 @@ from rig.devices.framed import FramedDevice
 from rig.errors import DeviceRefusedError, RigError
 from rig.firmware.info import compatibility
 from rig.model import RigModel
+from rig.sample import unit_of
 
 EXCHANGES, EXCHANGES_S = 20, 1.0
 VIRTUAL_S = 0.1  # where time costs computing
 DRIFT_LIMIT_PPM = 300.0  # two crystals differ by less than 200; an RC oscillator by thousands
 RATE_LIMIT_PPM = 300.0
 JITTER_LIMIT = 0.05  # of a period: the time between two samples is what a velocity is divided by
-MOVE_S, MOVE_COUNTS = 10.0, 20
+INPUTS_S = 0.05
+MOVE_COUNTS = 20  # a hand moves farther; one channel alone, or noise, does not
+MOVE_LOOK_S, REST_S = 0.1, 0.5
+MOVE_LOOKS = 2_000  # STATE frames of an unarmed device: twenty seconds
 _SESSION = 0xFF  # asked for by an ARM that must be refused
 
 Told = Callable[[str, float], None]
@@ -128,6 +132,7 @@ def selftest(
         ("refusals", _refusals),
         ("clock", _clock),
         ("ticks", _ticks),
+        ("inputs", _inputs),
         ("encoder", _encoder),
         ("link", _link),
     ]
@@ -325,27 +330,57 @@ def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
 # ------------------------------------------------------------------ its senses, and its line
 
 
+def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
+    states = device.states(INPUTS_S)
+    if not states:
+        return Check("inputs", "failed", "no STATE came", "update its firmware")
+    inputs = states[-1].inputs
+    stop = "pressed" if inputs & Input.EMERGENCY_STOP else "not pressed"
+    held = "held" if inputs & Input.HOLD_TO_RUN else "released"
+    return Check("inputs", "ok", f"emergency stop {stop}, hold-to-run switch {held}")
+
+
 def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
     first = device.count()
     if not request.move:
         return Check("encoder", "skipped", f"it reads {first}; --move looks for the counts of a hand")
-    least = most = first
-    waited = 0.0
-    while most - least < MOVE_COUNTS and waited < MOVE_S:
-        waited += 0.1
-        for state in device.states(0.1):
-            least, most = min(least, state.count), max(most, state.count)
+    counts = [first]
+    while max(counts) - min(counts) < MOVE_COUNTS and len(counts) < MOVE_LOOKS:
+        counts += [state.count for state in device.states(MOVE_LOOK_S)] or [counts[-1]]
+    counts += _until_rest(device, counts[-1])
+    least, most = min(counts), max(counts)
     if _is_faulty(device):
         report = device.fault_report()
         return Check("encoder", "failed", report.text, report.remedy)
     if most == least:
         remedy = "move the handle when asked; else check the encoder's supply and both of its wires"
-        return Check("encoder", "failed", f"no count changed in {MOVE_S:g} s", remedy)
+        return Check("encoder", "failed", f"it read {first} all the time", remedy)
     if most - least == 1:
         return Check(
             "encoder", "failed", "one count toggles", "one channel is missing: check both encoder wires"
         )
-    return Check("encoder", "ok", f"it moved through {most - least} counts, {least} to {most}")
+    return Check("encoder", "ok", _way(first, counts[-1], most - least, request.model))
+
+
+def _until_rest(device: FramedDevice, last: int) -> list[int]:
+    """Counts until the hand has stopped."""
+    counts = [last]
+    while len(counts) < MOVE_LOOKS:
+        new = [state.count for state in device.states(REST_S)] or [counts[-1]]
+        counts += new
+        if max(new) - min(new) <= 1:
+            break
+    return counts
+
+
+def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
+    """Say how far the handle went, and which way, as far as the rig is known."""
+    text = f"from {first} to {last}, through {span} counts"
+    if model is None or first == last:
+        return text
+    way = (last - first) * model.encoder.sign * model.encoder.resolution
+    direction = "rose" if way > 0.0 else "fell"
+    return f"{text}: the position {direction} by {abs(way):.4g} {unit_of('position', model.motion)}"
 
 
 def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:

@@ -12,6 +12,7 @@ from firmware_protocol.codec import HEAD, STATE
 from firmware_protocol.kernel import kernel
 from rig import ring
 from rig.loop.exchange import take_time
+from rig.loop.frames import NO_FRAME, keep_rest, next_frame
 from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, RECEIVE_BYTES, WORD
 from rig.plugs import TRANSFER
 from rig.words import load_word, store_word
@@ -35,6 +36,15 @@ def drain(read: Any, link: int, received: Any, progress: Any) -> int:
             return int(got)
         progress[0]["filled"] += got
     return 0
+
+
+@kernel(types.void(BYTES, types.int64, types.int64, PROGRESS_TYPE, types.uintp))
+def forget_noise(received: Any, start: int, end: int, progress: Any, words: int) -> None:
+    """Keep the unfinished frame behind the last whole one for the next reading, unless it is noise."""
+    rest = keep_rest(received, start, end)
+    if rest < 0:
+        add(words, ring.BAD_FRAMES, 1)
+    progress[0]["filled"] = max(rest, 0)
 
 
 @kernel(types.int64(INTS, INTS, INTS, PROGRESS_TYPE, types.uintp))
@@ -81,26 +91,17 @@ def newest_state(
     start = 0
     passed = 0
     while True:
-        stop = codec.find_delimiter(received, start, end)
-        if stop < 0:
+        length, start = next_frame(received, start, end, raw)
+        if length == NO_FRAME:
             break
-        if stop > start:
-            length = codec.decode_frame(received, start, stop, raw)
-            if length < 0:
-                add(words, ring.BAD_FRAMES, 1)
-            else:
-                add(words, ring.FRAMES, 1)
-                kind = codec.decode_state(raw, length, header, candidate)
-                if header[HEAD.session] == session and kind == 0:
-                    passed += _take(header, candidate, state, progress, words)
-                elif take_time(raw, length, header, times, exchanges, progress, device_tick_ps, words) == 0:
-                    add(words, ring.OTHER_FRAMES, 1)
-        start = stop + 1
-    rest = end - start
-    if rest > RECEIVE_BYTES // 2:
-        add(words, ring.BAD_FRAMES, 1)
-        rest = 0
-    for i in range(rest):
-        received[i] = received[start + i]
-    progress[0]["filled"] = rest
+        if length < 0:
+            add(words, ring.BAD_FRAMES, 1)
+            continue
+        add(words, ring.FRAMES, 1)
+        kind = codec.decode_state(raw, length, header, candidate)
+        if header[HEAD.session] == session and kind == 0:
+            passed += _take(header, candidate, state, progress, words)
+        elif take_time(raw, length, header, times, exchanges, progress, device_tick_ps, words) == 0:
+            add(words, ring.OTHER_FRAMES, 1)
+    forget_noise(received, start, end, progress, words)
     return passed

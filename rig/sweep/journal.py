@@ -1,42 +1,32 @@
 """The journal of a long computation: what is done stays done, whatever ends the process.
 
-One text file, one line for each thing said, appended and never changed::
+One file of lines (`rig.recording.lines`), one for each thing said, appended and never changed::
 
-    line    = CRC of the JSON (8 hex digits)  blank  JSON object in ASCII  newline
     first   : {"sweep": 1, "work": …, "version": …, "tasks": …, "plan": SHA-256 of work, version and tasks, "first": …}
     others  : {"key": …, "result": …}, one for each task done, in the order in which they were done
 
-The CRC is that of zlib. A line whose CRC is wrong is as if it had never been written: its task is run again. What
-follows the last newline was being written when the process died, and is cut off. Floats are written with the shortest
-digits that read back to the same bits; what is not finite is ``NaN``, ``Infinity`` and ``-Infinity``, as Python spells
-it in JSON.
+A line whose CRC is wrong is as if it had never been written: its task is run again. Floats are written with the
+shortest digits that read back to the same bits; what is not finite is ``NaN``, ``Infinity`` and ``-Infinity``, as
+Python spells it in JSON.
 
 A process that dies loses nothing that was appended; a power cut at most what came after the last sync.
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
-import os
-import time
-import zlib
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from rig.errors import ConfigError, RecordingError
-from rig.recording.files import disk_error, plain_errors, sync_directory
+from rig.recording.files import plain_errors
+from rig.recording.lines import LineFile, line_of, object_of
 
 VERSION = 1
-SYNC_S = 0.5
 NOT_DONE = -1
 SHOWN_DIFFERENCES, SHOWN_LETTERS = 3, 60
-_CRC_DIGITS = 8
-_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # what some network file systems say
 
 
 class Memory:
@@ -89,16 +79,11 @@ class Journal:
         self.path = path
         self.damaged = 0  # lines that were left out
         self._places = array("q", [NOT_DONE]) * len(keys)  # where the line of each task begins
-        self._dirty = False
-        self._synced_s = time.monotonic()
-        with plain_errors("open", path):
-            self._file = FileIO(path, "a+")  # not buffered: what was written survives this process
+        self._file = LineFile(path, remedy="wait until it has ended, or name another file")
         try:
-            self._lock()
-            with plain_errors("read", path):
-                self._end = self._load({"sweep": VERSION, **header}, keys)
+            self._end = self._load({"sweep": VERSION, **header}, keys)
         except BaseException:
-            self._file.close()
+            self._file.close(sync=False)
             raise
 
     def done(self) -> list[int]:
@@ -107,8 +92,8 @@ class Journal:
 
     def append(self, index: int, key: str, text: str) -> None:
         """Keep the result of a task; `text` is its JSON."""
-        line = _line(f'{{"key":{json.dumps(key)},"result":{text}}}')
-        self._write(line)
+        line = line_of(f'{{"key":{json.dumps(key)},"result":{text}}}')
+        self._file.append(line)
         self._places[index] = self._end
         self._end += len(line)
 
@@ -120,96 +105,58 @@ class Journal:
         with plain_errors("read", self.path), open(self.path, "rb") as file:
             for index in indices:
                 file.seek(self._places[index])
-                found = _read(file.readline())
+                found = object_of(file.readline())
                 if found is None:
                     raise RecordingError(
                         f"{self.path} was changed by somebody", remedy="run the same command again"
                     )
                 yield found["result"]
 
-    def sync(self, *, at_once: bool = False) -> None:
-        """Bring to disk what was appended, at most every `SYNC_S` seconds unless asked."""
-        if self._dirty and (at_once or time.monotonic() - self._synced_s >= SYNC_S):
-            with plain_errors("write", self.path):
-                os.fsync(self._file.fileno())
-            self._dirty, self._synced_s = False, time.monotonic()
+    def sync(self) -> None:
+        """Bring to disk what was appended, now and then."""
+        self._file.sync()
 
     def close(self) -> None:
         """Bring everything to disk and let others have the file."""
-        try:
-            self.sync(at_once=True)
-        finally:
-            self._file.close()
-
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise RecordingError(
-                f"another process is writing {self.path}",
-                remedy="wait until it has ended, or name another file",
-            ) from error
-        except OSError as error:
-            if error.errno not in _NO_LOCKS:
-                raise disk_error("lock", self.path, error.errno or errno.EIO) from error
+        self._file.close()
 
     def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:
         """Read what is there, or begin; return the length of the good part."""
-        wanted = _line(json.dumps(header))
-        with open(self.path, "rb") as file:
+        wanted = line_of(json.dumps(header))
+        with plain_errors("read", self.path), open(self.path, "rb") as file:
             first = file.readline()
-            if len(first) < len(wanted) and wanted.startswith(first):
-                return self._begin(wanted)  # new, or its first line was torn: either way it holds nothing
-            there = _read(first)
-            if there is None or "sweep" not in there:
-                raise RecordingError(
-                    f"{self.path} is not the journal of a sweep, or its first line is damaged",
-                    remedy="name another file, or remove this one to start anew",
-                )
-            _refuse_another(self.path, there, json.loads(json.dumps(header)))
-            end = self._read_results(file, len(first), {key: index for index, key in enumerate(keys)})
+        if len(first) < len(wanted) and wanted.startswith(first):
+            return self._begin(wanted)  # new, or its first line was torn: either way it holds nothing
+        there = object_of(first)
+        if there is None or "sweep" not in there:
+            raise RecordingError(
+                f"{self.path} is not the journal of a sweep, or its first line is damaged",
+                remedy="name another file, or remove this one to start anew",
+            )
+        _refuse_another(self.path, there, json.loads(json.dumps(header)))
+        end = self._read_results(len(first), {key: index for index, key in enumerate(keys)})
         self._file.truncate(end)
         return end
 
     def _begin(self, first: bytes) -> int:
         self._file.truncate(0)
-        self._write(first)
-        os.fsync(self._file.fileno())
-        sync_directory(self.path.parent)
+        self._file.append(first)
+        self._file.sync(at_once=True)
+        self._file.sync_name()
         return len(first)
 
-    def _read_results(self, file: BinaryIO, end: int, index_of: Mapping[str, int]) -> int:
-        for line in file:
-            if not line.endswith(b"\n"):
-                break
-            found = _read(line)
+    def _read_results(self, end: int, index_of: Mapping[str, int]) -> int:
+        for place, line in self._file.lines():
+            if place == 0:
+                continue
+            found = object_of(line)
             index = None if found is None else index_of.get(found["key"])
             if index is None:
                 self.damaged += 1
             elif self._places[index] == NOT_DONE:
-                self._places[index] = end
-            end += len(line)
+                self._places[index] = place
+            end = place + len(line)
         return end
-
-    def _write(self, data: bytes) -> None:
-        self._dirty = True
-        with plain_errors("write", self.path):
-            while data:
-                data = data[self._file.write(data) :]
-
-
-def _line(text: str) -> bytes:
-    body = text.encode("ascii")
-    return b"%08x %s\n" % (zlib.crc32(body), body)
-
-
-def _read(line: bytes) -> dict[str, Any] | None:
-    """Return the object of a line, None when it is damaged or torn."""
-    crc, blank, body = line[:_CRC_DIGITS], line[_CRC_DIGITS : _CRC_DIGITS + 1], line[_CRC_DIGITS + 1 : -1]
-    if (crc, blank, line[-1:]) != (b"%08x" % zlib.crc32(body), b" ", b"\n"):
-        return None
-    value: dict[str, Any] = json.loads(body)
-    return value
 
 
 def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:

@@ -103,6 +103,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_receive": (None, [_P, ctypes.c_char_p, _N]),
     "host_poll": (_N, [_P, ctypes.c_char_p, _N]),
     "host_take": (_N, [_P, _P, _N]),
+    "host_law": (ctypes.c_bool, [_P, _P]),
     "host_status": (None, [_P, ctypes.POINTER(Status)]),
 }
 

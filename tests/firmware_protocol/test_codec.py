@@ -17,9 +17,30 @@ from hypothesis import strategies as st
 from firmware_protocol import codec, framing
 from firmware_protocol.errors import LocalProtocolError, RemoteProtocolError
 from firmware_protocol.framing import FrameError, encode_frame
-from firmware_protocol.messages import MAJOR, Command, GetTime, Message, State, Time
-from firmware_protocol.packing import HEADER, LAYOUT_OF, pack, unpack
-from tests.conformance.wire_strategies import any_message, messages_of
+from firmware_protocol.messages import (
+    BATCH_LAYOUTS,
+    MAJOR,
+    Ack,
+    Batch,
+    Command,
+    GetTime,
+    Message,
+    SetBegin,
+    SetChunk,
+    SetCommit,
+    State,
+    Time,
+)
+from firmware_protocol.packing import (
+    HEADER,
+    LAYOUT_OF,
+    data_limit,
+    pack,
+    pack_batch_samples,
+    unpack,
+    unpack_batch_samples,
+)
+from tests.conformance.wire_strategies import any_message, integers_of, messages_of
 
 SESSIONS = st.integers(0, 255)
 SEQUENCES = st.integers(0, 65535)
@@ -188,6 +209,117 @@ def test_stuffing_alone_is_the_readable_one(raw: bytes) -> None:
 def test_the_delimiter_is_found(data: bytes, a: int, b: int) -> None:
     start, end = sorted((min(a, len(data)), min(b, len(data))))
     assert codec.find_delimiter(buffer_of(data), start, end) == data.find(0, start, end)
+
+
+# ---------------------------------------------------------------------- a law on the device
+
+
+def wrapped(count: int) -> int:
+    """As an encoder's 32 bits hold it."""
+    return (count + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+@st.composite
+def batches(draw: st.DrawFn) -> Batch:
+    """A batch of any layout with as many samples as fit, or fewer."""
+    layout = draw(st.sampled_from(sorted(BATCH_LAYOUTS)))
+    sample = st.tuples(*(integers_of(ctype) for ctype in BATCH_LAYOUTS[layout]))
+    size = len(pack_batch_samples(layout, [(0,) * len(BATCH_LAYOUTS[layout])]))
+    samples = draw(st.lists(sample, min_size=1, max_size=data_limit(Batch) // size))
+    first, time, base = draw(integers_of("u32")), draw(integers_of("u32")), draw(integers_of("i32"))
+    return Batch(first, time, base, layout, pack_batch_samples(layout, samples))
+
+
+def compiled_batch(raw: bytes) -> tuple[int, tuple[int, ...], list[list[int]]]:
+    values, header = np.zeros(len(codec.BATCH), dtype=np.int64), np.zeros(5, dtype=np.int64)
+    samples = np.zeros((codec.MOST_SAMPLES, len(codec.SAMPLE)), dtype=np.int64)
+    buffer = np.zeros(codec.RAW_BYTES + 50, dtype=np.uint8)
+    buffer[: len(raw)] = np.frombuffer(raw, np.uint8)
+    found = int(codec.decode_batch(buffer, len(raw), header, values, samples))
+    return found, tuple(values), samples[: max(0, found)].tolist()
+
+
+@given(batches(), SESSIONS, SEQUENCES)
+def test_a_batch_is_read_sample_by_sample(batch: Batch, session: int, sequence: int) -> None:
+    raw = pack(batch, session=session, sequence=sequence)
+    found, values, samples = compiled_batch(raw)
+    expected, count = [], batch.base_count
+    for difference, commanded, *measured in unpack_batch_samples(batch):
+        count += difference
+        expected.append([wrapped(count), commanded, *(measured or [0])])
+    assert (found, samples) == (len(expected), expected)
+    assert values == (batch.first_index, batch.device_time, batch.base_count, batch.layout)
+
+
+def test_the_fullest_batch_of_each_layout_has_room() -> None:
+    for layout, ctypes in BATCH_LAYOUTS.items():
+        sample = pack_batch_samples(layout, [(1,) * len(ctypes)])
+        most = data_limit(Batch) // len(sample)
+        found, _, samples = compiled_batch(pack(Batch(0, 0, 0, layout, sample * most)))
+        assert found == len(samples) == most <= codec.MOST_SAMPLES
+        assert samples[-1][0] == most
+    assert codec.MOST_SAMPLES == 76
+
+
+@given(st.integers(0, 3), st.integers(0, 255), st.binary(max_size=260))
+def test_both_refuse_the_same_batches(major: int, type_id: int, payload: bytes) -> None:
+    raw = HEADER.pack(major, type_id | 0x61, 0, 0, 0) + payload
+    found, _, _ = compiled_batch(raw)
+    if major != MAJOR:
+        assert found == codec.FOREIGN_MAJOR
+    elif type_id | 0x61 != LAYOUT_OF[Batch].type_id:
+        assert found == codec.OTHER_TYPE
+    else:
+        try:
+            message = unpack(raw)[1]
+            assert isinstance(message, Batch)
+            samples = unpack_batch_samples(message)
+        except RemoteProtocolError:
+            assert found in (codec.BAD_PAYLOAD, codec.BAD_VALUE)
+        else:
+            assert found == len(samples)
+
+
+def test_samples_that_do_not_fit_their_layout_are_refused() -> None:
+    with pytest.raises(LocalProtocolError, match="sample"):
+        pack_batch_samples(0, [(128, 0, 0)])
+
+
+@given(messages_of(SetChunk), SESSIONS, SEQUENCES)
+def test_a_chunk_is_the_readable_one(chunk: SetChunk, session: int, sequence: int) -> None:
+    out = np.full(codec.FRAME_BYTES, 0xAA, dtype=np.uint8)
+    values = np.array([chunk.nonce, chunk.offset], dtype=np.int64)
+    block = buffer_of(b"xy" + chunk.data + b"z")
+    size = codec.encode_set_chunk(session, sequence, values, block, 2, 2 + len(chunk.data), out)
+    assert out[:size].tobytes() == encode_frame(pack(chunk, session=session, sequence=sequence))
+
+
+def test_a_chunk_longer_than_a_frame_is_refused() -> None:
+    values, out = np.zeros(2, dtype=np.int64), np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
+    block = np.zeros(100, dtype=np.uint8)
+    assert codec.CHUNK_BYTES == data_limit(SetChunk)
+    assert codec.encode_set_chunk(0, 0, values, block, 0, codec.CHUNK_BYTES, out) > 0
+    assert codec.encode_set_chunk(0, 0, values, block, 0, codec.CHUNK_BYTES + 1, out) == codec.BAD_VALUE
+    values[0] = -1
+    assert codec.encode_set_chunk(0, 0, values, block, 0, 1, out) == codec.BAD_VALUE
+
+
+@given(messages_of(SetBegin), messages_of(SetCommit), SESSIONS, SEQUENCES)
+def test_begin_and_commit_are_the_readable_ones(
+    begin: Message, commit: Message, session: int, sequence: int
+) -> None:
+    out = np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
+    for message, encode in ((begin, codec.encode_set_begin), (commit, codec.encode_set_commit)):
+        size = encode(session, sequence, np.array(astuple(message), dtype=np.int64), out)  # type: ignore[call-overload]
+        assert out[:size].tobytes() == encode_frame(pack(message, session=session, sequence=sequence))
+
+
+@given(messages_of(Ack))
+def test_an_answer_is_read_field_by_field(ack: Message) -> None:
+    raw = buffer_of(pack(ack))
+    values, header = np.zeros(len(codec.ACK), dtype=np.int64), np.zeros(5, dtype=np.int64)
+    assert codec.decode_ack(raw, len(raw), header, values) == 0
+    assert tuple(values) == astuple(ack)  # type: ignore[call-overload]
 
 
 UNCOMPILED = """

@@ -25,6 +25,7 @@ from hypothesis import strategies as st
 from rig import sweep
 from rig.cli.progress import SweepBar
 from rig.errors import ConfigError, RecordingError, StoppedError
+from rig.recording import lines
 from rig.sweep import Progress, SweepStoppedError, Task, TaskError, executors
 from rig.sweep import journal as journals
 from rig.sweep.executors import as_json
@@ -273,7 +274,7 @@ def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(tmp_path,
             self.room -= written
             return written
 
-    monkeypatch.setattr(journals, "FileIO", Full)
+    monkeypatch.setattr(lines, "FileIO", Full)
     with pytest.raises(RecordingError, match=r"cannot write .*No space left on device\. free some space"):
         sweep.run(SINES, sines(20), journal=path)
     monkeypatch.undo()
@@ -293,11 +294,11 @@ def test_no_directory_for_the_journal_is_said_plainly(tmp_path):
 def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(tmp_path, monkeypatch):
     synced, fsync = [], os.fsync
     monkeypatch.setattr(
-        journals.os, "fsync", lambda descriptor: (synced.append(time.monotonic()), fsync(descriptor))
+        lines.os, "fsync", lambda descriptor: (synced.append(time.monotonic()), fsync(descriptor))
     )
     started = time.monotonic()
     sweep.run(SINES, sines(300), journal=tmp_path / "j")
-    assert 3 <= len(synced) <= 4 + (time.monotonic() - started) / journals.SYNC_S
+    assert 3 <= len(synced) <= 4 + (time.monotonic() - started) / lines.SYNC_S
 
 
 def test_memory_does_not_grow_with_the_results(tmp_path):

@@ -267,6 +267,12 @@ size_t host_take(struct host *host, uint8_t *into, size_t capacity)
     return count;
 }
 
+bool host_law(const struct host *host, law_parameters *into)
+{
+    *into = host->device.renderer.parameters;
+    return host->device.renderer.there;
+}
+
 void host_status(const struct host *host, struct host_status *status)
 {
     const struct device *device = &host->device;

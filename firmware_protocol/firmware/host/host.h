@@ -100,6 +100,9 @@ void host_receive(struct host *host, const uint8_t *bytes, size_t count);
 size_t host_poll(struct host *host, const uint8_t *bytes, size_t count); /* one device_poll; returns bytes taken */
 size_t host_take(struct host *host, uint8_t *into, size_t capacity);
 
+/* The law that it runs, as it read it from its parameters; false when it runs none. */
+bool host_law(const struct host *host, law_parameters *into);
+
 void host_status(const struct host *host, struct host_status *status);
 
 #endif

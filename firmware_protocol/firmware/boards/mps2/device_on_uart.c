@@ -128,14 +128,15 @@ static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
     return count;
 }
 
-static void hal_link_write(void *context, const uint8_t *frame, size_t count)
+static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
 {
     (void)context;
     if (count > QUEUE_BYTES - queue.count)
-        return;
+        return false;
     for (size_t i = 0; i < count; i++)
         queue.bytes[(queue.begins + queue.count + i) % QUEUE_BYTES] = frame[i];
     queue.count += (uint32_t)count;
+    return true;
 }
 
 static void hal_feed_watchdog(void *context)
@@ -143,7 +144,7 @@ static void hal_feed_watchdog(void *context)
     (void)context;
 }
 
-static void hal_sync(void *context, bool bits)
+static void hal_sync(void *context, uint8_t bits)
 {
     (void)context;
     (void)bits;

@@ -1,0 +1,49 @@
+"""From bytes as they come to whole frames: the one place where compiled code cuts a stream at its delimiters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol import codec
+from firmware_protocol.kernel import kernel
+
+NO_FRAME = -100  # what is left is no whole frame
+
+_BYTES = types.uint8[::1]
+
+
+@kernel(types.UniTuple(types.int64, 2)(_BYTES, types.int64, types.int64, _BYTES))
+def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]:
+    """Take the next frame out of ``received[start:end]``.
+
+    Returns
+    -------
+    int
+        Length of the frame without its CRC, which is then in `raw` (`codec.RAW_BYTES`); a negative defect of
+        `codec.decode_frame`; or `NO_FRAME`.
+    int
+        Where the bytes behind it begin.
+    """
+    stop = codec.find_delimiter(received, start, end)
+    while stop == start:  # delimiters alone mean nothing
+        start += 1
+        stop = codec.find_delimiter(received, start, end)
+    if stop < 0:
+        return NO_FRAME, start
+    return codec.decode_frame(received, start, stop, raw), stop + 1
+
+
+@kernel(types.int64(_BYTES, types.int64, types.int64))
+def keep_rest(received: Any, start: int, end: int) -> int:
+    """Move an unfinished frame to the front of the buffer; return its bytes.
+
+    Half a buffer without a delimiter is noise and is thrown away: returns -1 then.
+    """
+    rest = end - start
+    if rest > len(received) // 2:
+        return -1
+    for i in range(rest):
+        received[i] = received[start + i]
+    return rest

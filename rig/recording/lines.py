@@ -1,0 +1,122 @@
+"""A text file that only grows, each line with its own checksum: what was appended stays, whatever ends the process.
+
+    line = CRC of the JSON (8 hex digits)  blank  JSON object in ASCII  newline
+
+The CRC is that of zlib. What follows the last newline was being written when the process died, and is no line. One
+process writes at a time: the file is locked while it is open.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import time
+import zlib
+from collections.abc import Iterator
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from rig.errors import RecordingError
+from rig.recording.files import disk_error, plain_errors, sync_directory
+
+SYNC_S = 0.5
+_CRC_DIGITS = 8
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # what some network file systems say
+
+
+class LineFile:
+    """An open file of lines.
+
+    Parameters
+    ----------
+    path
+        Of the file, made when it is not there.
+    remedy
+        What to do when another process has it open.
+
+    Raises
+    ------
+    RecordingError
+        Another process writes it, or the disk refuses.
+    """
+
+    def __init__(self, path: Path, *, remedy: str) -> None:
+        self.path = path
+        self._dirty = False
+        self._synced_s = time.monotonic()
+        with plain_errors("open", path):
+            self._file = FileIO(path, "a+")  # not buffered: what was written survives this process
+        try:
+            self._lock(remedy)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def lines(self) -> Iterator[tuple[int, bytes]]:
+        """Yield every whole line, good or damaged, and the place where it begins."""
+        with plain_errors("read", self.path), open(self.path, "rb") as file:
+            place = 0
+            for line in file:
+                if not line.endswith(b"\n"):
+                    return
+                yield place, line
+                place += len(line)
+
+    def truncate(self, end: int) -> None:
+        """Cut off what follows a place: a torn tail."""
+        with plain_errors("write", self.path):
+            self._file.truncate(end)
+
+    def append(self, line: bytes) -> None:
+        """Append a line (`line_of`); it survives the death of this process, and after `sync` a power cut."""
+        self._dirty = True
+        data = line
+        with plain_errors("write", self.path):
+            while data:
+                data = data[self._file.write(data) :]
+
+    def sync(self, *, at_once: bool = False) -> None:
+        """Bring to disk what was appended, at most every `SYNC_S` seconds unless asked."""
+        if self._dirty and (at_once or time.monotonic() - self._synced_s >= SYNC_S):
+            with plain_errors("write", self.path):
+                os.fsync(self._file.fileno())
+            self._dirty, self._synced_s = False, time.monotonic()
+
+    def sync_name(self) -> None:
+        """Bring to disk that the file exists."""
+        sync_directory(self.path.parent)
+
+    def close(self, *, sync: bool = True) -> None:
+        """Bring everything to disk and let others have the file."""
+        try:
+            if sync:
+                self.sync(at_once=True)
+        finally:
+            self._file.close()
+
+    def _lock(self, remedy: str) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise RecordingError(f"another process is writing {self.path}", remedy=remedy) from error
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise disk_error("lock", self.path, error.errno or errno.EIO) from error
+
+
+def line_of(text: str) -> bytes:
+    """Line of a JSON object's text, which must be ASCII."""
+    body = text.encode("ascii")
+    return b"%08x %s\n" % (zlib.crc32(body), body)
+
+
+def object_of(line: bytes) -> dict[str, Any] | None:
+    """Return the object of a line, None when it is damaged or torn."""
+    crc, blank, body = line[:_CRC_DIGITS], line[_CRC_DIGITS : _CRC_DIGITS + 1], line[_CRC_DIGITS + 1 : -1]
+    if (crc, blank, line[-1:]) != (b"%08x" % zlib.crc32(body), b" ", b"\n"):
+        return None
+    value: dict[str, Any] = json.loads(body)
+    return value

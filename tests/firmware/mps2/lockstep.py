@@ -1,0 +1,209 @@
+"""A rig in lock-step with the firmware: the plant here, the device in the emulator or in this computer's own build.
+
+Both are asked by the same request (`boards/mps2/lockstep.c` has its bytes), a tick of the board each, so that what they
+answer can be compared bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol.connection import State
+from rig.clock import VirtualClock
+from rig.devices.device import DeviceUrl
+from rig.firmware import boards
+from rig.firmware.board_config import configure
+from rig.firmware.build import BuildResult, package_version, sources_hash
+from rig.model import RigModel
+from sim_backend.hardware import Hardware
+from tests.firmware import cross
+from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c
+
+UNITS_PER_SECOND = 16_000_000
+REQUEST = struct.Struct("<BBhiQQ?7x64s")
+REPLY = struct.Struct("<HhBBHI")
+HOST_BYTES = 64
+LOOK_S = 0.5  # between two looks whether it still lives
+HERE = Path(__file__).parent
+TRACE = np.dtype([("index", "u4"), ("count", "i4"), ("current", "i2"), ("state", "u1"), ("enabled", "u1")])
+MACHINES = {"m0plus": "mps2-an385", "an385": "mps2-an385", "an386": "mps2-an386", "an500": "mps2-an500"}
+
+
+@dataclass(frozen=True)
+class World:
+    """What the device measures at a sample."""
+
+    time: int = 0  # 1/16 µs
+    count: int = 0
+    edge_time: int = 0
+    measured: int = 0
+    inputs: int = 0
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What the device does, and says."""
+
+    current: int
+    state: State
+    enabled: bool
+    rate: int
+    bytes: bytes
+
+
+Exchange = Callable[[World, bytes, bool], Reply]
+
+
+def request_of(world: World, data: bytes, ticks: bool) -> bytes:
+    assert len(data) <= HOST_BYTES
+    return REQUEST.pack(
+        len(data), world.inputs, world.measured, world.count, world.time, world.edge_time, ticks, data
+    )
+
+
+class Partner:
+    """A process that answers requests: the image in QEMU, or the same program built for this computer.
+
+    The emulator's virtual time stands still while a request is awaited, so every run is alike.
+    """
+
+    def __init__(self, command: list[str], directory: Path) -> None:
+        for name in ("requests", "replies"):
+            os.mkfifo(directory / name)
+        self._requests = os.open(directory / "requests", os.O_RDWR)  # both ways, so that nobody waits to open it
+        self._replies = os.open(directory / "replies", os.O_RDWR)
+        self._process = subprocess.Popen(command, cwd=directory, stdin=subprocess.DEVNULL)
+
+    def __call__(self, world: World, data: bytes, ticks: bool) -> Reply:
+        os.write(self._requests, request_of(world, data, ticks))
+        received = self._read()
+        while len(received) < REPLY.size or len(received) < REPLY.unpack_from(received)[0]:
+            received += self._read()
+        total, current, state, enabled, _, rate = REPLY.unpack_from(received)
+        assert len(received) == total
+        return Reply(current, State(state), bool(enabled), rate, received[REPLY.size :])
+
+    def _read(self) -> bytes:
+        while not select.select([self._replies], [], [], LOOK_S)[0]:
+            assert self._process.poll() is None, f"it ended with {self._process.returncode}"
+        return os.read(self._replies, 1 << 16)
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        os.close(self._requests)
+        os.close(self._replies)
+
+
+def emulator(board: str) -> list[str]:
+    """The emulator with the machine of a board; its time is counted in instructions."""
+    machine = MACHINES[board.partition("-")[2] or "an386"]
+    command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", "none"]
+    return [*command, "-semihosting-config", "enable=on,target=native", "-icount", "shift=5,sleep=off"]
+
+
+def in_emulator(built: BuildResult, directory: Path) -> Partner:
+    return Partner([*emulator(built.board), "-kernel", str(built.elf)], directory)
+
+
+def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
+    """The same program, with the same constants, built by this computer's compiler."""
+    kind = boards.load(board)
+    config = configure(kind, model, {}, package=package_version(), sources=sources_hash(kind))
+    (directory / "board_config.h").write_text(config.header)
+    (directory / "board_config.c").write_text(config.source)
+    port = kind.directory
+    sources = [*SOURCES, port / "lockstep.c", directory / "board_config.c", HERE / "on_this_computer.c"]
+    include = [f"-I{path}" for path in (directory, FIRMWARE / "core", FIRMWARE / "law", port)]
+    program = compile_c(directory / "program", sources, [*include, *UNDEFINED])
+    return Partner([str(program)], directory)
+
+
+class Rig:
+    """A simulated rig on whatever answers exchanges; also the link by which a host reaches the device."""
+
+    url = DeviceUrl("test", "", {}, "test://")
+    bytes_per_second = None
+    messages: tuple[str, ...] = ()
+
+    def __init__(self, exchange: Exchange, model: RigModel) -> None:
+        self._exchange = exchange
+        self.clock = VirtualClock()
+        self._world = World()
+        self._to_device = b""
+        self._to_host: list[bytes] = []
+        self._reply = exchange(self._world, b"", False)
+        self._rate = self._reply.rate
+        self.hardware = Hardware(model, self._rate, seed=0, initial_position=None)
+        self._trace: list[tuple[int, int, int, int, int]] = []
+        self.said: list[bytes] = [self._reply.bytes]
+
+    @property
+    def trace(self) -> np.ndarray:
+        """What happened in each tick, dtype `TRACE`."""
+        return np.array(self._trace, TRACE)
+
+    @property
+    def state(self) -> State:
+        return self._reply.state
+
+    def tick(self) -> None:
+        """A tick of the board: sample, law, current; then the plant moves until the next."""
+        for at in range(0, max(1, len(self._to_device)), HOST_BYTES):
+            piece = self._to_device[at : at + HOST_BYTES]
+            last = at + HOST_BYTES >= len(self._to_device)
+            self._reply = self._exchange(self._world, piece, last)
+            self._keep(self._reply)
+        self._to_device = b""
+        self._trace.append(
+            (len(self._trace), self._world.count, self._reply.current, self._reply.state, self._reply.enabled)
+        )
+        self._move()
+
+    def _keep(self, reply: Reply) -> None:
+        if reply.bytes:
+            self._to_host.append(reply.bytes)
+            self.said.append(reply.bytes)
+
+    def _move(self) -> None:
+        if self._reply.rate != self._rate:
+            self._rate = self._reply.rate
+            self.hardware.set_rate(self._rate)
+        self.hardware.advance(self._reply.current)
+        time = self._world.time + UNITS_PER_SECOND // self._rate
+        age = round(min(self.hardware.edge_age_s * UNITS_PER_SECOND, time))
+        self._world = World(time, self.hardware.count, time - age, self.hardware.measured)
+        self.clock.sleep_until(time * 125 // 2)
+
+    # ------------------------------------------------------------------ as a link
+
+    def write(self, data: bytes) -> None:
+        self._to_device += data
+
+    def read(self, timeout_s: float) -> bytes:
+        end_ns = self.clock.now_ns() + round(timeout_s * 1e9)
+        while not self._to_host and self.clock.now_ns() < end_ns:
+            self.tick()
+        said, self._to_host = b"".join(self._to_host), []
+        return said
+
+    def close(self) -> None:
+        pass
+
+    def failure(self) -> None:
+        return None
+
+    def truth(self) -> None:
+        return None
+
+    def port(self) -> Any:
+        raise NotImplementedError

@@ -1,0 +1,195 @@
+"""Images: what is in them, that the same inputs give the same bytes, and how a build refuses."""
+
+import json
+import os
+import re
+import subprocess
+from dataclasses import astuple, fields
+
+import pytest
+
+from firmware_protocol.parameters import PARAMETERS
+from rig import config, presets
+from rig.board import MovedMechanics, moved_mechanics, over_current, peak_current
+from rig.errors import ConfigError, RecordingError
+from rig.firmware import boards
+from rig.firmware.board_config import configure
+from rig.firmware.build import BuildRequest, build, package_version, sources_hash
+from rig.firmware.elf import read_segments
+from rig.firmware.info import info
+from rig.firmware.toolchain import COMPILER_VARIABLE, ToolchainError, find_compiler
+from tests.firmware import cross
+from tests.firmware.build import FIRMWARE, compile_c
+
+BOARD = "mps2-an385"
+
+PRINTER = r"""
+#include "board_config.h"
+
+#include <stdio.h>
+
+int main(void)
+{
+    const struct board *b = &board_config;
+    const struct mechanics *m = &b->mechanics;
+    printf("%u %llx %u %d %u\n", b->dictionary_bytes, (unsigned long long)b->dictionary_hash, b->rate_initial,
+           b->encoder_sign, b->over_current);
+    printf("%a %a %a %a %a %a %a\n", m->effort_quantum, m->effort_limit, m->friction, m->travel, m->inertia, m->damping,
+           m->lag_s);
+    for (size_t i = 0; i < b->narrower_count; i++)
+        printf("%u %u %u\n", b->narrower[i].parameter, b->narrower[i].minimum, b->narrower[i].maximum);
+    for (size_t i = 0; i < b->dictionary_bytes; i++)
+        printf("%02x", b->dictionary[i]);
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def model():
+    return config.rig_model(presets.load("chawda-linear"))
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    return cross.image(BOARD, tmp_path_factory.mktemp("image"))
+
+
+def test_the_constant_in_c_is_the_rig(model, tmp_path):
+    board = boards.load(BOARD)
+    made = configure(board, model, {}, package="1", sources="abc")
+    (tmp_path / "board_config.h").write_text(made.header)
+    (tmp_path / "board_config.c").write_text(made.source)
+    (tmp_path / "print.c").write_text(PRINTER)
+    sources = [tmp_path / "board_config.c", tmp_path / "print.c"]
+    program = compile_c(tmp_path / "print", sources, [f"-I{tmp_path}", f"-I{FIRMWARE / 'core'}"])
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout.splitlines()
+    size, hash_, rate, sign, over = said[0].split()
+    assert (int(size), int(hash_, 16)) == (len(made.record.packed), made.record.dictionary_hash)
+    assert (int(rate), int(sign), int(over)) == (1000, model.encoder.sign, over_current(model))
+    assert [float.fromhex(text) for text in said[1].split()] == list(astuple(moved_mechanics(model)))
+    narrower = {PARAMETERS[int(i)].name: (int(low), int(high)) for i, low, high in map(str.split, said[2:-1])}
+    peak = peak_current(model)
+    assert narrower["motion"] == (1, 1)
+    assert narrower["current_limit"] == narrower["continuous_current"] == (0, peak)
+    assert narrower["position_rate"][1] == board.rate_maximum
+    assert list(narrower) == sorted(narrower, key=[p.name for p in PARAMETERS].index)
+    assert bytes.fromhex(said[-1]) == made.record.packed
+
+
+def test_the_generated_constants_follow_the_structs_of_the_core():
+    text = (FIRMWARE / "core" / "board.h").read_text()
+    members = re.search(r"struct mechanics \{(.*?)\};", text, re.DOTALL)
+    assert members is not None
+    names = re.findall(r"double (\w+);", members[1])
+    assert names == [field.name for field in fields(MovedMechanics)]
+
+
+def test_an_image_says_what_it_is(built):
+    for path in (built.elf, built.bin):
+        found = info(str(path))
+        assert found.compatible
+        assert (found.firmware, found.dictionary_hash) == (built.firmware, built.dictionary_hash)
+        assert found.facts == {
+            "package": package_version(),
+            "sources": sources_hash(boards.load(BOARD)),
+            "board": BOARD,
+            "rig": cross.RIG,
+            "settings": {},
+        }
+    said = json.loads(built.facts.read_text())
+    assert said["dictionary_hash"] == built.dictionary_hash
+    assert said["compiler"] == built.compiler
+    assert said["rig"] == cross.RIG
+
+
+def test_its_sizes_are_those_of_the_program(built):
+    listed = subprocess.run(
+        ["arm-none-eabi-size", built.elf], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    code, data, zeroes = (int(text) for text in listed[1].split()[:3])
+    assert built.ram_bytes == pytest.approx(data + zeroes, abs=64)
+    assert built.flash_bytes == pytest.approx(code, abs=64)
+    assert built.flash_bytes < 64 * 1024
+    assert len(read_segments(built.elf.read_bytes(), "x")) >= 1
+
+
+def test_the_same_inputs_give_the_same_bytes(built, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "elsewhere"))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    again = cross.image(BOARD, tmp_path / "again")
+    for first, second in zip(
+        (built.elf, built.bin, built.facts), (again.elf, again.bin, again.facts), strict=True
+    ):
+        assert first.read_bytes() == second.read_bytes(), first.suffix
+    assert str(tmp_path).encode() not in again.elf.read_bytes()
+    assert os.fsencode(FIRMWARE) not in again.elf.read_bytes()
+
+
+def test_without_a_compiler_it_says_what_to_install(model, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv(COMPILER_VARIABLE, raising=False)
+    with pytest.raises(ToolchainError, match="apt install gcc-arm-none-eabi libnewlib-arm-none-eabi"):
+        build(BuildRequest(model=model, board=BOARD, output=tmp_path))
+    monkeypatch.setenv(COMPILER_VARIABLE, "/no/such/gcc")
+    with pytest.raises(ToolchainError, match="/no/such/gcc"):
+        find_compiler()
+
+
+@pytest.mark.parametrize(
+    ("script", "match"), [("exit 1", "does not run"), ('test "$1" = --version && echo 1', "no C library")]
+)
+def test_a_compiler_that_is_none_is_told(tmp_path, monkeypatch, script, match):
+    fake = tmp_path / "gcc"
+    fake.write_text(f"#!/bin/sh\n{script}\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv(COMPILER_VARIABLE, str(fake))
+    with pytest.raises(ToolchainError, match=match):
+        find_compiler()
+
+
+def test_what_the_compiler_complains_about_is_shown(tmp_path):
+    cross.need_compiler()
+    (tmp_path / "bad.c").write_text("int main(void) { return nothing; }\n")
+    with pytest.raises(ToolchainError, match="nothing"):
+        find_compiler().run(["-c", "bad.c"], tmp_path)
+
+
+def test_boards_and_settings_that_are_none_are_refused(model, tmp_path):
+    with pytest.raises(ConfigError, match=r"name one of: .*mps2"):
+        boards.load("arduino")
+    with pytest.raises(ConfigError, match="no setting 'pin'"):
+        boards.settings_of(boards.load("mps2"), {"pin": 3})
+    with pytest.raises(ConfigError, match="its programs: device"):
+        build(BuildRequest(model=model, board=BOARD, output=tmp_path, application="game"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="--output"):
+        build(BuildRequest(model=model, board=BOARD, output=tmp_path / "file"))
+
+
+SETTING = boards.Setting(name="pin", default=3, meaning="where", minimum=0, maximum=29)
+SCALE = boards.Setting(name="scale", default=0.5, meaning="how much", unit="A", minimum=0.0)
+LINK = boards.Setting(name="link", default="usb", meaning="which", choices=("usb", "uart"))
+
+
+@pytest.mark.parametrize(
+    ("setting", "good", "bad"),
+    [
+        (SETTING, 29, 30),
+        (SETTING, 0, 1.0),
+        (SETTING, 1, True),
+        (SCALE, 2, -1.0),
+        (SCALE, 0.25, "x"),
+        (LINK, "uart", "can"),
+    ],
+)
+def test_a_setting_takes_what_it_may_be(setting, good, bad):
+    board = boards.load("mps2")
+    board = boards.Board(
+        **{**{f.name: getattr(board, f.name) for f in fields(board)}, "settings": {setting.name: setting}}
+    )
+    assert boards.settings_of(board, {})[setting.name] == setting.default
+    assert boards.settings_of(board, {setting.name: good})[setting.name] == good
+    with pytest.raises(ConfigError, match="give "):
+        boards.settings_of(board, {setting.name: bad})

@@ -1,0 +1,210 @@
+"""BATCH: every tick of a supervised law arrives as it was, or is known to be missing."""
+
+from __future__ import annotations
+
+import ctypes
+from itertools import pairwise
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from firmware_protocol.framing import RAW_LIMIT
+from firmware_protocol.messages import Mode
+from tests.conformance.rigs import rotary_rig
+from tests.firmware.core import OUTPUT_BYTES
+from tests.firmware.supervised import Board, Sample
+from tests.firmware.test_core_law import push, told_to_run
+
+FULL = {0: 45, 1: 76, 2: 38}  # samples in a raw frame of 252 bytes
+LARGEST = {0: 127, 1: 127, 2: 32_767}  # count difference
+WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
+
+moves = st.one_of(st.integers(-3, 3), st.integers(-128, 127), st.sampled_from([0, 127, -128]))
+# A tick: how far the handle moves, measured current, ticks missed before it, whether the link is stuck.
+ticks = st.tuples(
+    moves,
+    st.integers(-4_000, 4_000),
+    st.sampled_from([0] * 20 + [1, 3]),
+    st.sampled_from([False] * 9 + [True]),
+)
+
+
+def board_of(library: ctypes.CDLL, layout: int = 0, most: int = 76, **more: int) -> Board:
+    return Board(library).begin(
+        **told_to_run(push(), batch_layout=layout, batch_samples=most, **WIDE_OPEN, **more)
+    )
+
+
+def told(sample: Sample, layout: int) -> Sample:
+    return sample._replace(measured=None) if layout == 1 else sample
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 2), st.integers(1, 76), st.lists(ticks, max_size=200))
+@example(0, 45, [(0, 0, 0, False)] * 90)
+def test_each_tick_arrives_as_it_was_or_shows_as_a_gap(
+    library: ctypes.CDLL, layout: int, most: int, script: list[tuple[int, int, int, bool]]
+) -> None:
+    board = board_of(library, layout, most)
+    for moved, board.measured, missed, stuck in script:
+        if missed:
+            library.host_missed(board.core.address, missed)
+        library.host_set_room(board.core.address, 0 if stuck else OUTPUT_BYTES)
+        board.count += moved
+        board.supervise()
+    library.host_set_room(board.core.address, OUTPUT_BYTES)
+    board.command(Mode.STOP)
+    fed = {sample.index: told(sample, layout) for sample in board.fed}
+    assert all(fed[sample.index] == sample for sample in board.samples)
+    assert [frame.message.layout for frame in board.frames] == [layout] * len(board.frames)
+    dropped = board.core.status.dropped
+    if not dropped:
+        assert [sample.index for sample in board.samples] == list(fed)
+    for frame in board.frames:
+        assert 1 <= len(frame.samples) <= min(most, FULL[layout])
+    sequences = [frame.sequence for frame in board.frames]
+    assert sequences == sorted(set(sequences))
+
+
+@pytest.mark.parametrize("layout", [0, 1, 2])
+def test_a_frame_takes_as_many_samples_as_fit_or_as_it_is_told(library: ctypes.CDLL, layout: int) -> None:
+    board = board_of(library, layout)
+    board.run([0] * (2 * FULL[layout] + 5))
+    assert [len(frame.samples) for frame in board.frames] == [FULL[layout]] * 2
+    raw = 6 + 13 + len(board.frames[0].message.data) + 4
+    assert raw <= RAW_LIMIT < raw + {0: 5, 1: 3, 2: 6}[layout]
+    few = board_of(library, layout, 7)
+    few.run([0] * 23)
+    assert [len(frame.samples) for frame in few.frames] == [7, 7, 7]
+
+
+def test_a_frame_knows_when_its_first_sample_was_taken(library: ctypes.CDLL) -> None:
+    board = board_of(library, 0, 10)
+    times = []
+    for board.count in range(35):
+        times.append(board.core.status.due & 0xFFFFFFFF)
+        board.supervise()
+    assert [frame.message.device_time for frame in board.frames] == times[::10][:3]
+
+
+def test_a_count_before_the_first_difference_follows_the_last_frame(library: ctypes.CDLL) -> None:
+    board = board_of(library, 0, 10)
+    board.run([*range(0, 100, 3)])
+    assert [frame.message.base_count for frame in board.frames] == [0, 27, 57]
+
+
+@pytest.mark.parametrize("layout", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_difference_that_does_not_fit_is_a_fault_and_the_rest_is_kept(
+    library: ctypes.CDLL, layout: int, sign: int
+) -> None:
+    board = board_of(library, layout)
+    most = LARGEST[layout] if sign > 0 else LARGEST[layout] + 1
+    board.run([0, 0, sign * most, sign * most])
+    assert board.core.status.fault == Fault.NONE
+    board.run([2 * sign * most + sign])
+    status = board.core.status
+    assert (status.fault, status.current, status.enabled) == (Fault.BATCH_OVERFLOW, 0, 0)
+    assert [sample.count for sample in board.samples] == [0, 0, sign * most, sign * most]
+    assert (board.states[-1].fault, board.states[-1].count) == (Fault.BATCH_OVERFLOW, 2 * sign * most + sign)
+
+
+def test_how_far_the_handle_moved_over_a_gap_need_not_fit(library: ctypes.CDLL) -> None:
+    board = board_of(library)
+    board.run([0, 0])
+    library.host_missed(board.core.address, 5)
+    board.run([10_000, 10_001])
+    board.command(Mode.STOP)
+    assert board.core.status.fault == Fault.NONE
+    assert [sample.count for sample in board.samples] == [0, 0, 10_000, 10_001]
+    first, second = board.frames
+    assert second.message.first_index == first.message.first_index + 2 + 5
+
+
+def test_a_frame_that_the_link_does_not_take_is_lost_whole(library: ctypes.CDLL) -> None:
+    board = board_of(library, 0, 10)
+    board.run([0] * 10)
+    library.host_set_room(board.core.address, 0)
+    board.run([1] * 10)
+    library.host_set_room(board.core.address, OUTPUT_BYTES)
+    board.run([2] * 10)
+    first, last = board.frames
+    assert last.message.first_index == first.message.first_index + 20
+    assert (first.sequence, last.sequence) == (0, 2)
+    assert [sample.count for sample in last.samples] == [2] * 10
+
+
+@pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
+def test_the_last_samples_leave_when_supervision_ends(library: ctypes.CDLL, mode: Mode) -> None:
+    board = board_of(library)
+    board.run([0] * 7)
+    assert not board.frames
+    board.command(mode)
+    assert [len(frame.samples) for frame in board.frames] == [7]
+    board.tick()
+    board.tick()
+    assert len(board.frames) == 1
+
+
+def test_the_last_samples_leave_before_a_disarm_is_answered(library: ctypes.CDLL) -> None:
+    board = board_of(library)
+    board.run([0] * 7)
+    assert board.disarm().status == 0
+    assert [len(frame.samples) for frame in board.frames] == [7]
+
+
+def test_the_tick_of_a_fault_is_the_last_that_arrives(library: ctypes.CDLL) -> None:
+    board = Board(library, rotary_rig()).begin(**told_to_run(push()))
+    board.run([0] * 7)
+    board.measured = 32_767
+    board.run([1])
+    board.measured = 0
+    for _ in range(50):
+        board.tick()
+    assert board.core.status.fault == Fault.OVER_CURRENT
+    assert [sample.count for sample in board.samples] == [0] * 7 + [1]
+    assert board.samples[-1].measured == 32_767
+
+
+def test_a_fault_between_ticks_ends_the_frame(library: ctypes.CDLL) -> None:
+    board = board_of(library)
+    board.run([0] * 7)
+    library.host_fault(board.core.address, int(Fault.INTERNAL))
+    board.tick()
+    assert [len(frame.samples) for frame in board.frames] == [7]
+
+
+def test_a_new_session_begins_with_frame_zero_and_without_the_past(library: ctypes.CDLL) -> None:
+    board = board_of(library, 0, 5)
+    board.run([0] * 12)
+    board.disarm()
+    board.count = 5_000
+    board.frames.clear()
+    assert board.arm().status == 0
+    board.run([5_000] * 5)
+    (frame,) = board.frames
+    assert (frame.sequence, frame.message.base_count) == (0, 5_000)
+
+
+def test_nothing_is_batched_while_the_host_computes(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(), law=0))
+    board.run([0] * 100)
+    assert not board.frames
+    assert [b.sample_index - a.sample_index for a, b in pairwise(board.states)] == [1] * 99
+
+
+def test_two_boards_batch_for_themselves(library: ctypes.CDLL) -> None:
+    first, second = board_of(library, 0, 10), board_of(library, 2, 10)
+    for step in range(40):
+        first.run([step])
+        second.run([-2 * step])
+    for board in (first, second):
+        fed = {sample.index: sample for sample in board.fed}
+        assert [sample.index for sample in board.samples] == list(fed)[:40]
+        assert all(fed[sample.index] == sample for sample in board.samples)
+    assert isinstance(first.frames[0].message, m.Batch)
+    assert first.core.status.state == second.core.status.state == State.RUNNING

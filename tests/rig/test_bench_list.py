@@ -1,0 +1,43 @@
+"""The bench check-list: every command in it exists, with every option that it uses."""
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+import firmware_protocol
+import rig.cli
+
+BENCH = Path(firmware_protocol.__file__).with_name("firmware") / "BENCH.md"
+BLOCKS = re.findall(r"```sh\n(.*?)```", BENCH.read_text(encoding="utf-8"), re.DOTALL)
+COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("rig ")]
+
+
+def test_there_are_commands():
+    assert len(COMMANDS) >= 12
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command_of_the_list_exists_with_its_options(line):
+    words = shlex.split(line)[1:]
+    command: click.Command = rig.cli.rig
+    context = click.Context(command, info_name="rig")
+    while isinstance(command, click.Group):
+        found = command.get_command(context, words[0])
+        assert found is not None, f"no command {words[0]!r}"
+        command, words = found, words[1:]
+        context = click.Context(command, info_name=command.name, parent=context)
+    command.parse_args(context, list(words))  # raises for an option that is not there
+
+
+@pytest.mark.parametrize("line", [line for line in COMMANDS if re.search(r"--set|--operator|-K", line)])
+def test_keys_of_the_list_are_keys_of_an_experiment(line, tmp_path, monkeypatch, capfd):
+    """What the list runs on a rig can be planned for the preset that its numbers are for."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n')
+    words = shlex.split(line)[2:]
+    words = [word for i, word in enumerate(words) if word not in ("URL", "--url", "--verified")]
+    words = ["0.25" if word == "0.9" else word for word in words]  # of the preset's nominal effort, 0.286 N·m
+    assert rig.cli.run(["plan", *words]) == 0, capfd.readouterr().err

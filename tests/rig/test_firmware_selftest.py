@@ -1,0 +1,106 @@
+"""The self test passes on a device that is sound, and finds each defect; nothing moves."""
+
+from dataclasses import replace
+
+import pytest
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Status
+from rig import config, presets
+from rig.devices import open_device
+from rig.errors import DeviceRefusedError
+from rig.firmware.selftest import SelfTestRequest, failure, selftest
+
+REQUEST = SelfTestRequest(rate=2_000, seconds=0.1)
+
+
+@pytest.fixture
+def device():
+    with open_device("sim://koul-rigid") as opened:
+        yield opened
+
+
+def outcome(device, name, request=REQUEST):
+    found = {check.name: check for check in selftest(device, request).checks}
+    return found[name]
+
+
+def test_a_sound_device_passes_and_is_left_as_it_was(device):
+    before = device.in_force()
+    told = []
+    model = config.rig_model(presets.load("koul-rigid"))
+    found = selftest(device, replace(REQUEST, model=model), lambda what, share: told.append((what, share)))
+    assert found.passed
+    assert failure(found) is None
+    assert [check.outcome for check in found.checks if check.name != "encoder"] == ["ok"] * 9
+    assert device.in_force() == before
+    assert [what for what, _ in told] == [check.name for check in found.checks]
+    assert found.as_mapping()["passed"] is True
+
+
+def test_the_image_of_another_rig_is_found(device):
+    model = config.rig_model(presets.load("chawda-linear"))
+    check = outcome(device, "rig", replace(REQUEST, model=model))
+    assert check.outcome == "failed"
+    assert "motion" in check.text
+    assert "--rig chawda-linear" in check.remedy
+
+
+def test_a_fault_of_an_earlier_run_is_told_and_cleared(device):
+    device.link.device.inject_fault(Fault.OVER_CURRENT)
+    check = outcome(device, "fault memory")
+    assert check.outcome == "ok"
+    assert "OVER_CURRENT" in check.text
+    assert device.connection.state == State.CONFIGURED
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "value"),
+    [
+        ("refusals", "status_of", Status.OK),
+        ("ticks", "states", []),
+    ],
+)
+def test_a_defect_is_found(device, monkeypatch, name, method, value):
+    monkeypatch.setattr(device, method, lambda *_args, **_named: value)
+    monkeypatch.setattr(device, "disarm", lambda **_named: None)
+    check = outcome(device, name)
+    assert check.outcome == "failed"
+    assert check.remedy
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda state: replace(
+            state, device_time=(state.device_time + 90 * (state.sample_index % 64)) % 2**32
+        ),
+        lambda state: replace(state, device_time=state.device_time * 1001 // 1000 % 2**32),
+        lambda state: replace(state, missed_ticks=state.sample_index % 1000),
+    ],
+    ids=["jitter", "rate", "missed"],
+)
+def test_ticks_that_are_not_regular_are_found(device, monkeypatch, spoil):
+    honest = device.states
+    monkeypatch.setattr(device, "states", lambda seconds: [spoil(state) for state in honest(seconds)])
+    assert outcome(device, "ticks").outcome == "failed"
+
+
+def test_damaged_frames_are_found(device):
+    device.identify()
+    device.link.write(b"\x03\x05\x07\x00")
+    check = outcome(device, "link")
+    assert check.outcome == "failed"
+    assert "1 frames that the device could not read" in check.text
+    error = failure(selftest(device, REQUEST))
+    assert isinstance(error, DeviceRefusedError)
+    assert "link" in error.message
+
+
+def test_a_hand_on_the_handle_is_seen(device):
+    request = replace(REQUEST, move=True)
+    assert outcome(device, "encoder", request).outcome == "failed"
+    device.link.device.hardware.external_effort = 0.5
+    check = outcome(device, "encoder", request)
+    assert check.outcome == "ok", check.text
+    device.link.device.hardware.external_effort = 0.0

@@ -1,0 +1,96 @@
+"""``rig firmware`` as a person meets it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.firmware import cross
+
+
+def test_the_self_test_of_a_simulated_rig_passes(run):
+    code, out, err = run(
+        "firmware",
+        "selftest",
+        "sim://koul-rigid",
+        "--rig",
+        "koul-rigid",
+        "--rate",
+        "2000",
+        "--seconds",
+        "0.1",
+    )
+    assert code == 0, err
+    for words in ("ok protocol", "ok rig", "ok ticks: 2000.00 Hz", "-- encoder", "ok link"):
+        assert words in out
+
+
+def test_the_self_test_of_another_rig_fails_with_its_remedy(run):
+    arguments = [
+        "selftest",
+        "sim://koul-rigid",
+        "--rig",
+        "chawda-linear",
+        "--rate",
+        "1000",
+        "--seconds",
+        "0.1",
+        "--json",
+    ]
+    code, out, err = run("firmware", *arguments)
+    assert code == 5
+    found = json.loads(out)
+    assert not found["passed"]
+    assert "--rig chawda-linear" in err
+
+
+def test_info_of_a_simulated_device(run):
+    code, out, _ = run("firmware", "info", "sim://koul-rigid", "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["compatible"]
+    assert found["simulated"]
+    assert found["law"] == 0
+
+
+def test_what_is_no_image_is_refused(run, tmp_path):
+    (tmp_path / "text.uf2").write_text("hello")
+    assert run("firmware", "info", "text.uf2")[0] == 2
+    assert run("firmware", "flash", "text.uf2")[0] in (2, 3)
+    assert run("firmware", "flash", "none.uf2", "--drive", tmp_path)[0] == 2
+
+
+def test_boards_are_listed_and_others_refused(run):
+    code, out, _ = run("firmware", "build", "--board", "list", "--json")
+    assert code == 0
+    assert "mps2" in [board["name"] for board in json.loads(out)]
+    code, _, err = run("firmware", "build", "--board", "arduino")
+    assert code == 2
+    assert "mps2" in err
+
+
+def test_without_a_compiler_the_command_says_what_to_install(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    code, _, err = run("firmware", "build", "--board", "mps2")
+    assert code == 15
+    assert "apt install gcc-arm-none-eabi" in err
+    assert "Traceback" not in err
+
+
+@pytest.fixture
+def built(run, tmp_path):
+    cross.need_compiler()
+    code, out, err = run(
+        "firmware", "build", "--rig", "koul-rigid", "--board", "mps2", "--json", "-o", tmp_path / "made"
+    )
+    assert code == 0, err
+    return json.loads(out)
+
+
+def test_an_image_is_built_and_looked_at(run, built):
+    assert built["rig"] == "koul-rigid"
+    assert {Path(built[kind]).exists() for kind in ("elf", "bin", "facts")} == {True}
+    code, out, _ = run("firmware", "info", built["elf"])
+    assert code == 0
+    for words in ("mps2", "koul-rigid", built["dictionary_hash"], "compatible", "yes"):
+        assert words in out
