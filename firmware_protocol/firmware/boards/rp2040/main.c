@@ -14,8 +14,6 @@
 #define POLL_CYCLES (CLOCK_HZ / 100000u)
 
 static struct device device;
-static struct board board;
-static int16_t excitation[BOARD_EXCITATION_TICKS];
 
 /* ------------------------------------------------------------------ the hardware layer */
 
@@ -182,10 +180,7 @@ int main(void)
     time_start();
     encoder_start();
     link_start(board_config.dictionary_hash);
-    board = board_config;
-    board.excitation = excitation;
-    board.excitation_length = BOARD_EXCITATION_TICKS;
-    device_start(&device, &hal, &board);
+    device_start(&device, &hal, &board_config);
     if (bitten)
         device_fault(&device, HR_FAULT_WATCHDOG_RESET);
     watchdog_start();

@@ -1,0 +1,210 @@
+"""The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
+
+`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial line in
+virtual time, so that whoever speaks to a link can speak to the emulated board.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig.clock import VirtualClock
+from rig.firmware.build import BuildRequest, BuildResult, build
+from rig.firmware.toolchain import ToolchainError
+from rig.model import RigModel
+from sim_backend.plant import DiscretePlant
+
+HERE = Path(__file__).parent
+CLOCK_HZ = 125_000_000
+PLANT_STEP_S = 2e-6
+INSTALL_S = 60.0
+SLICE_US = 200.0
+START_US = 3_000.0  # from power-up to a device that listens
+FULL_SCALE_A = 10.0
+MONITOR_V_PER_A = 0.165
+PINS = {"encoder": 2, "pwm": 8, "enable": 10, "hold_to_run": 11, "emergency_stop": 12, "sync_in": 4, "sync_out": 5}
+
+
+def image(model: RigModel, output: Path, **settings: Any) -> BuildResult:
+    """Build the firmware for a rig, with a current monitor; skips the test without a cross compiler."""
+    if shutil.which("arm-none-eabi-gcc") is None:
+        pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")
+    request = BuildRequest(
+        model=model, board="rp2040", output=output, settings={"current_monitor": "adc", **settings}
+    )
+    try:
+        return build(request)
+    except ToolchainError as error:
+        if "no C library" in str(error):
+            pytest.skip("the C library is not installed (package libnewlib-arm-none-eabi)")
+        raise
+
+
+def modules() -> Path:
+    """Where the emulator is installed, once for all trees that want the same version; skips the test without npm."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not installed (package nodejs)")
+    wanted = sha256((HERE / "package-lock.json").read_bytes()).hexdigest()[:12]
+    base = Path(os.environ.get("HAPTIC_RIG_CACHE") or Path(tempfile.gettempdir()) / f"haptic-rig-{os.getuid()}")
+    place = base / f"node-{wanted}"
+    if not place.is_dir():
+        base.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=base) as scratch:
+            for name in ("package.json", "package-lock.json"):
+                shutil.copy(HERE / name, scratch)
+            command = ["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"]
+            done = subprocess.run(
+                command, cwd=scratch, capture_output=True, text=True, timeout=INSTALL_S, check=False
+            )
+            if done.returncode != 0:
+                pytest.skip(f"npm cannot fetch the emulator: {done.stderr.strip().splitlines()[-1:]}")
+            try:
+                os.rename(scratch, place)
+                os.mkdir(scratch)  # for the context to remove
+            except OSError:
+                assert place.is_dir()  # another process was first
+    return place / "node_modules"
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
+
+    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While the
+    count was read the encoder went from `before` to `after`.
+    """
+
+    at: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    entered: NDArray[np.int64]
+    left: NDArray[np.int64]
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
+
+    @property
+    def whole(self) -> Ticks:
+        """Those that the interrupt has returned from."""
+        kept = self.left > 0
+        return Ticks(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
+
+    @property
+    def cycles(self) -> NDArray[np.int64]:
+        """From the interrupt's entry to its return."""
+        return self.left - self.entered
+
+
+class Pico:
+    """The emulated board; leave its context to end the process."""
+
+    def __init__(self, model: RigModel, built: BuildResult, *, position: float | None = None) -> None:
+        environment = {**os.environ, "NODE_PATH": str(modules())}
+        self._process = subprocess.Popen(
+            ["node", str(HERE / "serve.js")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        motor: dict[str, Any] = {
+            "full_scale": FULL_SCALE_A,
+            "effort_per_ampere": model.amplifier.effort_per_ampere,
+            "monitor_scale": MONITOR_V_PER_A,
+        }
+        if position is not None:
+            motor["plant"] = {**plant_of(model), "position": position}
+        self.ask("power", image=str(built.bin), pins=PINS, motor=motor)
+        self.run(START_US)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait(10.0)
+        self._process.stdout.close()
+
+    def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
+        """Have a command of serve.js carried out."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
+        self._process.stdin.flush()
+        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+        assert "error" not in answer, answer["error"]
+        return answer
+
+    def run(self, us: float) -> bytes:
+        """Let time pass; returns what the host's end of the line has got."""
+        return bytes.fromhex(self.ask("run", us=us)["sent"])
+
+    def send(self, data: bytes) -> None:
+        self.ask("send", hex=data.hex())
+
+    def look(self) -> dict[str, Any]:
+        return self.ask("look")
+
+    def ticks(self) -> Ticks:
+        """Those since the last question."""
+        answer = self.ask("ticks")
+        return Ticks(*(np.array(answer[name], dtype=np.int64) for name in Ticks.__dataclass_fields__))
+
+    def move(self, *motion: tuple[int, float]) -> None:
+        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next."""
+        self.ask("move", motion=motion)
+
+
+def plant_of(model: RigModel) -> dict[str, Any]:
+    """The rig's plant as plant.js wants it."""
+    plant = DiscretePlant.build(model, PLANT_STEP_S)
+    return {
+        "phi": plant.phi.tolist(),
+        "gamma": plant.gamma.tolist(),
+        "parameters": plant.parameters.tolist(),
+    }
+
+
+class PicoLink:
+    """The serial line of an emulated board as a link in virtual time."""
+
+    url = "emulated"
+    bytes_per_second = 300_000.0
+    messages: Sequence[str] = ()
+
+    def __init__(self, pico: Pico) -> None:
+        self.pico = pico
+        self.clock = VirtualClock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """Let time pass until bytes are there, or the time is out."""
+        left_us = timeout_s * 1e6
+        data = b""
+        while not data and left_us > 0.0:
+            step_us = min(SLICE_US, left_us)
+            data = self.pico.run(step_us)
+            self.clock.sleep_until(self.clock.now_ns() + round(step_us * 1e3))
+            left_us -= step_us
+        return data
+
+    def write(self, data: bytes) -> None:
+        self.pico.send(data)
+
+
+Complaints = Mapping[str, int]
