@@ -29,9 +29,7 @@ class StallError(Exception):
 
 def program(directory: Path) -> Path:
     """Compile the stack and the model of its controller."""
-    return build.compile_c(
-        directory / "usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}"]
-    )
+    return build.compile_c(directory / "usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}"])
 
 
 @dataclass(frozen=True)
@@ -120,9 +118,7 @@ class Host:
 
     # ------------------------------------------------------------------ transfers
 
-    def control_in(
-        self, kind: int, request: int, value: int = 0, index: int = 0, length: int = 255
-    ) -> bytes:
+    def control_in(self, kind: int, request: int, value: int = 0, index: int = 0, length: int = 255) -> bytes:
         """A request for data: what comes until a short packet or all that was asked for."""
         assert kind & IN
         self.setup(kind, request, value, index, length)
@@ -142,9 +138,7 @@ class Host:
             assert self.give(0, b"")
         return data
 
-    def control_out(
-        self, kind: int, request: int, value: int = 0, index: int = 0, data: bytes = b""
-    ) -> None:
+    def control_out(self, kind: int, request: int, value: int = 0, index: int = 0, data: bytes = b"") -> None:
         """A request with data to the device, or without any."""
         assert not kind & IN
         self.setup(kind, request, value, index, len(data))
