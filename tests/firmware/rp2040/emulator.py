@@ -36,7 +36,15 @@ SLICE_US = 200.0
 START_US = 3_000.0  # from power-up to a device that listens
 FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
-PINS = {"encoder": 2, "pwm": 8, "enable": 10, "hold_to_run": 11, "emergency_stop": 12, "sync_in": 4, "sync_out": 5}
+PINS = {
+    "encoder": 2,
+    "pwm": 8,
+    "enable": 10,
+    "hold_to_run": 11,
+    "emergency_stop": 12,
+    "sync_in": 4,
+    "sync_out": 5,
+}
 
 
 def image(model: RigModel, output: Path, **settings: Any) -> BuildResult:
@@ -59,7 +67,9 @@ def modules() -> Path:
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("node and npm are not installed (package nodejs)")
     wanted = sha256((HERE / "package-lock.json").read_bytes()).hexdigest()[:12]
-    base = Path(os.environ.get("HAPTIC_RIG_CACHE") or Path(tempfile.gettempdir()) / f"haptic-rig-{os.getuid()}")
+    base = Path(
+        os.environ.get("HAPTIC_RIG_CACHE") or Path(tempfile.gettempdir()) / f"haptic-rig-{os.getuid()}"
+    )
     place = base / f"node-{wanted}"
     if not place.is_dir():
         base.mkdir(parents=True, exist_ok=True)
@@ -119,14 +129,7 @@ class Pico:
             text=True,
             env=environment,
         )
-        motor: dict[str, Any] = {
-            "full_scale": FULL_SCALE_A,
-            "effort_per_ampere": model.amplifier.effort_per_ampere,
-            "monitor_scale": MONITOR_V_PER_A,
-        }
-        if position is not None:
-            motor["plant"] = {**plant_of(model), "position": position}
-        self.ask("power", image=str(built.bin), pins=PINS, motor=motor)
+        self.ask("power", image=str(built.bin), pins=PINS, motor=motor_of(model, position))
         self.run(START_US)
 
     def __enter__(self) -> Self:
@@ -169,6 +172,18 @@ class Pico:
     def move(self, *motion: tuple[int, float]) -> None:
         """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next."""
         self.ask("move", motion=motion)
+
+
+def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
+    """The motor behind the pins, and the rig that it moves from a position (rad or m); None: nothing moves."""
+    motor: dict[str, Any] = {
+        "full_scale": FULL_SCALE_A,
+        "effort_per_ampere": model.amplifier.effort_per_ampere,
+        "monitor_scale": MONITOR_V_PER_A,
+    }
+    if position is not None:
+        motor["plant"] = {**plant_of(model), "position": position}
+    return motor
 
 
 def plant_of(model: RigModel) -> dict[str, Any]:
