@@ -36,7 +36,15 @@ SLICE_US = 200.0
 START_US = 3_000.0  # from power-up to a device that listens
 FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
-PINS = {"encoder": 2, "pwm": 8, "enable": 10, "hold_to_run": 11, "emergency_stop": 12, "sync_in": 4, "sync_out": 5}
+PINS = {
+    "encoder": 2,
+    "pwm": 8,
+    "enable": 10,
+    "hold_to_run": 11,
+    "emergency_stop": 12,
+    "sync_in": 4,
+    "sync_out": 5,
+}
 
 
 def image(model: RigModel, output: Path, **settings: Any) -> BuildResult:
@@ -59,7 +67,9 @@ def modules() -> Path:
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("node and npm are not installed (package nodejs)")
     wanted = sha256((HERE / "package-lock.json").read_bytes()).hexdigest()[:12]
-    base = Path(os.environ.get("HAPTIC_RIG_CACHE") or Path(tempfile.gettempdir()) / f"haptic-rig-{os.getuid()}")
+    base = Path(
+        os.environ.get("HAPTIC_RIG_CACHE") or Path(tempfile.gettempdir()) / f"haptic-rig-{os.getuid()}"
+    )
     place = base / f"node-{wanted}"
     if not place.is_dir():
         base.mkdir(parents=True, exist_ok=True)
@@ -96,29 +106,47 @@ class Ticks:
     after: NDArray[np.int64]
 
     @property
-    def whole(self) -> Ticks:
-        """Those that the interrupt has returned from."""
-        kept = self.left > 0
-        return Ticks(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
-
-    @property
     def cycles(self) -> NDArray[np.int64]:
         """From the interrupt's entry to its return."""
         return self.left - self.entered
+
+    def __getitem__(self, which: Any) -> Ticks:
+        return Ticks(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def _started() -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        ["node", str(HERE / "serve.js")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NODE_PATH": str(modules())},
+    )
+
+
+def _asked(process: subprocess.Popen[str], op: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
+    process.stdin.flush()
+    answer: dict[str, Any] = json.loads(process.stdout.readline())
+    assert "error" not in answer, answer["error"]
+    return answer
+
+
+def _ended(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.close()
+    process.wait(10.0)
+    process.stdout.close()
 
 
 class Pico:
     """The emulated board; leave its context to end the process."""
 
     def __init__(self, model: RigModel, built: BuildResult, *, position: float | None = None) -> None:
-        environment = {**os.environ, "NODE_PATH": str(modules())}
-        self._process = subprocess.Popen(
-            ["node", str(HERE / "serve.js")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
+        self._process = _started()
         motor: dict[str, Any] = {
             "full_scale": FULL_SCALE_A,
             "effort_per_ampere": model.amplifier.effort_per_ampere,
@@ -126,6 +154,7 @@ class Pico:
         }
         if position is not None:
             motor["plant"] = {**plant_of(model), "position": position}
+        self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 6)
         self.ask("power", image=str(built.bin), pins=PINS, motor=motor)
         self.run(START_US)
 
@@ -135,21 +164,11 @@ class Pico:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait(10.0)
-        self._process.stdout.close()
+        _ended(self._process)
 
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
         """Have a command of serve.js carried out."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
-        self._process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
-        assert "error" not in answer, answer["error"]
-        return answer
+        return _asked(self._process, op, arguments)
 
     def run(self, us: float) -> bytes:
         """Let time pass; returns what the host's end of the line has got."""
@@ -162,13 +181,18 @@ class Pico:
         return self.ask("look")
 
     def ticks(self) -> Ticks:
-        """Those since the last question."""
+        """All since power-up or the last reset: the first is sample 1 of the device."""
         answer = self.ask("ticks")
-        return Ticks(*(np.array(answer[name], dtype=np.int64) for name in Ticks.__dataclass_fields__))
+        fields = Ticks.__dataclass_fields__
+        new = (np.array(answer[name], dtype=np.int64) for name in fields)
+        self._ticks = Ticks(
+            *(np.concatenate([getattr(self._ticks, name), a]) for name, a in zip(fields, new, strict=True))
+        )
+        return self._ticks
 
-    def move(self, *motion: tuple[int, float]) -> None:
-        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next."""
-        self.ask("move", motion=motion)
+    def move(self, *motion: tuple[int, float]) -> float:
+        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next; returns when it ends (ns)."""
+        return float(self.ask("move", motion=motion)["ends"])
 
 
 def plant_of(model: RigModel) -> dict[str, Any]:
@@ -179,6 +203,17 @@ def plant_of(model: RigModel) -> dict[str, Any]:
         "gamma": plant.gamma.tolist(),
         "parameters": plant.parameters.tolist(),
     }
+
+
+def plant_states(model: RigModel, position: float, efforts: list[float]) -> list[list[float]]:
+    """Position, velocity and effort of plant.js behind each step, an effort (N·m) for each."""
+    process = _started()
+    try:
+        plant = {**plant_of(model), "position": position}
+        states: list[list[float]] = _asked(process, "plant", {"plant": plant, "commands": efforts})["states"]
+        return states
+    finally:
+        _ended(process)
 
 
 class PicoLink:
@@ -205,6 +240,3 @@ class PicoLink:
 
     def write(self, data: bytes) -> None:
         self.pico.send(data)
-
-
-Complaints = Mapping[str, int]

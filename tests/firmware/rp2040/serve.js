@@ -2,7 +2,7 @@
 /* The board at the end of a pipe: one command a line in, one answer a line out, both JSON. */
 const fs = require('node:fs');
 const readline = require('node:readline');
-const { Pico, NANOS_A_CYCLE } = require('./pico.js');
+const { Pico } = require('./pico.js');
 const { Plant } = require('./plant.js');
 
 const ADC_STEPS_A_VOLT = 4096 / 3.3;
@@ -44,6 +44,8 @@ class Motor {
   }
 }
 
+const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
+
 const commands = {
   power({ image, pins, motor: description }) {
     pico = new Pico(fs.readFileSync(image), pins);
@@ -63,7 +65,7 @@ const commands = {
   },
   /* Move the encoder: pairs of counts (signed) and nanoseconds between them. */
   move({ motion }) {
-    let at = pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now;
+    let at = movesUntil();
     for (const [counts, nanos] of motion)
       for (let i = 0; i < Math.abs(counts); i++) {
         at += nanos;
@@ -71,9 +73,9 @@ const commands = {
       }
     return { ends: at };
   },
-  /* Both channels at once. */
+  /* Both channels at once, a microsecond behind whatever is to come. */
   jump() {
-    pico.edges.push({ at: pico.now, way: 2 });
+    pico.edges.push({ at: movesUntil() + 1000, way: 2 });
     return {};
   },
   set(switches) {
@@ -112,11 +114,10 @@ const commands = {
   },
   /* Every tick since the last question. */
   ticks() {
-    const { ticks } = pico;
+    const ticks = pico.takeTicks();
     const column = (name) => ticks.map((tick) => tick[name]);
     const answer = {};
     for (const name of ['at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
-    pico.clear();
     return answer;
   },
   /* Time that a pin is high (ns) over the next stretch of time. */
@@ -174,4 +175,3 @@ lines.on('line', (line) => {
   }
   process.stdout.write(JSON.stringify(answer) + '\n');
 });
-void NANOS_A_CYCLE;
