@@ -1,7 +1,7 @@
 """The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
 
-`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial line in
-virtual time, so that whoever speaks to a link can speak to the emulated board.
+`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial line
+in virtual time, so that whoever speaks to a link can speak to the emulated board.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def modules() -> Path:
 class Ticks:
     """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
 
-    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While the
-    count was read the encoder went from `before` to `after`.
+    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While
+    the count was read the encoder went from `before` to `after`.
     """
 
     at: NDArray[np.int64]
@@ -191,7 +191,7 @@ class Pico:
         return self._ticks
 
     def move(self, *motion: tuple[int, float]) -> float:
-        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next; returns when it ends (ns)."""
+        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next. Returns the end (ns)."""
         return float(self.ask("move", motion=motion)["ends"])
 
 
