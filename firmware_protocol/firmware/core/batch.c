@@ -5,6 +5,7 @@
 /* What one sample of each layout takes; see BATCH_LAYOUTS. */
 static const uint8_t sample_bytes[] = {5, 3, 6};
 
+enum { MOST_SAMPLE_BYTES = 6 };
 enum { NARROW = 0, NO_MEASUREMENT = 1, WIDE = 2 };
 
 void batch_configure(struct batch *batch, uint8_t layout, uint8_t most)
@@ -21,21 +22,22 @@ void batch_forget(struct batch *batch)
     batch->follows = false;
 }
 
-static void append(struct batch *batch, uint8_t byte)
+static void append(struct batch *batch, const uint8_t *bytes, size_t count)
 {
-    batch->crc = batch->crc >> 8 ^ hr_crc_table[(batch->crc ^ byte) & 0xFFu];
-    batch->bytes[batch->end] = byte;
-    if (byte == 0) {
-        batch->bytes[batch->code] = (uint8_t)(batch->end - batch->code);
-        batch->code = batch->end;
+    uint8_t *at = batch->bytes + batch->end, *code = batch->bytes + batch->code;
+    uint32_t crc = batch->crc;
+    for (const uint8_t *end = bytes + count; bytes < end; bytes++) {
+        const uint8_t byte = *bytes;
+        crc = crc >> 8 ^ hr_crc_table[(crc ^ byte) & 0xFFu];
+        if (byte == 0) {
+            *code = (uint8_t)(at - code);
+            code = at;
+        }
+        *at++ = byte;
     }
-    batch->end++;
-}
-
-static void append_u16(struct batch *batch, uint16_t value)
-{
-    append(batch, (uint8_t)(value & 0xFFu));
-    append(batch, (uint8_t)(value >> 8));
+    batch->crc = crc;
+    batch->end = (size_t)(at - batch->bytes);
+    batch->code = (size_t)(code - batch->bytes);
 }
 
 /* Header and fixed fields. After a gap the base is the count itself: how far the handle has moved meanwhile need not
@@ -51,8 +53,7 @@ static void begin(struct batch *batch, struct connection *connection, const stru
     batch->crc = UINT32_MAX;
     batch->code = 0;
     batch->end = HR_RAW_AT;
-    for (size_t i = 0; i < sizeof raw; i++)
-        append(batch, raw[i]);
+    append(batch, raw, sizeof raw);
 }
 
 bool batch_fits(const struct batch *batch, const struct batch_sample *sample)
@@ -73,12 +74,15 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
     }
     if (batch->samples == 0)
         begin(batch, connection, sample);
-    append(batch, (uint8_t)((uint32_t)moved & 0xFFu));
+    uint8_t bytes[MOST_SAMPLE_BYTES];
+    uint8_t *at = bytes;
+    *at++ = (uint8_t)((uint32_t)moved & 0xFFu);
     if (batch->layout == WIDE)
-        append(batch, (uint8_t)((uint32_t)moved >> 8 & 0xFFu));
-    append_u16(batch, (uint16_t)sample->current_commanded);
+        *at++ = (uint8_t)((uint32_t)moved >> 8 & 0xFFu);
+    put_u16(at, (uint16_t)sample->current_commanded);
     if (batch->layout != NO_MEASUREMENT)
-        append_u16(batch, (uint16_t)sample->current_measured);
+        put_u16(at + 2, (uint16_t)sample->current_measured);
+    append(batch, bytes, sample_bytes[batch->layout]);
     batch->samples++;
     batch->count = sample->count;
     batch->next = sample->index + 1u;
@@ -96,9 +100,9 @@ size_t batch_finish(struct batch *batch)
     if (batch->samples == 0)
         return 0;
     batch->samples = 0;
-    const uint32_t crc = ~batch->crc;
-    append_u16(batch, (uint16_t)(crc & 0xFFFFu));
-    append_u16(batch, (uint16_t)(crc >> 16));
+    uint8_t crc[HR_CRC_BYTES];
+    put_u32(crc, ~batch->crc);
+    append(batch, crc, sizeof crc);
     batch->bytes[batch->code] = (uint8_t)(batch->end - batch->code);
     batch->bytes[batch->end] = 0;
     return batch->end + 1u;

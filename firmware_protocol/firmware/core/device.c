@@ -115,7 +115,7 @@ void device_take_law(struct device *device, const law_parameters *law, const str
     batch_configure(&device->batch, (uint8_t)values[HR_PARAMETER_BATCH_LAYOUT],
                     (uint8_t)values[HR_PARAMETER_BATCH_SAMPLES]);
     if (law != NULL)
-        renderer_configure(&device->renderer, law);
+        renderer_configure(&device->renderer, law, device->board->excitation);
     else
         renderer_disable(&device->renderer);
 }
@@ -198,8 +198,8 @@ void device_drive(struct device *device)
  * the exact rate leaves the grid slowly; half a period away from it, the grid follows. */
 static void step_grid(struct device *device)
 {
-    const uint64_t half = device->period / 2u;
-    if (device->time + half < device->due || device->time > device->due + half) {
+    const uint32_t half = device->period / 2u;
+    if (device->time - device->due + half > 2u * (uint64_t)half) { /* modulo 2⁶⁴: further away, on either side */
         device->due = device->time;
         device->due_rest = 0;
     }
@@ -458,6 +458,11 @@ static void take_frame(struct device *device, const uint8_t *raw, size_t count)
         answer(device, raw, count, &verdict);
 }
 
+bool device_is_preparing(const struct device *device)
+{
+    return device->renderer.there && !device->renderer.ready;
+}
+
 size_t device_poll(struct device *device)
 {
     uint8_t bytes[HR_POLL_BYTES];
@@ -469,5 +474,7 @@ size_t device_poll(struct device *device)
         if (raw > 0)
             take_frame(device, splitter_raw(&connection->splitter), raw);
     }
+    if (device_is_preparing(device))
+        renderer_prepare(&device->renderer, HR_POLL_COSINES);
     return count;
 }

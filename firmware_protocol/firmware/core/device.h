@@ -22,7 +22,9 @@
 #include "thermal.h"
 #include "watchdog.h"
 
-#define HR_POLL_BYTES 64u /* taken in one device_poll: a flood of bytes cannot starve the tick */
+/* What one device_poll does at most: neither a flood of bytes nor an excitation can starve the tick. */
+#define HR_POLL_BYTES 64u
+#define HR_POLL_COSINES 32u
 
 struct ack {
     uint16_t nonce;
@@ -107,8 +109,11 @@ void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks be
 /* Ticks passed that could not be worked on. */
 void device_missed(struct device *device, uint32_t ticks);
 
-/* Take what the host has sent, and answer. Returns the number of bytes taken. */
+/* Take what the host has sent, and answer; work on an excitation that is not ready. Returns the number of bytes taken. */
 size_t device_poll(struct device *device);
+
+/* Whether device_poll has something to do even when no byte comes. */
+bool device_is_preparing(const struct device *device);
 
 /* The port has found a fault (enum hr_fault): zero effort from here on, FAULT latched. */
 void device_fault(struct device *device, uint8_t fault);

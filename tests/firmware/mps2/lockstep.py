@@ -79,7 +79,9 @@ class Partner:
     def __init__(self, command: list[str], directory: Path) -> None:
         for name in ("requests", "replies"):
             os.mkfifo(directory / name)
-        self._requests = os.open(directory / "requests", os.O_RDWR)  # both ways, so that nobody waits to open it
+        self._requests = os.open(
+            directory / "requests", os.O_RDWR
+        )  # both ways, so that nobody waits to open it
         self._replies = os.open(directory / "replies", os.O_RDWR)
         self._process = subprocess.Popen(command, cwd=directory, stdin=subprocess.DEVNULL)
 
