@@ -1,7 +1,7 @@
 """The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
 
-`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial line in
-virtual time, so that whoever speaks to a link can speak to the emulated board.
+`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial line
+in virtual time, so that whoever speaks to a link can speak to the emulated board.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def modules() -> Path:
 class Ticks:
     """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
 
-    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While the
-    count was read the encoder went from `before` to `after`.
+    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While
+    the count was read the encoder went from `before` to `after`.
     """
 
     at: NDArray[np.int64]
@@ -106,29 +106,48 @@ class Ticks:
     after: NDArray[np.int64]
 
     @property
-    def whole(self) -> Ticks:
-        """Those that the interrupt has returned from."""
-        kept = self.left > 0
-        return Ticks(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
-
-    @property
     def cycles(self) -> NDArray[np.int64]:
         """From the interrupt's entry to its return."""
         return self.left - self.entered
+
+    def __getitem__(self, which: Any) -> Ticks:
+        return Ticks(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def _started() -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        ["node", str(HERE / "serve.js")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NODE_PATH": str(modules())},
+    )
+
+
+def _asked(process: subprocess.Popen[str], op: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
+    process.stdin.flush()
+    answer: dict[str, Any] = json.loads(process.stdout.readline())
+    assert "error" not in answer, answer["error"]
+    return answer
+
+
+def _ended(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.close()
+    process.wait(10.0)
+    process.stdout.close()
 
 
 class Pico:
     """The emulated board; leave its context to end the process."""
 
     def __init__(self, model: RigModel, built: BuildResult, *, position: float | None = None) -> None:
-        environment = {**os.environ, "NODE_PATH": str(modules())}
-        self._process = subprocess.Popen(
-            ["node", str(HERE / "serve.js")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
+        self._process = _started()
+        self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 6)
         self.ask("power", image=str(built.bin), pins=PINS, motor=motor_of(model, position))
         self.run(START_US)
 
@@ -138,21 +157,11 @@ class Pico:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait(10.0)
-        self._process.stdout.close()
+        _ended(self._process)
 
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
         """Have a command of serve.js carried out."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
-        self._process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
-        assert "error" not in answer, answer["error"]
-        return answer
+        return _asked(self._process, op, arguments)
 
     def run(self, us: float) -> bytes:
         """Let time pass; returns what the host's end of the line has got."""
@@ -165,13 +174,18 @@ class Pico:
         return self.ask("look")
 
     def ticks(self) -> Ticks:
-        """Those since the last question."""
+        """All since power-up or the last reset: the first is sample 1 of the device."""
         answer = self.ask("ticks")
-        return Ticks(*(np.array(answer[name], dtype=np.int64) for name in Ticks.__dataclass_fields__))
+        fields = Ticks.__dataclass_fields__
+        new = (np.array(answer[name], dtype=np.int64) for name in fields)
+        self._ticks = Ticks(
+            *(np.concatenate([getattr(self._ticks, name), a]) for name, a in zip(fields, new, strict=True))
+        )
+        return self._ticks
 
-    def move(self, *motion: tuple[int, float]) -> None:
-        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next."""
-        self.ask("move", motion=motion)
+    def move(self, *motion: tuple[int, float]) -> float:
+        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next. Returns the end (ns)."""
+        return float(self.ask("move", motion=motion)["ends"])
 
 
 def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
@@ -194,6 +208,17 @@ def plant_of(model: RigModel) -> dict[str, Any]:
         "gamma": plant.gamma.tolist(),
         "parameters": plant.parameters.tolist(),
     }
+
+
+def plant_states(model: RigModel, position: float, efforts: list[float]) -> list[list[float]]:
+    """Position, velocity and effort of plant.js behind each step, an effort (N·m) for each."""
+    process = _started()
+    try:
+        plant = {**plant_of(model), "position": position}
+        states: list[list[float]] = _asked(process, "plant", {"plant": plant, "commands": efforts})["states"]
+        return states
+    finally:
+        _ended(process)
 
 
 class PicoLink:
@@ -220,6 +245,3 @@ class PicoLink:
 
     def write(self, data: bytes) -> None:
         self.pico.send(data)
-
-
-Complaints = Mapping[str, int]

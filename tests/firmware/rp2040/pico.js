@@ -13,6 +13,7 @@ const NANOS_A_CYCLE = 1e9 / CLOCK_HZ;
 /* Armv6-M without wait states (Cortex-M0+ Technical Reference Manual, 3.3 and 3.6). The emulator takes none. */
 const EXCEPTION_ENTRY = 15;
 const EXCEPTION_RETURN = 13;
+const TICK_EXCEPTION = 16 + 4; // PWM_IRQ_WRAP
 const BOOT2_BYTES = 256;
 const BOOT2_AT = 0x20041f00; // where the boot ROM puts it (RP2040 data sheet, 2.8.1.3.1)
 const PIO_RESTS = 32; // cycles after an edge in which the state machines have come to rest
@@ -69,7 +70,10 @@ class Pico {
     this.watchdog.reason = reason;
     if (scratch) this.watchdog.scratchData.set(scratch);
     this.bitten = false;
-    this.watchdog.onWatchdogTrigger = () => (this.bitten = true);
+    this.watchdog.onWatchdogTrigger = () => {
+      this.bitten = true;
+      this.watchdog.alarm.enable = false; // the emulator's would strike again in no time
+    };
     this.levels = 0;
     Object.defineProperty(chip, 'gpioValues', { get: () => this.levels });
     this.watchPads();
@@ -145,7 +149,7 @@ class Pico {
     pio.run = () => {};
     const write = pio.writeUint32.bind(pio);
     pio.writeUint32 = (offset, value) => {
-      if (this.counts !== undefined && offset === PIO_INSTRUCTIONS[0] && (value & 0xffff) === 0x4020)
+      if (offset === PIO_INSTRUCTIONS[0] && (value & 0xffff) === 0x4020)
         this.before = this.truth; // the processor begins to read the count
       write(offset, value);
       if (offset === PIO_INSTRUCTIONS[1] && (value & 0xffff) === 0x4040 && this.inTick) this.counted();
@@ -185,7 +189,6 @@ class Pico {
 
   clear() {
     this.ticks = []; // { at, ends, entered, left, before, after }: cycles since reset; counts of the encoder
-    this.counts = [];
     this.inTick = false;
     this.tick = null;
     this.entered = 0;
@@ -202,6 +205,13 @@ class Pico {
     } else if (this.tick) {
       this.tick.ends = this.cycles;
     }
+  }
+
+  /* The ticks that are over, once. */
+  takeTicks() {
+    const over = this.ticks.filter((tick) => tick.left > 0);
+    this.ticks = this.ticks.filter((tick) => tick.left === 0);
+    return over;
   }
 
   counted() {
@@ -222,22 +232,23 @@ class Pico {
       const before = core.IPSR;
       cycles = core.executeInstruction();
       const after = core.IPSR;
-      if (before !== after) {
-        if (before === 0) {
-          cycles += EXCEPTION_ENTRY;
-          this.entered = this.cycles;
-          this.handling = after;
-        } else if (after === 0) {
-          cycles += EXCEPTION_RETURN;
-          if (this.handling === 20 && this.tick) this.tick.left = this.cycles + cycles;
-        }
-      }
+      if (before !== after) cycles += this.excepted(before, after, cycles);
     }
     const from = this.now;
     clock.tick(cycles * NANOS_A_CYCLE);
     this.advancePio(from, cycles);
     this.cycles += cycles;
     if (this.bitten) this.bite();
+  }
+
+  /* Another exception runs than before this instruction: returns the cycles which that takes. */
+  excepted(before, after, cycles) {
+    if (before === 0 || after === TICK_EXCEPTION) {
+      if (after === TICK_EXCEPTION) this.entered = this.cycles;
+      return EXCEPTION_ENTRY;
+    }
+    if (before === TICK_EXCEPTION && this.tick) this.tick.left = this.cycles + cycles + EXCEPTION_RETURN;
+    return EXCEPTION_RETURN;
   }
 
   bite() {

@@ -2,12 +2,14 @@
 /* The board at the end of a pipe: one command a line in, one answer a line out, both JSON. */
 const fs = require('node:fs');
 const readline = require('node:readline');
-const { NANOS_A_CYCLE } = require('./pico.js');
 const { UsbPico: Pico } = require('./usb_pico.js');
 const { Motor } = require('./motor.js');
+const { Plant } = require('./plant.js');
 
 let pico = null;
 let motor = null;
+
+const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
 
 const commands = {
   power({ image, pins, motor: description }) {
@@ -28,7 +30,7 @@ const commands = {
   },
   /* Move the encoder: pairs of counts (signed) and nanoseconds between them. */
   move({ motion }) {
-    let at = pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now;
+    let at = movesUntil();
     for (const [counts, nanos] of motion)
       for (let i = 0; i < Math.abs(counts); i++) {
         at += nanos;
@@ -36,9 +38,9 @@ const commands = {
       }
     return { ends: at };
   },
-  /* Both channels at once. */
+  /* Both channels at once, a microsecond behind whatever is to come. */
   jump() {
-    pico.edges.push({ at: pico.now, way: 2 });
+    pico.edges.push({ at: movesUntil() + 1000, way: 2 });
     return {};
   },
   set(switches) {
@@ -77,11 +79,10 @@ const commands = {
   },
   /* Every tick since the last question. */
   ticks() {
-    const { ticks } = pico;
+    const ticks = pico.takeTicks();
     const column = (name) => ticks.map((tick) => tick[name]);
     const answer = {};
     for (const name of ['at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
-    pico.clear();
     return answer;
   },
   /* Time that a pin is high (ns) over the next stretch of time. */
@@ -141,4 +142,3 @@ lines.on('line', (line) => {
   }
   process.stdout.write(JSON.stringify(answer) + '\n');
 });
-void NANOS_A_CYCLE;

@@ -20,13 +20,13 @@ FRAMES = st.binary(min_size=1, max_size=252).map(lambda data: bytes(byte or 1 fo
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program(tmp_path_factory.mktemp("usb"))
 
 
 @pytest.fixture
-def bare(built: Path) -> Iterator[Host]:
-    with Host(built) as host:
+def bare(stack: Path) -> Iterator[Host]:
+    with Host(stack) as host:
         yield host
 
 
@@ -260,10 +260,10 @@ def test_the_serial_port_keeps_its_line_coding(host: Host) -> None:
     st.lists(st.integers(0, 3), min_size=1, max_size=8),
 )
 def test_any_requests_in_any_order_given_up_anywhere(
-    built: Path, requests: list[tuple[int, int, int, int, int]], patience: list[int]
+    stack: Path, requests: list[tuple[int, int, int, int, int]], patience: list[int]
 ) -> None:
     """Each is answered or refused, none hangs the next, and the device still enumerates and carries bytes."""
-    with Host(built) as host:
+    with Host(stack) as host:
         for number, request in enumerate(requests):
             host.command("s", data=SETUP.pack(*request))
             host.interrupt()
@@ -283,9 +283,9 @@ def test_any_requests_in_any_order_given_up_anywhere(
 
 @QUIET
 @given(st.data())
-def test_bytes_arrive_whole_in_order_and_with_their_toggles(built: Path, data: st.DataObject) -> None:
+def test_bytes_arrive_whole_in_order_and_with_their_toggles(stack: Path, data: st.DataObject) -> None:
     """Any mixture of frames, packets, lost acknowledgements, interrupts that come late, and ticks in their middle."""
-    with Host(built) as host:
+    with Host(stack) as host:
         host.enumerate()
         sent: list[bytes] = []
         got = b""

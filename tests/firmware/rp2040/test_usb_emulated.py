@@ -9,10 +9,11 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
-from rig import config, presets
+from rig.config.derive import rig_model
 from rig.firmware.build import BuildResult
-from rig.model import RigModel
+from rig.presets import load
 from tests.firmware.rp2040 import emulator
+from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
 from tests.firmware.test_core_law import push, told_to_run
 
@@ -24,19 +25,9 @@ IDENTIFY = m.Identify(nonce=7, offset=0)
 WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
 
 
-@pytest.fixture(scope="module")
-def model() -> RigModel:
-    return config.rig_model(presets.load("koul-rigid"))
-
-
-@pytest.fixture(scope="module")
-def built(model: RigModel, tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
-    return emulator.image(model, tmp_path_factory.mktemp("image"))
-
-
 @pytest.fixture
-def pico(model: RigModel, built: BuildResult) -> Iterator[emulator.Pico]:
-    with emulator.Pico(model, built) as board:
+def pico(built: BuildResult) -> Iterator[emulator.Pico]:
+    with emulator.Pico(rig_model(load(PRESET)), built) as board:
         yield board
         look = board.ask("usb_look")
         assert look["errors"] == []
