@@ -1,7 +1,7 @@
 """The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
 
-`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial line
-in virtual time, so that whoever speaks to a link can speak to the emulated board.
+`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial
+line in virtual time, so that whoever speaks to a link can speak to the emulated board.
 """
 
 from __future__ import annotations
