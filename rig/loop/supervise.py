@@ -158,8 +158,12 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
         v["states_tail"] += 1
 
 
-@kernel(types.int64(INTS, INT_ROWS, INTS, SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE))
-def _show_sample(sample: Any, states: Any, state: Any, supervision: Any, settings: Any, progress: Any) -> int:
+@kernel(
+    types.int64(INTS, INT_ROWS, INTS, SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, PROGRESS_TYPE),
+)
+def _show_sample(
+    sample: Any, states: Any, state: Any, supervision: Any, settings: Any, control: Any, progress: Any
+) -> int:
     """Make `state` what a STATE of this very sample would be; return the ticks since the last one."""
     v, p = supervision[0], progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -169,7 +173,7 @@ def _show_sample(sample: Any, states: Any, state: Any, supervision: Any, setting
     p["device_time"] = sample[TIME]
     p["late"] = sample[LATE]
     _take_states(states, state, supervision, sample[INDEX])
-    compare(supervision, elapsed, sample[CURRENT], settings[0]["agreement_quanta"])
+    compare(supervision, settings, control, elapsed, sample[CURRENT])
     state[STATE.sample_index] = sample[INDEX] % WRAP
     state[STATE.device_time] = sample[TIME] % WRAP
     state[STATE.count] = sample[COUNT]
@@ -203,7 +207,7 @@ def _run_law(
         sample = samples[v["tail"] % QUEUE]
         v["tail"] += 1
         tick = v["ticks"]
-        elapsed = _show_sample(sample, states, state, supervision, settings, progress)
+        elapsed = _show_sample(sample, states, state, supervision, settings, control, progress)
         if v["step"] == GRANTED and sample[INDEX] >= v["change_at"]:
             begin_set(control, law_parameters, waiting, sets, progress, tick, words)
             v["step"] = IDLE
