@@ -90,6 +90,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_bytes": (_N, []),
     "host_setup": (None, [_P, ctypes.POINTER(Setup)]),
     "host_narrow": (None, [_P, _U8, _U32, _U32]),
+    "host_set_excitation": (None, [_P, _U32]),
     "host_start": (None, [_P]),
     "host_restart": (None, [_P]),
     "host_set_world": (None, [_P, _U64, ctypes.c_int32, _U64, ctypes.c_int16, _U8]),

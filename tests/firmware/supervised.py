@@ -120,14 +120,18 @@ class Supervisor:
         self.nonce, self.session, self.since = self.nonce + 1, self.session + 1, 0
         return self.ask(m.Arm(self.nonce, self.core.hash, self.crc), self.session)
 
-    def begin(self, **values: Value) -> Self:
-        """Identify, configure, arm."""
+    def prepare(self, **values: Value) -> None:
+        """Identify, configure."""
         self.identify()
         given = {**RUN_PARAMETERS, "position_rate": RATE, **values}
         self.rate = int(given["position_rate"])
         ack = self.configure(**given)
         assert ack.status == Status.OK, ack
         self.crc = ack.crc
+
+    def begin(self, **values: Value) -> Self:
+        """Identify, configure, arm."""
+        self.prepare(**values)
         assert self.arm().status == Status.OK
         return self
 

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from firmware_protocol import messages as m
-from firmware_protocol.faults import Status
+from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.messages import Mode
+from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_ID, BY_NAME
 from rig import config
@@ -18,10 +19,10 @@ from tests.conformance.host import RUN_PARAMETERS
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import LawLibrary, Parameters
 from tests.firmware.law.law_rigs import DUAL, SHORT, START, UNIFORM, controller_of, experiment_of
-from tests.firmware.law.law_wire import wire_values
-from tests.firmware.supervised import Board, Rig, Sample
+from tests.firmware.law.law_wire import live_values, wire_values
+from tests.firmware.supervised import RATE, Board, Rig, Sample
 
-TICK, TRIAL, INSIDE = 1, 2, 4  # enum hal_sync
+TRIAL, INSIDE = 2, 4  # enum hal_sync
 U32 = 2**32 - 1
 MOST_TICKS = 10_000
 OWN: dict[str, dict[str, float | str]] = {"kalman": {"gain": "steady"}}
@@ -96,7 +97,7 @@ def test_a_law_in_float_arrives_as_it_was_designed(
     p = parameters_of(controller_of(experiment_of(estimator, OWN.get(estimator, {}), scheme), -77))
     seen = law_of(Board(library).begin(**told_to_run(p)))
     ours, theirs = content(seen), content(p)
-    skipped = {name for name in theirs if name.startswith("fixed_wall") or name.startswith("biquad")}
+    skipped = {name for name in theirs if name.startswith(("fixed_wall", "biquad", "excitation"))}
     skipped |= {name for name in theirs if name.startswith("low_pass.") and p.low_pass.sections == 0}
     skipped |= {f"low_pass.section[{n}].order" for n in range(p.low_pass.sections, 4)} | {"foaw.limit"}
     assert {name: ours[name] for name in theirs if name not in skipped} == {
@@ -110,7 +111,11 @@ def test_a_law_in_integers_arrives_as_it_was_designed(library: ctypes.CDLL, sign
     p = parameters_of(controller_of(experiment, reference_count=1234), FIXED)
     board = Board(library, config.rig_model(experiment)).begin(**told_to_run(p))
     ours, theirs = content(law_of(board)), content(p)
-    names = [name for name in theirs if name.partition(".")[0] not in {"low_pass", "foaw", "levant", "wall"}]
+    names = [
+        name
+        for name in theirs
+        if name.partition(".")[0] not in {"low_pass", "foaw", "levant", "wall", "excitation"}
+    ]
     assert {name: ours[name] for name in names} == {name: theirs[name] for name in names}
 
 
@@ -128,7 +133,7 @@ REFUSED: list[tuple[str, dict[str, Value]]] = [
     ("biquad_b0", {"biquad_b0": 2**31 - 1, "biquad_b1": 2**31 - 1, "biquad_a1": -(2**31)}),
     ("fixed_stiffness", {"fixed_stiffness": -1}),
     ("fixed_stiffness", {"fixed_constant_high": 2**31 - 1, "fixed_stiffness": 2**31 - 1}),
-    ("excitation_lines", {"excitation_lines": 1}),
+    ("excitation_lines", {"excitation_lines": 1, "excitation_first": 3, "excitation_period": 6}),
 ]  # fmt: skip
 
 
@@ -204,3 +209,399 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
     assert [sample.index for sample in rig.samples] == [*range(first, first + len(rig.samples))]
     assert {state.phase for state in rig.states} >= {Phase.HOMING, Phase.TRIAL, Phase.RELEASE, Phase.DONE}
     assert max(map(abs, currents)) > 400, "it must hit"
+
+
+# ---------------------------------------------------------------------- excitation
+
+
+def shaking() -> ctypes.Structure:
+    """A law whose motor plays 20 lines over 700 ticks, some 200 quanta at most."""
+    p = push(fixed_wall__constant=0)
+    for name, value in {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}.items():
+        setattr(p.excitation, name, value)
+    p.excitation.amplitude, p.excitation.bits = 30 << 16, 6
+    return p
+
+
+@pytest.mark.parametrize("phases", [0, 1])
+def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
+    library: ctypes.CDLL, law: LawLibrary, phases: int
+) -> None:
+    p = shaking()
+    p.excitation.phases = phases
+    board = Board(library)
+    board.prepare(**told_to_run(p))
+    while (status := board.arm().status) == Status.NOT_READY:
+        board.tick()
+    assert status == Status.OK
+    board.run([0] * 1_600)
+    board.command(Mode.STOP)
+    currents = expected(law, p, board.samples)
+    assert driven(board.samples) == currents[:-1]
+    assert max(currents) > 60
+    assert currents[100:800] == currents[800:1500]
+
+
+def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    board.prepare(**told_to_run(shaking()))
+    refused = 0
+    while board.arm().status == Status.NOT_READY:
+        refused += 1
+        library.host_poll(board.core.address, b"", 0)
+    assert 700 * 20 / 32 / 4 < refused < 700 * 20 / 32
+    board.disarm()
+    board.prepare(**told_to_run(shaking(), ramp_us=5_000))
+    assert board.arm().status == Status.OK  # the same table, and it is still there
+    board.disarm()
+    other = shaking()
+    other.excitation.seed += 1
+    board.prepare(**told_to_run(other))
+    assert board.arm().status == Status.NOT_READY
+    board.prepare(**told_to_run(push()))
+    assert board.arm().status == Status.OK
+
+
+def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CDLL) -> None:
+    board = Board(library)
+    library.host_set_excitation(board.core.address, 699)
+    board.identify()
+    ack = board.configure(**told_to_run(shaking()))
+    assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["excitation_period"].id)
+    library.host_set_excitation(board.core.address, 700)
+    assert board.configure(**told_to_run(shaking())).status == Status.OK
+
+
+# ---------------------------------------------------------------------- when it runs
+
+
+def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: LawLibrary) -> None:
+    """Sampled, computed, driven: what was in force at a sample is the answer to the one before."""
+    p = push()
+    board = Board(library).begin(**told_to_run(p))
+    board.run([*range(90, 130)])
+    board.command(Mode.STOP)
+    currents = expected(law, p, board.samples)
+    assert [sample.commanded for sample in board.fed] == [0, *currents[:-1]]
+    assert currents[:15] == [0, 0, *[50 - 10 * max(0, count - 100) for count in range(92, 105)]]
+
+
+def test_nothing_flows_before_the_first_word_of_the_host(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push()))
+    for _ in range(20):
+        board.tick()
+    assert not board.frames
+    assert {sample.commanded for sample in board.fed} == {0}
+    assert {state.phase for state in board.states} == {Phase.WAIT}
+    board.run([0] * 60)
+    assert board.frames[0].samples[0].index == board.fed[20].index
+
+
+def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: LawLibrary) -> None:
+    p = push(fixed_wall__damping=2**16, velocity_divider=4, trial_ticks=60)
+    board = Board(library).begin(**told_to_run(p))
+    for step in range(80):
+        if step % 9 == 5:
+            library.host_missed(board.core.address, step % 5)
+        board.run([100 + step])
+    board.command(Mode.STOP)
+    assert driven(board.samples) == expected(law, p, board.samples)[:-1]
+    assert board.states[-1].phase == Phase.DONE
+
+
+@pytest.mark.parametrize("ramp_us", [0, 777, 10_000])
+def test_after_a_silent_host_the_live_law_fades_and_the_fault_latches(
+    library: ctypes.CDLL, law: LawLibrary, ramp_us: int
+) -> None:
+    """The factor acts on what the law wants now: its current goes on following the handle."""
+    p = push()
+    board = Board(library).begin(**told_to_run(p, ramp_us=ramp_us))
+    board.run([0] * 10)
+    board.command(lifetime_us=6_000)
+    silent_since = board.core.status.time
+    counts = [110 + 2 * (step % 7) for step in range(60)]
+    for board.count in counts:
+        board.tick()
+    status = board.core.status
+    assert (status.fault, status.current, status.enabled) == (Fault.LINK_LOST, 0, 0)
+    wanted = expected(law, p, board.samples)
+    period, end = 16_000_000 // RATE, silent_since + 6_000 * 16 + ramp_us * 16
+    fading = 0
+    for n, sample in enumerate(board.samples[10:-1], start=10):
+        until = silent_since + (n - 10 + 2) * period  # a current is judged at the end of its tick
+        left, whole = max(0, min(end - until, ramp_us * 16)), ramp_us * 16
+        faded = (
+            wanted[n]
+            if until <= end - whole
+            else (abs(wanted[n]) * left // whole) * (1 - 2 * (wanted[n] < 0))
+        )
+        assert board.samples[n + 1].commanded == faded, sample
+        fading += 0 < left < whole
+    assert fading == {0: 0, 777: 1, 10_000: 19}[ramp_us]
+    assert any(state.limits & LimitFlag.RAMPING for state in board.states)
+    assert board.states[-1].fault == Fault.LINK_LOST
+
+
+def test_the_lifetime_of_supervision_is_capped(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(), supervise_lifetime_us=10_000, ramp_us=0))
+    board.command(lifetime_us=2**32 - 1)
+    ticks = 0
+    while not board.core.status.fault:
+        board.tick()
+        ticks += 1
+    assert ticks in {20, 21}  # 10 ms at 2 kHz
+
+
+def test_limits_act_on_the_law_too(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(fixed_wall__constant=300 * 2**16), slew_limit=7))
+    board.run([0] * 10)
+    board.command(Mode.STOP)
+    assert [sample.commanded for sample in board.samples] == [0, 0, *range(7, 57, 7)][:10]
+    board.run([0] * 10)
+    assert board.states[-1].limits == LimitFlag.SLEW
+
+
+def test_a_switch_that_is_not_held_keeps_the_current_away(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(), hold_to_run=1))
+    board.run([0] * 10)
+    assert {sample.commanded for sample in board.fed} == {0}
+    board.inputs = 2
+    board.run([0] * 3)
+    assert board.core.status.current == 50
+
+
+@pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
+def test_another_command_ends_the_law_and_supervision_begins_it_anew(
+    library: ctypes.CDLL, law: LawLibrary, mode: Mode
+) -> None:
+    p = push(trial_ticks=30)
+    board = Board(library).begin(**told_to_run(p))
+    board.run([0] * 20)
+    assert board.core.status.current == 50
+    board.command(mode, current=7)
+    assert board.core.status.current == (0 if mode is Mode.STOP else 50)
+    board.tick()
+    assert board.core.status.current == (0 if mode is Mode.STOP else 7)
+    first = board.samples
+    assert driven(first) == expected(law, p, first)[:-1]
+    board.frames.clear()
+    board.run([5] * 50)
+    board.command(Mode.STOP)
+    again = board.samples
+    assert driven(again) == expected(law, p, again)[:-1]
+    assert board.states[-1].phase == Phase.DONE
+
+
+def test_a_law_that_is_done_gives_nothing_and_tells_on(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(trial_ticks=10)))
+    board.run([0] * 200)
+    assert board.core.status.fault == Fault.NONE
+    assert {sample.commanded for sample in board.fed[20:]} == {0}
+    assert board.states[-1].phase == Phase.DONE
+    assert len(board.samples) >= 180
+
+
+@pytest.mark.parametrize(
+    ("changes", "counts"),
+    [
+        ({"window_maximum": 50}, [0, 0, 40, 51]),
+        ({"home_timeout_ticks": 3, "home_minimum": 5, "home_maximum": 5}, [0] * 8),
+        ({"fixed_wall__speed_limit": 9}, [0, 0, 0, 10]),
+    ],
+    ids=["window", "homing", "speed"],
+)
+def test_a_law_that_gives_up_is_done_without_a_fault(
+    library: ctypes.CDLL, changes: dict[str, int], counts: list[int]
+) -> None:
+    board = Board(library).begin(**told_to_run(push(**changes)))
+    board.run([*counts, *[counts[-1]] * 20])
+    assert board.core.status.fault == Fault.NONE
+    assert board.core.status.current == 0
+    assert board.states[-1].phase == Phase.DONE
+
+
+def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
+    p = parameters_of(controller_of(experiment_of("fdm-butterworth", {}, UNIFORM)))
+    p.settle_ticks, p.low_pass.section[0].inner = 0, 2.0**30  # a filter that runs away
+    p.low_pass.section[0].band = 2.0**30
+    board = Board(library).begin(**told_to_run(p, current_limit=500))
+    for step in range(40):
+        board.run([step % 2])
+        if board.core.status.fault:
+            break
+    status = board.core.status
+    assert (status.fault, status.current, status.enabled) == (Fault.NON_FINITE, 0, 0)
+    assert board.samples[-1].count == step % 2  # the tick that did it was told
+
+
+def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary) -> None:
+    p = push(trial_ticks=20)
+    board = Board(library).begin(**told_to_run(p))
+    for _ in range(3):
+        board.frames.clear()
+        board.run([0] * 40)
+        assert board.states[-1].phase == Phase.DONE
+        board.disarm()
+        assert driven(board.samples) == expected(law, p, board.samples)[:-1]
+        assert board.arm().status == Status.OK
+        board.tick()
+        assert board.states[-1].phase == Phase.WAIT
+
+
+def test_without_a_law_supervision_gives_no_current(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(law=0)
+    board.run([500] * 100)
+    assert {sample.commanded for sample in board.fed} == {0}
+    assert board.core.status.fault == Fault.NONE
+
+
+def test_two_boards_run_laws_of_their_own(library: ctypes.CDLL, law: LawLibrary) -> None:
+    laws = push(), parameters_of(controller_of(experiment_of("foaw-best", {}, DUAL)))
+    boards = [Board(library).begin(**told_to_run(p, current_limit=500)) for p in laws]
+    for step in range(300):
+        for board in boards:
+            board.run([step // 2])
+    for board, p in zip(boards, laws, strict=True):
+        p.current_limit = 500
+        board.command(Mode.STOP)
+        assert driven(board.samples) == expected(law, p, board.samples)[:-1]
+
+
+# ---------------------------------------------------------------------- what is told beside it
+
+
+@pytest.mark.parametrize(("rate", "every"), [(100, 1), (2_000, 10), (7_777, 38), (50_000, 250)])
+def test_state_comes_two_hundred_times_a_second(library: ctypes.CDLL, rate: int, every: int) -> None:
+    board = Board(library).begin(**told_to_run(push(), position_rate=rate))
+    board.run([0] * (5 * every + 1))
+    indices = [state.sample_index for state in board.states]
+    assert indices == [*range(indices[0], indices[0] + 5 * every + 1, every)]
+    library.host_missed(board.core.address, 3 * every)
+    board.run([0] * every)
+    assert board.host.statistics.lost == (
+        3 if every == 1 else 0
+    )  # a tick without a STATE is none that was lost
+
+
+def test_a_fault_is_told_at_once(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(), window_maximum=1_000))
+    board.run([0] * 3)
+    seen = len(board.states)
+    board.run([1_001])
+    assert [state.fault for state in board.states[seen:]] == [Fault.POSITION_WINDOW]
+    board.tick()
+    assert len(board.states) == seen + 1
+
+
+def test_limits_that_acted_between_two_states_are_told(library: ctypes.CDLL) -> None:
+    window = {"window_maximum": 1_000, "window_minimum": -1_000}
+    board = Board(library).begin(**told_to_run(push(), batch_layout=2, **window))
+    board.run([0] * 12 + [960] + [0] * 12)
+    assert [bool(state.limits & LimitFlag.POSITION) for state in board.states] == [False, False, True]
+
+
+def test_the_fault_log_has_each_tick_with_its_own_limits(library: ctypes.CDLL) -> None:
+    window = {"window_maximum": 1_000, "window_minimum": -1_000}
+    board = Board(library).begin(**told_to_run(push(), batch_layout=2, **window))
+    board.run([0] * 12 + [960] + [0] * 5 + [1_001])
+    entries = []
+    for first in range(0, 30, 2):
+        board.nonce += 1
+        (page,) = board.take(board.receive(board.host.send(m.GetFaultLog(board.nonce, first))))
+        assert isinstance(page, m.FaultLog)
+        entries += unpack_fault_entries(page.data)
+    near = [entry.count for entry in entries if entry.limits & LimitFlag.POSITION]
+    assert near == [960, 1_001]
+    assert entries[-1].count == 1_001
+
+
+def test_pins_show_what_the_law_does(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push(trial_ticks=20), batch_layout=2))
+    pins = []
+    for board.count in [0] * 5 + [150] * 5 + [0] * 20:
+        board.supervise()
+        pins.append(board.core.status.sync)
+    assert pins[:10] == [0] + [TRIAL] * 4 + [TRIAL | INSIDE] * 5  # the first tick homes
+    assert pins[-1] == 0
+    board.run([150])
+    assert board.core.status.sync == INSIDE
+    board.command(Mode.STOP)
+    board.tick()
+    assert board.core.status.sync == 0
+
+
+# ---------------------------------------------------------------------- another wall while it runs
+
+
+@pytest.mark.parametrize("arithmetic", [FIXED, FLOAT])
+def test_a_wall_changes_at_the_tick_that_the_answer_names(
+    library: ctypes.CDLL, law: LawLibrary, arithmetic: int
+) -> None:
+    first, second = (
+        parameters_of(controller_of(experiment_of("fdm-butterworth-fixed", {}, DUAL, changes)), arithmetic)
+        for changes in ({}, {"wall.stiffness": 200.0, "wall.damping": 0.1})
+    )
+    first.settle_ticks = second.settle_ticks = 0
+    surface = first.wall.surface_whole if arithmetic == FLOAT else first.fixed_wall.surface // 256
+    board = Board(library).begin(**told_to_run(first, current_limit=500, speed_limit=2**32 - 1))
+    p = law_of(board)
+    home = first.home_target // 2**24
+    there = [*range(home, surface + 40, 3)]
+    board.run([home] * 30 + there + there[::-1])
+    crc = board.crc
+    ack = board.configure(**live_values(second))
+    assert ack.status == Status.OK
+    assert ack.crc != crc
+    board.run(there + there[::-1])
+    board.command(Mode.STOP)
+    state, currents = law.reset(p), []
+    for sample in board.samples:
+        if sample.index == ack.sample_index:
+            other = law_of(board)
+            assert bytes(other) != bytes(p)
+            p = other
+        currents.append(law.tick(state, p, sample.count).current)
+    assert driven(board.samples) == currents[:-1]
+    assert min(currents) < 0
+    assert board.disarm().status == Status.OK
+    board.crc = ack.crc
+    assert board.arm().status == Status.OK  # a live change leaves it verified
+
+
+def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push()))
+    surfaces = {"here": 100, "nearer": 50, "farther": 150}
+    for count, surface, status in (
+        (101, "farther", Status.INSIDE_WALL),  # inside the one that is
+        (100, "nearer", Status.INSIDE_WALL),  # inside the one that would be
+        (100, "farther", Status.OK),
+        (120, "nearer", Status.INSIDE_WALL),
+        (150, "here", Status.INSIDE_WALL),
+        (50, "nearer", Status.OK),
+    ):
+        board.run([count] * 3)
+        before = bytes(law_of(board))
+        ack = board.configure(fixed_surface=surfaces[surface] * 256)
+        assert ack.status == status
+        assert (bytes(law_of(board)) == before) == (status is not Status.OK)
+
+
+def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push()))
+    board.run([0] * 5)
+    ack = board.configure(fixed_stiffness=-1)
+    assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["fixed_stiffness"].id)
+    ack = board.configure(fixed_stiffness=1, fixed_trial_slew=1)
+    assert (ack.status, ack.detail) == (Status.NOT_LIVE, BY_NAME["fixed_trial_slew"].id)
+    board.run([0] * 5)
+    assert (board.core.status.current, board.core.status.fault) == (50, Fault.NONE)
+
+
+def test_values_of_a_host_may_change_whatever_runs(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push()))
+    board.run([0] * 5)
+    assert board.configure(stiffness=300.0, damping=2.0, wall_position=0.1).status == Status.OK
+    board.disarm()
+    plain = Board(library).begin(law=0)
+    plain.run([4_000] * 3)
+    assert plain.configure(fixed_surface=0, fixed_stiffness=5).status == Status.OK

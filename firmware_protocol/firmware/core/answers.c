@@ -83,7 +83,7 @@ static void tell_faults(struct device *device, const uint8_t *request)
     put_u16(raw + HR_AT_FAULT_LOG_FIRST, first);
     const size_t room = HR_DATA_LIMIT_FAULT_LOG / HR_FAULT_ENTRY_BYTES;
     for (size_t number = first; number < ring->count && number < first + room; number++) {
-        memcpy(raw + packet.count, fault_ring_at(ring, (uint16_t)number), HR_FAULT_ENTRY_BYTES);
+        fault_ring_read(ring, (uint16_t)number, raw + packet.count);
         packet.count += HR_FAULT_ENTRY_BYTES;
     }
     device_send(device, &packet);
@@ -198,6 +198,8 @@ static struct refusal objection_to_arm(const struct device *device, const uint8_
         refusal.status = HR_STATUS_NOT_HOMED;
     else if (!configuration->values[HR_PARAMETER_VERIFIED])
         refusal.status = HR_STATUS_NOT_VERIFIED;
+    else if (device_is_preparing(device))
+        refusal.status = HR_STATUS_NOT_READY;
     if (refusal.status != HR_STATUS_OK)
         return refusal;
     enum hr_fault present = present_fault(device);

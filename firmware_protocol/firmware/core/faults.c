@@ -29,12 +29,7 @@ void faults_reset(struct faults *faults)
 void faults_remember(struct faults *faults, const struct fault_entry *entry)
 {
     struct fault_ring *ring = &faults->live;
-    uint8_t *at = ring->entries[ring->next];
-    put_u32(at + HR_AT_FAULT_ENTRY_SAMPLE_INDEX, entry->sample_index);
-    put_u32(at + HR_AT_FAULT_ENTRY_COUNT, (uint32_t)entry->count);
-    put_u16(at + HR_AT_FAULT_ENTRY_CURRENT_COMMANDED, (uint16_t)entry->current_commanded);
-    put_u16(at + HR_AT_FAULT_ENTRY_CURRENT_MEASURED, (uint16_t)entry->current_measured);
-    put_u16(at + HR_AT_FAULT_ENTRY_LIMITS, entry->limits);
+    ring->entries[ring->next] = *entry;
     ring->next = (uint16_t)((ring->next + 1u) % HR_RING_TICKS);
     if (ring->count < HR_RING_TICKS)
         ring->count++;
@@ -65,8 +60,13 @@ const struct fault_ring *faults_log(const struct faults *faults)
     return faults->latched != HR_FAULT_NONE ? &faults->live : &faults->frozen;
 }
 
-const uint8_t *fault_ring_at(const struct fault_ring *ring, uint16_t number)
+void fault_ring_read(const struct fault_ring *ring, uint16_t number, uint8_t *into)
 {
     const size_t oldest = ring->count < HR_RING_TICKS ? 0u : ring->next;
-    return ring->entries[(oldest + number) % HR_RING_TICKS];
+    const struct fault_entry *entry = &ring->entries[(oldest + number) % HR_RING_TICKS];
+    put_u32(into + HR_AT_FAULT_ENTRY_SAMPLE_INDEX, entry->sample_index);
+    put_u32(into + HR_AT_FAULT_ENTRY_COUNT, (uint32_t)entry->count);
+    put_u16(into + HR_AT_FAULT_ENTRY_CURRENT_COMMANDED, (uint16_t)entry->current_commanded);
+    put_u16(into + HR_AT_FAULT_ENTRY_CURRENT_MEASURED, (uint16_t)entry->current_measured);
+    put_u16(into + HR_AT_FAULT_ENTRY_LIMITS, entry->limits);
 }

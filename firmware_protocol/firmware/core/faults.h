@@ -17,11 +17,10 @@ struct fault_entry {
     uint16_t limits;
 };
 
-/* Entries as on the wire. */
 struct fault_ring {
     uint16_t next;
     uint16_t count;
-    uint8_t entries[HR_RING_TICKS][HR_FAULT_ENTRY_BYTES];
+    struct fault_entry entries[HR_RING_TICKS];
 };
 
 struct faults {
@@ -47,7 +46,7 @@ void faults_clear(struct faults *faults);
 /* The ring that a host may read: of the fault that is latched, else of the last one. */
 const struct fault_ring *faults_log(const struct faults *faults);
 
-/* Entry `number` of a ring, 0 for the oldest. */
-const uint8_t *fault_ring_at(const struct fault_ring *ring, uint16_t number);
+/* Entry `number` of a ring, 0 for the oldest, as on the wire: HR_FAULT_ENTRY_BYTES. */
+void fault_ring_read(const struct fault_ring *ring, uint16_t number, uint8_t *into);
 
 #endif

@@ -121,6 +121,19 @@ static void read_phases(const uint32_t *values, law_parameters *law)
     law->release_ticks = values[HR_PARAMETER_RELEASE_TICKS];
 }
 
+static void read_excitation(const uint32_t *values, law_excitation *excitation)
+{
+    excitation->lines = values[HR_PARAMETER_EXCITATION_LINES];
+    excitation->first = values[HR_PARAMETER_EXCITATION_FIRST];
+    excitation->step = values[HR_PARAMETER_EXCITATION_STEP];
+    excitation->period = values[HR_PARAMETER_EXCITATION_PERIOD];
+    excitation->ramp = values[HR_PARAMETER_EXCITATION_RAMP];
+    excitation->amplitude = values[HR_PARAMETER_EXCITATION_AMPLITUDE];
+    excitation->bits = values[HR_PARAMETER_EXCITATION_BITS];
+    excitation->phases = values[HR_PARAMETER_EXCITATION_PHASES];
+    excitation->seed = values[HR_PARAMETER_EXCITATION_SEED];
+}
+
 /* The parameter that a host had best look at. */
 static enum hr_parameter_index subject(law_verdict verdict, const law_parameters *law)
 {
@@ -134,7 +147,7 @@ static enum hr_parameter_index subject(law_verdict verdict, const law_parameters
         return law->estimator == LAW_FDM_BUTTERWORTH_FIXED ? HR_PARAMETER_BIQUAD_B0 : HR_PARAMETER_FOAW_BAND;
     case LAW_BAD_WALL:
         return law->arithmetic == LAW_FLOAT ? HR_PARAMETER_FLOAT_STIFFNESS : HR_PARAMETER_FIXED_STIFFNESS;
-    case LAW_BAD_MULTISINE:
+    case LAW_BAD_EXCITATION:
         return HR_PARAMETER_EXCITATION_LINES;
     case LAW_BAD_CHOICE:
     case LAW_GOOD:
@@ -152,8 +165,9 @@ static struct refusal inconsistent(enum hr_parameter_index index)
 struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law)
 {
     const struct refusal accepted = {HR_STATUS_OK, 0};
-    if (values[HR_PARAMETER_EXCITATION_LINES] > 0)
-        return inconsistent(HR_PARAMETER_EXCITATION_LINES);
+    const bool shakes = values[HR_PARAMETER_EXCITATION_LINES] > 0;
+    if (shakes && values[HR_PARAMETER_EXCITATION_PERIOD] > board->excitation_length)
+        return inconsistent(HR_PARAMETER_EXCITATION_PERIOD);
     *law = (law_parameters){0};
     law->arithmetic = values[HR_PARAMETER_LAW] == LAW_IN_FLOAT ? LAW_FLOAT : LAW_FIXED;
     law->reference = whole(values, HR_PARAMETER_REFERENCE_COUNT);
@@ -171,6 +185,7 @@ struct refusal law_settings_read(const uint32_t *values, const struct board *boa
     read_estimator(values, law);
     read_float_wall(values, &law->wall);
     read_fixed_wall(values, law->sense, &law->fixed_wall);
+    read_excitation(values, &law->excitation);
     const law_verdict verdict = law_check(law);
     return verdict == LAW_GOOD ? accepted : inconsistent(subject(verdict, law));
 }

@@ -48,18 +48,23 @@ static uint16_t window_ticks(uint32_t rate)
     return (uint16_t)(ticks > 0 ? ticks : 1u);
 }
 
+static uint32_t at_most_32(uint64_t value)
+{
+    return value < UINT32_MAX ? (uint32_t)value : UINT32_MAX;
+}
+
 /* Thresholds become whole counts once, here; a tick compares integers. The ends of the speed window may each lie
  * anywhere in their encoder cells, hence one count more. */
 static void configure_motion(struct monitor *monitor, const struct monitor_settings *settings)
 {
     const uint64_t travel = (uint64_t)settings->speed_limit * monitor->ticks;
-    monitor->fastest = (int64_t)(travel / settings->rate) + 1;
-    monitor->near_fastest = (int64_t)(travel * 9u / (settings->rate * UINT64_C(10))) + 1; /* from 90 % STATE warns */
+    monitor->fastest = at_most_32(travel / settings->rate + 1u);
+    monitor->near_fastest = at_most_32(travel * 9u / (settings->rate * UINT64_C(10)) + 1u); /* from 90 % STATE warns */
     monitor->first = settings->window_minimum;
     monitor->last = settings->window_maximum;
     const int64_t margin = ((int64_t)monitor->last - monitor->first + 19) / 20; /* 5 % at each end */
-    monitor->near_first = monitor->first + margin;
-    monitor->near_last = monitor->last - margin;
+    monitor->near_first = (int32_t)(monitor->first + margin);
+    monitor->near_last = (int32_t)(monitor->last - margin);
 }
 
 void monitor_configure(struct monitor *monitor, const struct board *board, const struct monitor_settings *settings,
@@ -73,6 +78,7 @@ void monitor_configure(struct monitor *monitor, const struct board *board, const
     configure_motion(monitor, settings);
     for (uint16_t i = 0; i < monitor->ticks; i++)
         monitor->counts[i] = count;
+    monitor->newest = count;
     monitor->slot = 0;
     monitor_forget(monitor);
 }
@@ -89,8 +95,9 @@ bool monitor_in_window(const struct monitor *monitor, int32_t count)
     return count >= monitor->first && count <= monitor->last;
 }
 
-/* Count the ticks of large effort along the motion, and those without any; say when the latter are too many. */
-static uint32_t runaway(struct monitor *monitor, int16_t current, int64_t moved, bool stood)
+/* Count the ticks of large effort along the motion, and those without any; say when the latter are too many.
+ * `direction` is that of the motion in the window, 0 for none. */
+static uint32_t runaway(struct monitor *monitor, int16_t current, int32_t direction, bool stood)
 {
     const int32_t five = RUNAWAY_DIVISOR * (int32_t)current;
     if (five >= -monitor->large && five <= monitor->large) {
@@ -99,16 +106,14 @@ static uint32_t runaway(struct monitor *monitor, int16_t current, int64_t moved,
         return 0;
     }
     const int8_t push = current > 0 ? 1 : -1;
-    const int64_t along = push * monitor->encoder_sign * moved;
-    monitor->driven = along > 0 ? monitor->driven + 1u : 0u;
+    monitor->driven = direction == push * monitor->encoder_sign ? monitor->driven + 1u : 0u;
     monitor->still = stood && push == monitor->pushed ? monitor->still + 1u : 0u;
     monitor->pushed = push;
     return monitor->still > monitor->stall_ticks ? FAULT(RUNAWAY) : 0u;
 }
 
-static uint32_t speed(struct monitor *monitor, int64_t moved)
+static uint32_t speed(struct monitor *monitor, uint32_t distance)
 {
-    const int64_t distance = moved < 0 ? -moved : moved;
     if (distance <= monitor->near_fastest)
         return 0;
     monitor->flags |= HR_LIMIT_SPEED;
@@ -127,14 +132,17 @@ static uint32_t window(struct monitor *monitor, int32_t count)
 
 uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured)
 {
-    const uint16_t slot = monitor->slot;
-    const uint16_t before = (uint16_t)((slot > 0 ? slot : monitor->ticks) - 1);
-    const int64_t moved = (int64_t)count - monitor->counts[slot];
-    const bool stood = count == monitor->counts[before];
+    const uint32_t slot = monitor->slot, next = slot + 1u < monitor->ticks ? slot + 1u : 0u;
+    const int32_t before = monitor->counts[slot];
+    const int32_t direction = count > before ? 1 : count < before ? -1 : 0;
+    /* Two counts of 32 bits are less than 2³² apart. */
+    const uint32_t distance = direction < 0 ? (uint32_t)before - (uint32_t)count : (uint32_t)count - (uint32_t)before;
+    const bool stood = count == monitor->newest;
     monitor->counts[slot] = count;
-    monitor->slot = (uint16_t)(slot + 1 < monitor->ticks ? slot + 1 : 0);
-    uint32_t faults = runaway(monitor, current, moved, stood);
-    faults |= speed(monitor, moved);
+    monitor->newest = count;
+    monitor->slot = (uint16_t)next;
+    uint32_t faults = runaway(monitor, current, direction, stood);
+    faults |= speed(monitor, distance);
     faults |= window(monitor, count);
     if (measured > monitor->over_current || measured < -monitor->over_current)
         faults |= FAULT(OVER_CURRENT);

@@ -19,10 +19,11 @@ struct monitor {
     int32_t large; /* five times an effort above which motion is watched (quanta) */
     uint32_t driven, still; /* ticks of large effort: along the motion, without any */
     uint32_t stall_ticks;
-    int64_t fastest, near_fastest; /* counts in the window */
-    int32_t first, last;           /* the position window */
-    int64_t near_first, near_last;
+    uint32_t fastest, near_fastest; /* counts in the window */
+    int32_t first, last;            /* the position window */
+    int32_t near_first, near_last;  /* between these nothing is near its ends; crossed over when it is narrow */
     uint16_t ticks, slot; /* of the speed window */
+    int32_t newest;       /* count of the last tick */
     int32_t counts[HR_WINDOW_TICKS_MAXIMUM];
 };
 

@@ -2,11 +2,28 @@
 
 #include "protocol.h"
 
-void renderer_configure(struct renderer *renderer, const law_parameters *parameters)
+static bool is_same(const law_excitation *a, const law_excitation *b)
+{
+    return a->lines == b->lines && a->first == b->first && a->step == b->step && a->period == b->period
+           && a->ramp == b->ramp && a->amplitude == b->amplitude && a->bits == b->bits && a->phases == b->phases
+           && a->seed == b->seed;
+}
+
+/* A table that is there, or under way, is not begun anew: it takes seconds. */
+void renderer_configure(struct renderer *renderer, const law_parameters *parameters, int16_t *table)
 {
     renderer->there = true;
     renderer->parameters = *parameters;
+    if (!is_same(&parameters->excitation, &renderer->work.p) || table != renderer->work.table) {
+        law_excitation_begin(&renderer->work, &parameters->excitation, table);
+        renderer->ready = law_excitation_continue(&renderer->work, 0);
+    }
     renderer_reset(renderer);
+}
+
+void renderer_prepare(struct renderer *renderer, uint32_t cosines)
+{
+    renderer->ready = law_excitation_continue(&renderer->work, cosines);
 }
 
 void renderer_disable(struct renderer *renderer)
@@ -20,7 +37,7 @@ void renderer_disable(struct renderer *renderer)
 
 void renderer_reset(struct renderer *renderer)
 {
-    law_reset(&renderer->state, &renderer->parameters);
+    law_reset(&renderer->state, &renderer->parameters, renderer->work.table);
     renderer->begun = false;
     renderer->phase = LAW_WAIT;
     renderer->flags = 0;

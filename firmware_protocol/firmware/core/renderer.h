@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "../law/excitation.h"
 #include "../law/law.h"
 
 struct renderer {
@@ -14,12 +15,18 @@ struct renderer {
     int16_t current; /* what it wants (quanta) */
     uint32_t flags;  /* of its last tick */
     uint32_t index;  /* of that tick */
+    bool ready;      /* its excitation is worked out, or it has none */
     law_parameters parameters;
     law_state state;
+    law_excitation_work work;
 };
 
-/* Run this law, checked by law_settings_read, from the next session on. */
-void renderer_configure(struct renderer *renderer, const law_parameters *parameters);
+/* Run this law, checked by law_settings_read, from the next session on. `table` is the board's memory for an
+ * excitation. */
+void renderer_configure(struct renderer *renderer, const law_parameters *parameters, int16_t *table);
+
+/* Work on the excitation for so many cosines, until it is ready. */
+void renderer_prepare(struct renderer *renderer, uint32_t cosines);
 
 /* Run none. */
 void renderer_disable(struct renderer *renderer);

@@ -6,6 +6,8 @@
 
 #include <math.h>
 
+#include "wide.h"
+
 #define FRACTION_BITS 32u
 #define MANTISSA_END 4294967296.0
 
@@ -20,14 +22,15 @@ void thermal_configure(struct thermal *thermal, uint16_t continuous_current, flo
     thermal->decay = (uint32_t)decay;
     thermal->shift = shift;
     thermal->budget = (uint64_t)continuous_current * continuous_current << FRACTION_BITS;
+    thermal->cut = thermal->budget > 0 ? thermal->budget + thermal->budget / 4u : UINT64_MAX;
 }
 
 /* Of 96 bits of a product those above `shift`; rounded down. */
 static uint64_t scaled(uint64_t value, uint32_t mantissa, uint8_t shift)
 {
-    const uint64_t low = (value & UINT32_MAX) * mantissa;
-    const uint64_t high = (value >> 32) * mantissa + (low >> 32);
-    return high >> (shift - 32u);
+    const uint64_t low = wide_product((uint32_t)(value & UINT32_MAX), mantissa);
+    const uint64_t high = wide_product((uint32_t)(value >> 32), mantissa) + (low >> 32);
+    return wide_shift(high, shift - 32u);
 }
 
 void thermal_update(struct thermal *thermal, int16_t measured)
@@ -47,5 +50,5 @@ bool thermal_is_spent(const struct thermal *thermal)
 
 bool thermal_is_overheated(const struct thermal *thermal)
 {
-    return thermal->budget > 0 && thermal->heat > thermal->budget + thermal->budget / 4u; /* 1.25 budgets */
+    return thermal->heat > thermal->cut;
 }

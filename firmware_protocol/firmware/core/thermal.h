@@ -8,6 +8,7 @@
 struct thermal {
     uint64_t heat;    /* quanta², in 1/2³² */
     uint64_t budget;  /* the same: the rise that continuous_current gives in the end */
+    uint64_t cut;     /* 1.25 budgets; without a budget, never */
     uint32_t decay;   /* share of a tick, times 2^shift */
     uint8_t shift;    /* 32 … 60 */
 };

@@ -145,6 +145,8 @@ void host_setup(struct host *host, const struct host_setup *setup)
     host->board.over_current = (uint16_t)setup->over_current;
     host->board.mechanics = setup->mechanics;
     host->board.narrower = host->narrower;
+    host->board.excitation = host->excitation;
+    host->board.excitation_length = HR_HOST_EXCITATION;
 }
 
 void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_t maximum)
@@ -152,6 +154,11 @@ void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_
     const struct narrower narrower = {parameter, minimum, maximum};
     if (host->board.narrower_count < HR_HOST_NARROWER)
         host->narrower[host->board.narrower_count++] = narrower;
+}
+
+void host_set_excitation(struct host *host, uint32_t length)
+{
+    host->board.excitation_length = length < HR_HOST_EXCITATION ? length : HR_HOST_EXCITATION;
 }
 
 void host_start(struct host *host)
@@ -222,9 +229,17 @@ void host_sample(struct host *host)
     device_sample(&host->device);
 }
 
+/* What a board's main loop does between two ticks when nobody speaks. */
+static void be_idle(struct host *host)
+{
+    for (unsigned i = 0; i < HR_HOST_POLLS && device_is_preparing(&host->device); i++)
+        device_poll(&host->device);
+}
+
 void host_tell(struct host *host)
 {
     device_tell(&host->device);
+    be_idle(host);
 }
 
 void host_tick(struct host *host)
@@ -232,6 +247,8 @@ void host_tick(struct host *host)
     host->driving = true;
     device_tick(&host->device);
     host->driving = false;
+    device_flush(&host->device);
+    be_idle(host);
 }
 
 void host_missed(struct host *host, uint32_t ticks)

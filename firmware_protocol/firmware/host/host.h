@@ -9,6 +9,8 @@
 #include "../core/device.h"
 
 #define HR_HOST_NARROWER 16u
+#define HR_HOST_EXCITATION 65536u /* numbers of a table: what the protocol allows at most */
+#define HR_HOST_POLLS 4u          /* of an idle main loop in a tick */
 #define HR_HOST_OUTPUT_BYTES 65536u
 
 struct host {
@@ -16,6 +18,7 @@ struct host {
     struct hal hal;
     struct board board;
     struct narrower narrower[HR_HOST_NARROWER];
+    int16_t excitation[HR_HOST_EXCITATION];
 
     /* The world. */
     uint64_t time, edge_time;
@@ -75,6 +78,7 @@ size_t host_bytes(void);
 /* `host` is memory of zeroes, `host_bytes()` of it; the dictionary must live as long. Ranges rise by parameter. */
 void host_setup(struct host *host, const struct host_setup *setup);
 void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_t maximum);
+void host_set_excitation(struct host *host, uint32_t length); /* memory for a table; HR_HOST_EXCITATION at first */
 void host_start(struct host *host);
 void host_restart(struct host *host);
 

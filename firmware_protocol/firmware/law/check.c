@@ -3,11 +3,12 @@
 
 #include "law.h"
 
-enum { MOST_DIVIDER = 1 << 16, MOST_SHIFT = 40, MOST_CURRENT = 32767, MOST_BAND = 1 << 28, MOST_PERIOD = 1 << 24 };
+enum { MOST_DIVIDER = 1 << 16, MOST_SHIFT = 40, MOST_CURRENT = 32767, MOST_BAND = 1 << 28 };
+enum { MOST_LINES = 4096, MOST_PERIOD = 1 << 16, MOST_RAMP = 1 << 24, MOST_TABLE_BITS = 15 };
 
 static const int64_t most_setpoint = INT64_C(1) << (31 + LAW_SETPOINT_BITS);
 static const int64_t most_home_step = INT64_C(1) << 40;                    /* 2^16 counts a tick */
-static const int64_t most_lines = INT64_C(2147482624);                     /* 2^31 - 2^10: the cosine's error fits */
+static const int64_t most_lines = INT64_C(1) << 38; /* quanta * 2^16: times a cosine, 2^62 */
 
 static int between(int64_t value, int64_t low, int64_t high)
 {
@@ -76,21 +77,19 @@ static int good_filter(const law_parameters *p)
     return 1;
 }
 
-/* Sum of all amplitudes, or -1 for an excitation that cannot be played. */
-static int64_t amplitude(const law_multisine *m)
+static int good_excitation(const law_excitation *e)
 {
-    int64_t sum = 0;
-    uint32_t j;
-    if (m->lines == 0)
-        return 0;
-    if (m->lines > LAW_LINES || !between(m->period, 2, MOST_PERIOD))
-        return -1;
-    for (j = 0; j < m->lines; j++) {
-        if (m->harmonic[j] < 1 || m->harmonic[j] > (m->period - 1) / 2)
-            return -1;
-        sum += size(m->amplitude[j]);
-    }
-    return sum <= most_lines ? sum : -1;
+    if (e->lines == 0)
+        return 1;
+    return e->lines <= MOST_LINES && between(e->period, 2, MOST_PERIOD) && e->ramp <= MOST_RAMP && e->first >= 1
+           && e->step >= 1 && e->first + (int64_t)(e->lines - 1) * e->step <= (e->period - 1) / 2
+           && e->bits <= MOST_TABLE_BITS && e->phases <= LAW_SCHROEDER && (int64_t)e->lines * e->amplitude <= most_lines;
+}
+
+/* The most that a table can hold (quanta * 2^LAW_LINE_BITS). */
+static int64_t most_excitation(const law_excitation *e)
+{
+    return e->lines == 0 ? 0 : (INT64_C(1) << 31) >> e->bits;
 }
 
 static int good_float_wall(const law_float_wall *w)
@@ -118,7 +117,6 @@ static int good_fixed_wall(const law_fixed_wall *w, int32_t sense, int64_t excit
 
 law_verdict law_check(const law_parameters *p)
 {
-    const int64_t excitation = amplitude(&p->multisine);
     if (!good_choices(p))
         return LAW_BAD_CHOICE;
     if (!between(p->velocity_divider, 1, MOST_DIVIDER) || !between(p->slow_multiple, 1, MOST_DIVIDER - 1))
@@ -127,9 +125,10 @@ law_verdict law_check(const law_parameters *p)
         return LAW_BAD_LIMIT;
     if (!good_filter(p))
         return LAW_BAD_FILTER;
-    if (excitation < 0)
-        return LAW_BAD_MULTISINE;
-    if (p->arithmetic == LAW_FLOAT ? !good_float_wall(&p->wall) : !good_fixed_wall(&p->fixed_wall, p->sense, excitation))
+    if (!good_excitation(&p->excitation))
+        return LAW_BAD_EXCITATION;
+    if (p->arithmetic == LAW_FLOAT ? !good_float_wall(&p->wall)
+                                   : !good_fixed_wall(&p->fixed_wall, p->sense, most_excitation(&p->excitation)))
         return LAW_BAD_WALL;
     return LAW_GOOD;
 }

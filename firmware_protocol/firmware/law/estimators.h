@@ -11,6 +11,7 @@
 
 enum { LAW_LONGEST_GAP = 1000 }; /* periods, after which nothing that was before counts */
 
+void law_biquad_reset(law_biquad_state *s, const law_biquad *p);
 int32_t law_biquad_run(law_biquad_state *s, const law_biquad *p, int32_t moved, uint32_t elapsed);
 float law_low_pass_run(law_low_pass_state *s, const law_low_pass *p, float slope, uint32_t elapsed);
 float law_foaw_end(law_foaw_state *s, const law_foaw *p, int32_t count, uint32_t elapsed, uint32_t *window);

@@ -27,14 +27,13 @@
 enum {
     LAW_LONGEST_WINDOW = 64, /* velocity periods of a FOAW window */
     LAW_RING = 128,          /* samples that FOAW keeps: a power of two above the longest window */
-    LAW_SECTIONS = 4,        /* of the float32 low pass: order 8 */
-    LAW_LINES = 64           /* of the multisine */
+    LAW_SECTIONS = 4         /* of the float32 low pass: order 8 */
 };
 
 enum { LAW_DEPTH_BITS = 8 };     /* fractional bits of a depth in the fixed wall (counts) */
 enum { LAW_SETPOINT_BITS = 24 }; /* of the homing set point (counts) */
 enum { LAW_SLEW_BITS = 15 };     /* of efforts and slew limits in the fixed law's guard (quanta) */
-enum { LAW_LINE_BITS = 16 };     /* of the multisine's amplitudes (quanta) */
+enum { LAW_LINE_BITS = 16 };     /* of the excitation, its lines and their sum (quanta) */
 
 typedef enum { LAW_FIXED = 0, LAW_FLOAT = 1 } law_arithmetic;
 
@@ -49,6 +48,7 @@ typedef enum {
 } law_estimator;
 
 typedef enum { LAW_FLOOR = 0, LAW_ZERO = 1, LAW_NEAREST = 2 } law_rounding; /* rig.fixed_point.ROUNDINGS */
+typedef enum { LAW_HASHED = 0, LAW_SCHROEDER = 1 } law_phases; /* of the excitation's lines */
 typedef enum { LAW_EXPLICIT = 0, LAW_SEMI_IMPLICIT = 1, LAW_IMPLICIT = 2 } law_discretisation;
 
 typedef enum { /* rig.sample.Phase */
@@ -153,16 +153,18 @@ typedef struct {
     int32_t surface_whole;  /* counts from the reference, along the position */
 } law_float_wall;
 
-/* Excitation: sum of amplitude[j] * cos(2 pi (harmonic[j] * t / period + phase[j])), t in ticks since the trial
- * began, faded in by a raised cosine. phase[j] is mix(seed, j) / 2^32 turns; law_line_phase says how. */
+/* Excitation: amplitude * sum over j of cos(2 pi (harmonic[j] * t / period + phase[j])), t in ticks since the trial
+ * began, harmonic[j] = first + j * step, faded in by a raised cosine. excitation.h has its phases and its table. */
 typedef struct {
-    uint32_t lines; /* 0: none */
-    uint32_t seed;
-    uint32_t period; /* ticks, 2 ... 2^24; harmonics are below half of it */
-    uint32_t ramp;   /* ticks */
-    uint32_t harmonic[LAW_LINES];
-    int32_t amplitude[LAW_LINES]; /* quanta * 2^LAW_LINE_BITS, positive along the position; sum within 2^31 */
-} law_multisine;
+    uint32_t lines; /* 0: none; at most 4096 */
+    uint32_t first, step;
+    uint32_t period; /* ticks, 2 ... 2^16; harmonics are below half of it */
+    uint32_t ramp;   /* ticks, at most 2^24 */
+    uint32_t amplitude; /* of each line: quanta * 2^LAW_LINE_BITS */
+    uint32_t bits;   /* of the table: quanta * 2^bits, 0 ... 15 */
+    uint32_t phases; /* law_phases */
+    uint32_t seed;   /* of hashed phases */
+} law_excitation;
 
 typedef struct {
     int64_t home_target; /* counts * 2^LAW_SETPOINT_BITS from the reference, along the position */
@@ -188,11 +190,14 @@ typedef struct {
     law_kalman kalman;
     law_float_wall wall;
     law_fixed_wall fixed_wall;
-    law_multisine multisine;
+    law_excitation excitation;
 } law_parameters;
 
 typedef struct {
-    int32_t x1, x2, y1, y2;
+    int32_t x1, x2; /* inputs: counts when whole is 2, else in the format of the filter */
+    int32_t y1, y2;
+    int32_t quick;  /* which short cut is exact for the coefficients (filters.c) */
+    int32_t whole;  /* of the last inputs, how many were a few whole counts; at most 2 */
 } law_biquad_state;
 
 typedef struct {
@@ -218,11 +223,11 @@ typedef struct {
 } law_kalman_state;
 
 typedef struct {
-    uint64_t inverse; /* 2^56 / period, rounded down */
-    uint32_t played;  /* tick of the excitation, plus one; 0 before the first */
-    uint32_t residue[LAW_LINES]; /* harmonic * tick modulo period */
-    uint32_t phase[LAW_LINES];   /* 2^-32 turns */
-} law_multisine_state;
+    int32_t at;      /* tick of the period; -1 before the first */
+    uint32_t rising; /* ticks of the ramp that are left */
+    uint32_t rise;   /* of its phase in a tick, 2^-32 turns */
+    const int16_t *table; /* one period, quanta * 2^bits */
+} law_excitation_state;
 
 typedef struct {
     int64_t setpoint;      /* of the homing servo */
@@ -238,9 +243,10 @@ typedef struct {
     uint32_t sampled;      /* 1 once the estimator has run */
     uint32_t phase;        /* law_phase */
     uint32_t phase_ticks, rest_ticks;
+    uint32_t release_share, release_rest; /* of the effort, 2^-15, in the fixed law: quotient and remainder */
+    uint32_t release_step, release_step_rest; /* of the share, in a tick */
     int32_t previous;      /* count of the last estimate */
     uint32_t flags;
-    law_multisine_state multisine;
     union {
         law_biquad_state biquad;
         law_low_pass_state low_pass;
@@ -248,6 +254,7 @@ typedef struct {
         law_levant_state levant;
         law_kalman_state kalman;
     } of;
+    law_excitation_state excitation; /* at the end: its pointer has another size elsewhere */
 } law_state;
 
 typedef struct {
@@ -270,25 +277,19 @@ typedef enum {
     LAW_BAD_LIMIT,    /* current limit, window, slew, homing */
     LAW_BAD_FILTER,   /* word lengths, sections, window, or products that leave 64 bits */
     LAW_BAD_WALL,     /* gains or sums that leave 64 bits, or a shift */
-    LAW_BAD_MULTISINE /* lines, harmonics, period, amplitudes */
+    LAW_BAD_EXCITATION /* lines, harmonics, period, amplitude, format */
 } law_verdict;
 
 law_verdict law_check(const law_parameters *p);
 
-/* A law that has seen nothing. The parameters must have passed law_check. */
-void law_reset(law_state *s, const law_parameters *p);
+/* A law that has seen nothing. The parameters must have passed law_check. `table` is what law_excitation_continue has
+ * completed; it must live as long, and may be NULL when there are no lines. */
+void law_reset(law_state *s, const law_parameters *p, const int16_t *table);
 
-/* One tick. A wall or a limit may change between two ticks; another estimator or multisine needs law_reset. */
+/* One tick. A wall or a limit may change between two ticks; another estimator or excitation needs law_reset. */
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in);
 
 /* Whether a handle at this count is inside the wall. */
 int law_inside(const law_parameters *p, int32_t count);
-
-/* Phase of line j for a seed, in 2^-32 turns: with z = seed + 0x9E3779B9 * (j + 1),
- * z = (z ^ z >> 16) * 0x85EBCA6B; z = (z ^ z >> 13) * 0xC2B2AE35; phase = z ^ z >> 16, all modulo 2^32. */
-uint32_t law_line_phase(uint32_t seed, uint32_t line);
-
-/* Cosine of a phase in 2^-32 turns, times 2^30; within 1e-8 of the true one, the same integer everywhere. */
-int32_t law_cosine(uint32_t phase);
 
 #endif

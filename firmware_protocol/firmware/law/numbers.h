@@ -22,7 +22,7 @@ static inline int64_t law_at_most(int64_t value, int64_t limit)
 
 static inline int32_t law_to_32(int64_t value)
 {
-    return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
+    return (int32_t)value == value ? (int32_t)value : value > 0 ? INT32_MAX : INT32_MIN;
 }
 
 static inline int64_t law_with_sign(int64_t value, int32_t sign)
@@ -47,14 +47,39 @@ static inline int64_t law_product(int32_t a, int32_t b)
 #endif
 }
 
+/* value >> bits, 0 <= bits <= 62. A processor without a barrel for two words is given its two halves: the compiler
+ * would call a function. */
+static inline int64_t law_shift(int64_t value, int32_t bits)
+{
+#if defined(__ARM_ARCH_6M__) || defined(LAW_SHORT_MULTIPLIER)
+    const int32_t high = (int32_t)(value >> 32);
+    const uint32_t low = (uint32_t)((uint64_t)value & UINT32_MAX);
+    if (bits >= 32)
+        return high >> (bits - 32);
+    return (int64_t)((uint64_t)(uint32_t)(high >> bits) << 32 | (low >> bits | (uint32_t)high << 1 << (31 - bits)));
+#else
+    return value >> bits;
+#endif
+}
+
+/* value * 2^bits, 1 <= bits <= 31. */
+static inline int64_t law_shift_left(int32_t value, int32_t bits)
+{
+#if defined(__ARM_ARCH_6M__) || defined(LAW_SHORT_MULTIPLIER)
+    return (int64_t)((uint64_t)(uint32_t)(value >> (32 - bits)) << 32 | (uint32_t)value << bits);
+#else
+    return (int64_t)value * ((int64_t)1 << bits);
+#endif
+}
+
 /* value / 2^bits, rounded, without a second shift by a variable; 0 <= bits <= 62, and -value must fit 64 bits. */
 static inline int64_t law_shift_right(int64_t value, int32_t bits, int32_t rounding)
 {
     if (rounding == LAW_NEAREST && bits > 0)
-        return ((value >> (bits - 1)) + 1) >> 1;
+        return (law_shift(value, bits - 1) + 1) >> 1;
     if (rounding == LAW_ZERO && value < 0)
-        return -(-value >> bits);
-    return value >> bits;
+        return -law_shift(-value, bits);
+    return law_shift(value, bits);
 }
 
 /* numerator / denominator, rounded; the denominator is above zero, and their sum must fit 64 bits. */
@@ -67,6 +92,22 @@ static inline int64_t law_divide(int64_t numerator, int64_t denominator, int32_t
         numerator += denominator - 1;
     quotient = numerator / denominator;
     return numerator % denominator < 0 ? quotient - 1 : quotient;
+}
+
+/* -value or value, saturated. */
+static inline int32_t law_signed(int32_t value, int32_t sign)
+{
+    return sign >= 0 ? value : value == INT32_MIN ? INT32_MAX : -value;
+}
+
+/* value * share / 2^15, rounded down; the share is 0 ... 2^15, so that the result fits as the value does. */
+static inline int64_t law_part(int64_t value, uint32_t share)
+{
+    const int64_t whole = value >> 15;
+    const uint32_t rest = (uint32_t)((uint64_t)value & 0x7FFF), low = (uint32_t)((uint64_t)whole & UINT32_MAX);
+    const int32_t high = (int32_t)(whole >> 32); /* 17 bits and a sign */
+    const uint32_t a = (low & 0xFFFF) * share + (rest * share >> 15), b = (low >> 16) * share;
+    return (int64_t)((uint64_t)((int64_t)high * (int32_t)share) << 32) + (int64_t)((uint64_t)b << 16) + a;
 }
 
 /* Nearest value that fits a two's complement word of 2 to 32 bits. */

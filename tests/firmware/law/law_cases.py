@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes as ct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
+from rig.excitation_table import ExcitationTable
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
 from tests.firmware.law.law_design import ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
 from tests.firmware.law.law_library import Parameters, inputs
@@ -33,23 +34,14 @@ def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
     return p
 
 
-def shaken(
-    arithmetic: int,
-    *,
-    period: int,
-    harmonics: Sequence[int],
-    amplitudes: Sequence[int],
-    seed: int = 1,
-    ramp: int = 0,
-) -> ct.Structure:
+def shaken(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
     """Parameters without a wall that play an excitation, in their trial; constant effort 0."""
     p = golden_parameters(golden_vectors(1))
     p.arithmetic, p.bilateral, p.current_limit = arithmetic, 1, 32767
     p.fixed_wall.stiffness = p.fixed_wall.damping = p.fixed_wall.constant = 0
     p.wall.side, p.wall.trial_slew, p.wall.homing_slew, p.wall.speed_limit = p.fixed_wall.side, 1e9, 1e9, 1e9
-    m = p.multisine
-    m.lines, m.seed, m.period, m.ramp = len(harmonics), seed, period, ramp
-    m.harmonic[: m.lines], m.amplitude[: m.lines] = harmonics, amplitudes
+    for name, value in excitation.parameters().items():
+        setattr(p.excitation, name.removeprefix("excitation_"), value)
     return p
 
 
@@ -86,10 +78,7 @@ BREAKS = {
         ("fixed_wall.direction", 0),
         ("fixed_wall.trial_slew", -1),
     ],
-    "multisine": [
-        ("multisine.lines", 65),
-        ("multisine.lines", 1),
-    ],
+    "excitation": [("excitation.lines", 4097), ("excitation.lines", 1)],
 }
 BROKEN_FLOATS = (
     ("fdm-butterworth", "low_pass.sections", 5),
@@ -145,8 +134,15 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
             p.levant.discretisation, p.levant.integrator = scheme, stop
             good.append(p)
     good.append(of_estimator("fdm-butterworth", order=3))
-    for arithmetic in (FIXED, FLOAT):
-        p = shaken(arithmetic, period=1000, harmonics=[1, 499], amplitudes=[2**30, -(2**29)], ramp=9)
+    others: tuple[dict[str, float | str], ...] = (
+        {"cutoff_hz": 900.0},
+        {"cutoff_hz": 20.0, "coefficient_bits": 20},
+        {"rounding": "floor"},
+    )  # the other short cuts of the low pass
+    good += [of_estimator("fdm-butterworth-fixed", **settings) for settings in others]
+    for arithmetic, phases in ((FIXED, "schroeder"), (FLOAT, "hashed")):
+        table = ExcitationTable(2, 1, 498, 1000, 2**30, ramp=9, phases=phases, bits=arithmetic)
+        p = shaken(arithmetic, table)
         p.release_ticks, p.trial_ticks = 50, 100
         good.append(p)
     bound = golden_parameters(golden_vectors(2))
@@ -158,8 +154,13 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         yield p, inputs(calm, random.choice(GAPS[:6], 300))
     for field, value in (change for changes in BREAKS.values() for change in changes):
         yield broken(field, value), wild(3)
-    for harmonics, amplitudes in (([500], [1]), ([0], [1]), ([1, 2], [2**30, 2**30])):
-        yield shaken(FIXED, period=1000, harmonics=harmonics, amplitudes=amplitudes), wild(3)
+    for field, value in (
+        ("first", 500), ("first", 0), ("step", 0), ("period", 2**16 + 1), ("period", 0), ("amplitude", 2**31),
+        ("bits", 16), ("phases", 2), ("ramp", 2**24 + 1), ("lines", 2**31),
+    ):  # fmt: skip
+        p = shaken(FIXED, ExcitationTable(400, 1, 1, 1000, 2**16))
+        setattr(p.excitation, field, value)
+        yield p, wild(3)
     third_order = of_estimator("fdm-butterworth")
     third_order.low_pass.section[0].order = 3
     yield third_order, wild(3)

@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "excitation.h"
 #include "law.h"
 
 typedef struct {
@@ -19,7 +20,7 @@ int main(void);
 size_t driver_size(int of)
 {
     const size_t sizes[] = {sizeof(law_parameters), sizeof(law_state), sizeof(law_input), sizeof(law_output),
-                            sizeof(driver_tick)};
+                            sizeof(driver_tick), sizeof(law_excitation_work)};
     return sizes[of];
 }
 
@@ -28,6 +29,8 @@ void driver_run(law_state *s, const law_parameters *p, const law_input *in, size
     size_t k;
     for (k = 0; k < ticks; k++) {
         out[k].out = law_tick(s, p, &in[k]);
+        if (law_inside(p, in[k].count) != ((out[k].out.flags & LAW_INSIDE) != 0))
+            abort(); /* both say where the handle is */
         out[k].velocity = s->velocity;
         out[k].limited = s->limited;
         out[k].velocity_fixed = s->velocity_fixed;
@@ -35,6 +38,17 @@ void driver_run(law_state *s, const law_parameters *p, const law_input *in, size
         if (law_inside(p, in[k].count) != ((out[k].out.flags & LAW_INSIDE) != 0))
             abort(); /* both are said to be the same */
     }
+}
+
+/* Memory for the excitation's table, which is worked out; NULL without lines. */
+static int16_t *excitation(const law_excitation *p)
+{
+    law_excitation_work work;
+    int16_t *table = p->lines > 0 ? calloc(p->period, sizeof *table) : NULL;
+    law_excitation_begin(&work, p, table);
+    while (!law_excitation_continue(&work, 1000))
+        ;
+    return table;
 }
 
 int main(void)
@@ -50,8 +64,10 @@ int main(void)
         if (in == NULL || out == NULL || fread(in, sizeof *in, (size_t)ticks, stdin) != ticks)
             return 2;
         if (verdict == LAW_GOOD) {
-            law_reset(&s, &p);
+            int16_t *table = excitation(&p.excitation);
+            law_reset(&s, &p, table);
             driver_run(&s, &p, in, (size_t)ticks, out);
+            free(table);
         }
         if (fwrite(&verdict, sizeof verdict, 1, stdout) != 1
             || fwrite(out, sizeof *out, (size_t)ticks, stdout) != ticks)

@@ -17,7 +17,7 @@ STRICT = [
     "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wdouble-promotion",
     "-Wstrict-prototypes", "-Wmissing-prototypes", "-Werror", "-ffp-contract=off",
 ]  # fmt: skip
-WINDOW, RING, SECTIONS, LINES = 64, 128, 4, 64
+WINDOW, RING, SECTIONS = 64, 128, 4
 
 i32, u32, i64, u64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_float
 
@@ -57,9 +57,7 @@ Wall = _structure(
     (f32, "velocity_lsb home_stiffness home_damping home_effort"),
     (i32, "surface_whole"),
 )
-Lines = _structure(
-    "Lines", (u32, "lines seed period ramp"), (u32 * LINES, "harmonic"), (i32 * LINES, "amplitude")
-)
+Excitation = _structure("Excitation", (u32, "lines first step period ramp amplitude bits phases seed"))
 Parameters = _structure(
     "Parameters",
     (i64, "home_target home_step"),
@@ -73,11 +71,9 @@ Parameters = _structure(
     (Kalman, "kalman"),
     (Wall, "wall"),
     (Fixed, "fixed_wall"),
-    (Lines, "multisine"),
+    (Excitation, "excitation"),
 )
-LinesState = _structure(
-    "LinesState", (u64, "inverse"), (u32, "played"), (u32 * LINES, "residue"), (u32 * LINES, "phase")
-)
+ExcitationState = _structure("ExcitationState", (i32, "at"), (u32, "rising rise"), (ct.c_void_p, "table"))
 FoawState = _structure(
     "FoawState",
     (u32, "samples newest period"),
@@ -100,11 +96,12 @@ State = _structure(
     (i32, "limited_fixed"),
     (f32, "limited velocity velocity_sampled velocity_slope"),
     (i32, "velocity_fixed"),
-    (u32, "window since velocity_ticks sampled phase phase_ticks rest_ticks"),
+    (u32, "window since velocity_ticks sampled phase phase_ticks rest_ticks release_share release_rest"),
+    (u32, "release_step release_step_rest"),
     (i32, "previous"),
     (u32, "flags"),
-    (LinesState, "multisine"),
     (Memory, "of"),
+    (ExcitationState, "excitation"),
 )
 Input = _structure("Input", (i32, "count"), (u32, "edge_age elapsed_ticks"))
 Output = _structure("Output", (i32, "current"), (u32, "flags phase"))
@@ -142,6 +139,7 @@ class LawLibrary:
         so.law_line_phase.restype = u32
         so.law_line_phase.argtypes = [u32, u32]
         so.law_cosine.argtypes = [u32]
+        so.law_excitation_continue.restype = ct.c_bool
         so.driver_size.restype = ct.c_size_t
         for number, kind in enumerate((Parameters, State, Input, Output)):
             assert so.driver_size(number) == ct.sizeof(kind), kind.__name__
@@ -152,11 +150,21 @@ class LawLibrary:
         return int(self.so.law_check(ct.byref(parameters)))
 
     def reset(self, parameters: ct.Structure) -> ct.Structure:
-        """A law that has seen nothing, for parameters that pass the check."""
+        """A law that has seen nothing, for parameters that pass the check, with its excitation ready."""
         assert self.check(parameters) == 0
-        state = State()
-        self.so.law_reset(ct.byref(state), ct.byref(parameters))
+        state, table = State(), self.excitation(parameters)
+        self.so.law_reset(ct.byref(state), ct.byref(parameters), table.ctypes.data_as(ct.c_void_p))
+        state.keeps = table  # alive: the law points into it
         return state
+
+    def excitation(self, parameters: ct.Structure, cosines: int = 1000) -> np.ndarray:
+        """One period of the excitation, worked out in pieces of so many cosines."""
+        p, work = parameters.excitation, ct.create_string_buffer(self.so.driver_size(5))
+        table = np.zeros(p.period if p.lines else 0, np.int16)
+        self.so.law_excitation_begin(work, ct.byref(p), table.ctypes.data_as(ct.c_void_p))
+        while not self.so.law_excitation_continue(work, u32(cosines)):
+            pass
+        return table
 
     def tick(
         self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1

@@ -54,6 +54,9 @@ def wire_values(p: ct.Structure) -> dict[str, Value]:
         for name in ("position", "velocity", "acceleration")
     }
     values |= _low_pass(p.low_pass) | _float_wall(p.wall) | _fixed_wall(p.fixed_wall)
+    values["excitation_lines"] = p.excitation.lines
+    if p.excitation.lines:
+        values |= {f"excitation_{name}": getattr(p.excitation, name) for name, _ in p.excitation._fields_}
     values["wall_side"] = int(p.wall.side) or p.fixed_wall.side
     unset = {"biquad_word_bits", "foaw_limit", "fixed_shift", "fixed_home_shift"}
     return {name: value for name, value in values.items() if value != 0 or name not in unset}

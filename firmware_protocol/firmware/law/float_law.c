@@ -1,0 +1,161 @@
+/* A tick in float32: steps 3 to 7. */
+#include <math.h>
+
+#include "estimators.h"
+#include "excitation.h"
+#include "phases.h"
+
+float law_float_depth(const law_parameters *p, int32_t travel)
+{
+    const law_float_wall *w = &p->wall;
+    return w->side * ((float)law_to_32((int64_t)travel - w->surface_whole) - w->surface_fraction);
+}
+
+/* Step 3. */
+
+static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, uint32_t periods)
+{
+    const float slope = periods == 1 ? (float)moved : (float)moved / (float)periods;
+
+    switch ((law_estimator)p->estimator) {
+    case LAW_FDM_BUTTERWORTH:
+        return law_low_pass_run(&s->of.low_pass, &p->low_pass, slope, periods);
+    case LAW_FOAW_END:
+        return law_foaw_end(&s->of.foaw, &p->foaw, count, periods, &s->window);
+    case LAW_FOAW_BEST:
+        return law_foaw_best(&s->of.foaw, &p->foaw, count, periods, &s->window);
+    case LAW_LEVANT:
+        return s->sampled ? law_levant_run(&s->of.levant, &p->levant, slope, periods) : 0.0f;
+    case LAW_KALMAN:
+        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, periods) : 0.0f;
+    case LAW_FDM:
+    case LAW_FDM_BUTTERWORTH_FIXED:
+        break;
+    }
+    return slope;
+}
+
+static void estimate(law_state *s, const law_parameters *p, int32_t count, uint32_t elapsed)
+{
+    const int slow = p->slow_multiple != 1 && s->sampled && fabsf(s->velocity_sampled) < p->wall.slow_speed;
+    const uint32_t periods = law_periods_due(s, p->velocity_divider, slow ? p->slow_multiple : 1, elapsed);
+
+    s->velocity_ticks = law_add(s->velocity_ticks, elapsed);
+    if (periods > 0) {
+        const int32_t moved = law_moved(s, count, periods);
+        float sampled;
+        if (p->estimator == LAW_FDM_BUTTERWORTH_FIXED) {
+            s->velocity_fixed = law_biquad_run(&s->of.biquad, &p->biquad, moved, periods);
+            sampled = (float)s->velocity_fixed * p->wall.velocity_lsb;
+        } else {
+            sampled = estimate_of(s, p, count, moved, periods);
+        }
+        if (p->extrapolate)
+            s->velocity_slope = (sampled - s->velocity_sampled) / (float)s->velocity_ticks;
+        s->velocity_sampled = sampled;
+        s->velocity_ticks = 0;
+        s->sampled = 1;
+        s->flags |= LAW_VELOCITY_UPDATED;
+    }
+    s->velocity = s->velocity_sampled;
+    if (p->extrapolate)
+        s->velocity += s->velocity_slope * (float)s->velocity_ticks;
+}
+
+/* Steps 4 and 5. */
+
+static float reaction(law_state *s, const law_parameters *p, float depth)
+{
+    const law_float_wall *w = &p->wall;
+    float inwards = w->side * (float)p->sense * s->velocity, total;
+
+    if (p->bilateral)
+        return w->stiffness * depth + w->damping * inwards;
+    if (depth <= 0.0f)
+        return 0.0f;
+    if (p->entry_only && inwards < 0.0f)
+        inwards = 0.0f;
+    total = w->stiffness * depth + w->damping * inwards;
+    if (total < 0.0f && !p->may_pull) {
+        s->flags |= LAW_CLAMPED;
+        return 0.0f;
+    }
+    return total;
+}
+
+static float wanted(law_state *s, const law_parameters *p, float depth, int32_t travel, uint32_t elapsed)
+{
+    const law_float_wall *w = &p->wall;
+    float total;
+
+    if (law_is_homing(s->phase)) {
+        const float error = (float)law_home_error(s, p, travel, elapsed) * (1.0f / (1 << LAW_SETPOINT_BITS));
+        const float effort = w->home_stiffness * error - w->home_damping * (float)p->sense * s->velocity;
+        return effort > w->home_effort ? w->home_effort : effort < -w->home_effort ? -w->home_effort : effort;
+    }
+    if (!law_is_rendering(s->phase))
+        return 0.0f;
+    total = w->constant - w->side * reaction(s, p, depth);
+    if (p->excitation.lines > 0)
+        total += (float)law_excitation_run(&s->excitation, &p->excitation, elapsed) * (1.0f / (1 << LAW_LINE_BITS));
+    if (s->phase == LAW_RELEASE)
+        total *= 1.0f - (float)s->phase_ticks / (float)p->release_ticks;
+    return total;
+}
+
+/* Steps 6 and 7. */
+
+/* Nearest whole number, halves towards +infinity; the argument is small. */
+static int32_t nearest(float x)
+{
+    const float up = x + 0.5f;
+    const int32_t whole = (int32_t)up;
+    return (float)whole > up ? whole - 1 : whole;
+}
+
+static int32_t guarded(law_state *s, const law_parameters *p, float effort, uint32_t elapsed)
+{
+    const law_float_wall *w = &p->wall;
+    const float limit = (float)p->current_limit;
+    const float step = (float)elapsed * (law_is_homing(s->phase) ? w->homing_slew : w->trial_slew);
+
+    if (fabsf(effort) > limit) {
+        effort = effort > 0.0f ? limit : -limit;
+        s->flags |= LAW_SATURATED;
+    }
+    if (effort < s->limited - step) {
+        effort = s->limited - step;
+        s->flags |= LAW_SLEW_BOUND;
+    } else if (effort > s->limited + step) {
+        effort = s->limited + step;
+        s->flags |= LAW_SLEW_BOUND;
+    }
+    s->limited = effort;
+    return law_within(nearest(effort), p->current_limit);
+}
+
+void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, law_output *out)
+{
+    const law_float_wall *w = &p->wall;
+    const uint32_t elapsed = law_elapsed(in);
+    const int32_t travel = law_travel(p, in->count);
+    const float depth = law_float_depth(p, travel);
+    float effort;
+
+    s->flags = depth > 0.0f ? LAW_INSIDE : 0;
+    estimate(s, p, in->count, elapsed);
+    s->flags |= law_advance(s, p, travel, elapsed);
+    effort = wanted(s, p, depth, travel, elapsed);
+    if (!isfinite(effort) || !isfinite(s->velocity))
+        s->flags |= LAW_NONFINITE;
+    s->flags |= law_out_of_window(p, travel, fabsf(s->velocity) > w->speed_limit);
+    if (s->flags & LAW_ENDS_RUN) {
+        law_enter(s, LAW_DONE);
+        s->limited = 0.0f;
+        out->current = 0;
+    } else {
+        out->current = guarded(s, p, effort, elapsed);
+    }
+    out->flags = s->flags;
+    out->phase = s->phase;
+}

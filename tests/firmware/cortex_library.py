@@ -1,0 +1,103 @@
+"""The host port built for a Cortex-M, behind the functions of the shared library: what drives one drives the other.
+
+`CortexLibrary` offers what `sim_backend.firmware_library.load` gives; addresses of this computer stand for the one
+device that it has. Each `host_tick` leaves what it cost.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from sim_backend.firmware_library import Status
+from tests.firmware import cortex
+from tests.firmware.build import FIRMWARE, SOURCES
+from tests.firmware.cortex import RAM, Image, Simulator
+
+ENTRIES = (
+    "host_tick", "host_bytes", "host_setup", "host_narrow", "host_start", "host_receive", "host_take",
+    "host_set_world", "host_status",
+)  # fmt: skip
+HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x3_0000, 0x3_0100, 0x3_0400, 0x3_4000))
+MOST_BYTES, MOST_DICTIONARY = 0x3C00, 0x7000
+
+
+def build(core: cortex.Core, directory: Path, *options: str) -> Image:
+    """The core, the law and the host port for a processor."""
+    image = cortex.build(core, directory, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
+    held = [name for name in image.sizes if image.symbols[name] >= RAM]
+    assert not held, f"globals: {held}"
+    return image
+
+
+class CortexLibrary:
+    """One device in the instruction-set simulator."""
+
+    def __init__(self, image: Image) -> None:
+        self.simulator = Simulator(image)
+        assert self.host_bytes() <= SETUP - HOST
+        self.instructions: list[int] = []  # of each tick
+        self.cycles: list[int] = []
+        self.profile: list[Counter[int]] | None = None  # cycles of each block in each tick, if wanted
+
+    def host_bytes(self) -> int:
+        return self.simulator.call("host_bytes")
+
+    def host_setup(self, address: int, setup: Any) -> None:
+        given = setup._obj
+        dictionary = ctypes.string_at(given.dictionary, given.dictionary_bytes)
+        assert len(dictionary) <= MOST_DICTIONARY
+        self._write(DICTIONARY, dictionary)
+        head = struct.pack(
+            "<I4xQIIiI",
+            DICTIONARY,
+            given.dictionary_hash,
+            given.dictionary_bytes,
+            given.rate_initial,
+            given.encoder_sign,
+            given.over_current,
+        )
+        self._write(SETUP, head + bytes(given.mechanics))
+        self.simulator.call("host_setup", HOST, SETUP)
+
+    def host_narrow(self, address: int, parameter: int, minimum: int, maximum: int) -> None:
+        self.simulator.call("host_narrow", HOST, parameter, minimum, maximum)
+
+    def host_start(self, address: int) -> None:
+        self.simulator.call("host_start", HOST)
+
+    def host_set_world(
+        self, address: int, time: int, count: int, edge_time: int, measured: int, inputs: int
+    ) -> None:
+        low, high = time & 0xFFFF_FFFF, time >> 32
+        rest = struct.pack("<i4xQiI", count, edge_time, measured, inputs)  # what goes by the stack
+        self.simulator.call("host_set_world", HOST, 0, low, high, stack=rest)
+
+    def host_tick(self, address: int) -> None:
+        if self.profile is not None:
+            self.simulator.profile = Counter()
+            self.profile.append(self.simulator.profile)
+        self.simulator.call("host_tick", HOST)
+        self.simulator.profile = None
+        self.instructions.append(self.simulator.instructions)
+        self.cycles.append(self.simulator.cycles)
+
+    def host_receive(self, address: int, data: bytes, count: int) -> None:
+        self._write(BYTES, data)
+        self.simulator.call("host_receive", HOST, BYTES, count)
+
+    def host_take(self, address: int, into: Any, capacity: int) -> int:
+        count = self.simulator.call("host_take", HOST, BYTES, min(capacity, MOST_BYTES))
+        ctypes.memmove(into, bytes(self.simulator.uc.mem_read(BYTES, count)), count)
+        return count
+
+    def host_status(self, address: int, status: Any) -> None:
+        self.simulator.call("host_status", HOST, STATUS)
+        size = ctypes.sizeof(Status)
+        ctypes.memmove(status, bytes(self.simulator.uc.mem_read(STATUS, size)), size)
+
+    def _write(self, address: int, data: bytes) -> None:
+        self.simulator.uc.mem_write(address, data)
