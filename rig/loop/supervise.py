@@ -326,6 +326,7 @@ def run(
     v, p = supervision[0], progress[0]
     p["last_fresh"] = now(clock)
     reason = 0
+    last_row = False  # whether the row of the end is there
     while reason == 0:
         reason = told_to_end(now, clock, settings, words)
         if reason != 0:
@@ -346,7 +347,8 @@ def run(
             estimator, law, samples, states, state, waiting, sets, supervision, settings, control, memory,
             estimator_f, estimator_i, estimator_p, law_state, law_parameters, progress, rows, words, False,
         )  # fmt: skip
-        if reason == _GO_ON:
+        last_row = reason != _GO_ON
+        if not last_row:
             reason = _ended_by_device(newest, supervision, settings, memory, progress, ready)
         if reason == CLOSED:
             store_word(words + WORD * ring.END_ERRNO, -ready)
@@ -356,10 +358,10 @@ def run(
     v["stop_sequence"] = p["sequence"]
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
         send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0)
-    # What the device had told before it stopped; of a run that the law ended nothing more is wanted.
+    # What the device had told before it stopped, unless the row of the end is there.
     until_ns = now(clock) + REST_NS
-    listening = reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
-    resting = listening or reason in (SILENT, CLOSED)
+    listening = not last_row and reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
+    resting = not last_row
     stopped = 0
     while resting:
         ready = -1

@@ -160,7 +160,7 @@ def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
     kind: Kind, way: Direction
 ) -> None:
     """Each frame of it is struck once, words and answers; what is lost is said again."""
-    clean = Session("fdm-butterworth-fixed", {FLYING: 150.0})
+    clean = Session("fdm-butterworth-fixed", {HOMING: 150.0})
     line = clean.link.line
     assert line is not None
     begun: list[dict[Direction, int]] = []
@@ -169,7 +169,7 @@ def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
     clean.run()
     for frame in range(begun[0][way], begun[0][way] + 7):
         fault = FrameFault(kind=kind, direction=way, frame=frame, byte=frame, bit=frame % 8, ticks=60)
-        session = Session("fdm-butterworth-fixed", {FLYING: 150.0}, (fault,))
+        session = Session("fdm-butterworth-fixed", {HOMING: 150.0}, (fault,))
         rows = session.run()
         assert session.thread.end().reason == EndReason.FINISHED
         assert len(session.thread.parameter_sets()) == 1, frame
