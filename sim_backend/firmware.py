@@ -311,6 +311,16 @@ class FirmwareDevice:
         self._act()
         self._start()
 
+    def brown_out(self) -> None:
+        """Reset as a dip of the supply or the hardware watchdog does: the encoder's counter begins at zero too.
+
+        The port says so to the software, as `WATCHDOG_RESET`.
+        """
+        self.hardware.slip -= self.hardware.count
+        self.hardware.count = 0
+        self.reset()
+        self.inject_fault(Fault.WATCHDOG_RESET)
+
     def truth(self) -> NDArray[np.void]:
         """Return the plant's state in every tick of a session since boot, dtype `rig.sample.TRUTH`."""
         return (self._truth or self.hardware.new_truth()).table()

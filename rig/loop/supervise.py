@@ -253,6 +253,32 @@ def _ended_by_device(
     return 0
 
 
+@kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
+def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
+    """A device that fails between two samples sends no batch of the next one: the STATE that tells is that sample."""
+    v = supervision[0]
+    for i in range(v["states_tail"], v["states_head"]):
+        told = states[i % STATES_KEPT]
+        if told[STATE.fault] == 0 and told[STATE.state] != _FAULT_STATE:
+            continue
+        index, time = told[STATE.sample_index], told[STATE.device_time]
+        if v["started"] != 0:
+            index = v["index"] + ahead(index, v["index"])
+            time = v["time"] + ahead(time, v["time"])
+        if v["started"] == 0 or index > v["index"]:
+            place = samples[v["head"] % QUEUE]
+            place[INDEX] = index
+            place[TIME] = time
+            place[COUNT] = told[STATE.count]
+            place[CURRENT] = told[STATE.current_commanded]
+            place[MEASURED] = told[STATE.current_measured]
+            place[RECEIVED] = progress[0]["read_at"]
+            place[LATE] = 0
+            v["head"] += 1
+            v["index"] = index
+        break
+
+
 @kernel(types.int64(INTS, SUPERVISION_TYPE), inline=True)
 def _shows_stop(newest: Any, supervision: Any) -> int:
     """Whether the newest STATE names one of our STOPs as the command in force."""
@@ -348,5 +374,9 @@ def run(
             until_ns = min(until_ns, now(clock) + SETTLE_NS)
         more = ready >= 0 and now(clock) < until_ns
         resting = ended == _GO_ON and (more or v["tail"] < v["head"])
+        if reason == FAULT and ended == _GO_ON and not resting:
+            _queue_fault(states, samples, supervision, progress)
+            resting = v["tail"] < v["head"]
+            listening = False
     store_word(words + WORD * ring.END_REASON, reason)
     return int(reason)
