@@ -136,6 +136,20 @@ def test_the_commands_say_where_the_law_ran(run, tmp_path):
     assert "currents differ" in shown
 
 
+def test_a_map_of_a_device_is_hit_by_its_own_law(run, tmp_path):
+    sets = [f"--set={key}={value}" for key, value in SHORT.items()]
+    narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--search", "bisection", "-K", "100:120"]
+    code, out, _ = run(
+        "zwidth", EXAMPLE, "--url", "sim://", *sets, *narrow, "--no-plot", "--json", "-o", tmp_path
+    )
+    assert code == 0
+    found = json.loads(out)
+    assert found["hits"] == 2
+    assert found["note"] is None
+    recordings = [open_recording(path) for path in tmp_path.rglob("*.parquet") if path.name != "hits.parquet"]
+    assert [one.header["extra"]["loop"] for one in recordings] == ["device", "device"]
+
+
 def test_a_map_in_simulation_says_what_it_stands_for(run, tmp_path):
     narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--offsets", "0.1", "-K", "100:120"]
     code, out, _ = run("zwidth", EXAMPLE, *narrow, "--no-plot", "-o", tmp_path)
