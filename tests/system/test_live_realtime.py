@@ -69,6 +69,8 @@ ON_DEVICE = (
     "--rig=koul-rigid",
     "--loop=device",
     "--rate=5k/500",
+    "-K60",
+    "-B0.05",
     "--set=controller.supervise_lifetime_s=0.1",
 )
 
