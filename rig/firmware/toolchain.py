@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.errors import RigError
+from rig.errors import ToolchainError
 
 COMPILER = "arm-none-eabi-gcc"
 COMPILER_VARIABLE = "ARM_NONE_EABI_GCC"  # another one, by its path
@@ -20,12 +20,6 @@ INSTALL = (
     f"{COMPILER_VARIABLE}=/path/to/{COMPILER}"
 )
 _SHOWN_LINES = 12  # of what the compiler complains about
-
-
-class ToolchainError(RigError):
-    """There is no usable compiler, or it refuses the sources: install it, or report what it said."""
-
-    exit_code = 15
 
 
 @dataclass(frozen=True, slots=True)

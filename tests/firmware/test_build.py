@@ -11,13 +11,13 @@ import pytest
 from firmware_protocol.parameters import PARAMETERS
 from rig import config, presets
 from rig.board import MovedMechanics, moved_mechanics, over_current, peak_current
-from rig.errors import ConfigError, RecordingError
+from rig.errors import ConfigError, RecordingError, ToolchainError
 from rig.firmware import boards
 from rig.firmware.board_config import configure
 from rig.firmware.build import BuildRequest, build, package_version, sources_hash
 from rig.firmware.elf import read_segments
 from rig.firmware.info import info
-from rig.firmware.toolchain import COMPILER_VARIABLE, ToolchainError, find_compiler
+from rig.firmware.toolchain import COMPILER_VARIABLE, find_compiler
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, compile_c
 
