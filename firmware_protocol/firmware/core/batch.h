@@ -1,7 +1,7 @@
 /* BATCH: every tick of a supervised law, packed as it happens.
  *
- * A frame is stuffed and its CRC computed sample by sample, so that no tick pays for a whole frame: the raw frame lies
- * one byte behind its beginning, where only zeros are replaced. */
+ * A frame is stuffed and its CRC computed sample by sample, so that no tick pays for a whole frame. One that is
+ * finished waits beside the one that is being made until there is time to send it. */
 #ifndef HR_BATCH_H
 #define HR_BATCH_H
 
@@ -10,46 +10,42 @@
 #include <stdint.h>
 
 #include "connection.h"
+#include "faults.h"
+#include "frame.h"
 #include "protocol.h"
-
-struct batch_sample {
-    uint32_t index;       /* of the tick */
-    uint32_t device_time; /* 1/16 µs */
-    int32_t count;
-    int16_t current_commanded;
-    int16_t current_measured;
-};
 
 struct batch {
     uint8_t layout;
-    uint8_t most;       /* samples in a frame */
-    uint8_t samples;    /* in the frame that is being made; 0: none is */
-    bool follows;       /* `count` is that of tick `next` - 1 */
-    uint32_t next;      /* tick that would follow without a gap */
-    int32_t count;      /* of the last sample */
-    uint32_t crc;       /* of the raw frame so far */
-    size_t end;         /* bytes so far */
-    size_t code;        /* where the distance to the next zero goes */
-    uint8_t bytes[HR_ENCODED_LIMIT + 1u];
+    uint8_t most;    /* samples in a frame */
+    uint8_t samples; /* in the frame that is being made; 0: none is */
+    uint8_t making;  /* which of both frames that is */
+    bool follows;    /* `count` is that of tick `next` - 1 */
+    uint16_t ready;  /* bytes of the other frame that wait to be sent */
+    uint32_t next;   /* tick that would follow without a gap */
+    int32_t count;   /* of the last sample */
+    struct builder builder;
+    uint8_t frames[2][HR_ENCODED_LIMIT + 1u];
 };
 
 /* Set the layout, and how many samples a frame takes, if it holds as many. Forgets what was not sent. */
 void batch_configure(struct batch *batch, uint8_t layout, uint8_t most);
 
-/* Forget the last sample and a frame that is being made: a run begins. */
+/* Forget the last sample and what was not sent: a run begins. */
 void batch_forget(struct batch *batch);
 
-/* Whether a sample can be appended to the frame that is being made; if not, finish that first. */
-bool batch_fits(const struct batch *batch, const struct batch_sample *sample);
+/* Whether the sample of a tick can be appended to the frame that is being made; if not, finish that first. */
+bool batch_fits(const struct batch *batch, uint32_t index);
 
-/* Append a sample; the first begins a frame of the session. False, and nothing is appended, when the difference of
- * counts does not fit the layout. */
-bool batch_push(struct batch *batch, struct connection *connection, const struct batch_sample *sample);
+/* Append the sample of a tick; the first begins a frame of the session, with its device time. False, and nothing is
+ * appended, when the difference of counts does not fit the layout. */
+bool batch_push(struct batch *batch, struct connection *connection, const struct fault_entry *sample, uint32_t time);
 
 /* Whether the frame is full. */
 bool batch_is_full(const struct batch *batch);
 
-/* Finish the frame that is being made: returns its bytes on the wire, from batch->bytes; 0 when there is none. */
-size_t batch_finish(struct batch *batch);
+/* Finish the frame that is being made, if there is one: batch->ready bytes of it wait at batch_frame, over one that
+ * nobody has sent. */
+void batch_finish(struct batch *batch);
+const uint8_t *batch_frame(const struct batch *batch);
 
 #endif

@@ -58,6 +58,7 @@ void device_begin_session(struct device *device)
     device->commanded = false;
     device->supervised = false;
     batch_forget(&device->batch);
+    device->state_left = 0;
     if (device->renderer.there)
         renderer_reset(&device->renderer);
     device->worst_execution_time = 0;
@@ -273,10 +274,10 @@ static uint16_t saturated(uint32_t number)
     return (uint16_t)(number < UINT16_MAX ? number : UINT16_MAX);
 }
 
-static void send_state(struct device *device, const struct fault_entry *tick)
+static void make_state(struct device *device, const struct fault_entry *tick)
 {
-    struct packet packet;
-    uint8_t *raw = connection_begin(&device->connection, &packet, HR_INDEX_STATE, HR_BYTES_STATE);
+    struct packet *packet = &device->state_packet;
+    uint8_t *raw = connection_begin(&device->connection, packet, HR_INDEX_STATE, HR_BYTES_STATE);
     put_u16(raw + HR_AT_STATE_COMMAND_SEQUENCE, device->command_sequence);
     put_u16(raw + HR_AT_STATE_COMMAND_AGE, device->commanded ? device->command_age : HR_NO_COMMAND_YET);
     put_u32(raw + HR_AT_STATE_SAMPLE_INDEX, tick->sample_index);
@@ -293,7 +294,8 @@ static void send_state(struct device *device, const struct fault_entry *tick)
     raw[HR_AT_STATE_INPUTS] = device->hal->inputs(device->hal->context);
     raw[HR_AT_STATE_PHASE] = device->renderer.phase;
     put_u32(raw + HR_AT_STATE_SYNC_TIME, (uint32_t)device->hal->sync_time(device->hal->context));
-    device_send(device, &packet);
+    builder_begin(&device->state_builder, packet->bytes);
+    device->state_left = packet->count;
 }
 
 /* Whether a STATE is due in a device that nobody has armed. */
@@ -316,40 +318,77 @@ static bool state_is_due(struct device *device)
 
 static void send_batch(struct device *device)
 {
-    const size_t count = batch_finish(&device->batch);
-    if (count > 0)
-        device->hal->link_write(device->hal->context, device->batch.bytes, count);
+    struct batch *batch = &device->batch;
+    if (batch->ready > 0)
+        device->hal->link_write(device->hal->context, batch_frame(batch), batch->ready);
+    batch->ready = 0;
+}
+
+/* Let the frame that is being made wait to be sent; there is room for one that waits. */
+static void finish_batch(struct device *device)
+{
+    if (device->batch.samples == 0)
+        return;
+    send_batch(device);
+    batch_finish(&device->batch);
+}
+
+/* Take some more bytes of STATE into its frame, and send it when it is complete. */
+static void send_state(struct device *device, size_t most)
+{
+    struct builder *builder = &device->state_builder;
+    const size_t bytes = device->state_left < most ? device->state_left : most;
+    builder_append(builder, builder->bytes + builder->end, bytes);
+    device->state_left -= bytes;
+    if (device->state_left == 0) {
+        const size_t count = builder_finish(builder);
+        device->hal->link_write(device->hal->context, builder->bytes, count);
+    }
+}
+
+void device_flush(struct device *device)
+{
+    send_batch(device);
+    if (device->state_left > 0)
+        send_state(device, device->state_left);
+}
+
+/* Send a piece of what waits; false when nothing does. */
+static bool send_some(struct device *device)
+{
+    if (device->batch.ready > 0)
+        send_batch(device);
+    else if (device->state_left > 0)
+        send_state(device, device->state_every > 1u ? HR_STATE_BYTES_A_POLL : device->state_left);
+    else
+        return false;
+    return true;
 }
 
 void device_end_supervision(struct device *device)
 {
+    finish_batch(device);
     send_batch(device);
     device->supervised = false;
 }
 
-/* A frame leaves when it is full, before a gap, and when there is nothing to follow. */
+/* A frame is finished when it is full, before a gap, and when there is nothing to follow. */
 static void tell_batch(struct device *device)
 {
     struct batch *batch = &device->batch;
-    const struct fault_entry *entry = &device->tick.entry;
-    const struct batch_sample sample = {
-        .index = entry->sample_index,
-        .device_time = (uint32_t)device->time,
-        .count = entry->count,
-        .current_commanded = entry->current_commanded,
-        .current_measured = entry->current_measured,
-    };
-    if (device->tick.supervised) {
-        if (!batch_fits(batch, &sample))
-            send_batch(device);
-        if (!batch_push(batch, &device->connection, &sample))
+    const struct told_tick *tick = &device->tick;
+    if (tick->supervised) {
+        if (!batch_fits(batch, tick->entry.sample_index))
+            finish_batch(device);
+        if (!batch_push(batch, &device->connection, &tick->entry, (uint32_t)device->time))
             latch(device, FAULT(BATCH_OVERFLOW));
     }
-    if (!device->tick.supervised || batch_is_full(batch) || device->faults.latched != HR_FAULT_NONE)
-        send_batch(device);
+    if (!tick->supervised || batch_is_full(batch) || device->faults.latched != HR_FAULT_NONE)
+        finish_batch(device);
 }
 
-void device_tell(struct device *device)
+/* BATCH and STATE, which then wait. */
+static void tell(struct device *device)
 {
     const struct fault_entry *entry = &device->tick.entry;
     if (device->tick.logged)
@@ -359,9 +398,17 @@ void device_tell(struct device *device)
         tell_batch(device);
     if (!state_is_due(device))
         return;
-    send_state(device, entry);
+    if (device->state_left > 0)
+        send_state(device, device->state_left);
+    make_state(device, entry);
     device->limits_acted = 0;
     device->fault_told = device->faults.latched;
+}
+
+void device_tell(struct device *device)
+{
+    tell(device);
+    device_flush(device);
 }
 
 /* ------------------------------------------------------------------ the tick of a board */
@@ -388,7 +435,7 @@ void device_tick(struct device *device)
     hal->feed_watchdog(hal->context);
     device_sample(device);
     device_drive(device);
-    device_tell(device);
+    tell(device);
     hal->sync(hal->context, sync_of(device));
     const uint64_t execution = hal->time(hal->context) - begun;
     if (execution > device->worst_execution_time)
@@ -463,17 +510,25 @@ bool device_is_preparing(const struct device *device)
     return device->renderer.there && !device->renderer.ready;
 }
 
-size_t device_poll(struct device *device)
+static size_t take_bytes(struct device *device)
 {
     uint8_t bytes[HR_POLL_BYTES];
     struct connection *connection = &device->connection;
-    const size_t count = device->hal->link_read(device->hal->context, bytes, sizeof bytes);
+    const bool running = device_is_armed(device) && law_is_in_charge(device);
+    const size_t most = running ? HR_POLL_BYTES_RUNNING : sizeof bytes;
+    const size_t count = device->hal->link_read(device->hal->context, bytes, most);
     device->received_at = device->hal->time(device->hal->context);
     for (size_t i = 0; i < count; i++) {
         const size_t raw = splitter_take(&connection->splitter, bytes[i], &connection->counters);
         if (raw > 0)
             take_frame(device, splitter_raw(&connection->splitter), raw);
     }
+    return count;
+}
+
+size_t device_poll(struct device *device)
+{
+    const size_t count = send_some(device) ? 0 : take_bytes(device);
     if (device_is_preparing(device))
         renderer_prepare(&device->renderer, HR_POLL_COSINES);
     return count;

@@ -23,6 +23,9 @@
 #include "watchdog.h"
 
 /* What one device_poll does at most: neither a flood of bytes nor an excitation can starve the tick. */
+/* Of STATE, taken into its frame by one device_poll beside a law: the tick comes first. */
+#define HR_STATE_BYTES_A_POLL 16u
+#define HR_POLL_BYTES_RUNNING 8u /* taken in one while the law runs here */
 #define HR_POLL_BYTES 64u
 #define HR_POLL_COSINES 32u
 
@@ -49,44 +52,44 @@ struct told_tick {
     bool supervised; /* the law on the device was to see it: into BATCH */
 };
 
+/* What a tick works with stands first: a small processor reaches near fields with one instruction. */
 struct device {
     const struct hal *hal;
     const struct board *board;
+
+    uint64_t time;         /* of the last sample */
+    uint64_t due;          /* when the next is due */
+    uint32_t sample_index; /* modulo 2³² */
+    uint32_t rate, period, period_rest, due_rest; /* a tick is period + period_rest / rate */
+    int32_t count;         /* at the last sample */
+    uint32_t state_every;  /* ticks between STATEs of a session */
+    uint32_t state_due;    /* ticks until the next one */
+    uint32_t worst_execution_time, missed_ticks; /* since arming */
+    struct told_tick tick;
+    int16_t driven;        /* current in force since the last sample (quanta) */
+    uint16_t command_age;  /* ticks; saturates */
+    uint16_t limits_acted; /* since the last STATE */
+    bool supervised;       /* by the command in force */
+    bool needs_hold;
+    uint8_t fault_told;    /* by the last STATE */
+    bool commanded;        /* in this session */
+    uint16_t command_sequence;
+    struct limits limits;
+    struct watchdog watchdog;
+    struct thermal thermal;
+    struct monitor monitor;
+    struct renderer renderer;
+    struct batch batch;
+    struct builder state_builder; /* of a STATE that waits to be sent */
+    size_t state_left;            /* bytes of it that the builder has not seen; 0: none waits */
+
     struct connection connection;
     struct assembler assembler;
     struct configuration configuration;
     struct remembered remembered;
     struct faults faults;
-    struct watchdog watchdog;
-    struct thermal thermal;
-    struct limits limits;
-    struct monitor monitor;
-    struct renderer renderer;
-    struct batch batch;
-
-    uint32_t sample_index; /* modulo 2³² */
-    uint64_t time;         /* of the last sample */
-    uint64_t due;          /* when the next is due */
-    uint32_t rate, period, period_rest, due_rest; /* a tick is period + period_rest / rate */
-    uint64_t received_at;  /* when the bytes came that are being taken */
-
-    int32_t count;        /* at the last sample */
-    int16_t driven;       /* current in force since then (quanta) */
-    bool supervised;      /* by the command in force */
-    bool commanded;       /* in this session */
-    uint16_t command_sequence;
-    uint16_t command_age; /* ticks; saturates */
-    uint32_t worst_execution_time, missed_ticks; /* since arming */
-
-    /* What STATE is to tell. */
-    struct told_tick tick;
-    uint16_t limits_acted; /* since the last STATE */
-    uint8_t fault_told;    /* by the last STATE */
-    uint32_t state_every;  /* ticks between STATEs of a session */
-    uint32_t state_due;    /* ticks until the next one */
-
-    /* Parameters in the units of a tick. */
-    bool needs_hold;
+    struct packet state_packet;
+    uint64_t received_at; /* when the bytes came that are being taken */
     uint32_t command_lifetime_us, supervise_lifetime_us, ramp;
 };
 
@@ -97,7 +100,8 @@ void device_start(struct device *device, const struct hal *hal, const struct boa
 /* Start anew as after a reset that left the memory alone: the motor's heat and the link counters stay. */
 void device_restart(struct device *device);
 
-/* One tick of a board: sample, drive, tell; and food for the hardware watchdog. */
+/* One tick of a board: sample, drive, tell; and food for the hardware watchdog. What is to be sent waits for
+ * device_poll. */
 void device_tick(struct device *device);
 
 /* The parts of a tick, for whoever lets time pass between them, as a simulation does: it drives, lets the world move,
@@ -106,10 +110,13 @@ void device_sample(struct device *device); /* count, time, measured current; fau
 void device_drive(struct device *device);  /* the current until the next sample */
 void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks before a fault */
 
+/* Send all that waits, at once. */
+void device_flush(struct device *device);
+
 /* Ticks passed that could not be worked on. */
 void device_missed(struct device *device, uint32_t ticks);
 
-/* Take what the host has sent, and answer; work on an excitation that is not ready. Returns the number of bytes taken. */
+/* Send a piece of what waits, or take what the host has sent and answer; work on an excitation that is not ready. Returns the number of bytes taken. */
 size_t device_poll(struct device *device);
 
 /* Whether device_poll has something to do even when no byte comes. */

@@ -21,10 +21,27 @@ struct packet {
 /* Append the CRC, stuff, delimit; returns the bytes that go on the wire, from the beginning of `packet->bytes`. */
 size_t frame_finish(struct packet *packet);
 
-/* One unfinished frame of whatever comes. */
+/* A frame to send that is made piece by piece: CRC and stuffing of what is there so far. Its bytes lie in memory of its
+ * owner, in the same places as in a packet: raw bytes may be appended from where they will be. */
+struct builder {
+    uint8_t *bytes;
+    uint32_t crc;
+    size_t end;  /* bytes so far */
+    size_t code; /* where the distance to the next zero goes */
+};
+
+void builder_begin(struct builder *builder, uint8_t *bytes);
+void builder_append(struct builder *builder, const uint8_t *raw, size_t count);
+
+/* Append the CRC and delimit; returns the bytes that go on the wire. */
+size_t builder_finish(struct builder *builder);
+
+/* One unfinished frame of whatever comes, decoded as it comes, so that its last byte is no dearer than the others. */
 struct splitter {
-    size_t count;
-    bool skipping; /* inside something too long: wait for its end */
+    size_t count;    /* bytes so far, with the codes */
+    size_t zero;     /* where the next code will be */
+    uint32_t crc;    /* of the raw bytes so far, the CRC itself among them */
+    bool skipping;   /* inside something too long: wait for its end */
     uint8_t bytes[HR_ENCODED_LIMIT];
 };
 

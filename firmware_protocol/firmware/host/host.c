@@ -247,6 +247,7 @@ void host_tick(struct host *host)
     host->driving = true;
     device_tick(&host->device);
     host->driving = false;
+    device_flush(&host->device);
     be_idle(host);
 }
 

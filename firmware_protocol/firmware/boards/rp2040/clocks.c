@@ -1,0 +1,58 @@
+#include "clocks.h"
+
+#include "registers.h"
+
+/* 2.16.3: 47 · 256 cycles of 12 MHz are 1 ms, in which the crystal gets going. */
+#define CRYSTAL_START_DELAY 47u
+#define CRYSTAL_MHZ 12u
+
+void clocks_release(uint32_t blocks)
+{
+    CLEAR_BITS(RESETS) = blocks;
+    while ((RESETS_DONE & blocks) != blocks)
+        continue;
+}
+
+/* 2.18.2: 12 MHz · feedback / (first · second). */
+static void start_pll(uint32_t pll, uint32_t feedback, uint32_t first, uint32_t second)
+{
+    PLL_CONTROL(pll) = 1; /* the crystal, not divided */
+    PLL_FEEDBACK(pll) = feedback;
+    CLEAR_BITS(pll + PLL_POWER) = PLL_POWER_MAIN | PLL_POWER_OSCILLATOR;
+    while (!(PLL_CONTROL(pll) & PLL_LOCKED))
+        continue;
+    PLL_POST_DIVIDERS(pll) = first << 16 | second << 12;
+    CLEAR_BITS(pll + PLL_POWER) = PLL_POWER_POST_DIVIDERS;
+}
+
+void clocks_start(void)
+{
+    CLOCK_RESUSCITATION = 0;
+    CRYSTAL_STARTUP = CRYSTAL_START_DELAY;
+    CRYSTAL_CONTROL = CRYSTAL_ENABLE_1_TO_15_MHZ;
+    while (!(CRYSTAL_STATUS & CRYSTAL_STABLE))
+        continue;
+    /* Off the loops, which a debugger may have left running, before they are set up. */
+    CLOCK_SYSTEM_CONTROL = SYSTEM_FROM_REFERENCE;
+    while (!(CLOCK_SYSTEM_SELECTED & (1u << SYSTEM_FROM_REFERENCE)))
+        continue;
+    CLOCK_REFERENCE_CONTROL = REFERENCE_FROM_CRYSTAL;
+    while (!(CLOCK_REFERENCE_SELECTED & (1u << REFERENCE_FROM_CRYSTAL)))
+        continue;
+    CLOCK_REFERENCE_DIVIDER = CLOCK_DIVIDED_BY_ONE;
+    SET_BITS(RESETS) = RESET_PLL_SYS | RESET_PLL_USB;
+    clocks_release(RESET_PLL_SYS | RESET_PLL_USB);
+    start_pll(PLL_SYSTEM, 125, 6, 2); /* 1500 MHz, 125 MHz */
+    start_pll(PLL_USB, 100, 5, 5);    /* 1200 MHz, 48 MHz */
+    CLOCK_SYSTEM_DIVIDER = CLOCK_DIVIDED_BY_ONE;
+    CLOCK_SYSTEM_CONTROL = SYSTEM_FROM_PLL;
+    while (!(CLOCK_SYSTEM_SELECTED & (1u << SYSTEM_FROM_PLL)))
+        continue;
+    /* Auxiliary source 0: the processor's clock for the peripherals, the USB loop for USB and ADC. */
+    CLOCK_PERIPHERALS_CONTROL = CLOCK_ENABLE;
+    CLOCK_USB_DIVIDER = CLOCK_DIVIDED_BY_ONE;
+    CLOCK_USB_CONTROL = CLOCK_ENABLE;
+    CLOCK_ADC_DIVIDER = CLOCK_DIVIDED_BY_ONE;
+    CLOCK_ADC_CONTROL = CLOCK_ENABLE;
+    WATCHDOG_TICK = CRYSTAL_MHZ | WATCHDOG_TICK_ENABLE; /* 4.7.2: also the timer's microsecond */
+}

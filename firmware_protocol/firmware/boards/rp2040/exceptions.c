@@ -1,0 +1,42 @@
+/* What interrupts the processor (2.3.2 "Interrupts"; Armv6-M Architecture Reference Manual, B1.5). */
+#include <stdint.h>
+
+#include "board_config.h"
+#include "registers.h"
+
+typedef void (*handler)(void);
+
+extern uint32_t stack_top;
+void start(void);
+void tick_interrupt(void);
+void usb_interrupt(void);
+
+/* Something that cannot be: amplifier off, then nothing, until the watchdog bites. */
+static void stand_still(void)
+{
+    SIO_OUT_CLEAR = 1u << BOARD_ENABLE_PIN;
+    __asm volatile("cpsid i" ::: "memory");
+    for (;;)
+        continue;
+}
+
+__attribute__((weak)) void usb_interrupt(void)
+{
+    stand_still();
+}
+
+#define S stand_still
+
+__attribute__((section(".vectors"), used)) static const struct {
+    uint32_t *stack;
+    handler exceptions[15];
+    handler interrupts[32];
+} vectors = {
+    .stack = &stack_top,
+    .exceptions = {start, S, S, S, S, S, S, S, S, S, S, S, S, S, S},
+    .interrupts =
+        {
+            S, S, S, S, tick_interrupt, usb_interrupt, S, S, /* 4: PWM_IRQ_WRAP, 5: USBCTRL_IRQ */
+            S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S, S,
+        },
+};

@@ -1,0 +1,191 @@
+/* The device on a Raspberry Pi Pico: what the core asks of the board, the tick's interrupt, and the conversation in between. */
+#include "board_config.h"
+#include "amplifier.h"
+#include "clocks.h"
+#include "device.h"
+#include "encoder.h"
+#include "link.h"
+#include "pins.h"
+#include "registers.h"
+#include "reset.h"
+#include "timekeeping.h"
+
+/* The longest that a look at the link should take; nearer to the tick none begins, unless none was since the last tick. */
+#define POLL_CYCLES (CLOCK_HZ / 100000u)
+
+static struct device device;
+
+/* ------------------------------------------------------------------ the hardware layer */
+
+static uint64_t hal_time(void *context)
+{
+    (void)context;
+    return time_now();
+}
+
+static int32_t hal_encoder_count(void *context)
+{
+    (void)context;
+    return encoder_count();
+}
+
+static uint64_t hal_edge_time(void *context)
+{
+    (void)context;
+    return encoder_edge_time();
+}
+
+static bool hal_encoder_failed(void *context)
+{
+    (void)context;
+    return encoder_failed();
+}
+
+static void hal_set_current(void *context, int16_t quanta)
+{
+    (void)context;
+    amplifier_set_current(quanta);
+}
+
+static int16_t hal_measured_current(void *context)
+{
+    (void)context;
+    return amplifier_measured_current();
+}
+
+static void hal_enable(void *context, bool on)
+{
+    (void)context;
+    amplifier_enable(on);
+}
+
+static uint8_t hal_inputs(void *context)
+{
+    (void)context;
+    return pins_inputs();
+}
+
+static bool hal_set_rate(void *context, uint32_t rate)
+{
+    (void)context;
+    return tick_set_rate(rate);
+}
+
+static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
+{
+    (void)context;
+    return link_read(into, capacity, device.connection.session != 0);
+}
+
+/* What lies in the device itself (BATCH) stays there for a tick at least; other frames are on the stack. */
+static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
+{
+    (void)context;
+    const uint8_t *begins = (const uint8_t *)&device;
+    return link_write(frame, count, frame >= begins && frame < begins + sizeof device);
+}
+
+static void hal_feed_watchdog(void *context)
+{
+    (void)context;
+    watchdog_feed_hardware();
+}
+
+static void hal_sync(void *context, uint8_t bits)
+{
+    (void)context;
+    pins_sync(bits);
+}
+
+static uint64_t hal_sync_time(void *context)
+{
+    (void)context;
+    return encoder_sync_time();
+}
+
+static const struct hal hal = {
+    .time = hal_time,
+    .encoder_count = hal_encoder_count,
+    .edge_time = hal_edge_time,
+    .encoder_failed = hal_encoder_failed,
+    .set_current = hal_set_current,
+    .measured_current = hal_measured_current,
+    .enable = hal_enable,
+    .inputs = hal_inputs,
+    .set_rate = hal_set_rate,
+    .link_read = hal_link_read,
+    .link_write = hal_link_write,
+    .feed_watchdog = hal_feed_watchdog,
+    .sync = hal_sync,
+    .sync_time = hal_sync_time,
+};
+
+/* ------------------------------------------------------------------ the tick */
+
+static struct {
+    uint32_t rate;        /* that the core has set */
+    volatile bool polled; /* since the last tick */
+} grid;
+
+/* Ticks whose time passed while the conversation held the interrupt. */
+static void tell_missed(void)
+{
+    const uint64_t now = time_now();
+    if (now > device.due && now - device.due >= device.period)
+        device_missed(&device, (uint32_t)(now - device.due) / device.period);
+}
+
+void tick_interrupt(void)
+{
+    if (!tick_taken() && device.rate == grid.rate) /* under another rate there is no grid yet */
+        tell_missed();
+    grid.rate = device.rate;
+    device_tick(&device);
+    link_pump();
+    grid.polled = false;
+}
+
+/* ------------------------------------------------------------------ the conversation */
+
+static void mask(void)
+{
+    __asm volatile("cpsid i" ::: "memory");
+}
+
+static void unmask(void)
+{
+    __asm volatile("cpsie i" ::: "memory");
+}
+
+/* The tick waits while the core takes bytes; so that happens behind a tick, where there is time. */
+static void converse(void)
+{
+    if (grid.polled && tick_cycles_left() < POLL_CYCLES)
+        return;
+    mask();
+    device_poll(&device);
+    link_pump();
+    grid.polled = true;
+    unmask();
+}
+
+int main(void)
+{
+    clocks_release(RESET_IO_BANK0 | RESET_PADS_BANK0);
+    clocks_start();
+    clocks_release(RESET_DMA | RESET_PIO0 | RESET_PWM | RESET_ADC | RESET_TIMER | RESET_UART0);
+    const bool bitten = reset_by_watchdog();
+    amplifier_start();
+    pins_start();
+    time_start();
+    encoder_start();
+    link_start(board_config.dictionary_hash);
+    device_start(&device, &hal, &board_config);
+    if (bitten)
+        device_fault(&device, HR_FAULT_WATCHDOG_RESET);
+    watchdog_start();
+    tick_start();
+    unmask();
+    for (;;)
+        converse();
+}

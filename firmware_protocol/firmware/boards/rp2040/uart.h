@@ -1,0 +1,19 @@
+/* UART0 as the link: both ways by DMA, through rings, so that neither tick nor conversation waits for a byte. */
+#ifndef RP2040_UART_H
+#define RP2040_UART_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+void uart_start(void);
+
+size_t uart_read(uint8_t *into, size_t capacity);
+
+/* Take a whole frame or nothing. One that lasts (its bytes stay for a tick) is copied behind the caller's back. */
+bool uart_write(const uint8_t *frame, size_t count, bool lasts);
+
+/* Let the line have what is there. At every tick: the line's own 32 bytes last for 100 µs at 3 Mbaud. */
+void uart_pump(void);
+
+#endif

@@ -1,0 +1,247 @@
+"""The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
+
+`Pico` starts the emulator (Node, rp2040js) as a process and speaks to it by lines of JSON. `PicoLink` is the serial
+line in virtual time, so that whoever speaks to a link can speak to the emulated board.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig.clock import VirtualClock
+from rig.firmware.build import BuildRequest, BuildResult, build
+from rig.firmware.toolchain import ToolchainError
+from rig.model import RigModel
+from sim_backend.plant import DiscretePlant
+
+HERE = Path(__file__).parent
+CLOCK_HZ = 125_000_000
+PLANT_STEP_S = 2e-6
+INSTALL_S = 60.0
+SLICE_US = 200.0
+START_US = 3_000.0  # from power-up to a device that listens
+FULL_SCALE_A = 10.0
+MONITOR_V_PER_A = 0.165
+PINS = {
+    "encoder": 2,
+    "pwm": 8,
+    "enable": 10,
+    "hold_to_run": 11,
+    "emergency_stop": 12,
+    "sync_in": 4,
+    "sync_out": 5,
+}
+
+
+def image(model: RigModel, output: Path, **settings: Any) -> BuildResult:
+    """Build the firmware for a rig, with a current monitor; skips the test without a cross compiler."""
+    if shutil.which("arm-none-eabi-gcc") is None:
+        pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")
+    request = BuildRequest(
+        model=model, board="rp2040", output=output, settings={"current_monitor": "adc", **settings}
+    )
+    try:
+        return build(request)
+    except ToolchainError as error:
+        if "no C library" in str(error):
+            pytest.skip("the C library is not installed (package libnewlib-arm-none-eabi)")
+        raise
+
+
+def modules() -> Path:
+    """Where the emulator is installed, once for all trees that want the same version; skips the test without npm."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not installed (package nodejs)")
+    wanted = sha256((HERE / "package-lock.json").read_bytes()).hexdigest()[:12]
+    base = Path(
+        os.environ.get("HAPTIC_RIG_CACHE") or Path(tempfile.gettempdir()) / f"haptic-rig-{os.getuid()}"
+    )
+    place = base / f"node-{wanted}"
+    if not place.is_dir():
+        base.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=base) as scratch:
+            for name in ("package.json", "package-lock.json"):
+                shutil.copy(HERE / name, scratch)
+            command = ["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"]
+            done = subprocess.run(
+                command, cwd=scratch, capture_output=True, text=True, timeout=INSTALL_S, check=False
+            )
+            if done.returncode != 0:
+                pytest.skip(f"npm cannot fetch the emulator: {done.stderr.strip().splitlines()[-1:]}")
+            try:
+                os.rename(scratch, place)
+                os.mkdir(scratch)  # for the context to remove
+            except OSError:
+                assert place.is_dir()  # another process was first
+    return place / "node_modules"
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
+
+    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While
+    the count was read the encoder went from `before` to `after`.
+    """
+
+    at: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    entered: NDArray[np.int64]
+    left: NDArray[np.int64]
+    before: NDArray[np.int64]
+    after: NDArray[np.int64]
+
+    @property
+    def cycles(self) -> NDArray[np.int64]:
+        """From the interrupt's entry to its return."""
+        return self.left - self.entered
+
+    def __getitem__(self, which: Any) -> Ticks:
+        return Ticks(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def _started() -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        ["node", str(HERE / "serve.js")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NODE_PATH": str(modules())},
+    )
+
+
+def _asked(process: subprocess.Popen[str], op: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
+    process.stdin.flush()
+    answer: dict[str, Any] = json.loads(process.stdout.readline())
+    assert "error" not in answer, answer["error"]
+    return answer
+
+
+def _ended(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.close()
+    process.wait(10.0)
+    process.stdout.close()
+
+
+class Pico:
+    """The emulated board; leave its context to end the process."""
+
+    def __init__(self, model: RigModel, built: BuildResult, *, position: float | None = None) -> None:
+        self._process = _started()
+        self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 6)
+        self.ask("power", image=str(built.bin), pins=PINS, motor=motor_of(model, position))
+        self.run(START_US)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        _ended(self._process)
+
+    def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
+        """Have a command of serve.js carried out."""
+        return _asked(self._process, op, arguments)
+
+    def run(self, us: float) -> bytes:
+        """Let time pass; returns what the host's end of the line has got."""
+        return bytes.fromhex(self.ask("run", us=us)["sent"])
+
+    def send(self, data: bytes) -> None:
+        self.ask("send", hex=data.hex())
+
+    def look(self) -> dict[str, Any]:
+        return self.ask("look")
+
+    def ticks(self) -> Ticks:
+        """All since power-up or the last reset: the first is sample 1 of the device."""
+        answer = self.ask("ticks")
+        fields = Ticks.__dataclass_fields__
+        new = (np.array(answer[name], dtype=np.int64) for name in fields)
+        self._ticks = Ticks(
+            *(np.concatenate([getattr(self._ticks, name), a]) for name, a in zip(fields, new, strict=True))
+        )
+        return self._ticks
+
+    def move(self, *motion: tuple[int, float]) -> float:
+        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next. Returns the end (ns)."""
+        return float(self.ask("move", motion=motion)["ends"])
+
+
+def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
+    """The motor behind the pins, and the rig that it moves from a position (rad or m); None: nothing moves."""
+    motor: dict[str, Any] = {
+        "full_scale": FULL_SCALE_A,
+        "effort_per_ampere": model.amplifier.effort_per_ampere,
+        "monitor_scale": MONITOR_V_PER_A,
+    }
+    if position is not None:
+        motor["plant"] = {**plant_of(model), "position": position}
+    return motor
+
+
+def plant_of(model: RigModel) -> dict[str, Any]:
+    """The rig's plant as plant.js wants it."""
+    plant = DiscretePlant.build(model, PLANT_STEP_S)
+    return {
+        "phi": plant.phi.tolist(),
+        "gamma": plant.gamma.tolist(),
+        "parameters": plant.parameters.tolist(),
+    }
+
+
+def plant_states(model: RigModel, position: float, efforts: list[float]) -> list[list[float]]:
+    """Position, velocity and effort of plant.js behind each step, an effort (N·m) for each."""
+    process = _started()
+    try:
+        plant = {**plant_of(model), "position": position}
+        states: list[list[float]] = _asked(process, "plant", {"plant": plant, "commands": efforts})["states"]
+        return states
+    finally:
+        _ended(process)
+
+
+class PicoLink:
+    """The serial line of an emulated board as a link in virtual time."""
+
+    url = "emulated"
+    bytes_per_second = 300_000.0
+    messages: Sequence[str] = ()
+
+    def __init__(self, pico: Pico) -> None:
+        self.pico = pico
+        self.clock = VirtualClock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """Let time pass until bytes are there, or the time is out."""
+        left_us = timeout_s * 1e6
+        data = b""
+        while not data and left_us > 0.0:
+            step_us = min(SLICE_US, left_us)
+            data = self.pico.run(step_us)
+            self.clock.sleep_until(self.clock.now_ns() + round(step_us * 1e3))
+            left_us -= step_us
+        return data
+
+    def write(self, data: bytes) -> None:
+        self.pico.send(data)

@@ -1,0 +1,295 @@
+'use strict';
+/* A Raspberry Pi Pico with a motor, an encoder and a serial line, cycle by cycle.
+ *
+ * The processor, DMA, PWM, ADC, timers and the state machines of PIO are rp2040js'. What it lacks for this purpose is here:
+ * one clock for processor and PIO, cycles of an exception's entry and return, a wake-up by any timer, a UART that takes
+ * time, reset by the watchdog, the boot ROM's way into a program. */
+const { RP2040 } = require('rp2040js');
+const { ConsoleLogger, LogLevel } = require('rp2040js');
+const { Uart } = require('./uart.js');
+
+const CLOCK_HZ = 125e6;
+const NANOS_A_CYCLE = 1e9 / CLOCK_HZ;
+/* Armv6-M without wait states (Cortex-M0+ Technical Reference Manual, 3.3 and 3.6). The emulator takes none. */
+const EXCEPTION_ENTRY = 15;
+const EXCEPTION_RETURN = 13;
+const TICK_EXCEPTION = 16 + 4; // PWM_IRQ_WRAP
+const BOOT2_BYTES = 256;
+const BOOT2_AT = 0x20041f00; // where the boot ROM puts it (RP2040 data sheet, 2.8.1.3.1)
+const PIO_RESTS = 32; // cycles after an edge in which the state machines have come to rest
+const GUARD_LOOP = 3; // cycles of the only machine that never waits
+const PIO_INSTRUCTIONS = [0xd8, 0xf0, 0x108, 0x120];
+
+class Quiet {
+  constructor(told) {
+    this.told = told;
+  }
+  debug() {}
+  info() {}
+  warn(part, text) {
+    this.told(`${part}: ${text}`);
+  }
+  error(part, text) {
+    this.told(`${part}: ${text}`);
+  }
+}
+
+class Pico {
+  /* `image`: the flash; `pins`: which GPIO is what, as in board.toml. */
+  constructor(image, pins) {
+    this.image = image;
+    this.pins = pins;
+    this.complaints = new Map(); // of the emulator: what it does not know
+    this.resets = 0;
+    this.switches = { hold_to_run: true, emergency_stop: false, sync: false };
+    this.phase = 0; // of the encoder, quarters of a line
+    this.truth = 0; // counts
+    this.elapsed = 0; // ns, over all resets
+    this.edges = []; // { at, way }: to come, rising
+    this.onReset = () => {};
+    this.onSteps = null; // called before each instruction, with the time (ns)
+    this.load({});
+  }
+
+  /* Power-up, or what the watchdog leaves: everything anew but the flash, and the watchdog's own memory. */
+  load({ reason = 0, scratch = null }) {
+    const chip = new RP2040();
+    this.chip = chip;
+    chip.logger = new Quiet((text) => this.complaints.set(text, (this.complaints.get(text) || 0) + 1));
+    chip.flash.set(this.image);
+    chip.sram.fill(0xa5); // as found after power-up: anything
+    this.uart = new Uart(chip);
+    chip.uart[0] = chip.peripherals[0x40034] = this.uart;
+    // Power-on reset: HAD_POR of CHIP_RESET (data sheet 2.12.7).
+    const chipReset = { 8: 1 << 8 };
+    chip.peripherals[0x40064] = {
+      readUint32: (offset) => chipReset[offset] || 0,
+      writeUint32Atomic: (offset, value) => (chipReset[offset] = value),
+    };
+    this.watchdog = chip.peripherals[0x40058];
+    this.watchdog.reason = reason;
+    if (scratch) this.watchdog.scratchData.set(scratch);
+    this.bitten = false;
+    this.watchdog.onWatchdogTrigger = () => {
+      this.bitten = true;
+      this.watchdog.alarm.enable = false; // the emulator's would strike again in no time
+    };
+    this.levels = 0;
+    Object.defineProperty(chip, 'gpioValues', { get: () => this.levels });
+    this.watchPads();
+    this.watchPio();
+    this.showSwitches();
+    this.showEncoder();
+    this.born = this.elapsed;
+    this.cycles = 0;
+    this.clear();
+    chip.gpio[this.pins.sync_out].addListener((state) => this.syncChanged(state));
+    this.boot();
+  }
+
+  /* What the boot ROM does with a flash that it accepts. */
+  boot() {
+    const { chip } = this;
+    chip.sram.set(this.image.subarray(0, BOOT2_BYTES), BOOT2_AT - 0x20000000);
+    const { core } = chip;
+    core.registers[13] = 0x20041f00;
+    core.registers[14] = 0;
+    core.PC = BOOT2_AT;
+  }
+
+  get now() {
+    return this.born + this.chip.clock.nanos;
+  }
+
+  /* ---------------------------------------------------------------- wires into the chip */
+
+  setPin(pin, level) {
+    const gpio = this.chip.gpio[pin];
+    gpio.setInputValue(level);
+    const bit = 1 << pin;
+    this.levels = gpio.inputValue ? this.levels | bit : this.levels & ~bit;
+  }
+
+  showSwitches() {
+    // Contacts to ground: held closes one, pressed opens the other.
+    this.setPin(this.pins.hold_to_run, !this.switches.hold_to_run);
+    this.setPin(this.pins.emergency_stop, this.switches.emergency_stop);
+    this.setPin(this.pins.sync_in, this.switches.sync);
+    this.wake();
+  }
+
+  showEncoder() {
+    const a = this.phase === 1 || this.phase === 2;
+    const b = this.phase === 2 || this.phase === 3;
+    this.setPin(this.pins.encoder, a);
+    this.setPin(this.pins.encoder + 1, b);
+    this.wake();
+  }
+
+  /* Move the encoder by `way` counts at once: more than one is what no encoder does. */
+  turn(way) {
+    this.phase = (this.phase + way) & 3;
+    this.truth += way;
+    this.showEncoder();
+  }
+
+  watchPads() {
+    const pads = this.chip.peripherals[0x4001c];
+    const write = pads.writeUint32.bind(pads);
+    pads.writeUint32 = (offset, value) => {
+      write(offset, value);
+      for (let pin = 0; pin < 30; pin++) this.setPin(pin, this.chip.gpio[pin].rawInputValue);
+    };
+  }
+
+  /* ---------------------------------------------------------------- PIO on the chip's own clock */
+
+  watchPio() {
+    const pio = this.chip.pio[0];
+    pio.run = () => {};
+    const write = pio.writeUint32.bind(pio);
+    pio.writeUint32 = (offset, value) => {
+      if (offset === PIO_INSTRUCTIONS[0] && (value & 0xffff) === 0x4020)
+        this.before = this.truth; // the processor begins to read the count
+      write(offset, value);
+      if (offset === PIO_INSTRUCTIONS[1] && (value & 0xffff) === 0x4040 && this.inTick) this.counted();
+      this.wake();
+    };
+    this.awake = 0;
+    this.slept = 0;
+  }
+
+  wake() {
+    this.awake = PIO_RESTS;
+  }
+
+  stepPio() {
+    const { machines } = this.chip.pio[0];
+    for (let i = 0; i < 4; i++) if (machines[i].enabled) machines[i].step();
+  }
+
+  /* Let the state machines live through some cycles; at rest only the guard turns, in circles. */
+  advancePio(from, cycles) {
+    const { edges } = this;
+    for (let i = 0; i < cycles; i++) {
+      const at = from + i * NANOS_A_CYCLE;
+      while (edges.length > 0 && edges[0].at <= at) this.turn(edges.shift().way);
+      if (this.awake > 0) {
+        for (; this.slept % GUARD_LOOP !== 0; this.slept--) this.stepPio();
+        this.slept = 0;
+        this.awake--;
+        this.stepPio();
+      } else {
+        this.slept++;
+      }
+    }
+  }
+
+  /* ---------------------------------------------------------------- what is measured */
+
+  clear() {
+    this.ticks = []; // { at, ends, entered, left, before, after }: cycles since reset; counts of the encoder
+    this.inTick = false;
+    this.tick = null;
+    this.entered = 0;
+    this.inside = false;
+  }
+
+  syncChanged(state) {
+    const high = state === 1;
+    if (high === this.inTick) return;
+    this.inTick = high;
+    if (high) {
+      this.tick = { at: this.cycles, ends: 0, entered: this.entered, left: 0, before: 0, after: 0 };
+      this.ticks.push(this.tick);
+    } else if (this.tick) {
+      this.tick.ends = this.cycles;
+    }
+  }
+
+  /* The ticks that are over, once. */
+  takeTicks() {
+    const over = this.ticks.filter((tick) => tick.left > 0);
+    this.ticks = this.ticks.filter((tick) => tick.left === 0);
+    return over;
+  }
+
+  counted() {
+    this.tick.before = this.before;
+    this.tick.after = this.truth;
+  }
+
+  /* ---------------------------------------------------------------- the run loop */
+
+  step() {
+    const { chip } = this;
+    const { core, clock } = chip;
+    let cycles;
+    if (core.waiting) {
+      cycles = 1;
+      if (core.interruptsUpdated && core.checkForInterrupts()) core.waiting = false;
+    } else {
+      const before = core.IPSR;
+      cycles = core.executeInstruction();
+      const after = core.IPSR;
+      if (before !== after) cycles += this.excepted(before, after, cycles);
+    }
+    const from = this.now;
+    clock.tick(cycles * NANOS_A_CYCLE);
+    this.advancePio(from, cycles);
+    this.cycles += cycles;
+    if (this.bitten) this.bite();
+  }
+
+  /* Another exception runs than before this instruction: returns the cycles which that takes. */
+  excepted(before, after, cycles) {
+    if (before === 0 || after === TICK_EXCEPTION) {
+      if (after === TICK_EXCEPTION) this.entered = this.cycles;
+      return EXCEPTION_ENTRY;
+    }
+    if (before === TICK_EXCEPTION && this.tick) this.tick.left = this.cycles + cycles + EXCEPTION_RETURN;
+    return EXCEPTION_RETURN;
+  }
+
+  bite() {
+    this.elapsed = this.now;
+    this.resets++;
+    this.onReset();
+    const { reason, scratchData } = this.watchdog;
+    const { sent } = this.uart;
+    this.load({ reason, scratch: scratchData.slice() });
+    this.uart.sent = sent;
+  }
+
+  runUntil(nanos) {
+    while (this.now < nanos) {
+      if (this.onSteps) this.onSteps(this.now);
+      this.step();
+    }
+  }
+
+  /* ---------------------------------------------------------------- wires out of the chip */
+
+  /* Level of an output; one that nobody drives is pulled down, as reset leaves it. */
+  level(pin) {
+    const gpio = this.chip.gpio[pin];
+    if (gpio.outputEnable) return gpio.outputValue;
+    return gpio.pullupEnabled && !gpio.pulldownEnabled;
+  }
+
+  get enabled() {
+    return this.level(this.pins.enable);
+  }
+
+  /* Share of the largest duty, -1 to 1, that magnitude and direction show (setting "sign"). */
+  get duty() {
+    const gpio = this.chip.gpio[this.pins.pwm];
+    if (gpio.functionSelect !== 4) return 0;
+    const channel = this.chip.pwm.channels[(this.pins.pwm >> 1) & 7];
+    const period = channel.timer.top + 1;
+    const width = Math.min(channel.alarmA.target / period, 1);
+    return channel.alarmB.target > 0 ? -width : width;
+  }
+}
+
+module.exports = { Pico, NANOS_A_CYCLE, CLOCK_HZ };

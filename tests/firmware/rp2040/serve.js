@@ -1,0 +1,144 @@
+'use strict';
+/* The board at the end of a pipe: one command a line in, one answer a line out, both JSON. */
+const fs = require('node:fs');
+const readline = require('node:readline');
+const { UsbPico: Pico } = require('./usb_pico.js');
+const { Motor } = require('./motor.js');
+const { Plant } = require('./plant.js');
+
+let pico = null;
+let motor = null;
+
+const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
+
+const commands = {
+  power({ image, pins, motor: description }) {
+    pico = new Pico(fs.readFileSync(image), pins);
+    motor = new Motor(pico, description);
+    pico.onSteps = (now) => motor.upTo(now);
+    return {};
+  },
+  send({ hex }) {
+    pico.uart.feed(Buffer.from(hex, 'hex'));
+    return {};
+  },
+  run({ us }) {
+    pico.runUntil(pico.now + us * 1000);
+    const sent = Buffer.from(pico.uart.sent).toString('hex');
+    pico.uart.sent.length = 0;
+    return { sent };
+  },
+  /* Move the encoder: pairs of counts (signed) and nanoseconds between them. */
+  move({ motion }) {
+    let at = movesUntil();
+    for (const [counts, nanos] of motion)
+      for (let i = 0; i < Math.abs(counts); i++) {
+        at += nanos;
+        pico.edges.push({ at, way: Math.sign(counts) });
+      }
+    return { ends: at };
+  },
+  /* Both channels at once, a microsecond behind whatever is to come. */
+  jump() {
+    pico.edges.push({ at: movesUntil() + 1000, way: 2 });
+    return {};
+  },
+  set(switches) {
+    Object.assign(pico.switches, switches);
+    pico.showSwitches();
+    return {};
+  },
+  /* The processor stands still, as a crash would leave it: at a branch to itself, interrupts masked. */
+  hang() {
+    const { core } = pico.chip;
+    pico.chip.sramView.setUint16(0x41000, 0xe7fe, true);
+    core.PM = true;
+    core.PC = 0x20041000;
+    core.IPSR = 0;
+    return {};
+  },
+  look() {
+    const most = motor.most;
+    motor.most = 0;
+    return {
+      now: pico.now,
+      truth: pico.truth,
+      enabled: pico.enabled,
+      duty: pico.duty,
+      current: motor.current,
+      most,
+      resets: pico.resets,
+      overruns: pico.uart.overruns,
+      baud: pico.uart.divider ? pico.uart.baud : 0,
+      position: motor.plant ? motor.plant.state[0] : 0,
+      state: motor.plant ? motor.plant.state : [],
+      complaints: Object.fromEntries(pico.complaints),
+      vtor: pico.chip.core.VTOR,
+      clock: pico.chip.clkSys,
+    };
+  },
+  /* Every tick since the last question. */
+  ticks() {
+    const ticks = pico.takeTicks();
+    const column = (name) => ticks.map((tick) => tick[name]);
+    const answer = {};
+    for (const name of ['at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
+    return answer;
+  },
+  /* Time that a pin is high (ns) over the next stretch of time. */
+  high({ pin, us }) {
+    const begins = pico.now;
+    let high = 0;
+    let since = pico.level(pin) ? begins : null;
+    const stop = pico.chip.gpio[pin].addListener(() => {
+      const level = pico.level(pin);
+      const at = pico.born + pico.chip.clock.nanos;
+      if (level && since === null) since = at;
+      if (!level && since !== null) {
+        high += at - since;
+        since = null;
+      }
+    });
+    pico.runUntil(begins + us * 1000);
+    stop();
+    if (since !== null) high += pico.now - since;
+    return { high, time: pico.now - begins };
+  },
+  /* Cycles by instruction over the next stretch of time: all, or those of ticks. */
+  profile({ us, ticks }) {
+    const spent = new Map();
+    const ends = pico.now + us * 1000;
+    while (pico.now < ends) {
+      motor.upTo(pico.now);
+      const { PC } = pico.chip.core;
+      const { cycles, inTick } = pico;
+      pico.step();
+      if (!ticks || inTick) spent.set(PC & ~1, (spent.get(PC & ~1) || 0) + pico.cycles - cycles);
+    }
+    return { spent: [...spent] };
+  },
+  /* The plant alone, for comparison: a command for each step. */
+  plant({ plant, commands: efforts }) {
+    const alone = new Plant(plant);
+    const states = [];
+    for (const effort of efforts) {
+      alone.step(effort, () => {});
+      states.push([...alone.state]);
+    }
+    return { states };
+  },
+};
+
+Object.assign(commands, require('./usb_commands.js')(() => pico));
+
+const lines = readline.createInterface({ input: process.stdin, terminal: false });
+lines.on('line', (line) => {
+  let answer;
+  try {
+    const command = JSON.parse(line);
+    answer = commands[command.op](command);
+  } catch (error) {
+    answer = { error: error.stack };
+  }
+  process.stdout.write(JSON.stringify(answer) + '\n');
+});

@@ -1,0 +1,102 @@
+"""A host at the serial line of an emulated board."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import messages as m
+from firmware_protocol.packing import unpack_batch_samples
+from firmware_protocol.parameter import Value
+from rig.config.load import override
+from rig.controller import device_parameters
+from rig.firmware.build import BuildResult
+from rig.presets import load
+from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.firmware.rp2040.emulator import Pico, PicoLink, Ticks
+
+SUPERVISE_S = 0.005
+ESTIMATOR = "fdm-butterworth-fixed"
+
+
+class Session:
+    """The board, its line, and a host that has read who it is."""
+
+    def __init__(self, pico: Pico, built: BuildResult) -> None:
+        self.pico = pico
+        self.link = PicoLink(pico)
+        self.batches: list[m.Batch] = []
+        self._seen = 0
+        self.connect()
+        assert self.host.hash == int(built.dictionary_hash, 16)
+
+    def connect(self) -> None:
+        """Be a new host: it knows nothing of earlier frames."""
+        self.host = Host(self.link)  # type: ignore[arg-type]
+        self.host.hash = self.host.ask(m.Identify(self.host.nonce(), 0)).dictionary_hash
+
+    def configure(self, **values: Value) -> m.Ack:
+        """Parameters for a run without a law, and those given."""
+        ack = self.host.configure(**{**RUN_PARAMETERS, **values})
+        assert ack.status == 0, ack
+        self.crc = ack.crc
+        return ack
+
+    def arm(self, session: int = 1) -> None:
+        ack = self.host.arm(session, self.crc)
+        assert ack.status == 0, ack
+
+    def configure_law(self, position_rate: int, velocity_rate: int, **changes: Any) -> dict[str, Value]:
+        """Parameters of a trial with the law on the device, in integers."""
+        experiment = override(
+            load("koul-rigid"),
+            {
+                "controller.loop": "device",
+                "controller.estimator": ESTIMATOR,
+                "controller.position_rate": position_rate,
+                "controller.velocity_rate": velocity_rate,
+            },
+        )
+        quantum = experiment.rig.amplifier.current_quantum_a
+        values = device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
+        values |= changes
+        self.configure(**values)
+        return values
+
+    def listen(self, seconds: float) -> None:
+        """Take what comes: STATE into `host.states`, BATCH into `batches`."""
+        ends = self.link.clock.now_ns() + round(seconds * 1e9)
+        while self.link.clock.now_ns() < ends:
+            left_s = (ends - self.link.clock.now_ns()) * 1e-9
+            for event in self.host.events(min(left_s, 0.001)):
+                if isinstance(event.message, m.Batch):
+                    self.batches.append(event.message)
+
+    def supervise(self, seconds: float) -> None:
+        """Have the device's own law run for a time."""
+        ends = self.link.clock.now_ns() + round(seconds * 1e9)
+        while self.link.clock.now_ns() < ends:
+            self.host.command(mode=m.Mode.SUPERVISE)
+            self.listen(min(SUPERVISE_S, (ends - self.link.clock.now_ns()) * 1e-9))
+
+    def ticks(self) -> Ticks:
+        """Those since the last question."""
+        log = self.pico.ticks()
+        since, self._seen = self._seen, len(log.at)
+        return log[since:]
+
+    def ticks_of(self, indices: NDArray[np.int64]) -> Ticks:
+        """The ticks that took these samples."""
+        return self.pico.ticks()[indices - 1]
+
+    def counts(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Count and sample index of every tick in the BATCH frames that came."""
+        counts: list[NDArray[np.int64]] = []
+        indices: list[NDArray[np.int64]] = []
+        for batch in self.batches:
+            moved = np.array([sample[0] for sample in unpack_batch_samples(batch)], dtype=np.int64)
+            counts.append(batch.base_count + np.cumsum(moved))
+            indices.append(batch.first_index + np.arange(len(moved)))
+        return np.concatenate(counts), np.concatenate(indices)

@@ -1,0 +1,114 @@
+"""The encoder on the Raspberry Pi Pico, whole binary: counts equal the truth at the highest speed that is claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from tests.firmware.rp2040.emulator import CLOCK_HZ
+from tests.firmware.rp2040.session import Session
+
+Powered = Callable[..., Session]
+
+HIGHEST_SPEED = 4_000_000  # counts a second: what the port claims
+NANOS = 1e9 / HIGHEST_SPEED
+UNIT_NS = 62.5
+RATE = 5_000
+OPEN = {"speed_limit": 2**31 - 1, "window_minimum": -(2**31), "window_maximum": 2**31 - 1}
+
+
+def streaming(session: Session) -> None:
+    """One STATE a tick, nothing that would stop at a speed."""
+    session.configure(position_rate=RATE, **OPEN)
+    session.arm()
+    session.host.command(0)
+    session.listen(0.002)
+    session.host.states.clear()
+    session.ticks()
+
+
+def uneven(counts: int, seed: int) -> list[tuple[int, float]]:
+    """Edges at the highest speed on average, each up to 40 % early or late, as of a poor disc."""
+    random = np.random.default_rng(seed)
+    way = 1 if counts > 0 else -1
+    return [(way, float(NANOS * share)) for share in random.uniform(0.6, 1.4, abs(counts))]
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_every_sample_is_a_count_that_the_encoder_had_at_the_highest_speed(
+    powered: Powered, way: int
+) -> None:
+    session = powered()
+    streaming(session)
+    session.pico.move((way * 6_000, NANOS))
+    session.listen(0.0018)
+    session.host.command(0)
+    session.listen(0.0022)
+    states = session.host.states
+    counts = np.array([state.count for state in states])
+    assert len(np.unique(counts)) >= 8
+    ticks = session.ticks_of(np.array([state.sample_index for state in states]))
+    low, high = np.minimum(ticks.before, ticks.after), np.maximum(ticks.before, ticks.after)
+    assert np.all((low <= counts) & (counts <= high)), (counts, low, high)
+    assert np.max(high - low) <= 1
+    assert session.host.states[-1].count == way * 6_000
+
+
+def test_no_count_is_lost_on_reversals(powered: Powered) -> None:
+    session = powered()
+    streaming(session)
+    motion: list[tuple[int, float]] = []
+    for seed, counts in enumerate((2_000, -1_501, 1, -1, 2, -2, 3, -3, 700, -2_900, 5)):
+        motion += uneven(counts, seed)
+    session.pico.move(*motion)
+    for _ in range(3):
+        session.listen(0.002)
+        session.host.command(0)
+    state = session.host.next_state()
+    assert state.fault == Fault.NONE
+    assert state.count == session.pico.look()["truth"] == sum(counts for counts, _ in motion)
+
+
+def test_an_encoder_that_trembles_on_one_edge_stays_where_it_is(powered: Powered) -> None:
+    session = powered()
+    streaming(session)
+    session.pico.move(*[(1, NANOS), (-1, NANOS)] * 1_000, (1, NANOS))
+    session.listen(0.002)
+    session.host.command(0)
+    assert session.host.next_state().count == 1
+
+
+def test_both_channels_at_once_are_a_fault_of_the_encoder(powered: Powered) -> None:
+    session = powered()
+    streaming(session)
+    session.pico.move((100, NANOS))
+    session.pico.ask("jump")
+    session.listen(0.002)
+    state = session.host.states[-1]
+    assert state.fault == Fault.ENCODER
+    assert state.state == State.FAULT
+    assert not session.pico.look()["enabled"]
+
+
+def test_an_edge_is_dated_within_a_quarter_of_a_microsecond(powered: Powered) -> None:
+    session = powered()
+    streaming(session)
+    dated: list[tuple[int, float]] = []
+    for gap_ns in (300_000.0, 1_234_567.0, 5_000_000.0, 43_210.0):  # the fine count wraps in 4.1 ms
+        came_ns = session.pico.move((1, gap_ns))
+        count = len(dated) + 1
+        while not session.host.states or session.host.states[-1].count < count:
+            session.host.command(0)
+            session.listen(0.0005)
+        state = next(state for state in session.host.states if state.count == count)
+        tick = session.ticks_of(np.array([state.sample_index]))
+        age_ns = (state.device_time - state.edge_time) * UNIT_NS
+        dated.append((count, tick.at[0] * 1e9 / CLOCK_HZ - age_ns - came_ns))
+    late_ns = np.array([late for _, late in dated])
+    # The pin shows the tick some cycles before the sample is dated: the same for all.
+    assert np.ptp(late_ns) < 250.0, late_ns
+    assert np.all(np.abs(late_ns) < 1_000.0), late_ns

@@ -1,0 +1,77 @@
+"""The image of the Raspberry Pi Pico as a file: what its boot ROM asks for, what runs where, how large it is."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+
+import pytest
+
+from rig.firmware.build import BuildResult
+
+BOOT2_BYTES = 256
+FLASH, RAM, STACK = 0x1000_0000, 0x2000_0000, 0x2004_0000
+FLASH_BUDGET = 64 * 1024
+RAM_BUDGET = 252 * 1024
+RUNS_FROM_FLASH = {"boot2", "start"}
+NM = "arm-none-eabi-nm"
+
+
+def boot_rom_crc(data: bytes) -> int:
+    """CRC-32 as the boot ROM computes it (RP2040 data sheet, 2.8.1.3.1): not reflected, not inverted."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x04C11DB7 if crc & 0x80000000 else crc << 1) & 0xFFFFFFFF
+    return crc
+
+
+def test_the_crc_of_the_boot_rom_is_the_known_one() -> None:
+    # The check value of CRC-32/MPEG-2 (Cook's catalogue of parametrised CRCs).
+    assert boot_rom_crc(b"123456789") == 0x0376E6E7
+
+
+def test_the_boot_rom_would_take_the_boot_block(built: BuildResult) -> None:
+    image = built.bin.read_bytes()
+    (crc,) = struct.unpack_from("<I", image, BOOT2_BYTES - 4)
+    found = boot_rom_crc(image[: BOOT2_BYTES - 4])
+    assert found == crc, f"boot2.S must end in .word 0x{found:08X}"
+
+
+def test_the_program_begins_behind_the_boot_block_with_stack_and_start(built: BuildResult) -> None:
+    stack, start = struct.unpack_from("<II", built.bin.read_bytes(), BOOT2_BYTES)
+    assert stack == STACK + 8 * 1024
+    assert start & 1, "an address of Thumb code"
+    assert FLASH + BOOT2_BYTES < start < FLASH + 2 * BOOT2_BYTES
+
+
+def symbols(built: BuildResult) -> dict[str, tuple[int, str]]:
+    if shutil.which(NM) is None:
+        pytest.skip(f"{NM} is not installed (package gcc-arm-none-eabi)")
+    listed = subprocess.run([NM, str(built.elf)], capture_output=True, text=True, check=True)
+    fields = (line.split() for line in listed.stdout.splitlines())
+    return {name: (int(address, 16), kind) for address, kind, name in (f for f in fields if len(f) == 3)}
+
+
+def test_all_code_runs_from_ram_but_the_start(built: BuildResult) -> None:
+    code = {name: at for name, (at, kind) in symbols(built).items() if kind in "tTwW"}
+    assert {name for name, at in code.items() if FLASH <= at < RAM} <= RUNS_FROM_FLASH
+    assert "tick_interrupt" in code
+
+
+def test_the_vector_table_lies_where_the_processor_can_take_it(built: BuildResult) -> None:
+    at = symbols(built)["ram_begins"][0]
+    assert at % 256 == 0, "VTOR has no lower bits (data sheet, 2.4.8)"
+
+
+def test_rings_of_the_dma_lie_at_multiples_of_their_length(built: BuildResult) -> None:
+    found = symbols(built)
+    assert found["send_ring"][0] % 32768 == 0
+    assert found["receive_ring"][0] % 4096 == 0
+
+
+def test_it_keeps_its_budget(built: BuildResult) -> None:
+    assert built.flash_bytes <= FLASH_BUDGET
+    assert built.ram_bytes <= RAM_BUDGET

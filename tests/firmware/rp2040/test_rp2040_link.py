@@ -1,0 +1,53 @@
+"""The serial line of the Raspberry Pi Pico, whole binary: 3 Mbaud, both ways, without a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from tests.firmware.rp2040.session import Session
+
+Powered = Callable[..., Session]
+BAUD = 3_000_000
+
+
+def test_the_line_runs_at_the_rate_that_was_asked_for(powered: Powered) -> None:
+    # A PL011 wants both ends within 2 %; a USB adapter hits its own rate.
+    assert powered().pico.look()["baud"] == pytest.approx(BAUD, rel=0.003)
+
+
+def test_a_host_reads_the_whole_dictionary(powered: Powered) -> None:
+    session = powered()
+    dictionary = session.host.identify()
+    assert not dictionary.simulated
+    assert dictionary.parameter("law").maximum == 2  # type: ignore[union-attr]
+
+
+def test_every_tick_arrives_at_20_khz_over_3_mbaud(powered: Powered) -> None:
+    session = powered(position=0.0)
+    session.configure_law(20_000, 2_000)
+    session.arm()
+    session.supervise(0.06)
+    _, indices = session.counts()
+    assert len(indices) > 0.05 * 20_000
+    assert np.all(np.diff(indices) == 1), "a gap"
+    state = session.host.next_state()
+    assert (state.state, state.missed_ticks) == (State.RUNNING, 0)
+    assert session.pico.look()["overruns"] == 0
+
+
+def test_a_host_that_shouts_does_not_stop_the_tick(powered: Powered) -> None:
+    session = powered()
+    session.configure(position_rate=20_000)
+    session.ticks()
+    session.pico.send(bytes(range(1, 256)) * 20 + b"\0")
+    session.listen(0.02)
+    ticks = session.ticks()
+    assert np.ptp(np.diff(ticks.at)) <= 12  # cycles
+    statistics = session.host.ask(m.GetStatistics(session.host.nonce()))
+    assert statistics.framing_errors > 0
+    assert session.pico.look()["overruns"] == 0

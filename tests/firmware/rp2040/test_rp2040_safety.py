@@ -1,0 +1,90 @@
+"""What the Raspberry Pi Pico does when something is wrong, whole binary: the amplifier's enable pin falls, in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input
+from tests.firmware.rp2040.session import Session
+
+Powered = Callable[..., Session]
+WATCHDOG_US = 40_000.0
+
+
+def running(session: Session, current: int = 300) -> None:
+    """An armed device that gives a current (quanta)."""
+    session.configure(position_rate=5_000, window_minimum=-(2**31), window_maximum=2**31 - 1)
+    session.arm()
+    session.host.command(current)
+    session.listen(0.002)
+    look = session.pico.look()
+    assert look["enabled"]
+    assert look["current"] == pytest.approx(current * 1e-3, abs=0.002)
+
+
+def test_nothing_is_driven_before_a_host_says_so(powered: Powered) -> None:
+    session = powered()
+    look = session.pico.look()
+    assert not look["enabled"]
+    assert look["duty"] == 0.0
+
+
+def test_the_watchdog_drops_enable_and_the_device_says_why_it_is_back(powered: Powered) -> None:
+    session = powered()
+    running(session)
+    session.pico.ask("hang")
+    session.pico.run(WATCHDOG_US - 1_000.0)  # fed within the last tick
+    assert session.pico.look()["resets"] == 0
+    session.pico.run(2_000.0)
+    look = session.pico.look()
+    assert look["resets"] == 1
+    assert not look["enabled"]
+    assert look["duty"] == 0.0
+    session.pico.run(5_000.0)
+    assert not session.pico.look()["enabled"]
+    session.connect()
+    state = session.host.next_state()
+    assert (state.state, state.fault) == (State.FAULT, Fault.WATCHDOG_RESET)
+
+
+def test_power_up_is_no_watchdog_reset(powered: Powered) -> None:
+    state = powered().host.next_state()
+    assert (state.state, state.fault) == (State.IDENTIFIED, Fault.NONE)
+
+
+def test_a_silent_host_ends_in_an_amplifier_that_is_off(powered: Powered) -> None:
+    session = powered()
+    running(session)
+    session.listen(0.05)
+    state = session.host.states[-1]
+    assert (state.state, state.fault) == (State.FAULT, Fault.LINK_LOST)
+    assert not session.pico.look()["enabled"]
+
+
+def test_an_emergency_stop_or_its_broken_wire_switches_the_amplifier_off(powered: Powered) -> None:
+    session = powered()
+    running(session)
+    session.pico.ask("set", emergency_stop=True)  # the contact opens: the pull-up says so in either case
+    session.listen(0.001)
+    look = session.pico.look()
+    assert not look["enabled"]
+    state = session.host.states[-1]
+    assert state.fault == Fault.EMERGENCY_STOP
+    assert state.inputs & Input.EMERGENCY_STOP
+
+
+def test_letting_go_of_hold_to_run_takes_the_current_away(powered: Powered) -> None:
+    session = powered()
+    session.configure(position_rate=5_000, hold_to_run=1)
+    session.arm()
+    session.host.command(300)
+    session.listen(0.001)
+    assert session.pico.look()["current"] == pytest.approx(0.3, abs=0.002)
+    session.pico.ask("set", hold_to_run=False)
+    session.host.command(300)
+    session.listen(0.001)
+    assert session.pico.look()["current"] == 0.0
+    assert not session.host.states[-1].inputs & Input.HOLD_TO_RUN
