@@ -78,4 +78,6 @@ def _called(command: list[str], directory: Path | None) -> subprocess.CompletedP
 def _remedy(complaint: str) -> str:
     if "overflowed" in complaint or "will not fit" in complaint:
         return "it is too large for the board: make what its board.toml sizes smaller, or take a larger board"
+    if "#error" in complaint:
+        return "change the setting that it names (--set)"
     return "report it, with this output and the compiler's version"
