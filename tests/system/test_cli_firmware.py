@@ -45,6 +45,16 @@ def test_the_self_test_of_another_rig_fails_with_its_remedy(run):
     assert "--rig chawda-linear" in err
 
 
+def test_the_law_of_the_firmware_streams_without_a_current(run):
+    url = "sim://koul-rigid?firmware=1"
+    code, out, err = run(
+        "firmware", "selftest", url, "--rig", "koul-rigid", "--stream", "--rate", "1000", "--seconds", "0.1"
+    )
+    assert code == 0, err
+    assert "ok stream: " in out
+    assert "0 gaps; no current" in out
+
+
 def test_info_of_a_simulated_device(run):
     code, out, _ = run("firmware", "info", "sim://koul-rigid", "--json")
     assert code == 0
