@@ -27,7 +27,7 @@ WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_lim
 
 @pytest.fixture
 def pico(built: BuildResult) -> Iterator[emulator.Pico]:
-    with emulator.Pico(rig_model(load(PRESET)), built) as board:
+    with emulator.Pico(rig_model(load(PRESET)), built.bin) as board:
         yield board
         look = board.ask("usb_look")
         assert look["errors"] == []
@@ -78,7 +78,7 @@ def test_pulled_and_plugged_in_again(pico: emulator.Pico) -> None:
         pico.run(5_000.0)
 
 
-@pytest.mark.parametrize("rate", [20_000, 50_000])
+@pytest.mark.parametrize("rate", [20_000])
 def test_every_tick_of_a_law_arrives(pico: emulator.Pico, built: BuildResult, rate: int) -> None:
     """BATCH without a gap, in the time that the bus takes for its packets; and how much of the bus that is."""
     host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))
