@@ -20,8 +20,8 @@ from rig.presets import load
 from rig.recording.reader import open_recording
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
-from tests.firmware.rp2040.usb_link import EmulatedUsb
 from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
+from tests.firmware.rp2040.usb_link import EmulatedUsb
 from tests.firmware.test_core_law import push, told_to_run
 
 RIG, PORT = 1, 2

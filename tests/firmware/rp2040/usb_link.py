@@ -1,4 +1,4 @@
-"""The emulated board's USB as a link of `rig`, in the time of the board: the loop, its port and all that stands on them."""
+"""The emulated board's USB as a link of `rig`, in the time of the board."""
 
 from __future__ import annotations
 
