@@ -29,7 +29,7 @@ from rig.model import RigModel
 from sim_backend.plant import DiscretePlant
 
 HERE = Path(__file__).parent
-CLOCK_HZ = 125_000_000
+CLOCK_HZ = 200_000_000
 PLANT_STEP_S = 2e-6
 INSTALL_S = 60.0
 SLICE_US = 200.0

@@ -8,8 +8,6 @@ const { RP2040 } = require('rp2040js');
 const { ConsoleLogger, LogLevel } = require('rp2040js');
 const { Uart } = require('./uart.js');
 
-const CLOCK_HZ = 125e6;
-const NANOS_A_CYCLE = 1e9 / CLOCK_HZ;
 /* Armv6-M without wait states (Cortex-M0+ Technical Reference Manual, 3.3 and 3.6). The emulator takes none. */
 const EXCEPTION_ENTRY = 15;
 const EXCEPTION_RETURN = 13;
@@ -60,11 +58,10 @@ class Pico {
     chip.sram.fill(0xa5); // as found after power-up: anything
     this.uart = new Uart(chip);
     chip.uart[0] = chip.peripherals[0x40034] = this.uart;
-    // Power-on reset: HAD_POR of CHIP_RESET (data sheet 2.12.7).
-    const chipReset = { 8: 1 << 8 };
+    this.regulator = { 0: 0xb1 }; // 1.10 V, on (data sheet 2.10.6)
     chip.peripherals[0x40064] = {
-      readUint32: (offset) => chipReset[offset] || 0,
-      writeUint32Atomic: (offset, value) => (chipReset[offset] = value),
+      readUint32: (offset) => this.regulator[offset] || 0,
+      writeUint32Atomic: (offset, value) => (this.regulator[offset] = value),
     };
     this.watchdog = chip.peripherals[0x40058];
     this.watchdog.reason = reason;
@@ -169,10 +166,10 @@ class Pico {
   }
 
   /* Let the state machines live through some cycles; at rest only the guard turns, in circles. */
-  advancePio(from, cycles) {
+  advancePio(from, cycles, nanos) {
     const { edges } = this;
     for (let i = 0; i < cycles; i++) {
-      const at = from + i * NANOS_A_CYCLE;
+      const at = from + i * nanos;
       while (edges.length > 0 && edges[0].at <= at) this.turn(edges.shift().way);
       if (this.awake > 0) {
         for (; this.slept % GUARD_LOOP !== 0; this.slept--) this.stepPio();
@@ -235,8 +232,9 @@ class Pico {
       if (before !== after) cycles += this.excepted(before, after, cycles);
     }
     const from = this.now;
-    clock.tick(cycles * NANOS_A_CYCLE);
-    this.advancePio(from, cycles);
+    const nanos = 1e9 / chip.clkSys;
+    clock.tick(cycles * nanos);
+    this.advancePio(from, cycles, nanos);
     this.cycles += cycles;
     if (this.bitten) this.bite();
   }
@@ -292,4 +290,4 @@ class Pico {
   }
 }
 
-module.exports = { Pico, NANOS_A_CYCLE, CLOCK_HZ };
+module.exports = { Pico };

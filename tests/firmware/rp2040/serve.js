@@ -110,6 +110,7 @@ const commands = {
       complaints: Object.fromEntries(pico.complaints),
       vtor: pico.chip.core.VTOR,
       clock: pico.chip.clkSys,
+      regulator: pico.regulator[0],
     };
   },
   /* Every tick since the last question. */
