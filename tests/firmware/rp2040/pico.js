@@ -74,6 +74,7 @@ class Pico {
     this.levels = 0;
     Object.defineProperty(chip, 'gpioValues', { get: () => this.levels });
     this.watchPads();
+    this.watchPwm();
     this.watchPio();
     this.showSwitches();
     this.showEncoder();
@@ -139,6 +140,20 @@ class Pico {
     };
   }
 
+  /* A counter shows whole counts that are over; the emulator's rounds to the nearest, and is at zero before it has wrapped. */
+  watchPwm() {
+    const COUNTER = 8;
+    for (const channel of this.chip.pwm.channels) {
+      const read = channel.readRegister.bind(channel);
+      channel.readRegister = (offset) => {
+        const { timer } = channel;
+        if (offset !== COUNTER || !timer.enable) return read(offset);
+        const counts = ((this.chip.clock.nanos - timer.baseNanos) / 1e9) * (timer.frequency / timer.prescaler);
+        return Math.floor(timer.baseValue + counts + 1e-6) % (timer.top + 1);
+      };
+    }
+  }
+
   /* ---------------------------------------------------------------- PIO on the chip's own clock */
 
   watchPio() {
@@ -185,11 +200,11 @@ class Pico {
   /* ---------------------------------------------------------------- what is measured */
 
   clear() {
-    this.ticks = []; // { at, ends, entered, left, before, after }: cycles since reset; counts of the encoder
+    this.ticks = []; // { came, at, ends, entered, left, before, after }: ns; cycles since reset; counts of the encoder
     this.inTick = false;
     this.tick = null;
     this.entered = 0;
-    this.inside = false;
+    this.held = this.longestHeld = 0; // interrupts masked, cycles
   }
 
   syncChanged(state) {
@@ -197,7 +212,7 @@ class Pico {
     if (high === this.inTick) return;
     this.inTick = high;
     if (high) {
-      this.tick = { at: this.cycles, ends: 0, entered: this.entered, left: 0, before: 0, after: 0 };
+      this.tick = { came: this.now, at: this.cycles, ends: 0, entered: this.entered, left: 0, before: 0, after: 0 };
       this.ticks.push(this.tick);
     } else if (this.tick) {
       this.tick.ends = this.cycles;
@@ -236,6 +251,8 @@ class Pico {
     clock.tick(cycles * nanos);
     this.advancePio(from, cycles, nanos);
     this.cycles += cycles;
+    this.held = core.PM ? this.held + cycles : 0;
+    if (this.held > this.longestHeld) this.longestHeld = this.held;
     if (this.bitten) this.bite();
   }
 

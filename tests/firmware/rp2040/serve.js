@@ -95,7 +95,10 @@ const commands = {
   look() {
     const most = motor.most;
     motor.most = 0;
+    const held = pico.longestHeld;
+    pico.longestHeld = 0;
     return {
+      held,
       now: pico.now,
       truth: pico.truth,
       enabled: pico.enabled,
@@ -118,7 +121,7 @@ const commands = {
     const ticks = pico.takeTicks();
     const column = (name) => ticks.map((tick) => tick[name]);
     const answer = {};
-    for (const name of ['at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
+    for (const name of ['came', 'at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
     return answer;
   },
   /* Time that a pin is high (ns) over the next stretch of time. */

@@ -138,5 +138,5 @@ uint32_t tick_cycles_left(void)
 {
     if (PWM_WRAPPED & 1u << TICK_SLICE)
         return 0;
-    return (tick.top - PWM_COUNTER(TICK_SLICE)) * tick.divider;
+    return (tick.top + 1u - PWM_COUNTER(TICK_SLICE)) * tick.divider; /* the period's longer kind ends at top + 1 */
 }
