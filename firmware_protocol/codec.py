@@ -1,7 +1,7 @@
 """The compiled codec of what a loop says and hears, equal byte for byte to the readable one (framing.py, packing.py).
 
-That is COMMAND and STATE; GET_TIME and TIME, by which it compares the clocks while it runs; BATCH, where the law runs on
-the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall of such a law changes.
+That is COMMAND and STATE; GET_TIME and TIME, by which it compares the clocks while it runs; BATCH, where the law runs
+on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall of such a law changes.
 
 Nothing about the bytes is written here a second time: the tables of offsets are made from the
 annotations of messages.py when this module is imported, and the compiler takes them as constants. All
@@ -74,7 +74,7 @@ SET_BEGIN = field_indices("SetBegin")
 SET_CHUNK = field_indices("SetChunk")  # without the data
 SET_COMMIT = field_indices("SetCommit")
 ACK = field_indices("Ack")
-SAMPLE: Any = namedtuple("SampleFields", ("count", "current_commanded", "current_measured"))(0, 1, 2)
+SAMPLE: Any = namedtuple("SampleFields", ("count", "current_commanded", "current_measured"))(*range(3))
 HEAD: Any = namedtuple("HeaderFields", Header._fields)(*range(len(Header._fields)))
 
 _HEADER_BYTES = framing.HEADER_BYTES
@@ -403,14 +403,14 @@ def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: I
     header, values
         As in `decode_command`.
     samples
-        Room for `MOST_SAMPLES` rows of `SAMPLE`: the count itself, which may wrap at 32 bits, and the two currents; what
-        the layout lacks is 0.
+        Room for `MOST_SAMPLES` rows of `SAMPLE`: the count itself, which may wrap at 32 bits, and the two currents;
+        what the layout lacks is 0.
 
     Returns
     -------
     int
-        Samples, at least one; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no whole number of samples, or none), BAD_VALUE
-        (an unknown layout).
+        Samples, at least one; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no whole number of samples, or none),
+        BAD_VALUE (an unknown layout).
     """
     found = _decode(raw, length, _BATCH_LAYOUT, _BATCH_LIMIT, _BATCH_TYPE, header, values)
     if found != 0:

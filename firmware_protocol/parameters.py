@@ -19,7 +19,7 @@ from firmware_protocol.faults import Status
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Parameter, Value
 
-_ENTRY_BYTES = 6
+ENTRY_BYTES = 6
 _I16_MAXIMUM = 2**15 - 1
 _I32_MINIMUM, _I32_MAXIMUM = -(2**31), 2**31 - 1
 _U32_MAXIMUM = 2**32 - 1
@@ -237,11 +237,11 @@ def encode_block(values: Mapping[str, Value]) -> bytes:
 
 def decode_block(block: bytes) -> dict[str, Value]:
     """Name → value, rising by id; raises `ParameterError` with the status to answer."""
-    if len(block) % _ENTRY_BYTES or len(block) > BLOCK_LIMIT:
+    if len(block) % ENTRY_BYTES or len(block) > BLOCK_LIMIT:
         raise ParameterError(Status.BAD_LENGTH, f"a parameter block of {len(block)} bytes")
     values: dict[str, Value] = {}
     previous = -1
-    for start in range(0, len(block), _ENTRY_BYTES):
+    for start in range(0, len(block), ENTRY_BYTES):
         (number,) = struct.unpack_from("<H", block, start)
         parameter = BY_ID.get(number)
         if parameter is None:

@@ -33,6 +33,13 @@ def native_call(arity: int) -> Any:
             return types.int64(types.uintp, types.uintp), codegen
 
         return call_one
+    if arity == 2:
+
+        @intrinsic
+        def call_two(typingctx: Any, address: Any, first: Any, second: Any) -> Any:
+            return types.int64(types.uintp, types.uintp, types.uintp), codegen
+
+        return call_two
     if arity == 3:
 
         @intrinsic

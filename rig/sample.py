@@ -3,6 +3,10 @@
 One row a tick. The table gives the dtype of the ring, the schema of the files, and the documentation; a
 column exists in one place only. Measured, estimated, wanted, sent and applied are different columns.
 
+Where the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, some
+5 ms old at most: what only a STATE tells (commands, limits, fault, state, inputs, missed ticks, execution time) is as
+old as that.
+
 Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and
 resolved by `unit_of`; counts and times are 64-bit integers.
 """
@@ -76,17 +80,19 @@ COLUMNS: tuple[Column, ...] = (
     Column("sample_index", "<i8", "1", "device's sample index, extended to 64 bits"),
     Column("elapsed_ticks", "<i8", "1", "samples since the previous row; above 1 the ones between were lost"),
     Column("phase", "<i8", "1", "what the loop was doing (rig.sample.Phase)"),
-    Column("host_time", "<i8", "ns", "host clock when the sample was received"),
+    Column("host_time", "<i8", "ns", "host clock when the sample was received; law on the device: its batch"),
     Column("device_time", "<i8", "ns", "device clock when the sample was taken, extended to 64 bits"),
     Column(
         "lateness",
         "<i8",
         "ns",
         "receipt after the grid of the sample index, against the earliest receipt so far; host-paced: waking after the "
-        "host's grid",
+        "host's grid; law on the device: receipt of its batch, which nobody waits for",
     ),
     Column("count", "<i8", "count", "encoder count as the device sent it"),
-    Column("edge_age", "<i8", "ns", "age of the last encoder edge at the sample"),
+    Column(
+        "edge_age", "<i8", "ns", "age of the last encoder edge at the sample; law on the device: 0, not told"
+    ),
     Column("position", "<f8", "position", "measured position: count times resolution, from the reference"),
     Column("velocity", "<f8", "velocity", "estimated velocity, held between velocity samples"),
     Column(
@@ -99,14 +105,20 @@ COLUMNS: tuple[Column, ...] = (
         "effort_sent",
         "<f8",
         "effort",
-        "effort of the command sent: guarded and rounded to the current quantum",
+        "effort of the command sent: guarded and rounded to the current quantum; law on the device: what the same law "
+        "gives here for the same count, beside which effort_applied of the next row is what the device made of it",
     ),
     Column("effort_applied", "<f8", "effort", "effort in force on the device when the sample was taken"),
-    Column("current_sent", "<i8", "quantum", "current of the command sent, in current quanta"),
+    Column("current_sent", "<i8", "quantum", "current of effort_sent, in current quanta"),
     Column("current_applied", "<i8", "quantum", "current in force on the device, in current quanta"),
     Column("current_measured", "<f8", "A", "measured motor current"),
     Column("command_age", "<i8", "1", "age of the command in force, in device ticks"),
-    Column("command_sequence", "<i8", "1", "sequence number of the command sent in this tick, modulo 65536"),
+    Column(
+        "command_sequence",
+        "<i8",
+        "1",
+        "sequence number of the command sent in this tick, modulo 65536; law on the device: of the last one sent",
+    ),
     Column(
         "command_in_force", "<i8", "1", "sequence number of the command in force at the sample, modulo 65536"
     ),
@@ -116,7 +128,12 @@ COLUMNS: tuple[Column, ...] = (
         "1",
         "parameters in force: 0 as the header has them, later sets stand in the trailer",
     ),
-    Column("limits", "<i8", "1", "limit flags of the device (firmware_protocol.faults.LimitFlag)"),
+    Column(
+        "limits",
+        "<i8",
+        "1",
+        "limit flags of the device since the STATE before (firmware_protocol.faults.LimitFlag)",
+    ),
     Column("fault", "<i8", "1", "fault code of the device (firmware_protocol.faults.Fault)"),
     Column("device_state", "<i8", "1", "state of the device (firmware_protocol.connection.State)"),
     Column("inputs", "<i8", "1", "digital inputs of the device, among them emergency stop and hold-to-run"),
@@ -130,13 +147,19 @@ COLUMNS: tuple[Column, ...] = (
         "latency ledger: sample taken (host clock, by the clock fit); 0 until fitted",
     ),
     Column("received_at", "<i8", "ns", "latency ledger: sample received (host clock)"),
-    Column("computed_at", "<i8", "ns", "latency ledger: effort computed (host clock)"),
-    Column("sent_at", "<i8", "ns", "latency ledger: command handed to the link (host clock)"),
+    Column("computed_at", "<i8", "ns", "latency ledger: effort computed (host clock); law on the device: 0"),
+    Column(
+        "sent_at",
+        "<i8",
+        "ns",
+        "latency ledger: command handed to the link (host clock); law on the device: 0, no command answers a sample",
+    ),
     Column(
         "applied_at",
         "<i8",
         "ns",
-        "latency ledger: command came in force (host clock, by the clock fit); 0 if never seen",
+        "latency ledger: command came in force (host clock, by the clock fit); 0 if never seen, and with "
+        "the law on the device",
     ),
 )
 

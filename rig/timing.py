@@ -15,6 +15,10 @@ applied   the COMMAND was in force, at the earliest: device time of sample k −
 
 Sampled and applied carry the errors of the clock fit, with opposite signs in the two transports; the whole way, from
 sampled to applied, is free of its offset.
+
+Where the law ran on the device (`Ledger.loop`) no COMMAND answers a sample: the device applied its effort in the tick
+of the sample itself, and `execution_ns` bounds how long after it. Only sampled and received are known then, and how
+late a batch brought the sample; no tick is late, because nobody waited for it.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ from rig.sample import RowFlag
 
 NEEDED = (
     "tick", "sample_index", "elapsed_ticks", "device_time", "lateness", "command_age", "command_sequence",
-    "command_in_force", "flags", "received_at", "computed_at", "sent_at",
+    "command_in_force", "execution_time", "flags", "received_at", "computed_at", "sent_at",
 )  # fmt: skip
 # Stage → the times between which it lies, and what it is.
 STAGES: dict[str, tuple[str, str, str]] = {
@@ -94,6 +98,10 @@ class Ledger:
         The fit, or None.
     clock_sd_ns
         Standard uncertainty of sampled and applied at worst in this recording, without what asymmetry may add.
+    loop
+        Where the law ran: "host" or "device".
+    execution_ns
+        Worst execution time of a device tick, as the device counted it; None where the law ran on the host.
     """
 
     tick: _Ints
@@ -112,6 +120,8 @@ class Ledger:
     period_ns: float
     clock: ClockFit | None
     clock_sd_ns: float | None
+    loop: str = "host"
+    execution_ns: int | None = None
 
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
         """Length of a stage in each tick (ns) and whether it is known; `LATENESS` is one of them."""
@@ -179,7 +189,7 @@ class TimingSummary:
         As in `Ledger`.
     clock
         The fit, or None.
-    clock_sd_ns
+    clock_sd_ns, loop, execution_ns
         As in `Ledger`.
     """
 
@@ -196,13 +206,15 @@ class TimingSummary:
     within_tick: int
     clock: ClockFit | None
     clock_sd_ns: float | None
+    loop: str = "host"
+    execution_ns: int | None = None
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain values, for JSON and for a recording's trailer."""
         return asdict(self)
 
 
-def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float) -> Ledger:
+def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop: str = "host") -> Ledger:
     """Put the times of each tick on the host's clock.
 
     Parameters
@@ -213,9 +225,12 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float) -> Le
         Host against device clock, or None when they were never compared.
     period_ns
         Length of a device tick (ns, device clock).
+    loop
+        Where the law ran: "host" or "device".
     """
     received = _column(rows, "received_at")
-    shown_at, never, unanswered = _in_force(rows)
+    on_device = loop == "device"
+    shown_at, never, unanswered = _unanswered(rows) if on_device else _in_force(rows)
     sampled, applied = np.zeros_like(received), np.zeros_like(received)
     sent = _column(rows, "sent_at")
     clock_sd, within_tick = None, 0
@@ -248,6 +263,8 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float) -> Le
         period_ns=period_ns,
         clock=fit,
         clock_sd_ns=clock_sd,
+        loop=loop,
+        execution_ns=int(rows["execution_time"].max(initial=0)) if on_device else None,
     )
 
 
@@ -282,11 +299,18 @@ def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSumma
         within_tick=ledger.within_tick,
         clock=ledger.clock,
         clock_sd_ns=ledger.clock_sd_ns,
+        loop=ledger.loop,
+        execution_ns=ledger.execution_ns,
     )
 
 
 def _column(rows: NDArray[np.void], name: str) -> _Ints:
     return np.ascontiguousarray(rows[name], np.int64)
+
+
+def _unanswered(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
+    """As `_in_force` where the law ran on the device: there is no command for a sample, and so none that failed."""
+    return np.full(len(rows), -1, np.int64), 0, 0
 
 
 def _in_force(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:

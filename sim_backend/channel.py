@@ -13,6 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from firmware_protocol.faults import Fault
 
@@ -61,11 +62,19 @@ class DeviceFault:
 
 
 @dataclass(frozen=True, slots=True)
+class Happening:
+    """What the world does to a device when `tick` ticks have passed: `act` is called with the device."""
+
+    tick: int
+    act: Callable[[Any], None]
+
+
+@dataclass(frozen=True, slots=True)
 class Faults:
     """A script for one run."""
 
     frames: tuple[FrameFault, ...] = ()
-    device: tuple[DeviceFault, ...] = ()
+    device: tuple[DeviceFault | Happening, ...] = ()
 
 
 class Line:

@@ -196,6 +196,19 @@ class SimulatedDevice:
         acted, self._acted = self._acted, 0  # since the last STATE
         return connection.send(self._state(count, current, measured, acted))
 
+    def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
+        """Let ticks pass until there is something to say; return that, and how many they were.
+
+        `until_ns` is when the last of them may be due, on the scale of `elapsed_ns`; `most` how many they may be.
+        """
+        for ticks in range(most):
+            if self.next_tick_ns > until_ns:
+                return b"", ticks
+            said = self.tick()
+            if said:
+                return said, ticks + 1
+        return b"", most
+
     def miss(self) -> None:
         """Let one period pass whose STATE was not sent, and count it: the owner was late."""
         self.tick()

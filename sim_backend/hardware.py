@@ -11,12 +11,25 @@ import math
 import numpy as np
 
 from rig.model import RigModel
+from sim_backend.inner import Vector
+from sim_backend.lockstep import (
+    COUNT,
+    MEASURED,
+    NOISE_LEFT,
+    PLACES,
+    ROW,
+    TRUTH_ROWS,
+    Lockstep,
+    run_ticks,
+)
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant, advance
-from sim_backend.sensors import current_quanta
+from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 from sim_backend.truth import TruthLog
 
 _NOISE_BLOCK = 4096
+_PEAK = int(CURRENT_QUANTA_LIMIT)
+_NO_INDICES, _NO_STATES = np.zeros(0, np.int64), np.zeros((0, 0))
 
 
 class Hardware:
@@ -41,6 +54,10 @@ class Hardware:
         Measured motor current at the last sample (quanta).
     external_effort
         Effort of the world on the link (N·m or N), from the next tick on.
+    slip
+        Counts that the encoder has gained or lost against the truth, from the next sample on.
+    leak
+        Current that the sensor shows beside the motor's (quanta): a short circuit, a drifted sensor.
     """
 
     def __init__(self, model: RigModel, rate: int, *, seed: int, initial_position: float | None) -> None:
@@ -52,10 +69,11 @@ class Hardware:
         self._effort_quantum = model.amplifier.effort_quantum
         self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
         self._quantum_a = model.amplifier.current_quantum_a
-        self._noise = _Noise(model.amplifier.current_noise_a, seed)
+        self._noise = Noise(model.amplifier.current_noise_a, seed)
         self._script, self._row = Script.silent(), 0
         self._sessions = 0
         self.external_effort = 0.0
+        self.slip = self.leak = 0
         self.count = self._plant.count(self._state)
         self.measured = 0
 
@@ -78,9 +96,35 @@ class Hardware:
             state[plant.intentions] = script.rows[self._row]
             self._row = self._row + 1 if self._row + 1 < len(script.rows) else script.again
         effort = current * self._effort_quantum
-        self.count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, self.external_effort)
+        count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, self.external_effort)
+        self.count = count + self.slip
         measured_a = state.item(plant.effort) * self._ampere_per_effort + self._noise.next()
         self.measured = current_quanta(measured_a, self._quantum_a)
+        if self.leak:
+            self.measured = max(-_PEAK, min(_PEAK, self.measured + self.leak))
+
+    def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
+        """Let many ticks pass under the current that some software asks for; see `sim_backend.lockstep.run_ticks`.
+
+        It stops early where noise or room for the truth is used up: whoever wants more calls again.
+        """
+        plant, script, noise, words = self._plant, self._script, self._noise, software.words
+        noise.refill()
+        indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)
+        places = np.zeros(PLACES, np.int64)
+        places[ROW], places[NOISE_LEFT], places[TRUTH_ROWS] = self._row, noise.left, rows
+        ticks = run_ticks(
+            software.drive, software.sample, software.device, software.address, words, until, most, enough,
+            self._state, *plant.arrays, plant.edge_age, plant.effort, self.external_effort, self.slip, self.leak,
+            self._effort_quantum, self._ampere_per_effort, self._quantum_a,
+            script.rows, script.again, noise.drawn, places, indices, states,
+        )  # fmt: skip
+        if ticks:
+            self._row, noise.left = places.item(ROW), places.item(NOISE_LEFT)
+            self.count, self.measured = words.item(COUNT), words.item(MEASURED)
+        if truth is not None:
+            truth.written(places.item(TRUTH_ROWS))
+        return int(ticks)
 
     @property
     def edge_age_s(self) -> float:
@@ -104,17 +148,34 @@ class Hardware:
         truth.add(sample_index, self._state)
 
 
-class _Noise:
-    """Gaussian noise of the current sensor (A), drawn in blocks: one draw at a time costs a microsecond."""
+class Noise:
+    """Gaussian noise of the current sensor (A), drawn in blocks: one draw at a time costs a microsecond.
+
+    Attributes
+    ----------
+    drawn
+        A block, to be used from its end; empty for a sensor without noise.
+    left
+        How many of it.
+    """
 
     def __init__(self, rms_a: float, seed: int) -> None:
         self._rms_a = rms_a
         self._generator = np.random.default_rng(seed)
-        self._drawn: list[float] = []
+        self.drawn: Vector = np.zeros(0)
+        self.left = 0
+        self.refill()
+
+    def refill(self) -> None:
+        """Draw another block when the last one is used up."""
+        if self._rms_a != 0.0 and self.left == 0:
+            self.drawn = self._generator.normal(0.0, self._rms_a, _NOISE_BLOCK)
+            self.left = _NOISE_BLOCK
 
     def next(self) -> float:
+        """Return the noise of one sample (A)."""
         if self._rms_a == 0.0:
             return 0.0
-        if not self._drawn:
-            self._drawn = self._generator.normal(0.0, self._rms_a, _NOISE_BLOCK).tolist()
-        return self._drawn.pop()
+        self.refill()
+        self.left -= 1
+        return self.drawn.item(self.left)

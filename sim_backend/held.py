@@ -11,6 +11,8 @@ plants (`sim_backend.inner`).
 
 from __future__ import annotations
 
+from typing import Any
+
 from numba import types
 
 from firmware_protocol.kernel import kernel
@@ -34,6 +36,16 @@ INTENTIONS = 3  # intended position, intended velocity, press
 RIGID_HELD_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
 
 _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
+
+
+@kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, borrow=True)
+def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
+    """Put a row of a script into the state, before the age of the edge; return the next row. No rows: nothing."""
+    if script.shape[0] == 0:
+        return 0
+    for i in range(INTENTIONS):
+        state[edge_age - INTENTIONS + i] = script[row, i]
+    return row + 1 if row + 1 < script.shape[0] else again
 
 
 @kernel(_FLOAT(_MATRIX, _MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, borrow=True)

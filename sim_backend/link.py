@@ -13,7 +13,7 @@ import ctypes
 import errno
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,9 @@ from rig.clock import VirtualClock
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.errors import ConfigError, LinkLostError
 from rig.model import RigModel
-from sim_backend.channel import Direction, Faults, Line
+from sim_backend.channel import DeviceFault, Direction, Faults, Line
 from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
 
 OPTIONS: dict[str, type] = {
     "seed": int,
@@ -33,6 +34,7 @@ OPTIONS: dict[str, type] = {
     "position_rate_default": int,
     "position_rate_maximum": int,
     "clock_ppm": float,
+    "firmware": int,
 }
 CLOCK_PPM_MAXIMUM = 1000.0
 BUFFER_BYTES = 1 << 16  # of input that nobody reads, as of a driver; what comes then is lost
@@ -42,6 +44,51 @@ _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _BILLION = 1_000_000_000
 _UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
 _URL = DeviceUrl("sim", "", {}, "sim://")
+_LONG = 1 << 62  # ticks: without an end
+
+
+class Device(Protocol):
+    """A simulated device: `device.SimulatedDevice`, or the firmware with a rig behind it, `firmware.FirmwareDevice`."""
+
+    @property
+    def time(self) -> int:
+        """Device time of the last sample (1/16 µs since boot)."""
+        ...
+
+    @property
+    def time_ns(self) -> int:
+        """Device time of the last sample (ns since boot)."""
+        ...
+
+    @property
+    def elapsed_ns(self) -> int:
+        """Simulated time, over all resets (ns)."""
+        ...
+
+    @property
+    def next_tick_ns(self) -> int:
+        """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        ...
+
+    def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
+        """Let ticks pass until there is something to say, up to a time and a number of them."""
+        ...
+
+    def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
+        """Take bytes of the host and return the answers."""
+        ...
+
+    def press_emergency_stop(self, pressed: bool = True) -> None:
+        """Press the emergency stop, or release it."""
+        ...
+
+    def inject_fault(self, fault: Fault) -> None:
+        """Let the device find a fault."""
+        ...
+
+    def truth(self) -> NDArray[np.void]:
+        """Return the plant's state in every tick of a session since boot."""
+        ...
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
@@ -49,12 +96,13 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
     0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by
-    which the device's clock runs fast.
+    which the device's clock runs fast; `firmware` = 1 for a device that is the firmware itself, compiled for this
+    machine, which can run the law.
 
     Raises
     ------
     ConfigError
-        No model, an unknown option, or a value that it cannot have.
+        No model, an unknown option, or a value that it cannot have; no C compiler for the firmware.
     """
     if model is None:
         raise ConfigError(f"{url.text}: nothing to simulate", remedy="name a rig, like sim://koul-compliant")
@@ -62,7 +110,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     if "offset" in options:
         model = _with_offset(url, model, options.pop("offset"))
     clock_ppm = options.pop("clock_ppm", 0.0)
-    return MemoryLink(SimulatedDevice(model, **options), url=url, clock_ppm=clock_ppm)
+    make = FirmwareDevice if options.pop("firmware", 0) else SimulatedDevice
+    return MemoryLink(make(model, **options), url=url, clock_ppm=clock_ppm)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
@@ -90,12 +139,14 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         "position_rate_default": lambda value: 50 <= value <= 50_000,
         "position_rate_maximum": lambda value: 50 <= value <= 50_000,
         "clock_ppm": lambda value: abs(value) <= CLOCK_PPM_MAXIMUM,
+        "firmware": lambda value: value in (0, 1),
     }
     for name, value in options.items():
         if not allowed[name](value):
             raise ConfigError(
                 f"{url.text}: {name} = {value} is out of range",
-                remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, clock_ppm in ±1000, a seed is not negative",
+                remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, clock_ppm in ±1000, "
+                "firmware is 0 or 1, a seed is not negative",
             )
 
 
@@ -104,7 +155,7 @@ def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
 
 
 class MemoryLink:
-    """`rig.devices.device.Link` over a `SimulatedDevice` in this process.
+    """`rig.devices.device.Link` over a simulated device in this process.
 
     Parameters
     ----------
@@ -132,7 +183,7 @@ class MemoryLink:
 
     def __init__(
         self,
-        device: SimulatedDevice,
+        device: Device,
         faults: Faults | None = None,
         *,
         url: DeviceUrl = _URL,
@@ -143,7 +194,7 @@ class MemoryLink:
         self.device = device
         self.line = None if faults is None else Line(faults.frames)
         self.discarded = 0
-        self._device_faults = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
+        self._happenings = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
         self._ticks = 0
         self._start_ns = device.elapsed_ns
         self._pace = _BILLION + round(clock_ppm * 1000)  # device nanoseconds in a second of the link
@@ -197,8 +248,12 @@ class MemoryLink:
         self._catch_up()
 
     def _next_tick_ns(self) -> int:
-        """When the next sample is due on the link's clock: not before it is on the device's."""
-        return -((self._start_ns - self.device.next_tick_ns) * _BILLION // self._pace)
+        """When the next sample is due on the link's clock."""
+        return self._link_time(self.device.next_tick_ns)
+
+    def _link_time(self, device_ns: int) -> int:
+        """Time on the link's clock that is not before a time of the device's (ns since it was made)."""
+        return -((self._start_ns - device_ns) * _BILLION // self._pace)
 
     def _device_time(self) -> int:
         """Device time now, between its samples too (1/16 µs)."""
@@ -211,38 +266,51 @@ class MemoryLink:
         """Bring the device to the clock's time, which the host may have moved by sleeping."""
         now_ns = self.clock.now_ns()
         while self._next_tick_ns() <= now_ns:
-            self._tick()
+            self._run(now_ns)
 
     def _wait(self, deadline_ns: int) -> bool:
         """Let time pass until something has arrived, or to the deadline; whether something is there."""
         self._check_open()
         self._catch_up()
         while not self._arrived:
-            tick_ns = self._next_tick_ns()
-            if tick_ns > deadline_ns:
+            if self._next_tick_ns() > deadline_ns:
                 self.clock.sleep_until(deadline_ns)
                 return False
-            self._tick()
-            self.clock.sleep_until(tick_ns)
+            self.clock.sleep_until(self._run(deadline_ns))
             self._check_open()
         return True
 
-    def _tick(self) -> None:
-        while self._device_faults and self._device_faults[0].tick <= self._ticks:
-            fault = self._device_faults.pop(0).fault
-            if fault is Fault.EMERGENCY_STOP:
+    def _run(self, deadline_ns: int) -> int:
+        """Let the device tick until it says something, at most to a deadline that its next tick does not pass.
+
+        Returns the time of its last tick on the link's clock.
+        """
+        device = self.device
+        most = self._until_something_happens()
+        said, ticks = device.run(self._start_ns + deadline_ns * self._pace // _BILLION, most)
+        self._ticks += ticks
+        if self.line is None:
+            self._keep(said)
+        else:
+            late = self.line.receive(Direction.TO_DEVICE, self._ticks)
+            if late:
+                said += device.receive(late)
+            self._to_host(said)
+        return self._link_time(device.elapsed_ns)
+
+    def _until_something_happens(self) -> int:
+        """Let happen what is due; return the ticks up to the next of it."""
+        while self._happenings and self._happenings[0].tick <= self._ticks:
+            happening = self._happenings.pop(0)
+            if not isinstance(happening, DeviceFault):
+                happening.act(self.device)
+            elif happening.fault is Fault.EMERGENCY_STOP:
                 self.device.press_emergency_stop()
             else:
-                self.device.inject_fault(fault)
-        state = self.device.tick()
-        self._ticks += 1
-        if self.line is None:
-            self._keep(state)
-            return
-        late = self.line.receive(Direction.TO_DEVICE, self._ticks)
-        if late:
-            state += self.device.receive(late)
-        self._to_host(state)
+                self.device.inject_fault(happening.fault)
+        if self.line is not None:
+            return 1  # whose frames may be due at any tick
+        return self._happenings[0].tick - self._ticks if self._happenings else _LONG
 
     def _to_host(self, data: bytes) -> None:
         if self.line is not None:

@@ -19,15 +19,21 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from rig.errors import ConfigError
 from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
-from sim_backend.real_time import READ_BYTES, RealTime, sleep_until
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.real_time import READ_BYTES, FirmwareTime, Port, RealTime, sleep_until
 
 POSITION_RATE_DEFAULT = 1_000
 POSITION_RATE_MAXIMUM = 4_000  # what an ordinary kernel wakes a Python process for, with room for the frames
+FIRMWARE_RATE_MAXIMUM = (
+    20_000  # of compiled ticks, which need no waking each; beyond, a line of 3 Mbaud is full
+)
 PENDING_BYTES = 8192  # answers that the host has not read yet
+FIRMWARE_PENDING_BYTES = 65536  # and BATCH of 100 ms and more
 
 
 def serve(
@@ -36,6 +42,7 @@ def serve(
     rate: int = POSITION_RATE_DEFAULT,
     seed: int = 0,
     name: str | None = None,
+    firmware: bool = False,
     announce: Callable[[str], None] = print,
     stop_event: threading.Event | None = None,
     link_path: str | Path | None = None,
@@ -53,6 +60,8 @@ def serve(
         Of the sensor noise.
     name
         What the device calls itself; the model's name unless given.
+    firmware
+        The device is the firmware itself, compiled for this machine, which can run the law.
     announce
         Called once with the path of the port, when a host can open it.
     stop_event
@@ -69,31 +78,43 @@ def serve(
     Raises
     ------
     ConfigError
-        A rate that the port cannot carry, or `link_path` exists and is no symbolic link.
+        A rate that the port cannot carry, `link_path` exists and is no symbolic link, or the firmware cannot be made.
     """
-    if not 50 <= rate <= POSITION_RATE_MAXIMUM:
+    maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
+    if not 50 <= rate <= maximum:
         raise ConfigError(
-            f"rate = {rate} Hz is outside 50 … {POSITION_RATE_MAXIMUM}",
-            remedy="a pseudo-terminal in Python carries no more; run faster in virtual time (sim://)",
+            f"rate = {rate} Hz is outside 50 … {maximum}",
+            remedy="run faster in virtual time (sim://)"
+            + ("" if firmware else f", or as firmware, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
         )
-    device = SimulatedDevice(
-        model,
-        name=name,
-        position_rate_default=rate,
-        position_rate_maximum=POSITION_RATE_MAXIMUM,
-        seed=seed,
-        keep_truth=False,  # it would grow for ever, and nobody could read it
-    )
     stop = stop_event or threading.Event()
-    with _Port() as port, _linked(link_path, port.path), _signals(stop):
-        announce(str(link_path) if link_path is not None else port.path)
-        RealTime(device, port, stop).run(duration_s)
+    timed = _timed_firmware if firmware else _timed_device
+    pending = FIRMWARE_PENDING_BYTES if firmware else PENDING_BYTES
+    with _Port(pending) as port:
+        body = timed(model, port, stop, name=name, position_rate_default=rate, seed=seed)
+        with _linked(link_path, port.path), _signals(stop):
+            announce(str(link_path) if link_path is not None else port.path)
+            body.run(duration_s)
+
+
+# No truth is kept: it would grow for ever, and nobody could read it.
+
+
+def _timed_device(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> RealTime:
+    options |= {"position_rate_maximum": POSITION_RATE_MAXIMUM, "keep_truth": False}
+    return RealTime(SimulatedDevice(model, **options), port, stop)
+
+
+def _timed_firmware(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> FirmwareTime:
+    options |= {"position_rate_maximum": FIRMWARE_RATE_MAXIMUM, "keep_truth": False}
+    return FirmwareTime(FirmwareDevice(model, **options), port, stop)
 
 
 class _Port:
     """The master side of a pseudo-terminal in raw mode. No call blocks beyond its deadline."""
 
-    def __init__(self) -> None:
+    def __init__(self, pending: int = PENDING_BYTES) -> None:
+        self._room = pending
         self._master, slave = os.openpty()
         self.path = os.ttyname(slave)
         tty.setraw(slave)
@@ -127,9 +148,16 @@ class _Port:
 
     def write(self, frames: bytes) -> None:
         """Send answers, now or as soon as the host reads; a host that leaves kilobytes unread loses them."""
-        if self._hung_up or len(self._pending) + len(frames) > PENDING_BYTES:
+        if self._hung_up:
             return
-        self._pending += frames
+        self._flush()
+        if frames and len(self._pending) + len(frames) <= self._room:
+            self._pending += frames
+            self._flush()
+
+    def _flush(self) -> None:
+        if not self._pending:
+            return
         with contextlib.suppress(OSError):
             self._pending = self._pending[os.write(self._master, self._pending) :]
 

@@ -21,7 +21,7 @@ from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.plugs import ESTIMATOR, LAW
 from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
-from sim_backend.held import INTENTIONS
+from sim_backend.held import want
 from sim_backend.inner import Vector
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant, advance
@@ -62,16 +62,6 @@ class Trace:
         return len(self.counts)
 
 
-@kernel(types.int64(_FLOATS, types.int64, _MATRIX, types.int64, types.int64), inline=True, borrow=True)
-def _want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Put a row of the script into the state, before the age of the edge; return the next row. No rows: nothing."""
-    if script.shape[0] == 0:
-        return 0
-    for i in range(INTENTIONS):
-        state[edge_age - INTENTIONS + i] = script[row, i]
-    return row + 1 if row + 1 < script.shape[0] else again
-
-
 TRACE_TYPES = (_MATRIX, _INTS, _INTS, _INTS, _INTS)  # states, counts, phases, currents, flags
 RUN_TYPES = (
     ESTIMATOR, LAW, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
@@ -95,7 +85,7 @@ def run_ticks(
     wants in each tick and goes on at row `again` when it is over; see `sim_backend.operator.Script`.
     """
     m = memory[0]
-    row = _want(state, edge_age, script, 0, again)
+    row = want(state, edge_age, script, 0, again)
     count = advance(state, phi, gamma, plant, 0.0, external_effort)
     for k in range(len(counts)):
         units = min(
@@ -115,7 +105,7 @@ def run_ticks(
         flags[k] = m["flags"]
         if ends:
             return k + 1
-        row = _want(state, edge_age, script, row, again)
+        row = want(state, edge_age, script, row, again)
         count = advance(state, phi, gamma, plant, m["effort_sent"], external_effort)
     return len(counts)
 

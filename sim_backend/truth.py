@@ -23,13 +23,21 @@ class TruthLog:
 
     def add(self, sample_index: int, state: Vector) -> None:
         """Copy one state."""
-        row = self._size
-        if row == len(self._indices):
+        indices, states, row = self.room()
+        indices[row] = sample_index
+        states[row] = state
+        self._size = row + 1
+
+    def room(self) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
+        """Return the buffers, which have room for one row at least, and where it goes."""
+        if self._size == len(self._indices):
             self._indices = np.concatenate([self._indices, np.zeros_like(self._indices)])
             self._states = np.concatenate([self._states, np.zeros_like(self._states)])
-        self._indices[row] = sample_index
-        self._states[row] = state
-        self._size = row + 1
+        return self._indices, self._states, self._size
+
+    def written(self, size: int) -> None:
+        """Take note of rows that somebody else has put into the buffers: so many there are now."""
+        self._size = size
 
     def table(self) -> NDArray[np.void]:
         """Return the rows so far, dtype `rig.sample.TRUTH`."""

@@ -13,6 +13,7 @@ from rig.cli import options, output
 from rig.errors import ConfigError, IncompatibleDeviceError
 
 if TYPE_CHECKING:
+    from rig.config import Experiment
     from rig.firmware.boards import Board, Setting
     from rig.firmware.build import BuildResult
     from rig.firmware.info import FirmwareInfo
@@ -172,9 +173,9 @@ def selftest(
         from rig.firmware.selftest import SelfTestRequest, failure  # noqa: PLC0415
         from rig.firmware.selftest import selftest as run  # noqa: PLC0415
 
-    model = None if preset is None else _rig(preset)
-    request = SelfTestRequest(model=model, rate=rate, seconds=seconds, move=move, stream=stream)
-    with open_device(url, model) as device, Progress(quiet=as_json) as progress:
+    experiment = None if preset is None else _experiment(preset)
+    request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)
+    with open_device(url, request.model) as device, Progress(quiet=as_json) as progress:
         found = run(device, request, progress.told)
     if as_json:
         output.print_json(found.as_mapping())
@@ -210,9 +211,13 @@ class Progress:
 def _rig(preset: str) -> RigModel:
     from rig import config  # noqa: PLC0415
 
+    return config.rig_model(_experiment(preset))
+
+
+def _experiment(preset: str) -> Experiment:
     path = Path(preset)
     chosen = (path, None) if path.suffix == ".toml" else (None, preset)
-    return config.rig_model(options.chosen_experiment(*chosen))
+    return options.chosen_experiment(*chosen)
 
 
 def _settings(path: Path | None) -> dict[str, Any]:

@@ -19,10 +19,20 @@ def sim() -> None:
 @click.option(
     "--rig", "preset", default=options.DEFAULT_PRESET, show_default=True, help="Built-in rig or TOML file."
 )
-@click.option("--rate", type=int, default=None, help="Rate that the device advertises, 50 to 4000 Hz. [1000]")
+@click.option(
+    "--rate",
+    type=int,
+    default=None,
+    help="Rate that the device advertises, 50 to 4000 Hz, to 20000 Hz as firmware. [1000]",
+)
+@click.option(
+    "--firmware",
+    is_flag=True,
+    help="The device is the firmware, compiled for this machine: it can run the law.",
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sensor noise.")
 @click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
-def serve(preset: str, rate: int | None, seed: int, as_json: bool) -> None:
+def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
     from rig import config  # noqa: PLC0415
 
@@ -47,5 +57,5 @@ def serve(preset: str, rate: int | None, seed: int, as_json: bool) -> None:
                 f"{experiment.rig.name} is simulated there; try: rig hit --url serial://{port}", err=True
             )
 
-    chosen: dict[str, Any] = {} if rate is None else {"rate": rate}
+    chosen: dict[str, Any] = {"firmware": firmware} if rate is None else {"rate": rate, "firmware": firmware}
     serve_scheme("sim", config.rig_model(experiment), seed=seed, announce=announce, **chosen)

@@ -69,6 +69,9 @@ def _print(recording: Path, summary: TimingSummary) -> None:
     rate = f"one every {output.duration(summary.period_ns)}"
     click.echo(f"{recording}: {summary.ticks} ticks in {summary.duration_s:.4g} s, {rate}")
     output.print_table([("stage", "ticks", "least", "p50", "p99", "p99.9", "longest"), *_stages(summary)])
+    if summary.loop == "device":
+        click.echo("law on the device")
+        output.print_pairs(_on_device(summary))
     click.echo("counted apart")
     output.print_pairs(_counts(summary))
     click.echo("clock")
@@ -82,7 +85,8 @@ def _stages(summary: TimingSummary) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for name, stage in summary.stages.items():
         if stage is None:
-            rows.append((_label(name), "0", "", "unknown", "", "", ""))
+            if summary.loop == "host":
+                rows.append((_label(name), "0", "", "unknown", "", "", ""))
             continue
         quantiles = (_shown(quantile) for quantile in stage.quantiles.values())
         ends = output.duration(stage.minimum), output.duration(stage.maximum)
@@ -112,8 +116,22 @@ def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
     return [
         *pairs,
         ("samples that the law did not see", str(summary.passed_over)),
-        ("commands never seen in force", str(summary.never_in_force)),
-        ("commands sent at the end, unanswered", str(summary.unanswered)),
+    ] + (
+        []
+        if summary.loop == "device"
+        else [
+            ("commands never seen in force", str(summary.never_in_force)),
+            ("commands sent at the end, unanswered", str(summary.unanswered)),
+        ]
+    )
+
+
+def _on_device(summary: TimingSummary) -> list[tuple[str, str]]:
+    """What stands for the ways of a command that there was not."""
+    worst = "not told" if not summary.execution_ns else output.duration(summary.execution_ns)
+    return [
+        ("from a sample to its effort", "within the device's own tick: no command answers a sample"),
+        ("worst execution time of a tick", worst),
     ]
 
 

@@ -30,9 +30,11 @@ from rig.devices.device import Link
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 
 STOP_FRAMES = 5
+SUPERVISE_EVERY_S = 0.005  # a quarter of what a law on the device goes on without a word
 EXCHANGES = 8  # of the clock, when nobody says how many
 GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
 COUNT_TIMEOUT_S = 0.5
+READY_S, READY_AGAIN_S = 60.0, 0.05  # a small processor works out a long excitation in seconds
 FAULT_LOG_S = 2.0
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
@@ -214,18 +216,26 @@ class FramedDevice:
     def arm(self) -> int:
         """Open a session and return its number; the device streams STATE from now on, with zero effort.
 
-        Raises `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
+        A device that is still working out its excitation is asked again, for `READY_S` at most. Raises
+        `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
         """
         session = self._other_than(self._next_nonce() % 0xFF, self._session)
-        try:
-            self._arm(session)
-        except DeviceRefusedError as error:
-            if error.status != Status.STALE_SESSION:
-                raise
-            session = self._other_than(session, self._session)
-            self._arm(session)
-        self._session = session
-        return session
+        deadline_ns = self.link.clock.now_ns() + round(READY_S * 1e9)
+        while True:
+            try:
+                self._arm(session)
+            except DeviceRefusedError as error:
+                if error.status == Status.STALE_SESSION and session != self._other_than(
+                    session, self._session
+                ):
+                    session = self._other_than(session, self._session)
+                elif error.status != Status.NOT_READY or self.link.clock.now_ns() > deadline_ns:
+                    raise
+                else:
+                    self._listen_until(self.link.clock.now_ns() + round(READY_AGAIN_S * 1e9))
+                continue
+            self._session = session
+            return session
 
     def _arm(self, session: int) -> None:
         self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc or 0), session=session)
@@ -241,14 +251,37 @@ class FramedDevice:
         """Nonce of the last transaction: the compiled loop goes on from there with its clock exchanges."""
         return self._nonce
 
-    def take_back(self, *, next_command: int, newest_state: int, state: int, nonce: int) -> None:
+    def take_back(
+        self,
+        *,
+        next_command: int,
+        newest_state: int,
+        state: int,
+        nonce: int,
+        parameters_crc: int | None = None,
+    ) -> None:
         """Take the streams and the nonces back from the compiled loop (see `Connection.resume`).
 
-        A `state` that nobody knows counts as RUNNING: it must not keep the host from stopping.
+        A `state` that nobody knows counts as RUNNING: it must not keep the host from stopping. `parameters_crc` is the
+        fingerprint of the parameters in force, where the loop has changed some.
         """
         self._nonce = nonce
+        if parameters_crc is not None:
+            self._crc = parameters_crc
         known = State(state) if state in set(State) else State.RUNNING
         self.connection.resume(next_command=next_command, newest_state=newest_state, state=known)
+
+    def supervise(self, seconds: float, lifetime_us: int) -> list[m.Message]:
+        """Keep the law on an armed device going for a while; return the STATE and BATCH frames that come.
+
+        For a look at it, not for a run: the compiled loop supervises without Python.
+        """
+        said: list[m.Message] = []
+        end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
+        while (left_ns := end_ns - self.link.clock.now_ns()) > 0:
+            self.link.write(self.connection.send(m.Command(0, lifetime_us, int(m.Mode.SUPERVISE), 0, 0)))
+            said += [event.message for event in self._events(min(SUPERVISE_EVERY_S, left_ns * 1e-9))]
+        return [message for message in said if isinstance(message, m.State | m.Batch)]
 
     def stop(self) -> None:
         """Zero effort, now, several times. Cannot raise: what happens afterwards is somebody else's error."""

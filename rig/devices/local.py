@@ -10,7 +10,7 @@ import ctypes
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -66,10 +66,12 @@ def _check_served(scheme: str) -> None:
         raise ConfigError(f"{scheme}:// cannot be served", remedy=f"known: {', '.join(SERVERS)}")
 
 
-def _child(scheme: str, model: RigModel, seed: int, realtime: str, pipe: Any) -> None:
+def _child(
+    scheme: str, model: RigModel, seed: int, realtime: str, options: Mapping[str, Any], pipe: Any
+) -> None:
     os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
     _die_with_parent()
-    serve(scheme, model, realtime=realtime, seed=seed, announce=pipe.send)
+    serve(scheme, model, realtime=realtime, seed=seed, announce=pipe.send, **options)
 
 
 def _die_with_parent() -> None:
@@ -82,27 +84,27 @@ def _die_with_parent() -> None:
 def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "try") -> Iterator[str]:
     """Start a device process and yield the URL of its port; the process ends with the context.
 
-    A name in the URL wins over `model`, as in virtual time. `realtime` as in `serve`.
+    A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. `realtime` as in
+    `serve`.
 
     Raises
     ------
     ConfigError
-        A scheme that cannot be served, an unknown name, or an option: those belong to virtual time.
+        A scheme that cannot be served, an unknown name, or another option: those belong to virtual time.
     DeviceNotFoundError
         The process does not come up.
     """
     parsed = DeviceUrl.parse(url)
     _check_served(parsed.scheme)
-    if parsed.options:
-        raise ConfigError(
-            f"{url}: {next(iter(parsed.options))} has no effect in real time",
-            remedy="leave it out, or run in virtual time",
-        )
+    options = _served_options(parsed)
     described = simulated_model(parsed, model)
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(
-        target=_child, args=(parsed.scheme, described, seed, realtime, sender), name="rig-device", daemon=True
+        target=_child,
+        args=(parsed.scheme, described, seed, realtime, options, sender),
+        name="rig-device",
+        daemon=True,
     )
     process.start()
     sender.close()
@@ -114,6 +116,22 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
         if process.is_alive():
             process.kill()
             process.join(STOP_TIMEOUT_S)
+
+
+def _served_options(url: DeviceUrl) -> dict[str, Any]:
+    """Options of a URL that mean something in real time."""
+    options = dict(url.options)
+    firmware = options.pop("firmware", "0")
+    if options:
+        raise ConfigError(
+            f"{url.text}: {next(iter(options))} has no effect in real time",
+            remedy="leave it out, or run in virtual time",
+        )
+    if firmware not in ("0", "1"):
+        raise ConfigError(
+            f"{url.text}: firmware = {firmware} is neither 0 nor 1", remedy="give 1, or leave it out"
+        )
+    return {"firmware": True} if firmware == "1" else {}
 
 
 def _announced(receiver: Any, url: str) -> str:

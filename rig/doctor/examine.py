@@ -161,7 +161,8 @@ def examine(question: Question, told: Told = lambda what, share: None) -> Examin
 @contextmanager
 def _opened(question: Question) -> Iterator[FramedDevice]:
     """Open the device; a simulated one in real time becomes a process of its own."""
-    url = question.url or "sim://"
+    loop = question.changes.get("controller.loop", question.experiment.controller.loop)
+    url = devices.url_for(question.url or "sim://", loop)
     with ExitStack() as stack:
         if url.startswith("sim:") and question.realtime:
             experiment = config.with_realtime(question.experiment, question.changes)

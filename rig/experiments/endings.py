@@ -57,6 +57,12 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "the loop was told to stop and does not return; nothing more is sent, and the device cuts the effort by itself",
         "mend the law or the estimator: it must return at once; then start anew, since this program still computes it",
     ),
+    EndReason.DEVICE_ENDED: (
+        GuardError,
+        "the law on the device ended the run, at position {position} with velocity {velocity}, and the host's, in "
+        "other arithmetic, did not: window, speed limit or start; the effort is zero",
+        "check the wall, rig.limits and [homing]; see law_agreement in the recording's trailer",
+    ),
     EndReason.OVERRUN: (
         OverrunError,
         'a tick came more than one period late, and host.overrun = "stop"; the effort went to zero',

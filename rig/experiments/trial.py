@@ -7,9 +7,10 @@ depends on what went wrong before it.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import MAJOR, MINOR
+from firmware_protocol.parameter import Value
 from rig import controller as controllers
+from rig import device_law
 from rig.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.config import Experiment, as_mapping
 from rig.devices.framed import Echo, FaultReport, FramedDevice
@@ -109,7 +112,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         header = _header(device, request, controller, echo, realtime, fit_if_possible(exchanges[0]))
         with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
             try:
-                loop = _arm(device, request, controller, ring, realtime, signals)
+                loop = _arm(device, request, controller, parameters, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
                 raise
@@ -125,9 +128,9 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         error = StoppedError("stopped after the trial had finished; the effort is zero")
     if error is not None:
         error.recording = path
-        error.messages = (*device.link.messages, *realtime.messages)
+        error.messages = (*device.link.messages, *realtime.messages, *loop.messages())
         raise error from end.error
-    return TrialEnd(path, end.reason, end.counters, tuple(realtime.messages))
+    return TrialEnd(path, end.reason, end.counters, (*realtime.messages, *loop.messages()))
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
@@ -151,10 +154,12 @@ def _arm(
     device: FramedDevice,
     request: TrialRequest,
     controller: Controller,
+    parameters: Mapping[str, Value],
     ring: Ring,
     realtime: Realtime,
     signals: Signals,
 ) -> LoopThread:
+    """Arm the device, and make the loop that goes with where the law runs."""
     experiment, host, virtual = request.experiment, request.experiment.host, device.link.clock.virtual
     period_s = 1.0 / experiment.controller.position_rate
     settings = LoopSettings(
@@ -171,15 +176,37 @@ def _arm(
         wake_descriptor=signals.descriptor,
         exchange_every_ns=exchange.EVERY_NS,
     )
-    return LoopThread(
-        device.link,
-        controller,
+    common: dict[str, Any] = {"realtime": realtime, "heartbeat_s": host.heartbeat_s, "nonce": device.nonce}
+    if experiment.controller.loop == "host":
+        return LoopThread(device.link, controller, settings, ring, **common)
+    return _supervising(device, request, controller, parameters, settings, ring, common)
+
+
+def _supervising(
+    device: FramedDevice,
+    request: TrialRequest,
+    controller: Controller,
+    parameters: Mapping[str, Value],
+    settings: LoopSettings,
+    ring: Ring,
+    common: Mapping[str, Any],
+) -> LoopThread:
+    """The loop of a law on the device, which says how to go on and computes the same rows."""
+    from rig.loop.supervised import BOUNDS, SupervisedThread  # noqa: PLC0415  (compiled only where it is wanted)
+
+    arithmetic = device_law.arithmetic_of(request.experiment.controller)
+    armed = Controller.from_mapping(
+        controller.as_mapping(), law=controller.law.law
+    )  # the loop changes its own
+    settings = replace(
         settings,
-        ring,
-        realtime=realtime,
-        heartbeat_s=host.heartbeat_s,
-        nonce=device.nonce,
+        lifetime_us=int(parameters["supervise_lifetime_us"]),
+        supervise_every_ns=round(device_law.SUPERVISE_EVERY_S * 1e9),
+        batch_samples=int(parameters["batch_samples"]),
+        agreement_quanta=BOUNDS[arithmetic],
     )
+    live = partial(device_law.live_parameters, armed, arithmetic)
+    return SupervisedThread(device.link, controller, settings, ring, live=live, **common)
 
 
 def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
@@ -225,9 +252,7 @@ def _conclude(
         Exception
     ):  # the far end may be gone, or the simulation broken: what ended the run is known
         if end.reason == EndReason.DEVICE_FAULT:
-            fault = device.explain_fault(
-                int(rows["fault"][-1])
-            )  # what STATE says, in case nobody answers now
+            fault = device.explain_fault(loop.fault)  # what STATE says, in case nobody answers now
             fault = device.fault_report()
         device.disarm(clear_fault=True)
         # At rest nothing delays an answer: with those before the run these hold the line that the run's scatter about.
@@ -267,9 +292,17 @@ def _header(
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
         initial_state=controller.as_mapping(),
-        extra={"loop": "host", **request.extra},
+        extra={**_where_the_law_runs(experiment), **request.extra},
         host={"scheduling": realtime.report},
     )
+
+
+def _where_the_law_runs(experiment: Experiment) -> dict[str, Any]:
+    """What the header says of it; firmware and parameters of a device stand in its identity."""
+    rates = experiment.controller
+    if rates.loop == "host":
+        return {"loop": "host"}
+    return {"loop": "device", "arithmetic": device_law.arithmetic_of(rates)}
 
 
 def _trailer(
@@ -290,4 +323,5 @@ def _trailer(
         "exchanges": [list(stamps) for stamps in exchanges.tolist()],
         "clock": None if clock is None else clock.as_mapping(),
         "scheduling": realtime.report,
+        **loop.findings(),
     }

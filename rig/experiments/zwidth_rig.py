@@ -140,14 +140,14 @@ class _Bench:
 def _opened(plan: MapPlan, session: Session) -> Iterator[FramedDevice]:
     """Open the device of a session."""
     model = config.rig_model(plan.experiment)
-    if session.realtime and session.url.startswith("sim:"):
+    url = devices.url_for(session.url, plan.experiment.controller.loop)
+    if session.realtime and url.startswith("sim:"):
         with (
-            serve_locally(session.url, model, seed=plan.experiment.trial.seed) as port,
+            serve_locally(url, model, seed=plan.experiment.trial.seed) as port,
             devices.open_device(port) as device,
         ):
             yield device
     else:
-        url = devices.url_for(session.url, plan.experiment.controller.loop)
         with devices.open_device(url, model) as device:
             yield device
 

@@ -26,7 +26,8 @@ SettingValue = int | float | str
 class Setting:
     """A pin, a scale or a choice of a board, which the C sources see as ``BOARD_NAME``.
 
-    A whole default asks for a whole number, a default with a point for any number, a text for one of `choices`.
+    A whole default asks for a whole number, a default with a point for any number, a text for one of `choices`. With
+    `pins` it is the first of so many pins, which nothing else may use.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Setting:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    pins: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,10 +168,25 @@ def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingVal
         if name not in board.settings:
             known = ", ".join(board.settings) or "none"
             raise ConfigError(f"board {board.name} has no setting {name!r}", remedy=f"its settings: {known}")
-    return {
+    values = {
         name: _checked(board, setting, chosen.get(name, setting.default))
         for name, setting in board.settings.items()
     }
+    _check_pins(board, values)
+    return values
+
+
+def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
+    """Refuse two uses of one pin."""
+    used: dict[int, str] = {}
+    for name, setting in board.settings.items():
+        for pin in range(int(values[name]), int(values[name]) + setting.pins) if setting.pins else ():
+            if pin in used:
+                raise ConfigError(
+                    f"{used[pin]} and {name} of board {board.name} both use pin {pin}",
+                    remedy=f"choose another pin for one of them: {name} takes {setting.pins} in a row",
+                )
+            used[pin] = name
 
 
 def _checked(board: Board, setting: Setting, value: Any) -> SettingValue:

@@ -13,10 +13,14 @@ from typing import Any, Literal
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Input, Status
+from firmware_protocol.faults import Fault, Input, Status
+from firmware_protocol.packing import unpack_batch_samples
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
+from rig import config
 from rig.board import describe
+from rig.config import Experiment
+from rig.controller import device_parameters
 from rig.devices.framed import FramedDevice
 from rig.errors import DeviceRefusedError, RigError
 from rig.firmware.info import compatibility
@@ -28,7 +32,8 @@ VIRTUAL_S = 0.1  # where time costs computing
 DRIFT_LIMIT_PPM = 300.0  # two crystals differ by less than 200; an RC oscillator by thousands
 RATE_LIMIT_PPM = 300.0
 JITTER_LIMIT = 0.05  # of a period: the time between two samples is what a velocity is divided by
-INPUTS_S = 0.05
+INPUTS_S, INPUTS_LOOKS = 0.05, 20
+STREAM_SHARE = 0.9  # of the ticks must be told: the rest is beginning and end
 MOVE_COUNTS = 20  # a hand moves farther; one channel alone, or noise, does not
 MOVE_LOOK_S, REST_S = 0.1, 0.5
 MOVE_LOOKS = 2_000  # STATE frames of an unarmed device: twenty seconds
@@ -44,8 +49,8 @@ class SelfTestRequest:
 
     Attributes
     ----------
-    model
-        The rig to which the image should belong; None: do not compare.
+    experiment
+        The rig to which the image should belong, and the law for `stream`; None: do not compare.
     rate
         Tick rate to count at (Hz); None: the device's maximum.
     seconds
@@ -56,11 +61,16 @@ class SelfTestRequest:
         Whether to arm, with a current limit of zero, and check the samples of the law on the device.
     """
 
-    model: RigModel | None = None
+    experiment: Experiment | None = None
     rate: int | None = None
     seconds: float = 1.0
     move: bool = False
     stream: bool = False
+
+    @property
+    def model(self) -> RigModel | None:
+        """The rig to compare with."""
+        return None if self.experiment is None else config.rig_model(self.experiment)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +144,7 @@ def selftest(
         ("ticks", _ticks),
         ("inputs", _inputs),
         ("encoder", _encoder),
+        ("stream", _stream),
         ("link", _link),
     ]
     checks = []
@@ -177,10 +188,11 @@ def _protocol(device: FramedDevice, _request: SelfTestRequest) -> Check:
 
 def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     dictionary = device.dictionary
-    if request.model is None:
+    model = request.model
+    if model is None:
         return Check("rig", "skipped", f"it says {dictionary.device}; --rig compares it with yours")
     ours = describe(
-        request.model,
+        model,
         firmware=dictionary.firmware,
         simulated=dictionary.simulated,
         rate_default=dictionary.position_rate_default,
@@ -195,9 +207,9 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
         if theirs != wanted
     ]
     if differ:
-        remedy = f"build the image for this rig: rig firmware build --rig {request.model.name}, and flash it"
+        remedy = f"build the image for this rig: rig firmware build --rig {model.name}, and flash it"
         return Check("rig", "failed", f"the image is for {dictionary.device}: {', '.join(differ)}", remedy)
-    return Check("rig", "ok", f"{dictionary.device}, of the same scales and limits as {request.model.name}")
+    return Check("rig", "ok", f"{dictionary.device}, of the same scales and limits as {model.name}")
 
 
 def _most(dictionary: Any, name: str) -> float:
@@ -331,7 +343,8 @@ def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
 
 
 def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    states = device.states(INPUTS_S)
+    looks = (device.states(INPUTS_S) for _ in range(INPUTS_LOOKS))
+    states = next((found for found in looks if found), [])
     if not states:
         return Check("inputs", "failed", "no STATE came", "update its firmware")
     inputs = states[-1].inputs
@@ -381,6 +394,73 @@ def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
     way = (last - first) * model.encoder.sign * model.encoder.resolution
     direction = "rose" if way > 0.0 else "fell"
     return f"{text}: the position {direction} by {abs(way):.4g} {unit_of('position', model.motion)}"
+
+
+# ------------------------------------------------------------------ the law on the device
+
+
+def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
+    law = device.dictionary.parameter("law")
+    if law is None or law.maximum == 0:
+        return Check("stream", "skipped", "it has no law of its own")
+    if not request.stream or request.experiment is None:
+        return Check("stream", "skipped", "--stream with --rig runs its law with a current limit of zero")
+    experiment = config.override(request.experiment, {"controller.loop": "device"})
+    before = device.in_force()
+    wanted = device_parameters(
+        experiment,
+        current_quantum_a=device.dictionary.current_quantum_a,
+        reference_count=device.count(),
+        verified=True,
+    )
+    device.configure({**wanted, "current_limit": 0, "hold_to_run": 0})
+    try:
+        device.arm()
+        said = device.supervise(request.seconds, int(wanted["supervise_lifetime_us"]))
+        device.stop()
+        device.disarm(clear_fault=True)
+    finally:
+        device.configure(before)
+    return judge_stream(said, experiment.controller.position_rate * request.seconds)
+
+
+def judge_stream(said: list[m.Message], ticks: float) -> Check:
+    """Judge what a supervised device has said while it was to run so many ticks without a current."""
+    batches = [message for message in said if isinstance(message, m.Batch)]
+    states = {message.sample_index: message for message in said if isinstance(message, m.State)}
+    rows, gaps = _rows(batches)
+    remedy = "flash the device again; keep motor power off"
+    faults = {state.fault for state in states.values() if state.fault}
+    if faults:
+        return Check(
+            "stream", "failed", f"it latched {', '.join(Fault(code).name for code in faults)}", remedy
+        )
+    if any(current for _, current in rows.values()):
+        return Check("stream", "failed", "it drove a current although the limit was zero", remedy)
+    differ = [index for index, state in states.items() if index in rows and rows[index][0] != state.count]
+    if differ:
+        return Check(
+            "stream", "failed", f"BATCH and STATE tell different counts in {len(differ)} ticks", remedy
+        )
+    text = f"{len(rows)} samples in {len(batches)} frames, {gaps} gaps"
+    if gaps or len(rows) < STREAM_SHARE * ticks:
+        slower = "take a lower rate, a faster link, or free the computer: rig doctor says what it can do"
+        return Check("stream", "failed", f"{text}, where {ticks:.0f} ticks passed", slower)
+    return Check("stream", "ok", f"{text}; no current")
+
+
+def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
+    """Return count and current by sample index, and how often an index was left out."""
+    rows: dict[int, tuple[int, int]] = {}
+    gaps = 0
+    for number, batch in enumerate(batches):
+        if number and (batch.first_index - 1) % 2**32 not in rows:
+            gaps += 1
+        count = batch.base_count
+        for offset, (difference, current, *_) in enumerate(unpack_batch_samples(batch)):
+            count += difference
+            rows[(batch.first_index + offset) % 2**32] = (count, current)
+    return rows, gaps
 
 
 def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:

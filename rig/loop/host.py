@@ -16,16 +16,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import types
 
-from firmware_protocol import codec
-from firmware_protocol.codec import COMMAND, STATE
+from firmware_protocol.codec import STATE
 from firmware_protocol.connection import State
 from firmware_protocol.kernel import kernel
-from firmware_protocol.messages import Mode
 from rig import ring
 from rig.devices.framed import STOP_FRAMES
+from rig.loop.commands import MODE_CURRENT, MODE_STOP, send_command
+from rig.loop.ending import CLOSED, FAULT, OVERRUN, SILENT, STOPPED, ended_by_law, told_to_end
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
     BYTES,
@@ -37,48 +36,17 @@ from rig.loop.layout import (
     ROWS_TYPE,
     SETTINGS_TYPE,
     WORD,
-    EndReason,
 )
 from rig.loop.parameters import renew_parameters
 from rig.loop.receive import add, drain, newest_state
 from rig.loop.rows import FLAG_GAP, FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
 from rig.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
-from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, step
-from rig.step import HOMING_FAILED as FLAG_HOMING
-from rig.step import NONFINITE as FLAG_NONFINITE
-from rig.step import OUT_OF_WINDOW as FLAG_WINDOW
-from rig.system import woken_by_signal
+from rig.step import CONTROL_TYPE, MEMORY_TYPE, step
 from rig.words import load_word, store_word
 
-_MODE_CURRENT, _MODE_STOP, _FAULT_STATE = int(Mode.CURRENT), int(Mode.STOP), int(State.FAULT)
-_FINISHED, _STOPPED, _HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED", "HEARTBEAT_MISSED"))
-_CLOSED, _SILENT, _FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT", "DEVICE_FAULT"))
-_NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
-_OVERRUN = int(EndReason.OVERRUN)
+_FAULT_STATE = int(State.FAULT)
 SHORTEST_WAIT_NS = 200_000
 LONGEST_WAIT_NS = 10_000_000
-
-
-@kernel(
-    types.int64(TRANSFER, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, INTS, BYTES, types.int64, types.int64)
-)
-def _send(
-    write: Any, link: int, settings: Any, progress: Any, command: Any, transmit: Any, mode: int, current: int
-) -> int:
-    """Send one COMMAND: 1 when the link took it whole, 0 when not, negative errno when the link is broken."""
-    p = progress[0]
-    command[COMMAND.state_sequence] = p["answers"]
-    command[COMMAND.lifetime_us] = settings[0]["lifetime_us"]
-    command[COMMAND.mode] = mode
-    command[COMMAND.current] = current
-    size = codec.encode_command(settings[0]["session"], p["sequence"], command, transmit)
-    p["sequence"] = (p["sequence"] + 1) % 65536
-    if size < 0:  # a value that no field of the wire holds: nothing leaves
-        return 0
-    sent = write(link, np.int64(transmit.ctypes.data), size)
-    if sent < 0:
-        return int(sent)
-    return 1 if sent == size else 0
 
 
 @kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
@@ -95,34 +63,12 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 @kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
     """End reason that follows from this tick, 0 to go on."""
-    flags = memory[0]["flags"]
-    reason = 0
     if state[STATE.fault] != 0 or state[STATE.state] == _FAULT_STATE:
-        reason = _FAULT
-    elif flags & FLAG_NONFINITE:
-        reason = _NONFINITE
-    elif flags & FLAG_WINDOW:
-        reason = _WINDOW
-    elif flags & FLAG_HOMING:
-        reason = _HOMING
-    elif memory[0]["phase"] == DONE:
-        reason = _FINISHED
-    elif settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
-        reason = _OVERRUN
-    return reason
-
-
-@kernel(types.int64(NOW, types.int64, SETTINGS_TYPE, types.uintp))
-def _told_to_end(now: Any, clock: int, settings: Any, words: int) -> int:
-    """Reason to end that came from outside, or 0: the stop word, a signal, a supervisor that fell silent."""
-    if woken_by_signal(settings[0]["wake_descriptor"]) != 0:
-        store_word(words + WORD * ring.STOP, 1)
-    if load_word(words + WORD * ring.STOP) != 0:
-        return _STOPPED
-    alive_until = load_word(words + WORD * ring.HEARTBEAT)
-    if alive_until != 0 and now(clock) > alive_until:
-        return _HEARTBEAT
-    return 0
+        return FAULT
+    reason = ended_by_law(memory)
+    if reason == 0 and settings[0]["stop_when_late"] != 0 and _overran(settings, memory, progress):
+        reason = OVERRUN
+    return int(reason)
 
 
 @kernel(types.void(WAIT, NOW, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp))
@@ -158,7 +104,7 @@ def _receive(
 ) -> int:  # fmt: skip
     """Wait for the next beat, one period at most: samples passed, 0 for none, or minus the reason to end."""
     s, p = settings[0], progress[0]
-    reason = _told_to_end(now, clock, settings, words)
+    reason = told_to_end(now, clock, settings, words)
     if reason != 0:
         return _ENDS * reason
     until_ns = now(clock)
@@ -182,9 +128,9 @@ def _receive(
         return int(passed)
     if ready < 0:
         store_word(words + WORD * ring.END_ERRNO, -ready)
-        return _ENDS * _CLOSED
+        return _ENDS * CLOSED
     if p["read_at"] - p["last_fresh"] > s["lost_after_ns"]:
-        return _ENDS * _SILENT
+        return _ENDS * SILENT
     if s["host_paced"] != 0:
         add(words, ring.STALE, 1)
     return _NO_SAMPLE
@@ -254,18 +200,18 @@ def run(
         if (
             load_word(words + WORD * ring.STOP) == ring.ABANDONED
         ):  # a law that took for ever: nobody waits for us
-            store_word(words + WORD * ring.END_REASON, _STOPPED)
-            return _STOPPED
+            store_word(words + WORD * ring.END_REASON, STOPPED)
+            return STOPPED
         computed_ns = now(clock)
         flag_timing(settings, memory, progress, elapsed, words)
-        mode = _MODE_CURRENT
+        mode = MODE_CURRENT
         reason = _outcome(state, settings, memory, progress)
         if reason != 0:
-            mode = _MODE_STOP
+            mode = MODE_STOP
             current = 0
             m["effort_sent"] = 0.0
             m["current_sent"] = 0
-        taken = _send(write, link, settings, progress, command, transmit, mode, current)
+        taken = send_command(write, link, settings, progress, command, transmit, mode, current)
         sent_ns = now(clock)
         add(words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
         leave_row(
@@ -289,8 +235,8 @@ def run(
             taken = ask_time(write, now, link, clock, settings, progress, question, transmit)
         if taken < 0:
             store_word(words + WORD * ring.END_ERRNO, -taken)
-            reason = _CLOSED
+            reason = CLOSED
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
-        _send(write, link, settings, progress, command, transmit, _MODE_STOP, 0)
+        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0)
     store_word(words + WORD * ring.END_REASON, reason)
     return int(reason)

@@ -32,6 +32,7 @@ class EndReason(IntEnum):
     LAW_RAISED = 10  # law or estimator raised an exception (set by the caller)
     OVERRUN = 11  # a tick came more than one period late, and the settings say that this ends the run
     STUCK = 12  # told to stop, it did not return: law or estimator never came back (set by the caller)
+    DEVICE_ENDED = 13  # the law on the device ended the run, the host's, in other arithmetic, did not
 
 
 SETTINGS = np.dtype(
@@ -49,6 +50,12 @@ SETTINGS = np.dtype(
         ("spin_ns", "<i8"),  # host-paced: the last part of each wait, awake
         ("wake_descriptor", "<i8"),  # where signals are written (signal.set_wakeup_fd), or -1
         ("exchange_every_ns", "<i8"),  # time between clock exchanges, or 0 for none
+        ("supervise_every_ns", "<i8"),  # law on the device: time between two COMMANDs; 0: the law runs here
+        ("batch_samples", "<i8"),  # law on the device: most samples in a BATCH
+        (
+            "agreement_quanta",
+            "<i8",
+        ),  # law on the device: by how much its current may differ from the host's law
     ],
     align=True,
 )

@@ -37,6 +37,26 @@ def put_in_force(control: Any, law_parameters: Any, values: Any) -> None:
 
 
 @kernel(
+    types.void(CONTROL_TYPE, FLOATS, FLOATS, FLOAT_ROWS, PROGRESS_TYPE, types.int64, types.uintp),
+)
+def begin_set(
+    control: Any, law_parameters: Any, waiting: Any, sets: Any, progress: Any, tick: int, words: int
+) -> None:
+    """Put the set that waits in force from this tick on, and keep it for a replay."""
+    p = progress[0]
+    put_in_force(control, law_parameters, waiting)
+    row = sets[p["sets"]]
+    row[0] = p["waiting_set"]
+    row[1] = tick
+    for i in range(len(waiting)):
+        row[2 + i] = waiting[i]
+    p["sets"] += 1
+    p["parameter_set"] = p["waiting_set"]
+    p["waiting_set"] = 0
+    store_word(words + WORD * ring.PARAMETER_SET, p["parameter_set"])
+
+
+@kernel(
     types.void(
         types.uintp,
         CONTROL_TYPE,
@@ -80,13 +100,4 @@ def renew_parameters(
         return
     if inside(control, control[0]["wall_position"], count) or inside(control, waiting[0], count):
         return
-    put_in_force(control, law_parameters, waiting)
-    row = sets[p["sets"]]
-    row[0] = p["waiting_set"]
-    row[1] = tick
-    for i in range(len(waiting)):
-        row[2 + i] = waiting[i]
-    p["sets"] += 1
-    p["parameter_set"] = p["waiting_set"]
-    p["waiting_set"] = 0
-    store_word(words + WORD * ring.PARAMETER_SET, p["parameter_set"])
+    begin_set(control, law_parameters, waiting, sets, progress, tick, words)

@@ -22,14 +22,23 @@ ROOM_POLL_NS = 50_000
 FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 
-@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
-def lateness(settings: Any, progress: Any, received_ns: int) -> int:
-    """Device-paced: receipt behind the grid of the sample index, against the earliest receipt so far (ns)."""
+@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64, types.int64, types.int64))
+def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, received_ns: int) -> int:
+    """Receipt of a sample behind the grid of the sample index, against the earliest receipt so far (ns).
+
+    `ticks` is how many have passed since the last call: so far the host's grid may have stretched.
+    """
     p = progress[0]
-    offset = received_ns - p["sample_index"] * settings[0]["period_ns"]
-    stretched = p["earliest"] + settings[0]["period_ns"] * DRIFT_PPM // 1_000_000
+    offset = received_ns - sample_index * settings[0]["period_ns"]
+    stretched = p["earliest"] + ticks * settings[0]["period_ns"] * DRIFT_PPM // 1_000_000
     p["earliest"] = min(offset, stretched)
     return int(offset - p["earliest"])
+
+
+@kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
+def lateness(settings: Any, progress: Any, received_ns: int) -> int:
+    """Device-paced: how late the newest sample came (ns)."""
+    return int(behind_grid(settings, progress, progress[0]["sample_index"], 1, received_ns))
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))

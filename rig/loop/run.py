@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from firmware_protocol.codec import STATE
 from rig import ring as words
 from rig.devices.device import Link
-from rig.loop.host import run
+from rig.loop import host
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason
 from rig.mailbox import SET_FLOATS
 from rig.ring import Ring
@@ -50,6 +50,9 @@ class LoopSettings:
     spin_ns: int = 0
     wake_descriptor: int = -1
     exchange_every_ns: int = 0
+    supervise_every_ns: int = 0
+    batch_samples: int = 1
+    agreement_quanta: int = 0
 
     def as_array(self) -> NDArray[np.void]:
         """Return the length-1 array that the compiled loop reads."""
@@ -159,12 +162,16 @@ class LoopThread:
                 if time.monotonic() - told_at > JOIN_S:
                     return
             self._live()
+            self._attend()
             if progress is not None:
                 progress(self.ring.get(words.TICKS), self.ring.get(words.PHASE))
 
     def _live(self) -> None:
         if self._heartbeat_ns:
             self.ring.put(words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
+
+    def _attend(self) -> None:
+        """Do what else the loop wants of Python now and then."""
 
     def finish(self) -> None:
         """Stop the loop if it still runs, and wait until it has ended. Cannot raise; Ctrl-C again changes nothing."""
@@ -183,6 +190,19 @@ class LoopThread:
         failure = self._error or self._link.failure()
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
         return LoopEnd(reason, failure, counters)
+
+    @property
+    def fault(self) -> int:
+        """Fault that the newest STATE told, 0 for none."""
+        return int(self._buffers.state[STATE.fault])
+
+    def messages(self) -> list[str]:
+        """What the user should hear of the run, besides how it ended."""
+        return []
+
+    def findings(self) -> dict[str, Any]:
+        """What the recording's trailer should have of the run, besides what every run has."""
+        return {}
 
     def exchanges(self) -> NDArray[np.int64]:
         """The clock exchanges of the run: rows of four stamps (`rig.clock_fit.EXCHANGE`), oldest first."""
@@ -223,7 +243,7 @@ class LoopThread:
         try:
             if self._realtime is not None:
                 self._realtime.enter_thread()
-            run(*self._arguments())
+            self._run()
         except Exception as error:
             # A law or an estimator of a user raised: the compiled loop is gone without its stop path. The
             # caller sends STOP next; this thread only says what happened. Compiled code has no frames to show,
@@ -233,6 +253,9 @@ class LoopThread:
         finally:
             self.ring.put(words.LOOP_DONE, 1)
             self._ended.set()
+
+    def _run(self) -> None:
+        host.run(*self._arguments())
 
     def _arguments(self) -> tuple[Any, ...]:
         port = self._link.port()

@@ -61,7 +61,8 @@ def ledger_of(recording: Recording) -> Ledger:
         raise RecordingError(
             "the recording has no rows", remedy="its loop never saw a sample: nothing to time"
         )
-    return ledger(recording.rows, clock_of(recording), period_ns_of(recording))
+    loop = str((recording.header.get("extra") or {}).get("loop", "host"))
+    return ledger(recording.rows, clock_of(recording), period_ns_of(recording), loop)
 
 
 def clock_of(recording: Recording) -> ClockFit | None:

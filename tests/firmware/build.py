@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-import firmware_protocol
+from sim_backend.firmware_library import FIRMWARE, PARTS, sources
 
-FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
-CORE = [*sorted((FIRMWARE / "core").glob("*.c")), *sorted((FIRMWARE / "law").glob("*.c"))]
-SOURCES = [*CORE, FIRMWARE / "host" / "host.c"]
+__all__ = ["CORE", "FIRMWARE", "SOURCES"]
+CORE = [path for part in PARTS if part != "host" for path in sorted((FIRMWARE / part).glob("*.c"))]
+SOURCES = sources()
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 FLAGS = ("-std=c99", "-O1", "-g", "-ffp-contract=off", *WARNINGS)
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")

@@ -6,13 +6,14 @@ import ctypes
 
 import pytest
 
-from tests.firmware import build, core
+from sim_backend import firmware_library
+from tests.firmware import build
 from tests.firmware.law.law_library import LawLibrary, compile_law
 
 
 @pytest.fixture(scope="session")
 def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    return core.load(build.library(tmp_path_factory.mktemp("firmware")))
+    return firmware_library.load(build.library(tmp_path_factory.mktemp("firmware")))
 
 
 @pytest.fixture(scope="session")

@@ -1,17 +1,26 @@
-"""The cross compiler and the emulator for tests, and images that are built once in a test process."""
+"""The cross compiler and the emulator for tests, and what is built with them: once for each state of the sources."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import shutil
 import subprocess
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from firmware_protocol.kernel import (
+    CACHE_DIRECTORY,
+)  # carries a hash of every Python file: what generates C, too
 from rig import config, presets
-from rig.firmware.build import BuildRequest, BuildResult, build
-from rig.firmware.toolchain import COMPILER
+from rig.firmware import boards
+from rig.firmware.build import BuildRequest, BuildResult, build, sources_hash
+from rig.firmware.toolchain import COMPILER, find_compiler
+from tests.firmware.build import FIRMWARE
 
 RIG = "koul-rigid"
 
@@ -38,8 +47,39 @@ def need_qemu() -> str:
     return path
 
 
-def image(board: str, directory: Path, application: str = "device", rig: str = RIG) -> BuildResult:
-    """Build an image into a directory of its own."""
+@functools.cache
+def image(board: str, application: str = "device", rig: str = RIG) -> BuildResult:
+    """Return an image, built when nobody has yet."""
     need_compiler()
     model = config.rig_model(presets.load(rig))
-    return build(BuildRequest(model=model, board=board, output=directory, application=application))
+
+    def make(output: Path) -> None:
+        request = BuildRequest(model=model, board=board, output=output, application=application)
+        told = build(request).as_mapping()
+        (output / "built.json").write_text(json.dumps(told))
+
+    made = cached(f"image {board} {application} {rig} {sources_of(board)} {find_compiler()}", make)
+    told = json.loads((made / "built.json").read_text())
+    paths = {kind: made / Path(told[kind]).name for kind in ("elf", "bin", "uf2", "facts") if told[kind]}
+    return BuildResult(**{**told, **paths})
+
+
+def sources_of(board: str) -> str:
+    """Fingerprint of all C files that an image for tests may have."""
+    host = b"".join(path.read_bytes() for path in sorted((FIRMWARE / "host").iterdir()))
+    return sources_hash(boards.load(board)) + hashlib.sha256(host).hexdigest()[:12]
+
+
+def cached(key: str, make: Callable[[Path], None]) -> Path:
+    """Return a directory that `make` has filled for this key, now or in an earlier run; two may try at once."""
+    path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    if not path.exists():
+        with tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY, prefix="test-") as workplace:
+            made = Path(workplace) / "made"
+            made.mkdir()
+            make(made)
+            try:
+                made.rename(path)
+            except OSError:
+                assert path.exists()  # somebody else was quicker
+    return path

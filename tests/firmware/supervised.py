@@ -17,9 +17,9 @@ from firmware_protocol.parameters import encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import FORMATS
 from rig.model import RigModel
+from sim_backend.firmware import Core, FirmwareDevice
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig
-from tests.firmware.core import Core, CoreDevice
 
 RATE = 2_000
 SUPERVISED_HZ = 200
@@ -192,7 +192,7 @@ class Rig(Supervisor):
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         super().__init__()
-        self.device = CoreDevice(library, model, law_maximum=2, **options)
+        self.device = FirmwareDevice(model, library=library, **options)
         self.core = self.device.core
 
     def receive(self, data: bytes) -> bytes:

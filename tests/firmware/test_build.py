@@ -4,7 +4,7 @@ import json
 import os
 import re
 import subprocess
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 
 import pytest
 
@@ -51,8 +51,8 @@ def model():
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    return cross.image(BOARD, tmp_path_factory.mktemp("image"))
+def built():
+    return cross.image(BOARD)
 
 
 def test_the_constant_in_c_is_the_rig(model, tmp_path):
@@ -118,7 +118,8 @@ def test_the_same_inputs_give_the_same_bytes(built, tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "elsewhere"))
     monkeypatch.setattr("tempfile.tempdir", None)
-    again = cross.image(BOARD, tmp_path / "again")
+    rig = config.rig_model(presets.load(cross.RIG))
+    again = build(BuildRequest(model=rig, board=BOARD, output=tmp_path / "again"))
     for first, second in zip(
         (built.elf, built.bin, built.facts), (again.elf, again.bin, again.facts), strict=True
     ):
@@ -168,6 +169,10 @@ def test_boards_and_settings_that_are_none_are_refused(model, tmp_path):
         build(BuildRequest(model=model, board=BOARD, output=tmp_path / "file"))
 
 
+def with_settings(*settings):
+    return replace(boards.load("mps2"), settings={setting.name: setting for setting in settings})
+
+
 SETTING = boards.Setting(name="pin", default=3, meaning="where", minimum=0, maximum=29)
 SCALE = boards.Setting(name="scale", default=0.5, meaning="how much", unit="A", minimum=0.0)
 LINK = boards.Setting(name="link", default="usb", meaning="which", choices=("usb", "uart"))
@@ -185,11 +190,17 @@ LINK = boards.Setting(name="link", default="usb", meaning="which", choices=("usb
     ],
 )
 def test_a_setting_takes_what_it_may_be(setting, good, bad):
-    board = boards.load("mps2")
-    board = boards.Board(
-        **{**{f.name: getattr(board, f.name) for f in fields(board)}, "settings": {setting.name: setting}}
-    )
+    board = with_settings(setting)
     assert boards.settings_of(board, {})[setting.name] == setting.default
     assert boards.settings_of(board, {setting.name: good})[setting.name] == good
     with pytest.raises(ConfigError, match="give "):
         boards.settings_of(board, {setting.name: bad})
+
+
+def test_no_pin_is_used_twice():
+    encoder = boards.Setting(name="encoder", default=2, meaning="A, then B", pins=2)
+    enable = boards.Setting(name="enable", default=4, meaning="on", pins=1)
+    board = with_settings(encoder, enable)
+    assert boards.settings_of(board, {"encoder": 5}) == {"encoder": 5, "enable": 4}
+    with pytest.raises(ConfigError, match=r"encoder and enable .* both use pin 4"):
+        boards.settings_of(board, {"encoder": 3})

@@ -18,10 +18,10 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig.model import RigModel
+from sim_backend.firmware import Core
 from sim_backend.safety import Thermal
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig
-from tests.firmware.core import Core
 
 RATE = 2_000
 PERIOD = 16_000_000 // RATE

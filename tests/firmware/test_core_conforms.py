@@ -7,12 +7,12 @@ import ctypes
 import pytest
 
 from rig.model import RigModel
+from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.device import check_device
 from tests.conformance.rigs import linear_rig, rotary_rig
-from tests.firmware.core import CoreDevice
 
 
 @pytest.mark.parametrize("model", [rotary_rig(), linear_rig()], ids=["rotary", "linear"])
 def test_the_core_conforms(library: ctypes.CDLL, model: RigModel) -> None:
-    check_device(lambda: MemoryLink(CoreDevice(library, model)))  # type: ignore[arg-type]
+    check_device(lambda: MemoryLink(FirmwareDevice(model, library=library)))

@@ -32,11 +32,11 @@ from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
 from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig
 from tests.conformance.wire_strategies import messages_of, parameter_sets
-from tests.firmware.core import CoreDevice
 
 WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "30"))
 WALK_STEPS = 120
@@ -75,7 +75,7 @@ class Pair:
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         self.python = SimulatedDevice(model, **options)
-        self.c = CoreDevice(library, model, **options)
+        self.c = FirmwareDevice(model, library=library, law_maximum=0, **options)
         self.nonce = 0
         self.session = 0
         self.sequence = 0

@@ -297,7 +297,7 @@ def test_a_chunk_is_the_readable_one(chunk: SetChunk, session: int, sequence: in
 def test_a_chunk_longer_than_a_frame_is_refused() -> None:
     values, out = np.zeros(2, dtype=np.int64), np.zeros(codec.FRAME_BYTES, dtype=np.uint8)
     block = np.zeros(100, dtype=np.uint8)
-    assert codec.CHUNK_BYTES == data_limit(SetChunk)
+    assert data_limit(SetChunk) == codec.CHUNK_BYTES
     assert codec.encode_set_chunk(0, 0, values, block, 0, codec.CHUNK_BYTES, out) > 0
     assert codec.encode_set_chunk(0, 0, values, block, 0, codec.CHUNK_BYTES + 1, out) == codec.BAD_VALUE
     values[0] = -1

@@ -61,6 +61,7 @@ def run_in_guest(
     *,
     modules: Iterable[str] = (),
     share: Path | None = None,
+    channel: tuple[str, Path] | None = None,
     watchdog_s: float = WATCHDOG_S,
 ) -> GuestEnd:
     """Boot a guest, run a bash script in it as root, and pass its console on to standard output.
@@ -75,6 +76,8 @@ def run_in_guest(
         Kernel modules to load before the script, besides those that the root needs.
     share
         Directory that the guest sees as ``/run/guest`` and may write into; a temporary one unless given.
+    channel
+        Name of a virtio serial port of the guest, and the socket of this machine that it is connected to.
     watchdog_s
         Time after which the emulator is killed (s).
 
@@ -94,7 +97,7 @@ def run_in_guest(
         (place / "start").write_text(script)
         (place / "status").unlink(missing_ok=True)
         started = time.monotonic()
-        timed_out = _emulate(_command(kernel.image, first, place), watchdog_s)
+        timed_out = _emulate([*_command(kernel.image, first, place), *_port(channel)], watchdog_s)
         wall_s = time.monotonic() - started
         return GuestEnd(_status(place / "status"), timed_out, wall_s)
 
@@ -114,6 +117,17 @@ def _command(image: Path, first: Path, share: Path) -> list[str]:
         "-kernel", str(image), "-initrd", str(first), "-append", KERNEL_LINE,
         "-virtfs", root,
         "-virtfs", f"local,path={share},mount_tag=share,security_model=none",
+    ]  # fmt: skip
+
+
+def _port(channel: tuple[str, Path] | None) -> list[str]:
+    """What the emulator must be told for a virtio serial port."""
+    if channel is None:
+        return []
+    name, socket = channel
+    return [
+        "-device", "virtio-serial-pci", "-chardev", f"socket,id=port,path={socket}",
+        "-device", f"virtserialport,chardev=port,name={name}",
     ]  # fmt: skip
 
 

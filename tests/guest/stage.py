@@ -12,14 +12,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 from tests.guest.absent import GuestAbsentError
-from tests.guest.boot import UDEV, WATCHDOG_S, check_tools, run_in_guest
+from tests.guest.boot import UDEV, WATCHDOG_S, GuestEnd, check_tools, run_in_guest
 from tests.guest.kernel_files import unpacked_kernel
+from tests.guest.pico import PORT, emulated_pico
 
 HERE = Path(__file__).resolve().parents[2]
-MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm")
+MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console")
 SKIPPED = 77  # the exit status that says "not run", as in automake
 PREPARE_TIMEOUT_S = 600.0
 ONE_CPU_FOR_ALL = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
@@ -43,8 +45,7 @@ def main() -> int:
         unpacked_kernel(cache)
         _prepare(kernels)
         prepared = time.monotonic()
-        watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))
-        end = run_in_guest(_script(kernels, sys.argv[1:]), cache, modules=MODULES, watchdog_s=watchdog_s)
+        end = _run(cache, kernels, sys.argv[1:])
     except GuestAbsentError as error:
         print(f"SKIPPED: no guest on this machine: {error}")
         return SKIPPED
@@ -54,6 +55,22 @@ def main() -> int:
     elif end.status is None:
         print("guest: it died before the tests were done")
     return 1 if end.status is None else end.status
+
+
+def _run(cache: Path, kernels: Path, arguments: list[str]) -> GuestEnd:
+    """Boot the guest with the emulated board beside it, or, aloud, without one."""
+    watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))
+    with tempfile.TemporaryDirectory(prefix="guest-") as shared, ExitStack() as board:
+        share = Path(shared)
+        try:
+            channel, absent = (PORT, board.enter_context(emulated_pico(share))), ""
+        except GuestAbsentError as error:
+            channel, absent = None, f"no emulated board: {error}"
+            print(f"SKIPPED: {absent}")
+        script = _script(kernels, arguments, absent)
+        return run_in_guest(
+            script, cache, modules=MODULES, share=share, channel=channel, watchdog_s=watchdog_s
+        )
 
 
 def _prepare(kernels: Path) -> None:
@@ -73,7 +90,7 @@ def _prepare(kernels: Path) -> None:
                 raise RuntimeError(f"{command} fails here, before any guest:\n{done.stdout}{done.stderr}")
 
 
-def _script(kernels: Path, arguments: list[str]) -> str:
+def _script(kernels: Path, arguments: list[str], no_pico: str) -> str:
     """What the guest does: udev, then pytest."""
     environment = {
         **ONE_CPU_FOR_ALL,
@@ -82,6 +99,7 @@ def _script(kernels: Path, arguments: list[str]) -> str:
         "PYTHONDONTWRITEBYTECODE": "1",
         "MPLBACKEND": "Agg",
         "HOME": "/root",
+        "HAPTIC_RIG_NO_PICO": no_pico,
         "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
     }
     exports = "\n".join(f"export {name}={shlex.quote(value)}" for name, value in environment.items())

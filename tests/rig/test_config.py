@@ -180,7 +180,7 @@ def test_units_in_messages_follow_the_motion_of_the_rig() -> None:
         ("rig.limits.human", "yes", "without quotes"),
         ("rig.name", "", "must be text, not empty"),
         ("rig.name", 3, "write text in quotes"),
-        ("controller.loop", "device", 'must be one of "host"'),
+        ("controller.loop", "devise", "did you mean device?"),
         ("controller.parameters.cutoff_hz", math.nan, "must be a finite number or text"),
         ("controller.parameters", [1], "must be a table with numbers by name"),
         ("controller.command_lifetime_s", 0.03, "≤ 0.02 s"),

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Status
-from rig import config, presets
+from firmware_protocol.packing import pack_batch_samples
+from rig import presets
 from rig.devices import open_device
 from rig.errors import DeviceRefusedError
-from rig.firmware.selftest import SelfTestRequest, failure, selftest
+from rig.firmware.selftest import SelfTestRequest, failure, judge_stream, selftest
 
 REQUEST = SelfTestRequest(rate=2_000, seconds=0.1)
 
@@ -28,19 +30,21 @@ def outcome(device, name, request=REQUEST):
 def test_a_sound_device_passes_and_is_left_as_it_was(device):
     before = device.in_force()
     told = []
-    model = config.rig_model(presets.load("koul-rigid"))
-    found = selftest(device, replace(REQUEST, model=model), lambda what, share: told.append((what, share)))
+    found = selftest(
+        device,
+        replace(REQUEST, experiment=presets.load("koul-rigid")),
+        lambda what, share: told.append((what, share)),
+    )
     assert found.passed
     assert failure(found) is None
-    assert [check.outcome for check in found.checks if check.name != "encoder"] == ["ok"] * 9
+    assert [check.outcome for check in found.checks if check.name not in ("encoder", "stream")] == ["ok"] * 9
     assert device.in_force() == before
     assert [what for what, _ in told] == [check.name for check in found.checks]
     assert found.as_mapping()["passed"] is True
 
 
 def test_the_image_of_another_rig_is_found(device):
-    model = config.rig_model(presets.load("chawda-linear"))
-    check = outcome(device, "rig", replace(REQUEST, model=model))
+    check = outcome(device, "rig", replace(REQUEST, experiment=presets.load("chawda-linear")))
     assert check.outcome == "failed"
     assert "motion" in check.text
     assert "--rig chawda-linear" in check.remedy
@@ -104,3 +108,32 @@ def test_a_hand_on_the_handle_is_seen(device):
     check = outcome(device, "encoder", request)
     assert check.outcome == "ok", check.text
     device.link.device.hardware.external_effort = 0.0
+
+
+def batch(first, samples, base=100):
+    return m.Batch(first, 0, base, 0, pack_batch_samples(0, samples))
+
+
+def state(index, **fields):
+    values = dict.fromkeys(m.State.__dataclass_fields__, 0)
+    return m.State(**{**values, "sample_index": index, **fields})
+
+
+WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0, 3)] * 2, 102)]
+
+
+@pytest.mark.parametrize(
+    ("said", "ticks", "outcome", "text"),
+    [
+        (WHOLE, 4, "ok", "4 samples in 2 frames, 0 gaps"),
+        (WHOLE, 40, "failed", "where 40 ticks passed"),
+        ([WHOLE[0], batch(1, [(0, 0, 0)])], 3, "failed", "1 gaps"),
+        ([*WHOLE, state(0, count=9)], 4, "failed", "different counts in 1 ticks"),
+        ([*WHOLE, batch(2, [(0, 5, 0)])], 4, "failed", "drove a current"),
+        ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, "failed", "LINK_LOST"),
+    ],
+)
+def test_the_samples_of_a_law_on_the_device_are_judged(said, ticks, outcome, text):
+    check = judge_stream(said, ticks)
+    assert check.outcome == outcome
+    assert text in check.text

@@ -18,7 +18,7 @@ from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, type_id_of, unpack
 from rig.devices.device import DeviceUrl
-from rig.devices.framed import FAULT_LOG_S, STOP_FRAMES, FramedDevice
+from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, READY_S, STOP_FRAMES, FramedDevice
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
@@ -325,6 +325,30 @@ def test_a_stale_session_is_answered_with_another_number():
     assert [type(message) for message in wire.messages()[-2:]] == [m.Arm, m.Arm]
     assert wire.answers(m.Ack)[-2].status == Status.STALE_SESSION
     assert simulated.connection.state is State.ARMED
+
+
+def test_a_device_that_is_not_ready_is_asked_again_until_it_is():
+    """Such as one that works out its excitation; in the time of its link."""
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    answers = iter([Status.NOT_READY] * 3 + [None] * 9)
+    true_arm, start_ns = device._arm, wire.clock.now_ns()
+
+    def arm(session):
+        if (status := next(answers)) is not None:
+            raise DeviceRefusedError("not ready", status=status)
+        true_arm(session)
+
+    device._arm = arm
+    device.arm()
+    assert simulated.connection.state is State.ARMED
+    assert wire.clock.now_ns() - start_ns >= 3 * round(READY_AGAIN_S * 1e9)
+    device.disarm()
+    answers = iter([Status.NOT_READY] * 10_000)
+    with pytest.raises(DeviceRefusedError) as refused:
+        device.arm()
+    assert refused.value.status == Status.NOT_READY
+    assert wire.clock.now_ns() - start_ns >= round(READY_S * 1e9)
 
 
 def test_any_number_of_sessions_can_follow_each_other_on_one_device():

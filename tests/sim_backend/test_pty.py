@@ -38,7 +38,7 @@ SLACK_S = 5.0  # of a loaded machine
 PROGRAM = """
 from sim_backend.pty import serve
 from tests.conformance.rigs import rotary_rig
-serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r})
+serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r}, firmware={firmware})
 """
 
 
@@ -74,9 +74,14 @@ def open_port(path: str) -> SerialLink:
     return open_link(DeviceUrl.parse(f"serial://{path}"))
 
 
+@pytest.fixture(params=[False, True], ids=["readable", "firmware"])
+def firmware(request: pytest.FixtureRequest) -> bool:
+    return bool(request.param)
+
+
 @pytest.fixture
-def server() -> Iterator[Server]:
-    running = Server()
+def server(firmware: bool) -> Iterator[Server]:
+    running = Server(firmware=firmware)
     yield running
     running.end()
 
@@ -114,9 +119,15 @@ def test_its_port_conforms_as_a_link(server: Server) -> None:
         os.close(slave)
 
 
-def test_it_advertises_the_rates_that_a_pseudo_terminal_carries(server: Server) -> None:
+def test_it_advertises_the_rates_that_a_pseudo_terminal_carries(server: Server, firmware: bool) -> None:
     about = Host(server.open()).identify()
-    assert (about.position_rate_default, about.position_rate_maximum) == (1_000, 4_000)
+    assert (about.position_rate_default, about.position_rate_maximum) == (
+        1_000,
+        20_000 if firmware else 4_000,
+    )
+    law = about.parameter("law")
+    assert law is not None
+    assert law.maximum == (2 if firmware else 0)
 
 
 def test_a_descriptor_without_any_library_is_enough(server: Server) -> None:
@@ -133,7 +144,9 @@ def test_a_descriptor_without_any_library_is_enough(server: Server) -> None:
         os.close(port)
 
 
-def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(server: Server) -> None:
+def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(
+    server: Server, firmware: bool
+) -> None:
     host = Host(server.open())
     host.begin()
     states = run(host, 0.2)
@@ -148,9 +161,11 @@ def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(ser
     assert all(b.missed_ticks >= a.missed_ticks for a, b in pairwise(states))
     running = [state for state in states if state.command_age != 0xFFFF]
     assert min(state.command_age for state in running) >= 1
-    # The first STATE went out before any command; the second tick already ran when the answer came.
-    assert [state.current_commanded for state in states[:2]] == [0, 0]
-    assert states[-1].current_commanded == 20
+    # The first STATE went out before any command; the readable device reads at its ticks, and the second already ran
+    # when the answer came.
+    before = states[:1] if firmware else states[:2]
+    assert {state.current_commanded for state in before} == {0}
+    assert 20 in {state.current_commanded for state in states}
 
 
 def test_after_the_host_is_gone_the_next_one_finds_link_lost_latched_and_goes_on(server: Server) -> None:
@@ -175,7 +190,7 @@ def test_a_host_that_does_not_read_loses_states_and_hinders_nobody(server: Serve
     host = Host(server.open())
     host.begin(ramp_us=0)
     host.next_state()
-    time.sleep(2.0)  # 2000 STATEs of 46 bytes are more than the port holds
+    time.sleep(2.0)  # 2000 STATEs of 51 bytes are more than the port holds
     indices = []
     while not indices or indices[-1] < 2_000:
         indices += [host.states[-1].sample_index for _ in host.events(0.1)]
@@ -205,11 +220,13 @@ def test_what_one_host_left_unread_is_not_read_by_the_next(server: Server) -> No
     assert first.sample_index > last + 300
 
 
-def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path) -> None:
+def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmware: bool) -> None:
     """Two processes, as in life: the host dies by kill -9 in the middle of a run; the rig ends by SIGTERM, cleanly."""
     link_path = tmp_path / "rig"
     rig = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM.format(link_path=str(link_path))], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", PROGRAM.format(link_path=str(link_path), firmware=firmware)],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         assert rig.stdout is not None
@@ -241,10 +258,9 @@ def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path) -> None
         rig.stdout.close()  # type: ignore[union-attr]
 
 
-def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(
-    server: Server, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock of the server jumps by half a second, then by an hour; only the first passes in the simulated world."""
+    server = Server()
     host = Host(server.open())
     host.begin()
     before = host.next_state()
@@ -264,6 +280,46 @@ def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(
     server.end()  # before its clock jumps back, which no real one does
 
 
+def test_the_firmware_makes_up_for_a_pause_and_does_not_take_the_host_for_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As above; no tick is left out, because a law may run in it, and the watchdog sees a host that was there."""
+    server = Server(firmware=True)
+    host = Host(server.open())
+    host.begin()
+    before = host.next_state()
+    jump_ns = 0
+    monotonic_ns = time.monotonic_ns
+    monkeypatch.setattr(pty.time, "monotonic_ns", lambda: monotonic_ns() + jump_ns)
+    jump_ns = 500_000_000
+    states = []
+    while host.next_state().sample_index < before.sample_index + 600:
+        host.command(20)
+        states += host.states
+    jump_ns = 3_600_000_000_000
+    host.next_state()
+    host.command(20)
+    last = host.next_state()
+    assert (last.missed_ticks, last.sample_index - states[-1].sample_index < 60_000) == (0, True)
+    host.disarm()
+    host.link.close()
+    server.end()
+
+
+def test_the_firmware_ticks_at_twenty_kilohertz_in_real_time() -> None:
+    server = Server(firmware=True, rate=20_000)
+    host = Host(server.open())
+    host.identify()  # it shows itself now, a hundred times a second
+    first, began = host.next_state(), time.monotonic()
+    time.sleep(0.5)
+    while (last := host.next_state()).sample_index < first.sample_index + 10_000:
+        assert time.monotonic() < began + WAIT_S
+    assert last.device_time - first.device_time == 800 * (last.sample_index - first.sample_index)
+    assert (last.missed_ticks, last.fault) == (0, 0)
+    host.link.close()
+    server.end()
+
+
 def test_it_ends_by_itself_after_its_duration() -> None:
     finite = Server(duration_s=0.05)
     finite.thread.join(WAIT_S)
@@ -271,10 +327,12 @@ def test_it_ends_by_itself_after_its_duration() -> None:
     assert finite.error is None
 
 
-@pytest.mark.parametrize("rate", [10, 4_001])
-def test_a_rate_beyond_the_port_is_refused(rate: int) -> None:
-    with pytest.raises(ConfigError, match=f"rate = {rate} Hz is outside 50 … 4000"):
-        pty.serve(rotary_rig(), rate=rate, announce=lambda path: None)
+@pytest.mark.parametrize(
+    ("rate", "firmware", "most"), [(10, False, 4_000), (4_001, False, 4_000), (20_001, True, 20_000)]
+)
+def test_a_rate_beyond_the_port_is_refused(rate: int, firmware: bool, most: int) -> None:
+    with pytest.raises(ConfigError, match=f"rate = {rate} Hz is outside 50 … {most}"):
+        pty.serve(rotary_rig(), rate=rate, firmware=firmware, announce=lambda path: None)
 
 
 def test_a_link_path_that_is_a_file_is_not_touched(tmp_path: Path) -> None:

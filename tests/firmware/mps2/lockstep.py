@@ -119,15 +119,20 @@ def in_emulator(built: BuildResult, directory: Path) -> Partner:
 
 def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
     """The same program, with the same constants, built by this computer's compiler."""
-    kind = boards.load(board)
-    config = configure(kind, model, {}, package=package_version(), sources=sources_hash(kind))
-    (directory / "board_config.h").write_text(config.header)
-    (directory / "board_config.c").write_text(config.source)
-    port = kind.directory
-    sources = [*SOURCES, port / "lockstep.c", directory / "board_config.c", HERE / "on_this_computer.c"]
-    include = [f"-I{path}" for path in (directory, FIRMWARE / "core", FIRMWARE / "law", port)]
-    program = compile_c(directory / "program", sources, [*include, *UNDEFINED])
-    return Partner([str(program)], directory)
+
+    def make(output: Path) -> None:
+        kind = boards.load(board)
+        made = configure(kind, model, {}, package=package_version(), sources=sources_hash(kind))
+        (output / "board_config.h").write_text(made.header)
+        (output / "board_config.c").write_text(made.source)
+        own = [kind.directory / name for name in ("tests.c", "lockstep.c", "law_vectors.c")]
+        sources = [*SOURCES, *own, output / "board_config.c", HERE / "on_this_computer.c"]
+        include = [f"-I{path}" for path in (output, FIRMWARE / "core", FIRMWARE / "law", kind.directory)]
+        compile_c(output / "program", sources, [*include, *UNDEFINED])
+
+    files = (HERE / "on_this_computer.c").read_text()
+    made = cross.cached(f"lockstep {board} {model} {cross.sources_of(board)} {files}", make)
+    return Partner([str(made / "program")], directory)
 
 
 class Rig:

@@ -148,15 +148,8 @@ class Pico:
 
     def __init__(self, model: RigModel, built: BuildResult, *, position: float | None = None) -> None:
         self._process = _started()
-        motor: dict[str, Any] = {
-            "full_scale": FULL_SCALE_A,
-            "effort_per_ampere": model.amplifier.effort_per_ampere,
-            "monitor_scale": MONITOR_V_PER_A,
-        }
-        if position is not None:
-            motor["plant"] = {**plant_of(model), "position": position}
         self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 7)
-        self.ask("power", image=str(built.bin), pins=PINS, motor=motor)
+        self.ask("power", image=str(built.bin), pins=PINS, motor=motor_of(model, position))
         self.run(START_US)
 
     def __enter__(self) -> Self:
@@ -194,6 +187,18 @@ class Pico:
     def move(self, *motion: tuple[int, float]) -> float:
         """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next. Returns the end (ns)."""
         return float(self.ask("move", motion=motion)["ends"])
+
+
+def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
+    """The motor behind the pins, and the rig that it moves from a position (rad or m); None: nothing moves."""
+    motor: dict[str, Any] = {
+        "full_scale": FULL_SCALE_A,
+        "effort_per_ampere": model.amplifier.effort_per_ampere,
+        "monitor_scale": MONITOR_V_PER_A,
+    }
+    if position is not None:
+        motor["plant"] = {**plant_of(model), "position": position}
+    return motor
 
 
 def plant_of(model: RigModel) -> dict[str, Any]:

@@ -2,54 +2,19 @@
 /* The board at the end of a pipe: one command a line in, one answer a line out, both JSON. */
 const fs = require('node:fs');
 const readline = require('node:readline');
-const { Pico } = require('./pico.js');
+const { UsbPico: Pico } = require('./usb_pico.js');
+const { Motor } = require('./motor.js');
 const { Plant } = require('./plant.js');
-
-const ADC_STEPS_A_VOLT = 4096 / 3.3;
-const MONITOR_ZERO = 1.65;
 
 let pico = null;
 let motor = null;
-
-/* The motor: the current that the pins ask for, the rig that it moves, the monitor that shows it. */
-class Motor {
-  constructor({ plant, full_scale: fullScale, effort_per_ampere: effortPerAmpere, monitor_scale: monitorScale }) {
-    this.plant = plant ? new Plant(plant) : null;
-    this.fullScale = fullScale;
-    this.effortPerAmpere = effortPerAmpere;
-    this.monitorScale = monitorScale;
-    this.current = 0;
-    this.most = 0; // A, since last asked
-    this.next = pico.now;
-  }
-
-  upTo(now) {
-    while (now >= this.next) {
-      this.current = pico.enabled ? pico.duty * this.fullScale : 0;
-      this.most = Math.max(this.most, Math.abs(this.current));
-      let flows = this.current;
-      if (this.plant) {
-        const at = this.next;
-        const step = this.plant.stepNanos;
-        this.plant.step(this.current * this.effortPerAmpere, (way, share) =>
-          pico.edges.push({ at: at + share * step, way: way * this.plant.sign }),
-        );
-        flows = this.plant.state[2] / this.effortPerAmpere;
-        this.next += step;
-      } else {
-        this.next += 10000;
-      }
-      pico.chip.adc.channelValues[0] = Math.round((MONITOR_ZERO + flows * this.monitorScale) * ADC_STEPS_A_VOLT);
-    }
-  }
-}
 
 const movesUntil = () => (pico.edges.length > 0 ? pico.edges[pico.edges.length - 1].at : pico.now);
 
 const commands = {
   power({ image, pins, motor: description }) {
     pico = new Pico(fs.readFileSync(image), pins);
-    motor = new Motor(description);
+    motor = new Motor(pico, description);
     pico.onSteps = (now) => motor.upTo(now);
     return {};
   },
@@ -167,6 +132,8 @@ const commands = {
     return { states };
   },
 };
+
+Object.assign(commands, require('./usb_commands.js')(() => pico));
 
 const lines = readline.createInterface({ input: process.stdin, terminal: false });
 lines.on('line', (line) => {

@@ -1,3 +1,8 @@
+/* A full-speed USB device that carries the bytes of the protocol, twice over: a vendor interface with a bulk pipe each
+ * way (usb://), and a serial port (/dev/ttyACM0, COM3). Whichever spoke last is the link.
+ *
+ * Everything of the controller happens in usb_interrupt, which must have the lowest priority there is and may be
+ * interrupted by the tick at any moment; the functions beside it touch nothing but two rings. None waits. */
 #ifndef HR_RP2040_USB_H
 #define HR_RP2040_USB_H
 
@@ -5,8 +10,21 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* Plug in. `serial` is shown as sixteen hexadecimal digits; clk_usb runs at 48 MHz and TIMER counts microseconds. */
 void usb_start(uint64_t serial);
+
+/* The bytes of the host, at most `capacity`; from the main loop. */
 size_t usb_read(uint8_t *into, size_t capacity);
+
+/* A whole frame or nothing: false when nobody is connected or the host has not fetched the last 32 KB. From the tick or
+ * the main loop, of which one must not interrupt the other. Whole words (a frame at an address divisible by four)
+ * go four times as fast. */
 bool usb_write(const uint8_t *frame, size_t count);
+
+/* Whether a host has configured the device and the bus is awake. */
+bool usb_is_up(void);
+
+/* The vector of USBCTRL_IRQ, number 5 (RP2040 data sheet, 2.3.2). */
+void usb_interrupt(void);
 
 #endif

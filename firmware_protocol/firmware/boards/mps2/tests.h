@@ -1,0 +1,13 @@
+/* What the image for tests can do; main chooses by the files that it finds. */
+#ifndef HR_TESTS_H
+#define HR_TESTS_H
+
+#include <stdint.h>
+
+/* Run the law over a file of golden vectors; returns the exit code. */
+uint32_t law_vectors(int32_t file);
+
+/* Be the device of a plant outside, until nobody asks any more; returns the exit code. */
+uint32_t lockstep(int32_t requests, int32_t replies);
+
+#endif

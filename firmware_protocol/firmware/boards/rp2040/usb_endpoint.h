@@ -1,0 +1,59 @@
+/* An endpoint with two buffers of 64 bytes in turn: which is whose, and which data toggle comes next.
+ *
+ * RP2040 data sheet, 4.1.2.5 and 4.1.2.6; the toggles are those of chapter 8.6 of the USB 2.0 specification. */
+#ifndef HR_RP2040_USB_ENDPOINT_H
+#define HR_RP2040_USB_ENDPOINT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define USB_PACKET 64u /* the largest packet, of endpoint 0 and of bulk at full speed */
+
+enum usb_type { USB_BULK = 2, USB_PERIODIC = 3 };
+
+struct usb_endpoint {
+    uint8_t number;
+    bool out;
+    uint16_t buffers; /* offset of the first in the shared memory */
+    bool halted;
+    bool fresh;      /* nothing was armed since the last reset: begin with buffer 0 */
+    uint8_t toggle;  /* of the next packet to be armed */
+    uint8_t next;    /* buffer to be armed next */
+    uint8_t oldest;  /* buffer that is used first of those armed */
+    uint8_t armed;   /* buffers that are the controller's */
+};
+
+/* Let the controller serve it from now on, from DATA0. */
+void endpoint_open(struct usb_endpoint *endpoint, enum usb_type type);
+
+/* Take back what is armed, and begin with DATA0: what SET_CONFIGURATION, SET_INTERFACE and CLEAR_FEATURE ask for. */
+void endpoint_reset(struct usb_endpoint *endpoint);
+
+/* As endpoint_reset, and answer STALL until endpoint_reset. */
+void endpoint_halt(struct usb_endpoint *endpoint);
+
+/* After a reset of the bus: nothing is armed, the controller does not serve it. */
+void endpoint_forget(struct usb_endpoint *endpoint);
+
+static inline bool endpoint_is_free(const struct usb_endpoint *endpoint)
+{
+    return !endpoint->halted && endpoint->armed < 2u;
+}
+
+/* Where the bytes of the buffer lie that is armed next. */
+size_t endpoint_next(const struct usb_endpoint *endpoint);
+
+/* Hand that buffer to the controller: `count` bytes to send, or room for as many. */
+void endpoint_arm(struct usb_endpoint *endpoint, uint32_t count);
+
+/* A buffer that the controller is done with. */
+struct usb_done {
+    bool there;
+    uint32_t count;
+    size_t at;
+};
+
+struct usb_done endpoint_done(struct usb_endpoint *endpoint);
+
+#endif

@@ -1,0 +1,27 @@
+/* A tick in two calls, with all that a compiled simulation and the device tell each other in one block of memory. */
+#ifndef HR_LOCKSTEP_H
+#define HR_LOCKSTEP_H
+
+#include <stdint.h>
+
+#include "host.h"
+
+/* 64-bit words alone: an array of them to whoever simulates. */
+struct lockstep {
+    /* The world at the sample. */
+    int64_t count, edge_age, measured, inputs;
+
+    /* What the device did in the call, and where it is. */
+    int64_t cuts;         /* times that the current was taken away besides the tick's own */
+    int64_t due;          /* device time of the next sample */
+    int64_t sample_index; /* of the last */
+    int64_t session;
+};
+
+/* First half: the current for the coming tick. */
+int lockstep_drive(struct host *host, struct lockstep *lockstep);
+
+/* Second half, when the world has moved: the sample that is due. The bytes that wait for the host. */
+int lockstep_sample(struct host *host, struct lockstep *lockstep);
+
+#endif

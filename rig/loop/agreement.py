@@ -1,0 +1,61 @@
+"""Does the device's current follow the host's law? What is in force at a sample beside what the law gave one before.
+
+The two compute in different arithmetic, so they may differ by a little; where a limit, a ramp or a gap acts the device
+is right to differ, and nothing is compared. STATE tells limits afterwards, so what was found since the last one waits
+for the next; what no STATE tells about, because one was lost or the run ended, is left out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.codec import STATE
+from firmware_protocol.faults import LimitFlag
+from firmware_protocol.kernel import kernel
+from rig.loop.layout import INTS
+from rig.loop.supervision import CONTIGUOUS, SUPERVISION_TYPE
+
+# Limits that change the current; the others only warn.
+_ACTING = int(
+    LimitFlag.CURRENT
+    | LimitFlag.SLEW
+    | LimitFlag.THERMAL
+    | LimitFlag.RAMPING
+    | LimitFlag.HOLD_TO_RUN_RELEASED
+)
+
+
+@kernel(types.void(SUPERVISION_TYPE, types.int64, types.int64, types.int64))
+def compare(supervision: Any, elapsed: int, applied: int, bound: int) -> None:
+    """Compare the current in force at a sample with what the law gave at the sample before."""
+    v = supervision[0]
+    if v["comparable"] == 0 or elapsed != 1:
+        return
+    difference = abs(applied - v["sent"])
+    v["open_compared"] += 1
+    if difference > 0:
+        v["open_differing"] += 1
+        v["open_greatest"] = max(v["open_greatest"], difference)
+    if difference > bound:
+        v["open_beyond"] += 1
+
+
+@kernel(types.void(SUPERVISION_TYPE, INTS))
+def settle(supervision: Any, state: Any) -> None:
+    """Count what was found since the last STATE, now that the next one says whether a limit acted."""
+    v = supervision[0]
+    limits = state[STATE.limits] & _ACTING
+    if state[CONTIGUOUS] == 1 and (limits | v["limits_before"]) == 0:
+        v["compared"] += v["open_compared"]
+        v["differing"] += v["open_differing"]
+        v["beyond"] += v["open_beyond"]
+        v["greatest"] = max(v["greatest"], v["open_greatest"])
+    else:
+        v["excluded"] += v["open_compared"]
+    v["limits_before"] = limits
+    v["open_compared"] = 0
+    v["open_differing"] = 0
+    v["open_beyond"] = 0
+    v["open_greatest"] = 0

@@ -1,0 +1,187 @@
+"""From the frames of a device that runs the law to its samples, in order and each once.
+
+Every sample goes through a queue, because an answer of the device may decide under which wall it was taken. What came
+twice or behind newer samples is dropped and counted; what never came is a gap in the sample index.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol import codec
+from firmware_protocol.codec import BATCH, HEAD, SAMPLE, STATE
+from firmware_protocol.kernel import kernel
+from firmware_protocol.messages import BATCH_LAYOUTS
+from rig import ring
+from rig.loop.exchange import take_time
+from rig.loop.frames import NO_FRAME, next_frame
+from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, SETTINGS_TYPE
+from rig.loop.letters import take_answer
+from rig.loop.receive import WRAP, add, forget_noise
+from rig.loop.rows import behind_grid
+from rig.loop.supervision import (
+    CONTIGUOUS,
+    COUNT,
+    CURRENT,
+    INDEX,
+    LATE,
+    MEASURED,
+    QUEUE,
+    RECEIVED,
+    SAMPLES_A_READING,
+    STATES_KEPT,
+    SUPERVISION_TYPE,
+    TIME,
+)
+from rig.sample import Phase
+
+_DONE = int(Phase.DONE)
+assert (
+    min(sum(int(c[1:]) // 8 for c in layout) for layout in BATCH_LAYOUTS.values()) == 3
+)  # SAMPLES_A_READING
+
+
+@kernel(types.int64(types.int64, types.int64), inline=True)
+def ahead(new: int, old: int) -> int:
+    """How far a 32-bit number is ahead of another, which may have more bits; negative when behind."""
+    return (new - old + WRAP // 2) % WRAP - WRAP // 2
+
+
+@kernel(types.boolean(SUPERVISION_TYPE))
+def has_room(supervision: Any) -> bool:
+    """Whether all that one reading can bring fits into the queue."""
+    v = supervision[0]
+    return bool(v["head"] - v["tail"] <= QUEUE - SAMPLES_A_READING)
+
+
+@kernel(
+    types.int64(
+        INTS,
+        INTS,
+        INT_ROWS,
+        types.int64,
+        INT_ROWS,
+        SUPERVISION_TYPE,
+        SETTINGS_TYPE,
+        PROGRESS_TYPE,
+        types.uintp,
+    )
+)
+def _take_batch(
+    header: Any, batch: Any, decoded: Any, count: int, samples: Any, supervision: Any, settings: Any, progress: Any,
+    words: int,
+) -> int:  # fmt: skip
+    """Put the samples of a BATCH that are new into the queue; return how many."""
+    v, s = supervision[0], settings[0]
+    first, time = batch[BATCH.first_index], batch[BATCH.device_time]
+    known = 0  # samples of it that came before
+    if v["started"] != 0:
+        first = v["index"] + ahead(first, v["index"])
+        time = v["time"] + ahead(time, v["time"])
+        known = min(max(v["index"] - first + 1, 0), count)
+        if known > 0:
+            twice = header[HEAD.sequence] == v["batch_sequence"]
+            add(words, ring.DUPLICATED if twice else ring.REORDERED, known)
+        if known == count:
+            return 0
+    else:
+        v["started"] = 1
+        v["index"] = first - 1
+        v["missed_first"] = header[HEAD.sequence] * s["batch_samples"]
+    v["batch_sequence"] = header[HEAD.sequence]
+    last = first + count - 1
+    late = behind_grid(settings, progress, last, last - v["index"], progress[0]["read_at"])
+    period_ps = s["period_ns"] * 1000
+    for i in range(known, count):
+        place = samples[v["head"] % QUEUE]
+        place[INDEX] = first + i
+        place[TIME] = time + i * period_ps // s["device_tick_ps"]
+        place[COUNT] = decoded[i, SAMPLE.count]
+        place[CURRENT] = decoded[i, SAMPLE.current_commanded]
+        place[MEASURED] = decoded[i, SAMPLE.current_measured]
+        place[RECEIVED] = progress[0]["read_at"]
+        place[LATE] = late
+        v["head"] += 1
+    v["index"] = last
+    v["time"] = time + (count - 1) * period_ps // s["device_tick_ps"]
+    v["count"] = decoded[count - 1, SAMPLE.count]
+    return count - known
+
+
+@kernel(types.void(INTS, INTS, INT_ROWS, INTS, SUPERVISION_TYPE, PROGRESS_TYPE, types.uintp))
+def _take_state(
+    header: Any, candidate: Any, states: Any, newest: Any, supervision: Any, progress: Any, words: int
+) -> None:
+    """Keep a STATE if it is newer than the last one: as the newest, and until its sample comes."""
+    v, p = supervision[0], progress[0]
+    contiguous = 1
+    if v["heard"] != 0:
+        newer = ahead(candidate[STATE.sample_index], newest[STATE.sample_index])
+        if newer <= 0:
+            add(words, ring.DUPLICATED if newer == 0 else ring.REORDERED, 1)
+            return
+        contiguous = 1 if header[HEAD.sequence] == (p["answers"] + 1) % 65536 else 0
+    v["heard"] = 1
+    p["answers"] = header[HEAD.sequence]
+    for i in range(len(newest)):
+        newest[i] = candidate[i]
+    if candidate[STATE.phase] != _DONE:
+        v["done_at"] = -1
+    elif v["done_at"] < 0 and v["started"] != 0:
+        v["done_at"] = v["index"] + ahead(candidate[STATE.sample_index], v["index"])
+    if v["states_head"] - v["states_tail"] == STATES_KEPT:  # no sample has come for long: the oldest goes
+        v["states_tail"] += 1
+        states[v["states_tail"] % STATES_KEPT, CONTIGUOUS] = 0
+    place = states[v["states_head"] % STATES_KEPT]
+    for i in range(len(candidate)):
+        place[i] = candidate[i]
+    place[CONTIGUOUS] = contiguous
+    v["states_head"] += 1
+
+
+@kernel(
+    types.int64(
+        BYTES, BYTES, INTS, INTS, INTS, INT_ROWS, INTS, INT_ROWS, INT_ROWS, INT_ROWS, INTS, INTS,
+        SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp,
+    )
+)  # fmt: skip
+def take_frames(
+    received: Any, raw: Any, header: Any, candidate: Any, times: Any, exchanges: Any, batch: Any, decoded: Any,
+    samples: Any, states: Any, newest: Any, ack: Any, supervision: Any, settings: Any, progress: Any, words: int,
+) -> int:  # fmt: skip
+    """Take the whole frames out of the receive buffer: samples and STATEs into their queues; return new samples.
+
+    Answers to a clock exchange and to the conversation about a new wall go where they belong. The queue must have room
+    (`has_room`).
+    """
+    session = settings[0]["session"]
+    end = progress[0]["filled"]
+    start = 0
+    fresh = 0
+    while True:
+        length, start = next_frame(received, start, end, raw)
+        if length == NO_FRAME:
+            break
+        if length < 0:
+            add(words, ring.BAD_FRAMES, 1)
+            continue
+        add(words, ring.FRAMES, 1)
+        count = codec.decode_batch(raw, length, header, batch, decoded)
+        ours = header[HEAD.session] == session
+        if count > 0 and ours:
+            fresh += _take_batch(
+                header, batch, decoded, count, samples, supervision, settings, progress, words
+            )
+        elif ours and codec.decode_state(raw, length, header, candidate) == 0:
+            _take_state(header, candidate, states, newest, supervision, progress, words)
+        elif codec.decode_ack(raw, length, header, ack) == 0 and take_answer(ack, supervision, progress) == 1:
+            pass
+        elif (
+            take_time(raw, length, header, times, exchanges, progress, settings[0]["device_tick_ps"], words)
+            == 0
+        ):
+            add(words, ring.OTHER_FRAMES, 1)
+    forget_noise(received, start, end, progress, words)
+    return fresh

@@ -1,0 +1,53 @@
+"""Why a loop ends, as far as loops have that in common: somebody outside says so, or the law does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.kernel import kernel
+from rig import ring
+from rig.loop.layout import SETTINGS_TYPE, WORD, EndReason
+from rig.plugs import NOW
+from rig.step import DONE, MEMORY_TYPE
+from rig.step import HOMING_FAILED as FLAG_HOMING
+from rig.step import NONFINITE as FLAG_NONFINITE
+from rig.step import OUT_OF_WINDOW as FLAG_WINDOW
+from rig.system import woken_by_signal
+from rig.words import load_word, store_word
+
+# Plain integers, as compiled code takes them.
+FINISHED, STOPPED, HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED", "HEARTBEAT_MISSED"))
+CLOSED, SILENT, FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT", "DEVICE_FAULT"))
+OVERRUN, DEVICE_ENDED = int(EndReason.OVERRUN), int(EndReason.DEVICE_ENDED)
+_NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
+
+
+@kernel(types.int64(NOW, types.int64, SETTINGS_TYPE, types.uintp))
+def told_to_end(now: Any, clock: int, settings: Any, words: int) -> int:
+    """Reason to end that came from outside, or 0: the stop word, a signal, a supervisor that fell silent."""
+    if woken_by_signal(settings[0]["wake_descriptor"]) != 0:
+        store_word(words + WORD * ring.STOP, 1)
+    if load_word(words + WORD * ring.STOP) != 0:
+        return STOPPED
+    alive_until = load_word(words + WORD * ring.HEARTBEAT)
+    if alive_until != 0 and now(clock) > alive_until:
+        return HEARTBEAT
+    return 0
+
+
+@kernel(types.int64(MEMORY_TYPE))
+def ended_by_law(memory: Any) -> int:
+    """Reason to end that `rig.step` left in its memory, or 0."""
+    flags = memory[0]["flags"]
+    reason = 0
+    if flags & FLAG_NONFINITE:
+        reason = _NONFINITE
+    elif flags & FLAG_WINDOW:
+        reason = _WINDOW
+    elif flags & FLAG_HOMING:
+        reason = _HOMING
+    elif memory[0]["phase"] == DONE:
+        reason = FINISHED
+    return reason

@@ -1,0 +1,382 @@
+"""The loop of a law that runs on the device: it listens, keeps the books, and says every few milliseconds: go on.
+
+The device computes each tick's current from that tick's count, and sends every tick in BATCH frames. Here `rig.step`
+runs on each of those samples too, and leaves the same row as if it had run the loop (`rig.loop.host`): so a recording,
+its verdict and its replay are the same, and what the device's own current differs by is counted
+(`rig.loop.agreement`). What a batch does not tell is taken from the newest STATE at or before the sample.
+
+Nothing blocks without a bound: the stop word, a signal and the heartbeat are seen within the time between two COMMANDs.
+Whatever ends the loop, several STOP commands leave first. Then, for a short while, what the device had sent before
+them is still taken, and then it returns; its caller sends STOPs again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+from firmware_protocol.codec import STATE
+from firmware_protocol.connection import State
+from firmware_protocol.kernel import kernel
+from rig import ring
+from rig.devices.framed import STOP_FRAMES
+from rig.loop.agreement import compare, settle
+from rig.loop.batches import ahead, has_room, take_frames
+from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, send_command
+from rig.loop.ending import (
+    CLOSED,
+    DEVICE_ENDED,
+    FAULT,
+    FINISHED,
+    HEARTBEAT,
+    SILENT,
+    STOPPED,
+    ended_by_law,
+    told_to_end,
+)
+from rig.loop.exchange import ask_time
+from rig.loop.layout import (
+    BYTES,
+    FLOAT_ROWS,
+    FLOATS,
+    INT_ROWS,
+    INTS,
+    PROGRESS_TYPE,
+    RECEIVE_BYTES,
+    ROWS_TYPE,
+    SETTINGS_TYPE,
+    WORD,
+)
+from rig.loop.letters import COMMITTED, GRANTED, IDLE, converse
+from rig.loop.parameters import begin_set
+from rig.loop.receive import WRAP, add, drain
+from rig.loop.rows import FLAG_GAP, leave_row
+from rig.loop.supervision import (
+    COUNT,
+    CURRENT,
+    INDEX,
+    LATE,
+    MEASURED,
+    QUEUE,
+    RECEIVED,
+    STATES_KEPT,
+    SUPERVISION_TYPE,
+    TIME,
+)
+from rig.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
+from rig.sample import Phase
+from rig.step import CONTROL_TYPE, MEMORY_TYPE, step
+from rig.words import load_word, store_word
+
+_FAULT_STATE, _RELEASE = int(State.FAULT), int(Phase.RELEASE)
+READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again
+ROWS_A_TURN = 1024
+REST_NS = 20_000_000  # after the stop: how long to take what is still on the way
+SETTLE_NS = 2_000_000  # after the STATE that shows the stop in force
+_GO_ON = 0
+_ABANDONED = -1
+
+
+@kernel(
+    types.int64(
+        TRANSFER, NOW, types.int64, types.int64, types.uintp, CONTROL_TYPE, SETTINGS_TYPE, SUPERVISION_TYPE,
+        PROGRESS_TYPE, FLOATS, BYTES, FLOATS, FLOAT_ROWS, INTS, INTS, INTS, BYTES, types.uintp,
+    )
+)  # fmt: skip
+def _say(
+    write: Any, now: Any, link: int, clock: int, mailbox: int, control: Any, settings: Any, supervision: Any,
+    progress: Any, letter: Any, block: Any, waiting: Any, sets: Any, request: Any, command: Any, question: Any,
+    transmit: Any, words: int,
+) -> int:  # fmt: skip
+    """Say what is due, to go on before all: 0, or the negative errno of a broken link."""
+    v, s = supervision[0], settings[0]
+    time_ns = now(clock)
+    if time_ns >= v["next_command"]:
+        taken = send_command(write, link, settings, progress, command, transmit, MODE_SUPERVISE, 0)
+        add(words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
+        v["next_command"] = time_ns + s["supervise_every_ns"]
+        if taken >= 0:
+            taken = ask_time(write, now, link, clock, settings, progress, question, transmit)
+        if taken < 0:
+            return int(taken)
+    broken = converse(
+        write, now, link, clock, mailbox, control, settings, supervision, progress, letter, block, waiting,
+        sets, request, transmit,
+    )  # fmt: skip
+    return int(broken)
+
+
+@kernel(
+    types.int64(
+        TRANSFER, WAIT, NOW, types.int64, types.int64, types.int64,
+        BYTES, BYTES, INTS, INTS, INTS, INT_ROWS, INTS, INT_ROWS, INT_ROWS, INT_ROWS, INTS, INTS,
+        SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp,
+    )
+)  # fmt: skip
+def _listen(
+    read: Any, wait: Any, now: Any, link: int, clock: int, until_ns: int,
+    received: Any, raw: Any, header: Any, candidate: Any, times: Any, exchanges: Any, batch: Any, decoded: Any,
+    samples: Any, states: Any, newest: Any, ack: Any, supervision: Any, settings: Any, progress: Any, words: int,
+) -> int:  # fmt: skip
+    """Wait for bytes until a moment, and take in all that is there: 0, or the negative errno of a broken link."""
+    p = progress[0]
+    ready = wait(link, until_ns)
+    p["read_at"] = now(clock)
+    if ready <= 0:
+        return int(ready)
+    for _ in range(READINGS_A_TURN):
+        if not has_room(supervision):
+            break
+        ready = drain(read, link, received, progress)
+        more = p["filled"] == RECEIVE_BYTES
+        p["read_at"] = now(clock)
+        fresh = take_frames(
+            received, raw, header, candidate, times, exchanges, batch, decoded, samples, states, newest, ack,
+            supervision, settings, progress, words,
+        )  # fmt: skip
+        if fresh > 0:
+            p["last_fresh"] = p["read_at"]
+        if ready < 0:
+            return int(ready)
+        if not more:
+            break
+    return 0
+
+
+@kernel(types.void(INT_ROWS, INTS, SUPERVISION_TYPE, types.int64))
+def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -> None:
+    """Move on to the newest STATE at or before a sample."""
+    v = supervision[0]
+    while v["states_tail"] < v["states_head"]:
+        waiting = states[v["states_tail"] % STATES_KEPT]
+        if ahead(waiting[STATE.sample_index], sample_index) > 0:
+            break
+        settle(supervision, waiting)
+        for i in range(len(state)):
+            state[i] = waiting[i]
+        v["states_tail"] += 1
+
+
+@kernel(types.int64(INTS, INT_ROWS, INTS, SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE))
+def _show_sample(sample: Any, states: Any, state: Any, supervision: Any, settings: Any, progress: Any) -> int:
+    """Make `state` what a STATE of this very sample would be; return the ticks since the last one."""
+    v, p = supervision[0], progress[0]
+    elapsed = sample[INDEX] - p["sample_index"]
+    if v["ticks"] == 0:
+        elapsed = 1 + v["missed_first"]
+    p["sample_index"] = sample[INDEX]
+    p["device_time"] = sample[TIME]
+    p["late"] = sample[LATE]
+    _take_states(states, state, supervision, sample[INDEX])
+    compare(supervision, elapsed, sample[CURRENT], settings[0]["agreement_quanta"])
+    state[STATE.sample_index] = sample[INDEX] % WRAP
+    state[STATE.device_time] = sample[TIME] % WRAP
+    state[STATE.count] = sample[COUNT]
+    state[STATE.edge_time] = state[STATE.device_time]  # no batch has it
+    state[STATE.current_commanded] = sample[CURRENT]
+    state[STATE.current_measured] = sample[MEASURED]
+    return int(elapsed)
+
+
+@kernel(
+    types.int64(
+        ESTIMATOR, LAW, INT_ROWS, INT_ROWS, INTS, FLOATS, FLOAT_ROWS, SUPERVISION_TYPE,
+        SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE, FLOATS, INTS, FLOATS, FLOATS, FLOATS, PROGRESS_TYPE, ROWS_TYPE,
+        types.uintp, types.boolean,
+    ),
+    borrow=True,  # a law that raises leaves without giving back what was counted: arrays would stay for good
+)  # fmt: skip
+def _run_law(
+    estimator: Any, law: Any, samples: Any, states: Any, state: Any, waiting: Any, sets: Any, supervision: Any,
+    settings: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any, estimator_p: Any, law_state: Any,
+    law_parameters: Any, progress: Any, rows: Any, words: int, to_the_end: bool,
+) -> int:  # fmt: skip
+    """Run the law on the samples in the queue and leave their rows: a reason to end, `_GO_ON`, or `_ABANDONED`.
+
+    While an answer about a new wall is awaited samples wait too, as long as there is room; `to_the_end` none does.
+    """
+    v, m = supervision[0], memory[0]
+    for _ in range(ROWS_A_TURN):
+        if v["tail"] == v["head"] or (v["step"] == COMMITTED and has_room(supervision) and not to_the_end):
+            break
+        sample = samples[v["tail"] % QUEUE]
+        v["tail"] += 1
+        tick = v["ticks"]
+        elapsed = _show_sample(sample, states, state, supervision, settings, progress)
+        if v["step"] == GRANTED and sample[INDEX] >= v["change_at"]:
+            begin_set(control, law_parameters, waiting, sets, progress, tick, words)
+            v["step"] = IDLE
+        current = step(
+            estimator, law, sample[COUNT], 0.0, elapsed,
+            control, memory, estimator_f, estimator_i, estimator_p, law_state, law_parameters,
+        )  # fmt: skip
+        if load_word(words + WORD * ring.STOP) == ring.ABANDONED:  # nobody waits for us any more
+            return _ABANDONED
+        v["sent"] = current
+        v["comparable"] = 1 if v["stop_sequence"] < 0 else 0
+        if elapsed > 1:
+            m["flags"] |= FLAG_GAP
+            add(words, ring.LOST, elapsed - 1)
+        reason = FAULT
+        if state[STATE.fault] == 0 and state[STATE.state] != _FAULT_STATE:
+            reason = ended_by_law(memory)
+        if reason != 0:
+            m["effort_sent"] = 0.0
+            m["current_sent"] = 0
+        leave_row(
+            words, rows, tick, elapsed, sample[RECEIVED], 0, 0, state, progress, settings, control, memory
+        )
+        v["ticks"] = tick + 1
+        store_word(words + WORD * ring.TICKS, tick + 1)
+        store_word(words + WORD * ring.PHASE, m["phase"])
+        if reason != 0:
+            return int(reason)
+    return _GO_ON
+
+
+@kernel(types.int64(INTS, SUPERVISION_TYPE, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64))
+def _ended_by_device(
+    newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
+) -> int:
+    """Reason to end that lies with the device or the link, or 0."""
+    v, s, p = supervision[0], settings[0], progress[0]
+    if v["heard"] != 0 and (newest[STATE.fault] != 0 or newest[STATE.state] == _FAULT_STATE):
+        return FAULT
+    if ready < 0:
+        return CLOSED
+    if p["read_at"] - p["last_fresh"] > s["lost_after_ns"]:
+        return SILENT
+    patience = s["lost_after_ns"] // s["period_ns"]  # a gap may have moved the two laws' phases apart
+    if v["done_at"] >= 0 and v["ticks"] > 0 and p["sample_index"] - v["done_at"] > patience:
+        return FINISHED if memory[0]["phase"] == _RELEASE else DEVICE_ENDED
+    return 0
+
+
+@kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
+def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
+    """A device that fails between two samples sends no batch of the next one: the STATE that tells is that sample."""
+    v = supervision[0]
+    for i in range(v["states_tail"], v["states_head"]):
+        told = states[i % STATES_KEPT]
+        if told[STATE.fault] == 0 and told[STATE.state] != _FAULT_STATE:
+            continue
+        index, time = told[STATE.sample_index], told[STATE.device_time]
+        if v["started"] != 0:
+            index = v["index"] + ahead(index, v["index"])
+            time = v["time"] + ahead(time, v["time"])
+        if v["started"] == 0 or index > v["index"]:
+            place = samples[v["head"] % QUEUE]
+            place[INDEX] = index
+            place[TIME] = time
+            place[COUNT] = told[STATE.count]
+            place[CURRENT] = told[STATE.current_commanded]
+            place[MEASURED] = told[STATE.current_measured]
+            place[RECEIVED] = progress[0]["read_at"]
+            place[LATE] = 0
+            v["head"] += 1
+            v["index"] = index
+        break
+
+
+@kernel(types.int64(INTS, SUPERVISION_TYPE), inline=True)
+def _shows_stop(newest: Any, supervision: Any) -> int:
+    """Whether the newest STATE names one of our STOPs as the command in force."""
+    since = (newest[STATE.command_sequence] - supervision[0]["stop_sequence"]) % 65536
+    return 1 if supervision[0]["heard"] != 0 and since < STOP_FRAMES else 0
+
+
+@kernel(
+    types.int64(
+        TRANSFER, TRANSFER, WAIT, NOW, WAIT, ESTIMATOR, LAW, types.int64, types.int64,
+        SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE, FLOATS, INTS, FLOATS, FLOATS, FLOATS,
+        types.uintp, types.uintp, ROWS_TYPE, BYTES, BYTES, BYTES, INTS, INTS, INTS, INTS, INTS, INTS, INT_ROWS,
+        FLOATS, FLOAT_ROWS, PROGRESS_TYPE,
+        SUPERVISION_TYPE, INTS, INT_ROWS, INT_ROWS, INT_ROWS, INTS, INTS, INTS, FLOATS, BYTES,
+    ),
+    borrow=True,
+)  # fmt: skip
+def run(
+    read: Any, write: Any, wait: Any, now: Any, sleep: Any, estimator: Any, law: Any, link: int, clock: int,
+    settings: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any, estimator_p: Any,
+    law_state: Any, law_parameters: Any,
+    words: int, mailbox: int, rows: Any, received: Any, raw: Any, transmit: Any, header: Any, candidate: Any,
+    state: Any, command: Any, question: Any, times: Any, exchanges: Any, waiting: Any, sets: Any, progress: Any,
+    supervision: Any, batch: Any, decoded: Any, samples: Any, states: Any, newest: Any, ack: Any, request: Any,
+    letter: Any, block: Any,
+) -> int:  # fmt: skip
+    """Supervise until something ends it; then zero first, several times, what was still on the way, and the reason.
+
+    Parameters
+    ----------
+    read … progress
+        As in `rig.loop.host.run`; but `mailbox` is one of letters (`rig.loop.letters`).
+    supervision … block
+        The fields of `rig.loop.supervision.SupervisionBuffers`.
+
+    Returns
+    -------
+    int
+        `EndReason`; also stored in the ring. LOOP_DONE is the caller's to set.
+    """
+    v, p = supervision[0], progress[0]
+    p["last_fresh"] = now(clock)
+    reason = 0
+    while reason == 0:
+        reason = told_to_end(now, clock, settings, words)
+        if reason != 0:
+            break
+        time_ns = now(clock)
+        ready = _say(
+            write, now, link, clock, mailbox, control, settings, supervision, progress, letter, block, waiting,
+            sets, request, command, question, transmit, words,
+        )  # fmt: skip
+        if ready >= 0:
+            idle = v["tail"] == v["head"] or v["step"] == COMMITTED
+            ready = _listen(
+                read, wait, now, link, clock, v["next_command"] if idle else time_ns,
+                received, raw, header, candidate, times, exchanges, batch, decoded, samples, states, newest,
+                ack, supervision, settings, progress, words,
+            )  # fmt: skip
+        reason = _run_law(
+            estimator, law, samples, states, state, waiting, sets, supervision, settings, control, memory,
+            estimator_f, estimator_i, estimator_p, law_state, law_parameters, progress, rows, words, False,
+        )  # fmt: skip
+        if reason == _GO_ON:
+            reason = _ended_by_device(newest, supervision, settings, memory, progress, ready)
+        if reason == CLOSED:
+            store_word(words + WORD * ring.END_ERRNO, -ready)
+    if reason == _ABANDONED:
+        store_word(words + WORD * ring.END_REASON, STOPPED)
+        return STOPPED
+    v["stop_sequence"] = p["sequence"]
+    for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
+        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0)
+    # What the device had told before it stopped; of a run that the law ended nothing more is wanted.
+    until_ns = now(clock) + REST_NS
+    listening = reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
+    resting = listening or reason in (SILENT, CLOSED)
+    stopped = 0
+    while resting:
+        ready = -1
+        if listening:
+            ready = _listen(
+                read, wait, now, link, clock, until_ns,
+                received, raw, header, candidate, times, exchanges, batch, decoded, samples, states, newest,
+                ack, supervision, settings, progress, words,
+            )  # fmt: skip
+        ended = _run_law(
+            estimator, law, samples, states, state, waiting, sets, supervision, settings, control, memory,
+            estimator_f, estimator_i, estimator_p, law_state, law_parameters, progress, rows, words, True,
+        )  # fmt: skip
+        if stopped == 0 and _shows_stop(newest, supervision) == 1:
+            stopped = 1
+            until_ns = min(until_ns, now(clock) + SETTLE_NS)
+        more = ready >= 0 and now(clock) < until_ns
+        resting = ended == _GO_ON and (more or v["tail"] < v["head"])
+        if reason == FAULT and ended == _GO_ON and not resting:
+            _queue_fault(states, samples, supervision, progress)
+            resting = v["tail"] < v["head"]
+            listening = False
+    store_word(words + WORD * ring.END_REASON, reason)
+    return int(reason)

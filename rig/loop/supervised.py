@@ -1,0 +1,173 @@
+"""The thread around the loop of a law on the device: as around any loop, and what it must be told of new walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.codec import STATE
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Status
+from firmware_protocol.messages import NO_COMMAND_YET
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import encode_block
+from rig import mailbox as mailboxes
+from rig.errors import RigError
+from rig.loop import supervise
+from rig.loop.letters import letter_of
+from rig.loop.run import LoopThread
+from rig.loop.supervision import SupervisionBuffers
+
+BOUNDS = {"fixed": 1, "float32": 2}  # quanta by which the device's current may differ from the host's law
+MANY_SHARE, MANY_TICKS = (
+    0.001,
+    10,
+)  # ticks beyond the bound that are too many: of those compared, and at least
+
+Live = Callable[
+    [Sequence[float]], Mapping[str, Value]
+]  # numbers of a parameter set → live parameters of the device
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How the device's current followed the host's law, which `rig.step` ran on the same counts.
+
+    Attributes
+    ----------
+    compared
+        Ticks in which the two could be compared: no limit, no ramp, no gap.
+    excluded
+        Ticks left out, because a limit acted or no STATE told.
+    differing
+        Ticks with another current.
+    greatest_quanta
+        Greatest difference.
+    bound_quanta
+        What rounding explains: `BOUNDS`.
+    beyond
+        Ticks beyond that.
+    holds
+        Whether those are few.
+    """
+
+    compared: int
+    excluded: int
+    differing: int
+    greatest_quanta: int
+    bound_quanta: int
+    beyond: int
+    holds: bool
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+class SupervisedThread(LoopThread):
+    """`LoopThread` for a law that runs on the device.
+
+    Parameters
+    ----------
+    arguments, keywords
+        Of `LoopThread`.
+    live
+        Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.errors.RigError` of it
+        refuses the set.
+    """
+
+    def __init__(self, *arguments: Any, live: Live | None = None, **keywords: Any) -> None:
+        self._supervision = SupervisionBuffers.allocate()
+        self._letters = np.zeros(mailboxes.MAILBOX_BYTES // 8, np.int64)
+        mailboxes.clear(self._letters.ctypes.data)
+        self._writer = mailboxes.Mailbox(self._letters.ctypes.data, keep=self._letters)
+        self._posted = np.zeros(mailboxes.SET_FLOATS)
+        self._live_parameters = live
+        self._refused: list[str] = []
+        super().__init__(*arguments, **keywords)
+        # Until the first STATE comes: a device that sends samples runs, and of its command we know nothing.
+        self._buffers.state[STATE.state] = State.RUNNING
+        self._buffers.state[STATE.command_age] = NO_COMMAND_YET
+        self._parameter_count = 1 + len(self._controller.law.parameters)
+
+    @property
+    def fault(self) -> int:
+        """Fault that the newest STATE told, 0 for none."""
+        return int(self._supervision.newest[STATE.fault])
+
+    def agreement(self) -> Agreement:
+        """How the device's current followed the host's law so far."""
+        v = self._supervision.supervision[0]
+        compared, beyond = int(v["compared"]), int(v["beyond"])
+        return Agreement(
+            compared=compared,
+            excluded=int(v["excluded"] + v["open_compared"]),
+            differing=int(v["differing"]),
+            greatest_quanta=int(v["greatest"]),
+            bound_quanta=self._settings.agreement_quanta,
+            beyond=beyond,
+            holds=beyond <= max(MANY_TICKS, MANY_SHARE * compared),
+        )
+
+    def messages(self) -> list[str]:
+        """New walls that came to nothing, and a device that does not follow the law."""
+        found, said = self.agreement(), list(self._refused)
+        v = self._supervision.supervision[0]
+        if v["refused_set"]:
+            status, known = int(v["refused_status"]), int(v["refused_status"]) in set(Status)
+            why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
+            said.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
+        if not found.holds:
+            said.append(
+                f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
+                f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}: check that firmware "
+                "and package are of one version (rig firmware info)"
+            )
+        return said
+
+    def findings(self) -> dict[str, Any]:
+        """How the device followed the law (`Agreement`)."""
+        return {"law_agreement": self.agreement().as_mapping()}
+
+    def handover(self) -> dict[str, int] | None:
+        """As `LoopThread.handover`; commands leave before the first STATE comes."""
+        progress, v = self._buffers.progress[0], self._supervision.supervision[0]
+        if not progress["sequence"] and not v["stop_sequence"] >= 0:
+            return None
+        heard, changed = bool(v["heard"]), int(v["parameters_crc"])
+        return {
+            "next_command": int(progress["sequence"]),
+            "newest_state": int(progress["answers"]) if heard else 0xFFFF,
+            "state": int(self._supervision.newest[STATE.state]) if heard else int(State.RUNNING),
+            "nonce": int(progress["nonce"]),
+            **({} if changed < 0 else {"parameters_crc": changed}),
+        }
+
+    def _run(self) -> None:
+        supervise.run(*self._arguments())
+
+    def _mailbox(self) -> int:
+        """Address of the mailbox of letters; 0 where the wall does not change."""
+        return int(self._letters.ctypes.data) if self._live_parameters and super()._mailbox() else 0
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        own = self._supervision
+        return (*super()._arrays(), *(getattr(own, field.name) for field in fields(SupervisionBuffers)))
+
+    def _attend(self) -> None:
+        """Turn a posted set into a letter for the loop."""
+        if self._live_parameters is None or not super()._mailbox():
+            return
+        number = mailboxes.take(self.ring.mailbox, self._posted)
+        if number == 0:
+            return
+        values = self._posted[: self._parameter_count].tolist()
+        try:
+            block = encode_block(self._live_parameters(values))
+            self._writer.post(letter_of(number, block, values))
+        except RigError as error:
+            self._refused.append(f"parameter set {number} is not for this device: {error}")

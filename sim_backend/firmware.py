@@ -1,0 +1,357 @@
+"""The firmware as a simulated device: the C code of a board, with the plant of the simulation behind it.
+
+`Core` is the software alone, in its port to a computer: bytes and a world that somebody sets. `FirmwareDevice` gives
+it a rig. It offers what `device.SimulatedDevice` does, tick by tick (`tick`), and the same in one compiled call until
+there is something to say (`run`); a law that runs on the device needs no more of the host than that.
+
+It mirrors a board by being its software. What is simulated is its hardware layer: counter, amplifier, timer, switches.
+A port's own `device_tick` takes the sample and drives the current that follows from it at once; here the two halves
+stand apart, and the plant moves in between. So a current acts from its sample on, without any delay but the plant's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, Input
+from firmware_protocol.parameters import PARAMETERS
+from rig import board
+from rig.errors import ConfigError
+from rig.model import RigModel
+from sim_backend import firmware_library
+from sim_backend.configuration import describe
+from sim_backend.firmware_library import Mechanics, Setup, Status
+from sim_backend.hardware import Hardware
+from sim_backend.lockstep import DUE, INPUTS, WORDS, Lockstep
+from sim_backend.safety import UNITS_PER_SECOND
+
+OUTPUT_BYTES = 65536
+LAWS = 2  # fixed point and float32, parameter `law`
+_INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
+_CTYPES = {parameter.name: "<i" if parameter.ctype[0] == "i" else "<I" for parameter in PARAMETERS}
+_NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
+
+
+class Core:
+    """The firmware behind its host port: bytes and a world, no plant."""
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        model: RigModel,
+        rate: int = 1_000,
+        maximum: int = 50_000,
+        law_maximum: int = LAWS,
+        *,
+        name: str | None = None,
+    ) -> None:
+        self.library = library
+        self._memory = ctypes.create_string_buffer(library.host_bytes())
+        self.address = ctypes.addressof(self._memory)
+        self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
+        self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
+        self._packed = dictionaries.encode(self.dictionary)
+        self.hash = dictionaries.dictionary_hash(self._packed)
+        setup = Setup(
+            self._packed,
+            self.hash,
+            len(self._packed),
+            rate,
+            model.encoder.sign,
+            board.over_current(model),
+            Mechanics(**asdict(board.moved_mechanics(model))),
+        )
+        library.host_setup(self.address, ctypes.byref(setup))
+        for narrow in ("motion", "position_rate", "current_limit", "continuous_current", "law"):
+            info = self.dictionary.parameter(narrow)
+            assert info is not None
+            bounds = [_bits(narrow, bound) for bound in (info.minimum, info.maximum)]
+            library.host_narrow(self.address, _INDEX[narrow], *bounds)
+
+    def start(self) -> None:
+        """Power up."""
+        self.library.host_start(self.address)
+
+    @property
+    def status(self) -> Status:
+        """Where it is, and what it did to its hardware."""
+        status = Status()
+        self.library.host_status(self.address, ctypes.byref(status))
+        return status
+
+    def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
+        """Return what compiled ticks need of it; `words` is the memory that both share."""
+        drive, sample = _address(self.library.lockstep_drive), _address(self.library.lockstep_sample)
+        return Lockstep(drive, sample, self.address, words.ctypes.data, words)
+
+    def receive(self, data: bytes) -> bytes:
+        """Hand bytes in and return the answers."""
+        self.library.host_receive(self.address, data, len(data))
+        return self.take()
+
+    def take(self) -> bytes:
+        """What the device has sent."""
+        count = self.library.host_take(self.address, self._output, OUTPUT_BYTES)
+        return self._output.raw[:count]
+
+
+class FirmwareDevice:
+    """The firmware with a simulated rig behind it.
+
+    Parameters
+    ----------
+    model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
+        As of `SimulatedDevice`.
+    law_maximum
+        The last of the laws (parameter `law`) that it says it can run itself; 0 none.
+    library
+        The firmware's library; the shipped one unless given, compiled when nobody has yet.
+
+    Attributes
+    ----------
+    core
+        The software.
+    hardware
+        The physics behind it; `hardware.external_effort` pushes the link.
+    inputs
+        `Input` bits that are active.
+    time
+        Device time of the last sample (1/16 µs since boot).
+
+    Raises
+    ------
+    ConfigError
+        The default rate is above the maximum, the model cannot be stepped at it, or the library cannot be made.
+    """
+
+    def __init__(
+        self,
+        model: RigModel,
+        *,
+        name: str | None = None,
+        position_rate_maximum: int = 50_000,
+        position_rate_default: int = 1_000,
+        seed: int = 0,
+        initial_position: float | None = None,
+        keep_truth: bool = True,
+        law_maximum: int = LAWS,
+        library: ctypes.CDLL | None = None,
+    ) -> None:
+        if not 1 <= position_rate_default <= position_rate_maximum:
+            raise ConfigError(
+                f"a default rate of {position_rate_default} Hz with a maximum of {position_rate_maximum} Hz",
+                remedy="choose a rate that the device can run",
+            )
+        library = library or firmware_library.library()
+        self.core = Core(library, model, position_rate_default, position_rate_maximum, law_maximum, name=name)
+        self.hardware = Hardware(model, position_rate_default, seed=seed, initial_position=initial_position)
+        self.inputs = 0 if model.operator is None else int(Input.HOLD_TO_RUN)  # a person holds the switch too
+        self.time = 0
+        self._keep_truth = keep_truth
+        self._epoch_ns = 0
+        self._words = np.zeros(WORDS, np.int64)
+        self._lockstep = self.core.lockstep(self._words)
+        self._show_world()
+        self.core.start()
+        self._start()
+
+    def _start(self) -> None:
+        self._truth = self.hardware.new_truth() if self._keep_truth else None
+        self._seen = self.core.status
+
+    @property
+    def time_ns(self) -> int:
+        """Device time of the last sample (ns since boot)."""
+        return self.time * _NS_NUMERATOR // _NS_DENOMINATOR
+
+    @property
+    def elapsed_ns(self) -> int:
+        """Simulated time since this object was made, over all resets (ns)."""
+        return self._epoch_ns + self.time_ns
+
+    @property
+    def next_tick_ns(self) -> int:
+        """When the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        return self._epoch_ns + int(self._seen.due) * _NS_NUMERATOR // _NS_DENOMINATOR
+
+    @property
+    def rate(self) -> int:
+        """Ticks a second (Hz)."""
+        return int(self._seen.rate)
+
+    @property
+    def current(self) -> int:
+        """Current in force, after all limits (quanta)."""
+        return int(self._seen.current)
+
+    @property
+    def sample_index(self) -> int:
+        """Number of the last sample, modulo 2³²."""
+        return int(self._seen.sample_index)
+
+    @property
+    def state(self) -> State:
+        """State of the protocol."""
+        return State(self._seen.state)
+
+    @property
+    def session(self) -> int:
+        """Number of the session, 0 without one."""
+        return int(self._seen.session)
+
+    @property
+    def fault(self) -> Fault:
+        """The fault that is latched, or NONE."""
+        return Fault(self._seen.fault)
+
+    @property
+    def status(self) -> Status:
+        """What the software says of itself beside the protocol: counters, frames that it dropped."""
+        return self._seen
+
+    # ------------------------------------------------------------------ the tick
+
+    def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
+        """Let ticks pass until there is something to say; return that, and how many they were.
+
+        Parameters
+        ----------
+        until_ns
+            No sample is taken that is due later (ns, on the scale of `elapsed_ns`).
+        most
+            Ticks at most.
+        enough
+            Bytes to be said that end it.
+        """
+        until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # the last unit that is not later
+        self._words[INPUTS] = self.inputs
+        self._words[DUE] = self._seen.due
+        ticks, said = 0, b""
+        while ticks < most and len(said) < enough:
+            ran = self.hardware.run(self._lockstep, until, most - ticks, enough - len(said), self._truth)
+            if ran == 0:
+                break
+            ticks += ran
+            said += self.core.take()
+        if ticks:
+            self._seen = self.core.status
+            self.time = int(self._seen.time)
+        return said, ticks
+
+    def tick(self) -> bytes:
+        """Let one period pass; return what is due then: the same as `run` does, by its parts."""
+        library, address = self.core.library, self.core.address
+        library.host_set_inputs(address, self.inputs)
+        current = library.host_drive(address)
+        self._act()
+        self.hardware.advance(current)
+        self.time = int(self._seen.due)
+        self._show_world()
+        library.host_sample(address)
+        library.host_tell(address)
+        self._act()
+        if self._truth is not None and self._seen.session:
+            self.hardware.log(self._truth, self.sample_index)
+        return self.core.take()
+
+    # ------------------------------------------------------------------ the conversation
+
+    def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
+        """Take bytes of the host and return the answers; see `SimulatedDevice.receive`."""
+        self._show_world()
+        self.core.library.host_set_clock(
+            self.core.address, self.time if received_at is None else received_at, 0
+        )
+        answers = self.core.receive(data)
+        self._act()
+        return answers
+
+    # ------------------------------------------------------------------ the world
+
+    def press_emergency_stop(self, pressed: bool = True) -> None:
+        """Press the emergency stop, or release it."""
+        self._input(Input.EMERGENCY_STOP, pressed)
+
+    def hold_to_run(self, held: bool) -> None:
+        """Hold the hold-to-run switch, or let it go."""
+        self._input(Input.HOLD_TO_RUN, held)
+
+    def sync_input(self, high: bool) -> None:
+        """Put a level on the sync input; the device keeps the time at which it rose."""
+        if high and not self.inputs & Input.SYNC:
+            self.core.library.host_set_sync_time(self.core.address, self.time)
+        self._input(Input.SYNC, high)
+
+    def fail_encoder(self) -> None:
+        """Let the counter see an illegal transition before the next sample."""
+        self.core.library.host_fail_encoder(self.core.address)
+
+    def inject_fault(self, fault: Fault) -> None:
+        """Let the port find a fault: zero effort from here on, FAULT latched."""
+        self.core.library.host_fault(self.core.address, int(fault))
+        self._act()
+
+    def reset(self) -> None:
+        """Reboot: parameters, homing, session and time are gone; the handle moves on without effort."""
+        self._epoch_ns = self.elapsed_ns
+        self.time = 0
+        self.hardware.cut()
+        self.hardware.reset()
+        self._show_world()
+        self.core.library.host_set_sync_time(self.core.address, 0)
+        self.core.library.host_restart(self.core.address)
+        self._act()
+        self._start()
+
+    def brown_out(self) -> None:
+        """Reset as a dip of the supply or the hardware watchdog does: the encoder's counter begins at zero too.
+
+        The port says so to the software, as `WATCHDOG_RESET`.
+        """
+        self.hardware.slip -= self.hardware.count
+        self.hardware.count = 0
+        self.reset()
+        self.inject_fault(Fault.WATCHDOG_RESET)
+
+    def truth(self) -> NDArray[np.void]:
+        """Return the plant's state in every tick of a session since boot, dtype `rig.sample.TRUTH`."""
+        return (self._truth or self.hardware.new_truth()).table()
+
+    def _input(self, bit: Input, active: bool) -> None:
+        self.inputs = self.inputs | int(bit) if active else self.inputs & ~int(bit)
+        self.core.library.host_set_inputs(self.core.address, self.inputs)
+
+    def _show_world(self) -> None:
+        hardware = self.hardware
+        edge_age = round(min(hardware.edge_age_s * UNITS_PER_SECOND, self.time))
+        self.core.library.host_set_world(
+            self.core.address, self.time, hardware.count, self.time - edge_age, hardware.measured, self.inputs
+        )
+
+    def _act(self) -> None:
+        """Do to the plant what the device has done to its amplifier and its timer."""
+        before, self._seen = self._seen, self.core.status
+        if self._seen.rate != before.rate:
+            self.hardware.set_rate(self._seen.rate)
+        if self._seen.cuts != before.cuts:
+            self.hardware.cut()
+        if self._seen.enabled and not before.enabled:
+            self.hardware.begin_session()
+
+
+def _address(function: Any) -> int:
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+def _bits(name: str, value: float) -> int:
+    return int.from_bytes(struct.pack(_CTYPES[name], int(value)), "little")

@@ -1,0 +1,228 @@
+"""What a device is told of its law: whatever the design lets pass, the firmware takes, and a block carries it whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.parameters import BY_NAME, LIVE, decode_block, encode_block
+from rig import config, controller, device_law, laws, presets
+from rig.errors import ConfigError, PlanError
+from rig.experiments.live import parameter_set
+from tests.firmware.law.law_design import structure_of
+
+PRESETS = {name: presets.load(name) for name in presets.names()}
+QUANTUM = 0.001
+VARIANTS = [
+    ("fdm-butterworth-fixed", {}),
+    ("fdm-butterworth-fixed", {"coefficient_bits": 30, "state_bits": 20, "cutoff_hz": 40.0}),
+    (
+        "fdm-butterworth-fixed",
+        {"coefficient_bits": 20, "state_bits": 4, "word_bits": 16, "rounding": "floor"},
+    ),
+    ("fdm-butterworth-fixed", {"numerator": "nearest"}),
+    ("fdm", {}),
+    ("fdm-butterworth", {}),
+    ("fdm-butterworth", {"order": 1}),
+    ("fdm-butterworth", {"order": 5}),
+    ("foaw-end", {"window_limit": 64.0, "band": 1e6}),
+    ("foaw-best", {"anchor": "last", "stop": "global"}),
+    ("levant", {"lipschitz": 1e5}),
+    ("levant", {"discretisation": "explicit", "output": "u1"}),
+    ("kalman", {"gain": "steady"}),
+    ("kalman", {"gain": "steady", "model": "double"}),
+]
+
+
+@st.composite
+def experiments(draw: st.DrawFn) -> config.Experiment:
+    """Experiments of every rig with a law on the device; some cannot be."""
+    estimator, parameters = draw(st.sampled_from(VARIANTS))
+    velocity = draw(st.sampled_from([500, 1000, 2000, 5000]))
+    side = draw(st.sampled_from([-1, 1]))
+    base = PRESETS[draw(st.sampled_from(sorted(PRESETS)))]
+    near = 0.1 * base.rig.limits.position_maximum
+    wall = draw(st.floats(-near, near))
+    changes = {
+        "controller.loop": "device",
+        "controller.estimator": estimator,
+        "controller.parameters": parameters,
+        "controller.velocity_rate": velocity,
+        "controller.position_rate": velocity * draw(st.sampled_from([1, 2, 10])),
+        "controller.prediction": draw(st.sampled_from(["hold", "hold", "extrapolate"])),
+        "controller.arithmetic": draw(st.sampled_from(["auto", "auto", "fixed", "float32"])),
+        "controller.slow_velocity_rate": draw(st.sampled_from([None, velocity // 5])),
+        "controller.slow_below": draw(st.sampled_from([0.0, 0.05])),
+        "controller.measured_current": draw(st.booleans()),
+        "rig.encoder.sign": draw(st.sampled_from([-1, 1])),
+        "wall.stiffness": base.wall.stiffness * draw(st.floats(1e-3, 1e3)),
+        "wall.damping": draw(st.sampled_from([0.0, base.wall.damping * draw(st.floats(1e-3, 1e3))])),
+        "wall.position": wall,
+        "wall.side": side,
+        "wall.pull": draw(st.sampled_from(["clamp", "allow"])),
+        "wall.damping_on": draw(st.sampled_from(["both", "entry"])),
+        "wall.law": draw(st.sampled_from(["spring-damper", "spring-damper", "bilateral"])),
+        "trial.start": wall - side * near,
+        "trial.effort": side * abs(base.trial.effort),
+        "trial.minimum_rest_counts": 0.0,
+        "trial.release_s": draw(st.sampled_from([1e-6, 0.1, 60.0])),
+        "homing.damping": draw(st.sampled_from([0.0, base.homing.damping])),
+        "homing.settle_s": draw(st.sampled_from([0.0, 0.1])),
+    }
+    return config.override(base, changes)
+
+
+def values_of(x: config.Experiment, law: laws.Law | None = None, reference: int = 12_345) -> dict:
+    return controller.device_parameters(
+        x, current_quantum_a=QUANTUM, reference_count=reference, verified=True, law=law
+    )
+
+
+@given(experiments())
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_what_the_design_lets_pass_the_firmware_takes(law, x):
+    values, refusal = None, None
+    try:
+        values = values_of(x)
+    except ConfigError as error:
+        refusal = error
+    if values is None:
+        assert refusal is not None
+        assert refusal.remedy
+        return
+    sense = x.rig.encoder.sign
+    struct = structure_of(values, sense)
+    assert law.check(struct) == 0
+    assert values["law"] == {"fixed": 1, "float32": 2}[device_law.arithmetic_of(x.controller)]
+    carried = decode_block(encode_block(values))
+    assert carried.keys() == values.keys()
+    for name, value in values.items():
+        exact = np.float32(value).item() if BY_NAME[name].ctype == "f32" else value
+        assert carried[name] == exact, name
+    assert bytes(structure_of(carried, sense)) == bytes(struct)
+
+
+@given(experiments(), st.floats(0.05, 20.0), st.floats(0.0, 20.0), st.integers(-50, 50))
+@settings(max_examples=60)
+def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(x, harder, damper, counts):
+    """A change while it runs, and the same wall from the beginning."""
+    moved = x.wall.position + counts * x.rig.encoder.resolution
+    there = replace(
+        x,
+        wall=replace(
+            x.wall,
+            stiffness=x.wall.stiffness * harder,
+            damping=x.wall.damping * damper,
+            position=moved,
+        ),
+    )
+    made = {"current_quantum_a": QUANTUM, "reference_count": 7}
+    arithmetic = device_law.arithmetic_of(x.controller)
+    try:
+        whole = values_of(there, reference=7)
+        values_of(x, reference=7)
+    except ConfigError:
+        return
+    target = controller.for_experiment(there, **made)
+    numbers = [float(target.control[0]["wall_position"]), *target.law.parameters.tolist()]
+    live = device_law.live_parameters(controller.for_experiment(x, **made), arithmetic, numbers)
+    assert live == {name: whole[name] for name in live}
+    changed = {name for name in whole if whole[name] != values_of(x, reference=7)[name]}
+    assert changed <= live.keys() <= LIVE
+
+
+def test_a_set_of_the_mailbox_becomes_live_parameters():
+    x = config.override(PRESETS["koul-rigid"], {"controller.loop": "device", "wall.stiffness": 200.0})
+    made = {"current_quantum_a": QUANTUM, "reference_count": 0}
+    numbers = parameter_set(x, **made)
+    armed = controller.for_experiment(PRESETS["koul-rigid"], **made)
+    live = device_law.live_parameters(armed, "float32", numbers)
+    assert live["stiffness"] == 200.0
+    c = armed.control[0]
+    assert live["float_stiffness"] == pytest.approx(200.0 * c["resolution"] / c["effort_quantum"])
+    with pytest.raises(PlanError, match=r"wall.pull and wall.damping_on do not change"):
+        device_law.live_parameters(armed, "float32", [*numbers[:-1], 1.0])
+
+
+REFUSED = {
+    "an estimator": (
+        {"estimator": "period"},
+        r'controller.estimator = "period".*no such estimator',
+        "kalman",
+    ),
+    "optimal": ({"estimator": "optimal"}, r'controller.estimator = "optimal"', "foaw-best"),
+    "a recursive gain": ({"estimator": "kalman"}, r'parameters.gain = "recursive"', 'gain = "steady"'),
+    "the literal line": (
+        {"estimator": "foaw-best", "parameters": {"anchor": "literal"}},
+        r'parameters.anchor = "literal"',
+        '"lsq"',
+    ),
+    "long words": (
+        {"estimator": "fdm-butterworth-fixed", "parameters": {"word_bits": 40}},
+        "parameters.word_bits = 40",
+        "choose 32 or less",
+    ),
+    "integers of another": (
+        {"arithmetic": "fixed"},
+        "fdm-butterworth has no integers",
+        "fdm-butterworth-fixed",
+    ),
+    "prediction in integers": (
+        {"estimator": "fdm-butterworth-fixed", "prediction": "extrapolate"},
+        r'controller.prediction = "extrapolate"',
+        '"float32"',
+    ),
+    "friction": ({"friction_compensation": 0.5}, "controller.friction_compensation", "set it to 0"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_a_device_does_not_have_is_refused_by_key_value_and_remedy(case):
+    changes, message, remedy = REFUSED[case]
+    given_ = {f"controller.{key}": value for key, value in {"loop": "device", **changes}.items()}
+    x = config.override(PRESETS["koul-rigid"], given_)
+    with pytest.raises(PlanError, match=message) as refused:
+        values_of(x)
+    assert remedy in refused.value.remedy
+    assert 'controller.loop = "host"' in refused.value.remedy
+
+
+def test_a_foreign_law_and_a_table_of_the_host_are_refused():
+    x = config.override(PRESETS["koul-rigid"], {"controller.loop": "device"})
+    foreign = laws.Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
+    with pytest.raises(PlanError, match=r'wall.law = "mine".*no such law'):
+        values_of(x, foreign)
+    with pytest.raises(PlanError, match="a table of the host cannot be sent"):
+        values_of(x, laws.shaken([0.1, -0.1]))
+
+
+def test_values_beyond_the_wire_name_what_is_behind_them():
+    x = config.override(
+        PRESETS["chawda-linear"],
+        {"controller.loop": "device", "homing.speed": 2.0, "rig.limits.speed": 3.0},
+    )
+    slow = config.override(x, {"controller.position_rate": 1000, "controller.velocity_rate": 1000})
+    with pytest.raises(PlanError, match=r"homing.speed: home_step = .* does not fit the device"):
+        values_of(slow)
+    with pytest.raises(PlanError, match="position_rate = 100000 Hz does not fit"):
+        values_of(config.override(x, {"controller.position_rate": 100_000}))
+
+
+def test_a_law_on_the_host_switches_the_one_on_the_device_off():
+    values = values_of(PRESETS["koul-rigid"])
+    assert values["law"] == 0
+    assert "float_stiffness" not in values
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_runs_on_a_device_in_float32(law, name):
+    x = config.override(PRESETS[name], {"controller.loop": "device"})
+    if x.controller.estimator == "kalman":
+        x = config.override(x, {"controller.parameters.gain": "steady"})
+    assert law.check(structure_of(values_of(x), x.rig.encoder.sign)) == 0
+    assert math.isclose(values_of(x)["wall_position"], x.wall.position)

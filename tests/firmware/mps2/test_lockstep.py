@@ -1,0 +1,106 @@
+"""The image in QEMU and this computer's build run the same hit: counts, currents and every byte said, bit for bit.
+
+Both are closed around the simulated plant, a tick of the board at a time; the host only supervises.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.parameters import encode_block
+from firmware_protocol.transfer import set_parameters
+from rig import config, controller, device_law, presets
+from rig.config import Experiment
+from rig.devices.framed import FramedDevice
+from rig.firmware.flash import read_image
+from tests.firmware import cross
+from tests.firmware.mps2.lockstep import Partner, Rig, in_emulator, on_this_computer
+
+RATE = 20_000
+SUPERVISE_EVERY = RATE // 200
+LIVE_AT = RATE // 20  # in free space: the handle is being taken to its start
+FIXED = {
+    "controller.estimator": "fdm-butterworth-fixed",
+    "controller.parameters.cutoff_hz": 200.0,
+}
+UNIFORM = {"controller.velocity_rate": RATE}
+CASES = {
+    "M0+ code, integers, dual-rate": ("mps2-m0plus", FIXED, 50_000),
+    "M4F, float32, dual-rate": ("mps2-an386", {}, 50_000),
+    "M3, integers, uniform": ("mps2-an385", {**FIXED, **UNIFORM}, 10_000),
+    "M7, float32, Kalman": (
+        "mps2-an500",
+        {"controller.estimator": "kalman", "controller.parameters": {"gain": "steady"}},
+        10_000,
+    ),
+}
+
+
+def experiment_of(changes: dict[str, object]) -> Experiment:
+    return config.override(
+        presets.load("koul-rigid"),
+        {"controller.loop": "device", "homing.settle_s": 0.02, "trial.duration_s": 1.2, **changes},
+    )
+
+
+def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
+    """Identify, configure, arm, supervise, change the wall once, stop and disarm; all in virtual time."""
+    rig = Rig(partner, config.rig_model(experiment))
+    device = FramedDevice(rig)
+    quantum = device.dictionary.current_quantum_a
+    told = {"current_quantum_a": quantum, "reference_count": 0}
+    device.configure(controller.device_parameters(experiment, verified=True, **told))
+    device.arm()
+    first = len(rig.trace)
+    for tick in range(ticks):
+        if tick % SUPERVISE_EVERY == 0:
+            rig.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.SUPERVISE), 0, 0)))
+        if tick == LIVE_AT:
+            wall = config.override(experiment, {"wall.stiffness": 200.0})
+            prepared = controller.for_experiment(wall, **told)
+            numbers = [wall.wall.position, *prepared.law.parameters]
+            live = device_law.live_parameters(prepared, device_law.arithmetic_of(wall.controller), numbers)
+            for message in set_parameters(encode_block(live), device._next_nonce()):
+                device._command(message)
+        rig.tick()
+    assert rig.state == State.RUNNING
+    assert len(rig.trace) - first >= ticks
+    device.stop()
+    device.disarm()
+    assert rig.state == State.CONFIGURED
+    return rig
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Path) -> None:
+    board, changes, ticks = CASES[case]
+    cross.need_qemu()
+    experiment = experiment_of(changes)
+    for name in ("there", "here"):
+        (tmp_path / name).mkdir()
+    built = cross.image(board, "tests")
+    traces, said = [], []
+    partners = (
+        lambda: in_emulator(built, tmp_path / "there"),
+        lambda: on_this_computer(config.rig_model(experiment), board, tmp_path / "here"),
+    )
+    for make in partners:
+        partner = make()
+        try:
+            rig = hit(partner, experiment, ticks)
+        finally:
+            partner.close()
+        traces.append(rig.trace)
+        said.append(b"".join(rig.said))
+    assert traces[0].tobytes() == traces[1].tobytes()
+    assert said[0] == said[1]
+    assert len(said[0]) > ticks * 4  # every tick is in a BATCH
+    trace = traces[0]
+    assert trace["count"].max() > 5, "it never met the wall"
+    assert np.ptp(trace["current"]) > 500
+    assert read_image(built.elf)[1].facts.board == board

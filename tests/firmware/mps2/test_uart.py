@@ -1,0 +1,78 @@
+"""The device on an emulated board, behind a UART that is a pseudo-terminal here: the whole way of a host to a board.
+
+The emulator keeps no time on a busy machine, so nothing is said of time: who waits in vain gets a typed error.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from firmware_protocol.connection import State
+from rig.devices import open_device
+from rig.devices.framed import FramedDevice
+from rig.errors import LinkLostError
+from rig.firmware.build import BuildResult
+from rig.firmware.info import about
+from rig.firmware.selftest import SelfTestRequest, selftest
+from tests.firmware import cross
+
+BOOT_S = 30.0
+BOARD, MACHINE = "mps2-an386", "mps2-an386"
+UNTIMED = {"protocol", "fault memory", "parameters", "refusals"}
+
+
+@pytest.fixture
+def built() -> BuildResult:
+    return cross.image(BOARD)
+
+
+@pytest.fixture
+def url(built: BuildResult) -> Iterator[str]:
+    command = [cross.need_qemu(), "-M", MACHINE, "-display", "none", "-monitor", "none", "-serial", "pty"]
+    with subprocess.Popen(
+        [*command, "-kernel", str(built.elf)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        said = process.stdout.readline()
+        port = re.search(r"/dev/pts/\d+", said)
+        assert port is not None, said
+        yield f"serial://{port[0]}"
+        process.kill()
+
+
+def met(device: FramedDevice) -> None:
+    """Wait until the device answers: the emulator notices an open pseudo-terminal within a second or so."""
+    deadline = time.monotonic() + BOOT_S
+    while True:
+        try:
+            assert device.dictionary.device
+            return
+        except LinkLostError:
+            assert time.monotonic() < deadline, "the device never answered"
+
+
+def test_a_host_talks_with_the_board(built: BuildResult, url: str) -> None:
+    with open_device(url) as device:
+        met(device)
+        found = about(url, device.dictionary, device.dictionary_hash, None)
+        assert found.compatible
+        assert (found.firmware, found.dictionary_hash) == (built.firmware, built.dictionary_hash)
+        try:
+            result = selftest(device, SelfTestRequest(rate=1_000, seconds=0.2))
+            state = device.connection.state
+        except LinkLostError:
+            return
+    outcomes = {check.name: check for check in result.checks if check.name in UNTIMED}
+    assert set(outcomes) == UNTIMED
+    for check in outcomes.values():
+        assert check.outcome == "ok" or "does not answer" in check.text, check
+    assert state in (State.CONFIGURED, State.IDENTIFIED)

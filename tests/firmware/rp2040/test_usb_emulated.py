@@ -1,0 +1,114 @@
+"""The whole binary on an emulated bus: the firmware's own USB registers, the core behind them, ticks in between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import Connection, Received, State
+from firmware_protocol.messages import Message, Role
+from rig.config.derive import rig_model
+from rig.firmware.build import BuildResult
+from rig.presets import load
+from tests.firmware.rp2040 import emulator
+from tests.firmware.rp2040.conftest import PRESET
+from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
+from tests.firmware.test_core_law import push, told_to_run
+
+RIG, PORT = 1, 2
+STALL = -32
+STREAM_US = 40_000.0
+FULL_SPEED_BYTES = 19 * 64 * 1000  # a second, in bulk: USB 2.0, table 5-9
+IDENTIFY = m.Identify(nonce=7, offset=0)
+WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
+
+
+@pytest.fixture
+def pico(built: BuildResult) -> Iterator[emulator.Pico]:
+    with emulator.Pico(rig_model(load(PRESET)), built) as board:
+        yield board
+        look = board.ask("usb_look")
+        assert look["errors"] == []
+        assert board.look()["complaints"] == {}
+
+
+def answer_of(data: bytes) -> Message:
+    connection = Connection(Role.HOST)
+    connection.send(IDENTIFY)
+    connection.receive_data(data)
+    event = connection.next_event()
+    assert isinstance(event, Received)
+    return event.message
+
+
+def test_it_enumerates_and_says_which_build_it_is(pico: emulator.Pico, built: BuildResult) -> None:
+    line = UsbLine(pico)
+    assert line.plugged["status"] == 0
+    assert line.plugged["address"] == 7
+    device = bytes.fromhex(line.plugged["device"])
+    status, text = line.control(0x80, 6, 0x300 | device[16], 0x409)
+    assert status == 0
+    assert int(text[2:].decode("utf-16-le"), 16) == int(built.dictionary_hash, 16)
+
+
+@pytest.mark.parametrize("pipe", [RIG, PORT])
+def test_it_answers_on_the_pipe_that_asked(pico: emulator.Pico, pipe: int) -> None:
+    line = UsbLine(pico, pipe)
+    line.send(Connection(Role.HOST).send(IDENTIFY))
+    assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+
+
+def test_what_it_does_not_know_it_refuses_and_goes_on(pico: emulator.Pico) -> None:
+    line = UsbLine(pico)
+    assert line.control(0x80, 6, 0x600, 0, 10)[0] == STALL
+    assert line.control(0xC0, 0x77)[0] == STALL
+    assert line.control(0xC0, 0x20, 0, 7)[0] == 0
+    line.send(Connection(Role.HOST).send(IDENTIFY))
+    assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+
+
+def test_pulled_and_plugged_in_again(pico: emulator.Pico) -> None:
+    for _ in range(2):
+        line = UsbLine(pico)
+        line.send(Connection(Role.HOST).send(IDENTIFY))
+        assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+        pico.ask("usb_suspend", asleep=True)
+        pico.run(5_000.0)
+
+
+@pytest.mark.parametrize("rate", [20_000, 50_000])
+def test_every_tick_of_a_law_arrives(pico: emulator.Pico, built: BuildResult, rate: int) -> None:
+    """BATCH without a gap, in the time that the bus takes for its packets; and how much of the bus that is."""
+    host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))
+    host.begin(**told_to_run(push(), position_rate=rate, batch_layout=0, **WIDE_OPEN))
+    before = host.line.look()
+    host.watch(STREAM_US)
+    after = host.line.look()
+    samples = host.samples
+    indices = [sample.index for sample in samples]
+    assert indices == list(range(indices[0], indices[0] + len(indices)))
+    assert len(indices) >= (STREAM_US * 1e-6 - 0.003) * rate
+    state = host.states[-1]
+    assert (state.fault, state.missed_ticks) == (0, 0)
+    used = (after["bytesIn"] - before["bytesIn"]) / (STREAM_US * 1e-6)
+    print(f"{rate} Hz: {len(samples)} ticks, {used / 1e3:.0f} kB/s, {used / FULL_SPEED_BYTES:.0%} of the bus")
+    assert used < 0.5 * FULL_SPEED_BYTES
+
+
+def test_a_cable_that_is_pulled_in_a_session_ends_with_no_current(
+    pico: emulator.Pico, built: BuildResult
+) -> None:
+    host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))
+    host.begin(**told_to_run(push(), position_rate=20_000, **WIDE_OPEN))
+    host.watch(20_000.0)
+    assert pico.look()["enabled"]
+    pico.ask("usb_suspend", asleep=True)
+    pico.run(60_000.0)
+    look = pico.look()
+    assert not look["enabled"]
+    assert look["duty"] == 0
+    host.line = UsbLine(pico)
+    host.identify()
+    assert host.states[-1].state == State.FAULT

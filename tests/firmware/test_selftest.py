@@ -1,0 +1,38 @@
+"""The self test on the firmware itself: its law runs in this computer's build, its samples are whole, nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import config, presets
+from rig.devices.framed import FramedDevice
+from rig.firmware.selftest import SelfTestRequest, selftest
+from tests.firmware.mps2.lockstep import Rig, on_this_computer
+
+EXPERIMENT = presets.load("koul-rigid")
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    partner = on_this_computer(config.rig_model(EXPERIMENT), "mps2-an386", tmp_path)
+    yield Rig(partner, config.rig_model(EXPERIMENT))
+    partner.close()
+
+
+def test_the_firmware_passes_its_own_self_test_and_nothing_moves(rig: Rig) -> None:
+    device = FramedDevice(rig)
+    before = device.in_force()
+    request = SelfTestRequest(experiment=EXPERIMENT, rate=20_000, seconds=0.25, stream=True)
+    found = {check.name: check for check in selftest(device, request).checks}
+    assert [check for check in found.values() if check.outcome == "failed"] == []
+    assert found["stream"].outcome == "ok", found["stream"].text
+    assert "0 gaps; no current" in found["stream"].text
+    assert found["rig"].outcome == "ok"
+    assert np.ptp(rig.trace["count"]) == 0
+    assert not rig.trace["current"].any()
+    assert rig.trace["enabled"].any(), "it was never armed"
+    assert device.in_force() == before

@@ -1,0 +1,84 @@
+"""The emulated Raspberry Pi Pico that a guest can plug in: a process beside the guest, behind a port of the guest's.
+
+The guest is emulated too, so the board's emulator runs outside of it: the bytes of USB/IP pass through a virtio serial
+port, and what cannot be seen over USB through a file in the shared directory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rig import config, presets
+from rig.model import RigModel
+from tests.firmware.rp2040 import emulator
+from tests.guest.absent import GuestAbsentError
+
+RIG = "koul-rigid"
+PORT = "rig.usb"  # name of the virtio port
+FACTS, STATUS = "pico.json", "pico-status.json"  # in the shared directory
+PACE = 0.25  # at most: the guest is slow too, and what a host must do in time it must do in the board's
+START_S = 60.0
+
+
+def model() -> RigModel:
+    """The rig that the board is built for and that its motor moves."""
+    return config.rig_model(presets.load(RIG))
+
+
+@contextlib.contextmanager
+def emulated_pico(share: Path) -> Iterator[Path]:
+    """Build the firmware, start the board, and give the socket of its USB/IP server.
+
+    Raises
+    ------
+    GuestAbsentError
+        There is no cross compiler or no emulator here.
+    """
+    with tempfile.TemporaryDirectory(prefix="pico-") as scratch:
+        place = Path(scratch)
+        try:
+            built = emulator.image(model(), place)
+            modules = emulator.modules()
+        except pytest.skip.Exception as absent:
+            raise GuestAbsentError(str(absent)) from None
+        facts = {"serial": f"{int(built.dictionary_hash, 16):016X}", "firmware": built.firmware}
+        (share / FACTS).write_text(json.dumps(facts))
+        with _server(place, built.bin, modules, share / STATUS) as socket:
+            yield socket
+
+
+@contextlib.contextmanager
+def _server(place: Path, image: Path, modules: Path, status: Path) -> Iterator[Path]:
+    settings = {
+        "image": str(image),
+        "pins": emulator.PINS,
+        "motor": emulator.motor_of(model(), 0.0),
+        "socket": str(place / "usb"),
+        "status": str(status),
+        "pace": PACE,
+    }
+    file = place / "settings.json"
+    file.write_text(json.dumps(settings))
+    command = ["node", str(emulator.HERE / "usb_server.js"), str(file)]
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NODE_PATH": str(modules)},
+    ) as server:
+        assert server.stdout is not None
+        try:
+            if server.stdout.readline() != "ready\n":
+                raise RuntimeError("the emulated board does not start")
+            yield place / "usb"
+        finally:
+            server.kill()

@@ -1,0 +1,90 @@
+"""In the guest: the board at the end of a virtio port, plugged into vhci_hcd."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sim_backend.usb import PRODUCT, VENDOR
+from tests.guest import vhci
+from tests.guest.pico import FACTS, PORT, STATUS
+
+PORTS = Path("/sys/class/virtio-ports")
+SHARE = Path("/run/guest")
+BYTES = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class PluggedPico:
+    """The board on the bus."""
+
+    serial: str
+    firmware: str
+
+    @property
+    def url(self) -> str:
+        """How `rig` names it."""
+        return f"usb://{VENDOR:04x}:{PRODUCT:04x}/{self.serial}"
+
+    @property
+    def tty(self) -> Path | None:
+        """Its serial port, when Linux has made one."""
+        for device in vhci.devices_with(self.serial):
+            for found in device.glob("*:*/tty/*"):
+                return Path("/dev") / found.name
+        return None
+
+    def status(self) -> dict[str, Any]:
+        """How the board is, as seen from outside: at its pins."""
+        return dict(json.loads((SHARE / STATUS).read_text()))
+
+
+def port() -> Path | None:
+    """The virtio port behind which a board is, or None."""
+    for place in PORTS.glob("*"):
+        if (place / "name").read_text().strip() == PORT:
+            return Path("/dev") / place.name
+    return None
+
+
+@contextlib.contextmanager
+def plugged_pico() -> Iterator[PluggedPico]:
+    """Plug the board in, for the length of a ``with``; once in the life of a guest."""
+    facts = json.loads((SHARE / FACTS).read_text())
+    path = port()
+    assert path is not None
+    board = os.open(path, os.O_RDWR)
+    kernel, here = socket.socketpair()
+    for source, target in (
+        (lambda: os.read(board, BYTES), here.sendall),
+        (lambda: here.recv(BYTES), lambda data: _write(board, data)),
+    ):
+        threading.Thread(target=_carry, args=(source, target), daemon=True).start()
+    place = vhci.attach(kernel)
+    kernel.close()
+    try:
+        vhci.wait_for_device(facts["serial"])
+        yield PluggedPico(facts["serial"], facts["firmware"])
+    finally:
+        here.shutdown(socket.SHUT_RDWR)
+    vhci.wait_for_free(place)
+    vhci.wait_for_no_device(facts["serial"])
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+def _carry(source: Any, target: Any) -> None:
+    """Carry bytes one way until either end is gone."""
+    with contextlib.suppress(OSError):
+        while data := source():
+            target(data)

@@ -1,0 +1,124 @@
+"""pyusb, libusb, Linux, USB/IP and the firmware's own USB registers: the whole way to a board that is not there.
+
+The board's emulator is slower than the world, and this kernel slower still: what is asserted is what must happen, not
+when.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+
+import pytest
+import usb.core
+import usb.util
+from usb.backend import libusb1
+
+from firmware_protocol import messages as m
+from rig.devices import open_device, open_link
+from rig.devices.usb import available_devices
+from sim_backend.usb import PRODUCT, VENDOR, VENDOR_CLASS
+from tests.conformance.host import Host
+from tests.firmware.supervised import samples_of
+from tests.firmware.test_core_law import push, told_to_run
+from tests.guest import pico, vhci
+from tests.guest.pico_port import plugged_pico, port
+
+WHY = os.environ.get("HAPTIC_RIG_NO_PICO") or "no emulated board here: run .ci/guest"
+pytestmark = pytest.mark.skipif(not vhci.is_here() or port() is None, reason=WHY)
+
+RATE = 1_000
+BATCHES = 5
+LONG_S = 60.0
+WORD_S = 0.005
+WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
+
+
+@pytest.fixture(scope="module")
+def board():
+    with plugged_pico() as made:
+        yield made
+
+
+@pytest.fixture
+def opened(board):
+    """The device through pyusb."""
+    device = usb.core.find(
+        idVendor=VENDOR,
+        idProduct=PRODUCT,
+        backend=libusb1.get_backend(),
+        custom_match=lambda found: usb.util.get_string(found, found.iSerialNumber) == board.serial,
+    )
+    assert device is not None
+    yield device
+    usb.util.dispose_resources(device)
+
+
+def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board):
+    """First of all: later the vendor interface has spoken, and keeps the link for a second of the board."""
+    vhci.wait_until(lambda: board.tty is not None)
+    vhci.settle()
+    with open_device(f"serial://{board.tty}") as device:
+        assert device.dictionary.device == pico.RIG
+
+
+def test_linux_enumerates_the_firmware(opened):
+    assert opened.manufacturer == "haptic-rig"
+    assert opened.speed == usb.util.SPEED_FULL
+    interfaces = list(opened.get_active_configuration())
+    assert [interface.bInterfaceClass for interface in interfaces] == [VENDOR_CLASS, 2, 10]
+
+
+def test_an_unknown_request_is_a_broken_pipe_and_the_next_one_is_answered(opened):
+    with pytest.raises(usb.core.USBError) as caught:
+        opened.ctrl_transfer(0xC0, 0x77, 0, 0, 8)
+    assert caught.value.errno == errno.EPIPE
+    assert bytes(opened.ctrl_transfer(0xC0, 0x20, 0, 7, 10))[:4] == b"\x0a\0\0\0"
+
+
+def test_rig_finds_it_and_reads_its_dictionary(board):
+    assert board.url in {device.url for device in available_devices() if device.is_rig}
+    with open_device(board.url) as device:
+        assert device.dictionary.device == pico.RIG
+
+
+def supervised(host: Host, frames: int) -> list[m.Batch]:
+    """Supervise until so many BATCH frames are here."""
+    batches: list[m.Batch] = []
+    deadline = time.monotonic() + LONG_S
+    while len(batches) < frames:
+        assert time.monotonic() < deadline
+        host.command(mode=m.Mode.SUPERVISE)
+        batches += [event.message for event in host.events(WORD_S) if isinstance(event.message, m.Batch)]
+    return batches
+
+
+def check_at_rest(board):
+    """No current at the pins of the board, amplifier off, as seen from outside of everything."""
+    vhci.wait_until(lambda: not board.status()["enabled"])
+    status = board.status()
+    assert status["current"] == 0
+    assert status["resets"] == 0
+    assert status["errors"] == []
+    assert status["complaints"] == {}
+
+
+def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board):
+    """Enumerated, identified, configured, armed, supervised, stopped: without the loop, a request at a time."""
+    link = open_link(board.url)
+    try:
+        host = Host(link)
+        host.begin(**told_to_run(push(), position_rate=RATE, batch_samples=10, **WIDE_OPEN))
+        assert board.status() is not None
+        batches = supervised(host, BATCHES)
+        host.command(mode=m.Mode.STOP)
+        assert host.disarm().status == 0
+    finally:
+        link.close()
+    samples = [sample for batch in batches for sample in samples_of(batch)]
+    indices = [sample.index for sample in samples]
+    assert indices == list(range(indices[0], indices[0] + len(indices)))
+    assert {sample.commanded for sample in samples} & {50, 0} == {sample.commanded for sample in samples}
+    check_at_rest(board)
+    assert board.status()["strongest"] > 0

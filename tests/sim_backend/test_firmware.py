@@ -1,0 +1,315 @@
+"""The firmware as a simulated device: how its library is made, and that many ticks in one call are those ticks."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import multiprocessing
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from rig import config, presets
+from rig.devices.device import DeviceUrl
+from rig.errors import ConfigError
+from rig.model import RigModel
+from sim_backend import firmware_library
+from sim_backend.channel import DeviceFault, Faults, Happening
+from sim_backend.device import SimulatedDevice
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.link import MemoryLink, open_link
+from tests.conformance.device import check_device
+from tests.conformance.host import Host
+from tests.conformance.link import check_link
+from tests.conformance.rigs import linear_rig, rotary_rig
+
+FOREVER_NS = 10**15
+LONG_RUN = 50_000
+
+
+def held_rig() -> RigModel:
+    return config.rig_model(config.override(presets.load("koul-compliant"), {"trial.kind": "human"}))
+
+
+def noisy_rig() -> RigModel:
+    return rotary_rig(current_noise_a=0.01, computation_delay_ticks=2, damping=0.002, coulomb=0.01)
+
+
+RIGS = {
+    "rigid": rotary_rig,
+    "linear": linear_rig,
+    "two masses": lambda: config.rig_model(presets.load("koul-compliant")),
+    "noisy and late": noisy_rig,
+}
+
+# ---------------------------------------------------------------------- the library
+
+
+def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = firmware_library.compiled(tmp_path)
+    monkeypatch.setattr(firmware_library, "_compile", lambda command: pytest.fail("compiled again"))
+    assert firmware_library.compiled(tmp_path) == made
+    assert [path.name for path in tmp_path.iterdir()] == [made.name]
+
+
+def _make(directory: Path, pipe: Any) -> None:
+    library = firmware_library.load(firmware_library.compiled(directory))
+    pipe.send(library.host_bytes())
+
+
+def test_two_processes_may_make_it_at_once(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    pipes, processes = [], []
+    for _ in range(2):
+        receiver, sender = context.Pipe(duplex=False)
+        processes.append(context.Process(target=_make, args=(tmp_path, sender)))
+        pipes.append(receiver)
+    for process in processes:
+        process.start()
+    sizes = {pipe.recv() for pipe in pipes}
+    for process in processes:
+        process.join()
+    assert len(sizes) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_other_sources_flags_and_compilers_are_another_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = firmware_library.compiler()
+    keys = {firmware_library._key(command), firmware_library._key([*command, "-g"])}
+    monkeypatch.setattr(firmware_library, "FLAGS", (*firmware_library.FLAGS, "-O1"))
+    keys.add(firmware_library._key(command))
+    for part in firmware_library.PARTS:
+        (tmp_path / part).mkdir()
+    (tmp_path / "core" / "other.h").write_text("")
+    monkeypatch.setattr(firmware_library, "FIRMWARE", tmp_path)
+    keys.add(firmware_library._key(command))
+    (tmp_path / "core" / "other.h").write_text("/* */")
+    keys.add(firmware_library._key(command))
+    assert len(keys) == 5
+
+
+def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(ConfigError) as caught:
+        firmware_library.compiled(tmp_path)
+    assert "gcc" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("script", "says"),
+    [
+        ("#!/bin/sh\necho 'cannot do this' >&2\nexit 1\n", "cannot do this"),
+        ("#!/no/such/thing\n", "does not run"),
+    ],
+)
+def test_a_compiler_that_fails_is_quoted(
+    script: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = tmp_path / "mycc"
+    compiler.write_text(script)
+    compiler.chmod(compiler.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("CC", str(compiler))
+    with pytest.raises(ConfigError) as caught:
+        firmware_library.compiled(tmp_path)
+    assert says in str(caught.value)
+    assert "CC" in caught.value.remedy
+    assert not list(tmp_path.glob("firmware-*"))
+
+
+def test_a_compiler_is_named_with_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = firmware_library.compiler()
+    monkeypatch.setenv("CC", f"{found[0]} -m64")
+    assert firmware_library.compiler() == [found[0], "-m64"]
+
+
+def test_the_words_are_those_of_the_header() -> None:
+    from sim_backend import lockstep  # noqa: PLC0415
+
+    header = (firmware_library.FIRMWARE / "host" / "lockstep.h").read_text()
+    inside = header[header.index("struct lockstep {") : header.index("};")]
+    names = [
+        name.strip()
+        for line in inside.splitlines()
+        if "int64_t" in line
+        for name in line.split("int64_t")[1].split(";")[0].split(",")
+    ]
+    assert [getattr(lockstep, name.upper()) for name in names] == list(range(lockstep.WORDS))
+
+
+# ---------------------------------------------------------------------- many ticks are those ticks
+
+
+def armed(device: FirmwareDevice, **values: Any) -> Host:
+    host = Host(MemoryLink(device))
+    host.begin(**values)
+    return host
+
+
+def by_ticks(device: FirmwareDevice, ticks: int) -> bytes:
+    return b"".join(device.tick() for _ in range(ticks))
+
+
+def by_runs(device: FirmwareDevice, ticks: int, most: int, enough: int) -> bytes:
+    said, done = b"", 0
+    while done < ticks:
+        piece, ran = device.run(FOREVER_NS, min(most, ticks - done), enough=enough)
+        said, done = said + piece, done + ran
+    return said
+
+
+@pytest.mark.parametrize("rig", RIGS)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_a_run_is_its_ticks(rig: str, data: st.DataObject) -> None:
+    devices = [
+        FirmwareDevice(RIGS[rig](), seed=4, position_rate_default=5_000, initial_position=0.01)
+        for _ in range(2)
+    ]
+    hosts = [armed(device, position_rate=5_000) for device in devices]
+    for _ in range(data.draw(st.integers(1, 6))):
+        current, push = data.draw(st.integers(-500, 500)), data.draw(st.floats(-0.05, 0.05))
+        slip, leak = data.draw(st.integers(-1, 1)), data.draw(st.sampled_from([0, 0, 3]))
+        ticks, most = data.draw(st.integers(1, 300)), data.draw(st.integers(1, 40))
+        for device, host in zip(devices, hosts, strict=True):
+            device.hardware.external_effort = push
+            device.hardware.slip += slip
+            device.hardware.leak = leak
+            if device.state is not State.FAULT:
+                host.command(current)
+        said = [
+            by_ticks(devices[0], ticks),
+            by_runs(devices[1], ticks, most, data.draw(st.sampled_from([1, 500]))),
+        ]
+        assert said[0] == said[1]
+    np.testing.assert_array_equal(devices[0].truth(), devices[1].truth())
+    assert devices[0].elapsed_ns == devices[1].elapsed_ns
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_its_truth_is_that_of_the_readable_device(rig: str) -> None:
+    model = RIGS[rig]()
+    devices = [
+        kind(model, seed=2, position_rate_default=2_000, initial_position=0.003)
+        for kind in (SimulatedDevice, FirmwareDevice)
+    ]
+    for device in devices:
+        host = Host(MemoryLink(device))
+        host.begin(position_rate=2_000)
+        for k in range(300):
+            host.command(round(200 * np.sin(k / 20)))
+            host.next_state()
+    tables = [device.truth() for device in devices]
+    assert len(tables[0]) >= 300
+    np.testing.assert_array_equal(*tables)
+
+
+def test_a_run_stops_at_its_time() -> None:
+    device = FirmwareDevice(
+        rotary_rig(), position_rate_default=3_000
+    )  # a period that is no whole number of units
+    for until_ns in (0, 333_332, 333_333, 333_334, 1_000_000, 10**9):
+        while device.next_tick_ns <= until_ns:
+            _, ticks = device.run(until_ns, 10**9)
+            assert ticks > 0
+        assert device.run(until_ns, 10**9) == (b"", 0)
+        assert device.elapsed_ns <= until_ns < device.next_tick_ns
+    assert device.sample_index == 3_000
+
+
+def test_after_a_long_run_the_count_is_the_truth() -> None:
+    model = noisy_rig()
+    device = FirmwareDevice(model, position_rate_default=20_000, seed=1)
+    host = armed(device, position_rate=20_000)
+    for k in itertools.count():
+        host.command(round(400 * np.sin(k / 4)))
+        host.link.elapse(0.01)
+        state = host.next_state()
+        if device.sample_index >= LONG_RUN:
+            break
+    assert (device.fault, state.missed_ticks, device.status.dropped) == (Fault.NONE, 0, 0)
+    truth = device.truth()
+    np.testing.assert_array_equal(np.diff(truth["sample_index"]), 1)
+    assert len(truth) >= LONG_RUN - 1
+    encoder = model.encoder
+    counts = np.floor(truth["position_true"] / encoder.resolution + encoder.offset)
+    assert np.ptp(counts) > 500
+    assert state.count == counts[truth["sample_index"] == state.sample_index]
+
+
+def test_two_devices_in_one_process_do_not_know_of_each_other() -> None:
+    first, second = (FirmwareDevice(rotary_rig(), position_rate_default=1_000) for _ in range(2))
+    host = armed(first)
+    host.command(100)
+    host.next_state()
+    assert (first.state, second.state) == (State.RUNNING, State.BOOT)
+    assert (first.current, second.current) == (100, 0)
+    second_host = armed(second)
+    first.inject_fault(Fault.INTERNAL)
+    second_host.command(50)
+    assert second_host.next_state().current_commanded == 50
+    assert (first.fault, second.fault) == (Fault.INTERNAL, Fault.NONE)
+
+
+def test_a_person_plays_the_same_script_by_runs_and_by_ticks() -> None:
+    devices = [FirmwareDevice(held_rig(), position_rate_default=2_000) for _ in range(2)]
+    for device in devices:
+        armed(device, position_rate=2_000)
+    assert by_ticks(devices[0], 4_000) == by_runs(devices[1], 4_000, 10**6, 1)
+    truth = devices[0].truth()
+    np.testing.assert_array_equal(truth, devices[1].truth())
+    assert np.ptp(truth["handle_position_true"]) > 1e-3
+
+
+# ---------------------------------------------------------------------- over the link
+
+
+@pytest.mark.parametrize("model", [rotary_rig(), linear_rig()], ids=["rotary", "linear"])
+def test_the_shipped_library_conforms(model: RigModel) -> None:
+    check_device(lambda: MemoryLink(FirmwareDevice(model)))
+
+
+def test_its_link_conforms() -> None:
+    def fresh() -> MemoryLink:
+        return open_link(DeviceUrl.parse("sim://?firmware=1&seed=3"), rotary_rig())
+
+    assert isinstance(fresh().device, FirmwareDevice)
+    check_link(fresh, lambda: MemoryLink(FirmwareDevice(rotary_rig())))
+
+
+@pytest.mark.parametrize("text", ["firmware=2", "firmware=yes", "firmware=-1"])
+def test_the_option_is_one_or_nothing(text: str) -> None:
+    with pytest.raises(ConfigError, match="firmware"):
+        open_link(DeviceUrl.parse(f"sim://?{text}"), rotary_rig())
+
+
+@pytest.mark.parametrize("kind", [SimulatedDevice, FirmwareDevice])
+def test_the_world_acts_at_its_tick(kind: Callable[..., Any]) -> None:
+    seen: list[int] = []
+    happenings = (
+        Happening(7, lambda device: seen.append(device.sample_index)),
+        DeviceFault(30, Fault.EMERGENCY_STOP),
+        Happening(12, lambda device: device.reset()),
+    )
+    device = kind(rotary_rig())
+    link = MemoryLink(device, Faults(device=happenings))
+    before = device.sample_index
+    link.elapse(0.0255)
+    assert seen == [before + 7]
+    assert device.sample_index == 25 - 12
+    assert device.elapsed_ns == 25_000_000
+
+
+def test_the_library_is_opened_once() -> None:
+    assert isinstance(firmware_library.library(), ctypes.CDLL)
+    assert firmware_library.library() is firmware_library.library()

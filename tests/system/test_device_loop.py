@@ -1,0 +1,134 @@
+"""A law on the device from end to end: the commands that run one, over frames, against the firmware itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from rig import config, presets, sample
+from rig.errors import PlanError
+from rig.experiments import impedance, live, trial
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.replay import replay
+from rig.recording.reader import open_recording
+from rig.sample import Phase
+from tests.conformance.command_line import run_command
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pico.toml"
+SHORT = {
+    "trial.duration_s": 0.3,
+    "trial.release_s": 0.02,
+    "homing.settle_s": 0.01,
+    "verdict.tail_s": 0.1,
+    "rig.simulation.initial_position": -0.015,
+}
+BOARD = config.override(config.load_experiment(EXAMPLE), SHORT)
+FLOAT = config.override(
+    presets.load("koul-rigid"),
+    {**SHORT, "controller.loop": "device", "wall.stiffness": 150.0, "wall.damping": 0.1},
+)
+
+
+def one_hit(experiment, directory, **changes):
+    (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=directory))
+    return result, open_recording(result.recording)
+
+
+@pytest.mark.parametrize(("experiment", "quanta"), [(BOARD, 1), (FLOAT, 2)], ids=["integers", "float32"])
+def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment, quanta, tmp_path):
+    there, recording = one_hit(experiment, tmp_path)
+    here, _ = one_hit(experiment, tmp_path, **{"controller.loop": "host"})
+    assert there.as_mapping()["loop"] == recording.header["extra"]["loop"] == "device"
+    assert here.as_mapping()["loop"] == "host"
+    for ours, theirs in ((there.verdict, here.verdict), (there.verdict_true, here.verdict_true)):
+        assert ours.kind == theirs.kind
+        for number in ("peak_penetration", "impact_velocity", "contact_s"):
+            assert getattr(ours, number) == pytest.approx(getattr(theirs, number), rel=0.01), number
+    rows = recording.rows
+    assert (rows["elapsed_ticks"] == 1).all()
+    assert set(rows["phase"].tolist()) == set(Phase) - {Phase.WAIT}
+    moved = rows["current_applied"][1:] - rows["current_sent"][:-1]
+    assert np.abs(moved[rows["phase"][:-1] < Phase.DONE]).max() <= quanta
+    agreement = recording.trailer["law_agreement"]
+    assert agreement["holds"]
+    assert agreement["greatest_quanta"] <= quanta
+
+
+def test_a_hit_on_the_device_replays_to_the_last_bit(tmp_path):
+    _, recording = one_hit(BOARD, tmp_path)
+    result = replay(recording)
+    assert result.exact
+
+
+def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(tmp_path, monkeypatch):
+    rings = []
+    own = trial._ring
+    monkeypatch.setattr(trial, "_ring", lambda *given: rings.append(own(*given)) or rings[-1])
+    posted = []
+
+    def watch(repeat, experiment):
+        def told(ticks, phase):
+            if phase == Phase.TRIAL and not posted:
+                posted.append(live._post(rings[0], {"wall.stiffness": 90.0, "wall.damping": 0.05}))
+                with pytest.raises(PlanError, match="do not change while"):
+                    live._post(rings[0], {"wall.damping_on": "entry"})
+
+        return told
+
+    (result,) = hit(HitRequest(experiment=BOARD, output=tmp_path), watch)
+    assert [number for number, _ in posted] == [1]
+    recording = open_recording(result.recording)
+    (taken,) = recording.trailer["parameter_sets"]
+    sets = recording.rows["parameter_set"]
+    assert set(sets.tolist()) == {0, 1}
+    assert recording.rows["penetration"][np.flatnonzero(sets)[0]] <= 0.0
+    assert recording.trailer["law_agreement"]["holds"]
+    assert taken["parameters"][0] == 90.0
+    assert replay(recording).exact
+
+
+def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
+    changes = {
+        "excitation.channel": "motor",
+        "excitation.low_hz": 20.0,
+        "excitation.high_hz": 200.0,
+        "excitation.period_s": 0.05,
+        "excitation.periods": 4,
+        "excitation.settle_periods": 4,
+        "excitation.realisations": 2,
+        "wall.stiffness": 100.0,
+        "wall.damping": 0.05,
+    }
+    x = config.override(BOARD, changes)
+
+    def measured(experiment):
+        where = impedance.OnDevice(url="sim://", recordings=tmp_path)
+        (result,) = impedance.measure_on_device(experiment, where)
+        assert result.ended == ""
+        return result
+
+    there, here = measured(x), measured(config.override(x, {"controller.loop": "host"}))
+    assert there.as_mapping()["loop"] == "device"
+    assert not there.of_device_loop
+    size = np.abs(here.impedance.z)
+    assert np.abs(there.impedance.z - here.impedance.z).max() < 0.05 * size.max()
+    recording = open_recording(there.recordings[0])
+    assert recording.header["identity"]["parameters"]["excitation_lines"] == 10
+    assert recording.trailer["law_agreement"]["holds"]
+    assert replay(recording).exact
+
+
+def test_the_commands_say_where_the_law_ran(tmp_path):
+    sets = [f"--set={key}={value}" for key, value in SHORT.items()]
+    done = run_command("hit", str(EXAMPLE), *sets, "--no-plot", "--json", "-o", str(tmp_path))
+    (told,) = json.loads(done.stdout)["hits"]
+    assert (told["loop"], told["arithmetic"]) == ("device", "fixed")
+    shown = run_command("show", told["recording"])
+    assert "the device, in integers" in shown.stdout
+    assert sample.Phase.TRIAL
