@@ -23,7 +23,7 @@ import pytest
 
 from tests.firmware.build import FIRMWARE
 
-FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x4_0000
+FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x8_0000
 STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for whoever calls
 RETURN = FLASH + SIZE - 0x100  # where a function returns to: nothing is there
 PAINT = b"\xa5"
