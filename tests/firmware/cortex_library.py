@@ -18,7 +18,7 @@ from tests.firmware.build import FIRMWARE, SOURCES
 from tests.firmware.cortex import RAM, Image, Simulator
 
 ENTRIES = (
-    "host_tick", "device_tick", "device_is_sending", "host_poll", "host_bytes", "host_setup", "host_narrow", "host_start", "host_receive", "host_take",
+    "device_tick", "host_poll", "host_bytes", "host_setup", "host_narrow", "host_start", "host_receive", "host_take",
     "host_set_world", "host_status",
 )  # fmt: skip
 HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x6_0000, 0x6_0100, 0x6_0400, 0x6_4000))
