@@ -643,6 +643,7 @@ def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDL
         board.count = 94 if len(board.fed) % 2 else 60
         board.tick()
         board.poll()
+        board.poll()
     (ack,) = board.heard
     assert isinstance(ack, m.Ack)
     assert ack.status == Status.OK

@@ -4,7 +4,7 @@
 #include "law_settings.h"
 
 /* A piece: what a Cortex-M0+ does in some 1000 cycles. */
-enum { ENTRIES = 2, CRC_VALUES = 8, VALUES = 16 };
+enum { SUM_BYTES = 48, ENTRIES = 2, CRC_VALUES = 6, VALUES = 14 };
 
 static void go_on(struct live_change *change, enum live_step step)
 {
@@ -17,8 +17,26 @@ void live_change_begin(struct device *device, uint16_t nonce, uint8_t session)
     struct live_change *change = &device->live_change;
     change->nonce = nonce;
     change->session = session;
-    change->refusal.status = assembler_commit(&device->assembler, nonce);
+    change->refusal.status = assembler_close(&device->assembler, nonce);
     change->refusal.detail = 0;
+    change->crc = UINT32_MAX;
+    go_on(change, LIVE_SUM);
+}
+
+static void sum_up_block(struct device *device)
+{
+    struct live_change *change = &device->live_change;
+    const struct assembler *assembler = &device->assembler;
+    const uint16_t left = (uint16_t)(assembler->length - change->at);
+    const uint16_t bytes = left < SUM_BYTES ? left : SUM_BYTES;
+    change->crc = crc_more(change->crc, assembler->block + change->at, bytes);
+    change->at = (uint16_t)(change->at + bytes);
+    if (change->at < assembler->length)
+        return;
+    if (~change->crc != assembler->crc)
+        change->refusal.status = HR_STATUS_BAD_CRC;
+    else if (assembler->length % HR_PARAMETER_BYTES != 0)
+        change->refusal.status = HR_STATUS_BAD_LENGTH;
     configuration_begin(&device->configuration, &change->candidate);
     go_on(change, LIVE_ENTRIES);
 }
@@ -27,8 +45,6 @@ static void read_entries(struct device *device)
 {
     struct live_change *change = &device->live_change;
     const struct assembler *assembler = &device->assembler;
-    if (assembler->length % HR_PARAMETER_BYTES != 0)
-        change->refusal.status = HR_STATUS_BAD_LENGTH;
     for (unsigned i = 0; i < ENTRIES && change->at < assembler->length && change->refusal.status == HR_STATUS_OK; i++) {
         change->refusal = configuration_take(&change->candidate, assembler->block + change->at);
         change->at = (uint16_t)(change->at + HR_PARAMETER_BYTES);
@@ -94,6 +110,9 @@ void live_change_continue(struct device *device)
 {
     struct live_change *change = &device->live_change;
     switch ((enum live_step)change->step) {
+    case LIVE_SUM:
+        sum_up_block(device);
+        break;
     case LIVE_ENTRIES:
         read_entries(device);
         break;

@@ -12,7 +12,8 @@
 
 enum live_step {
     LIVE_NOTHING, /* none is under way */
-    LIVE_ENTRIES, /* the block is read */
+    LIVE_SUM,     /* the block is checked */
+    LIVE_ENTRIES, /* and read */
     LIVE_CHECK,
     LIVE_LAW, /* as its parameters will be */
     LIVE_CRC,
