@@ -67,11 +67,20 @@ bool batch_fits(const struct batch *batch, uint32_t index)
     return batch->samples == 0 || index == batch->next;
 }
 
+/* Header and base of a frame that begins with this sample. */
+static void begin_frame(struct batch *batch, struct connection *connection, const struct fault_entry *sample,
+                        uint32_t time, bool following)
+{
+    if (!batch->begun || !following)
+        begin(batch, connection, sample->sample_index);
+    begin_samples(batch, time);
+}
+
 bool batch_push(struct batch *batch, struct connection *connection, const struct fault_entry *sample, uint32_t time)
 {
-    const uint32_t index = sample->sample_index;
-    const int32_t most = batch->layout == WIDE ? INT16_MAX : INT8_MAX;
-    const bool following = follows(batch, index);
+    const uint32_t layout = batch->layout;
+    const int32_t most = layout == WIDE ? INT16_MAX : INT8_MAX;
+    const bool following = follows(batch, sample->sample_index);
     if (!following)
         batch->count = sample->count;
     /* The counter may wrap between two samples. */
@@ -80,24 +89,21 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
         batch->follows = false;
         return false;
     }
-    if (batch->samples == 0) {
-        if (!batch->begun || !following)
-            begin(batch, connection, index);
-        begin_samples(batch, time);
-    }
+    if (batch->samples == 0)
+        begin_frame(batch, connection, sample, time, following);
+    batch->samples++;
+    batch->count = sample->count;
+    batch->next = sample->sample_index + 1u;
+    batch->follows = true;
     uint8_t bytes[MOST_SAMPLE_BYTES];
     uint8_t *at = bytes;
     *at++ = (uint8_t)((uint32_t)moved & 0xFFu);
-    if (batch->layout == WIDE)
+    if (layout == WIDE)
         *at++ = (uint8_t)((uint32_t)moved >> 8 & 0xFFu);
     put_u16(at, (uint16_t)sample->current_commanded);
-    if (batch->layout != NO_MEASUREMENT)
+    if (layout != NO_MEASUREMENT)
         put_u16(at + 2, (uint16_t)sample->current_measured);
-    builder_append(&batch->builder, bytes, sample_bytes[batch->layout]);
-    batch->samples++;
-    batch->count = sample->count;
-    batch->next = index + 1u;
-    batch->follows = true;
+    builder_append(&batch->builder, bytes, sample_bytes[layout]);
     return true;
 }
 
