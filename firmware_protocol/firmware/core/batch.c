@@ -35,6 +35,7 @@ static void begin(struct batch *batch, struct connection *connection, uint32_t i
     builder_begin(&batch->builder, batch->frames[batch->making]);
     builder_append(&batch->builder, raw, sizeof raw);
     batch->begun = true;
+    batch->begun_index = index;
 }
 
 /* The fixed fields behind them. After a gap the base is the count itself: how far the handle has moved meanwhile need
@@ -48,11 +49,11 @@ static void begin_samples(struct batch *batch, uint32_t time)
     builder_append(&batch->builder, raw, sizeof raw);
 }
 
-bool batch_prepare(struct batch *batch, struct connection *connection)
+bool batch_prepare(struct batch *batch, struct connection *connection, uint32_t index)
 {
-    if (batch->begun || !batch->follows)
+    if (batch->samples > 0 || (batch->begun && batch->begun_index == index))
         return false;
-    begin(batch, connection, batch->next);
+    begin(batch, connection, index);
     return true;
 }
 
@@ -68,11 +69,9 @@ bool batch_fits(const struct batch *batch, uint32_t index)
 }
 
 /* Header and base of a frame that begins with this sample. */
-static void begin_frame(struct batch *batch, struct connection *connection, const struct fault_entry *sample,
-                        uint32_t time, bool following)
+static void begin_frame(struct batch *batch, struct connection *connection, uint32_t index, uint32_t time)
 {
-    if (!batch->begun || !following)
-        begin(batch, connection, sample->sample_index);
+    batch_prepare(batch, connection, index);
     begin_samples(batch, time);
 }
 
@@ -80,8 +79,7 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
 {
     const uint32_t layout = batch->layout;
     const int32_t most = layout == WIDE ? INT16_MAX : INT8_MAX;
-    const bool following = follows(batch, sample->sample_index);
-    if (!following)
+    if (!follows(batch, sample->sample_index))
         batch->count = sample->count;
     /* The counter may wrap between two samples. */
     const int32_t moved = signed_32((uint32_t)sample->count - (uint32_t)batch->count);
@@ -90,7 +88,7 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
         return false;
     }
     if (batch->samples == 0)
-        begin_frame(batch, connection, sample, time, following);
+        begin_frame(batch, connection, sample->sample_index, time);
     batch->samples++;
     batch->count = sample->count;
     batch->next = sample->sample_index + 1u;

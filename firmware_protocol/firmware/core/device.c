@@ -368,6 +368,11 @@ void device_flush(struct device *device)
     }
 }
 
+static bool prepare_batch(struct device *device)
+{
+    return batch_prepare(&device->batch, &device->connection, device->sample_index + 1u);
+}
+
 /* Send a piece of what waits, or begin what comes next; false when there is nothing to do. */
 static bool send_some(struct device *device)
 {
@@ -380,7 +385,7 @@ static bool send_some(struct device *device)
     else if (device->state_wanted)
         make_state(device);
     else
-        return device->tick.supervised && batch_prepare(&device->batch, &device->connection);
+        return device->tick.supervised && prepare_batch(device);
     return true;
 }
 
@@ -481,8 +486,10 @@ void device_send(struct device *device, struct packet *packet)
 static void begin_supervision(struct device *device)
 {
     device->supervised = true;
-    if (device->renderer.there)
-        renderer_reset(&device->renderer);
+    if (!device->renderer.there)
+        return;
+    renderer_reset(&device->renderer);
+    prepare_batch(device);
 }
 
 static void take_command(struct device *device, const uint8_t *raw)
