@@ -82,6 +82,7 @@ struct device {
     struct renderer renderer;
     struct batch batch;
     struct builder state_builder; /* of a STATE that waits to be sent */
+    bool state_wanted;            /* one is due that has not been made */
     size_t state_left;            /* bytes of it that the builder has not seen; 0: none waits */
 
     struct connection connection;
