@@ -8,6 +8,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from tests.conformance.command_line import run_command
 
 from rig import config, presets, sample
 from rig.errors import PlanError
@@ -16,7 +17,6 @@ from rig.experiments.hit import HitRequest, hit
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from rig.sample import Phase
-from tests.conformance.command_line import run_command
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
