@@ -19,22 +19,41 @@ void batch_configure(struct batch *batch, uint8_t layout, uint8_t most)
 void batch_forget(struct batch *batch)
 {
     batch->samples = 0;
+    batch->begun = false;
     batch->ready = 0;
     batch->follows = false;
 }
 
-/* Header and fixed fields. After a gap the base is the count itself: how far the handle has moved meanwhile need not
- * fit. */
-static void begin(struct batch *batch, struct connection *connection, const struct fault_entry *sample, uint32_t time)
+/* Header and index of a first sample. */
+static void begin(struct batch *batch, struct connection *connection, uint32_t index)
 {
-    uint8_t raw[HR_BYTES_BATCH];
+    uint8_t raw[HR_AT_BATCH_DEVICE_TIME];
+    if (batch->begun) /* for another sample than the one that came */
+        connection_take_back(connection, HR_INDEX_BATCH);
     connection_header(connection, raw, HR_INDEX_BATCH);
-    put_u32(raw + HR_AT_BATCH_FIRST_INDEX, sample->sample_index);
-    put_u32(raw + HR_AT_BATCH_DEVICE_TIME, time);
-    put_u32(raw + HR_AT_BATCH_BASE_COUNT, (uint32_t)batch->count);
-    raw[HR_AT_BATCH_LAYOUT] = batch->layout;
+    put_u32(raw + HR_AT_BATCH_FIRST_INDEX, index);
     builder_begin(&batch->builder, batch->frames[batch->making]);
     builder_append(&batch->builder, raw, sizeof raw);
+    batch->begun = true;
+}
+
+/* The fixed fields behind them. After a gap the base is the count itself: how far the handle has moved meanwhile need
+ * not fit. */
+static void begin_samples(struct batch *batch, uint32_t time)
+{
+    uint8_t raw[HR_BYTES_BATCH - HR_AT_BATCH_DEVICE_TIME];
+    put_u32(raw, time);
+    put_u32(raw + HR_AT_BATCH_BASE_COUNT - HR_AT_BATCH_DEVICE_TIME, (uint32_t)batch->count);
+    raw[HR_AT_BATCH_LAYOUT - HR_AT_BATCH_DEVICE_TIME] = batch->layout;
+    builder_append(&batch->builder, raw, sizeof raw);
+}
+
+bool batch_prepare(struct batch *batch, struct connection *connection)
+{
+    if (batch->begun || !batch->follows)
+        return false;
+    begin(batch, connection, batch->next);
+    return true;
 }
 
 /* Whether the sample may be appended as a difference from the last one. */
@@ -52,7 +71,8 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
 {
     const uint32_t index = sample->sample_index;
     const int32_t most = batch->layout == WIDE ? INT16_MAX : INT8_MAX;
-    if (!follows(batch, index))
+    const bool following = follows(batch, index);
+    if (!following)
         batch->count = sample->count;
     /* The counter may wrap between two samples. */
     const int32_t moved = signed_32((uint32_t)sample->count - (uint32_t)batch->count);
@@ -60,8 +80,11 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
         batch->follows = false;
         return false;
     }
-    if (batch->samples == 0)
-        begin(batch, connection, sample, time);
+    if (batch->samples == 0) {
+        if (!batch->begun || !following)
+            begin(batch, connection, index);
+        begin_samples(batch, time);
+    }
     uint8_t bytes[MOST_SAMPLE_BYTES];
     uint8_t *at = bytes;
     *at++ = (uint8_t)((uint32_t)moved & 0xFFu);
@@ -88,6 +111,7 @@ void batch_finish(struct batch *batch)
     if (batch->samples == 0)
         return;
     batch->samples = 0;
+    batch->begun = false;
     batch->ready = (uint16_t)builder_finish(&batch->builder);
     batch->making ^= 1u;
 }

@@ -346,6 +346,11 @@ static void send_state(struct device *device, size_t most)
     }
 }
 
+bool device_is_sending(const struct device *device)
+{
+    return device->batch.ready > 0 || device->state_left > 0;
+}
+
 void device_flush(struct device *device)
 {
     send_batch(device);
@@ -353,7 +358,7 @@ void device_flush(struct device *device)
         send_state(device, device->state_left);
 }
 
-/* Send a piece of what waits; false when nothing does. */
+/* Send a piece of what waits, or begin what comes next; false when there is nothing to do. */
 static bool send_some(struct device *device)
 {
     if (device->batch.ready > 0)
@@ -361,7 +366,7 @@ static bool send_some(struct device *device)
     else if (device->state_left > 0)
         send_state(device, device->state_every > 1u ? HR_STATE_BYTES_A_POLL : device->state_left);
     else
-        return false;
+        return device->tick.supervised && batch_prepare(&device->batch, &device->connection);
     return true;
 }
 
@@ -431,12 +436,13 @@ void device_tick(struct device *device)
 {
     const struct hal *hal = device->hal;
     const uint64_t begun = hal->time(hal->context);
-    hal->sync(hal->context, (uint8_t)(HAL_SYNC_TICK | sync_of(device)));
+    hal->sync(hal->context, (uint8_t)(HAL_SYNC_TICK | device->sync));
     hal->feed_watchdog(hal->context);
     device_sample(device);
     device_drive(device);
     tell(device);
-    hal->sync(hal->context, sync_of(device));
+    device->sync = sync_of(device);
+    hal->sync(hal->context, device->sync);
     const uint64_t execution = hal->time(hal->context) - begun;
     if (execution > device->worst_execution_time)
         device->worst_execution_time = (uint32_t)execution;

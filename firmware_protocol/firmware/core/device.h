@@ -72,6 +72,7 @@ struct device {
     bool supervised;       /* by the command in force */
     bool needs_hold;
     uint8_t fault_told;    /* by the last STATE */
+    uint8_t sync;          /* bits of enum hal_sync since the last tick */
     bool commanded;        /* in this session */
     uint16_t command_sequence;
     struct limits limits;
@@ -110,7 +111,8 @@ void device_sample(struct device *device); /* count, time, measured current; fau
 void device_drive(struct device *device);  /* the current until the next sample */
 void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks before a fault */
 
-/* Send all that waits, at once. */
+/* Whether something waits to be sent; send all of it, at once. */
+bool device_is_sending(const struct device *device);
 void device_flush(struct device *device);
 
 /* Ticks passed that could not be worked on. */
