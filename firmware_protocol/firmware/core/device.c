@@ -318,10 +318,10 @@ static bool state_is_due(struct device *device)
 
 static void send_batch(struct device *device)
 {
-    struct batch *batch = &device->batch;
-    if (batch->ready > 0)
-        device->hal->link_write(device->hal->context, batch_frame(batch), batch->ready);
-    batch->ready = 0;
+    size_t count;
+    const uint8_t *frame = batch_take(&device->batch, &count);
+    if (frame != NULL)
+        device->hal->link_write(device->hal->context, frame, count);
 }
 
 /* Let the frame that is being made wait to be sent; there is room for one that waits. */
@@ -348,7 +348,7 @@ static void send_state(struct device *device, size_t most)
 
 bool device_is_sending(const struct device *device)
 {
-    return device->batch.ready > 0 || device->state_left > 0;
+    return device->batch.waiting || device->state_left > 0;
 }
 
 void device_flush(struct device *device)
@@ -358,15 +358,17 @@ void device_flush(struct device *device)
         send_state(device, device->state_left);
 }
 
-/* Send a piece of what waits, or begin what comes next; false when there is nothing to do. */
+/* Pack or send a piece of what waits; false when there is nothing worth a look. */
 static bool send_some(struct device *device)
 {
-    if (device->batch.ready > 0)
+    if (batch_pack(&device->batch, HR_BYTES_A_POLL))
+        return true;
+    if (device->batch.waiting)
         send_batch(device);
     else if (device->state_left > 0)
-        send_state(device, device->state_every > 1u ? HR_STATE_BYTES_A_POLL : device->state_left);
+        send_state(device, device->state_every > 1u ? HR_BYTES_A_POLL : device->state_left);
     else
-        return device->tick.supervised && batch_prepare(&device->batch, &device->connection);
+        return false;
     return true;
 }
 

@@ -23,8 +23,7 @@
 #include "watchdog.h"
 
 /* What one device_poll does at most: neither a flood of bytes nor an excitation can starve the tick. */
-/* Of STATE, taken into its frame by one device_poll beside a law: the tick comes first. */
-#define HR_STATE_BYTES_A_POLL 16u
+#define HR_BYTES_A_POLL 16u /* of BATCH, and of STATE beside a law, packed into a frame */
 #define HR_POLL_BYTES_RUNNING 8u /* taken in one while the law runs here */
 #define HR_POLL_BYTES 64u
 #define HR_POLL_COSINES 32u
