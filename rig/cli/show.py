@@ -34,16 +34,40 @@ def show(recording: Path, plot: Path | None, as_json: bool) -> None:
     pairs = [
         ("created", str(header.get("created"))),
         ("device", f"{header['identity']['device']} at {header['identity']['url']}"),
-        ("law ran on", str(header["extra"].get("loop", "host"))),
+        ("law ran on", _where(header["extra"])),
         ("ended", str(trailer.get("reason", "not cleanly: the writer died"))),
         ("rows", f"{len(opened.rows)}{'' if opened.complete else ', incomplete'}"),
     ]
     pairs += [("lost", str(loss)) for loss in opened.lost]
+    if trailer.get("law_agreement"):
+        pairs.append(("beside the host's law", _agreement(trailer["law_agreement"])))
     if trailer.get("error"):
         pairs.append(("error", trailer["error"]))
     output.print_pairs([*pairs, *output.verdict_pairs(experiment, verdict, true)])
     click.echo("columns")
     output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.names])
+
+
+def _where(extra: dict[str, Any]) -> str:
+    """Where the law ran, in words; recordings of the first version do not say, and were the host's."""
+    from rig.experiments.plan import ARITHMETIC_WORDS  # noqa: PLC0415
+
+    if extra.get("loop", "host") == "host":
+        return "the host"
+    arithmetic = str(extra.get("arithmetic", ""))
+    return f"the device, in {ARITHMETIC_WORDS.get(arithmetic, arithmetic)}"
+
+
+def _agreement(found: dict[str, Any]) -> str:
+    """How the device's current followed the law that this computer ran on the same samples."""
+    return (
+        f"{found['differing']} of {found['compared']} currents differ, by {found['greatest_quanta']} quanta at most"
+        + (
+            ""
+            if found["holds"]
+            else f"; {found['beyond']} by more than {found['bound_quanta']}: not the same law"
+        )
+    )
 
 
 def _facts(opened: Any, verdict: Any, true: Any) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from firmware_protocol.framing import RAW_LIMIT
 from firmware_protocol.messages import BATCH_LAYOUTS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment
+from rig.device_law.refusal import refusal
 
 SUPERVISE_EVERY_S = 0.005  # between two COMMANDs that keep a law on the device going
 STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised
@@ -17,7 +18,7 @@ LONGEST_FRAME_S = 0.005  # what a frame may hold back
 MARGIN = 2.0  # a handle may pass more counts in one tick than its mean speed limit says
 
 FULL, WITHOUT_MEASURED, WIDE = 0, 1, 2  # layouts: what each holds stands in BATCH_LAYOUTS
-_I8_GREATEST = 127
+_I8_GREATEST, _I16_GREATEST = 127, 32_767
 _FORMATS = {"i8": "b", "i16": "h"}
 
 
@@ -29,8 +30,19 @@ def counts_in_a_tick(experiment: Experiment) -> float:
 
 
 def batch_layout(experiment: Experiment) -> int:
-    """Layout: differences in one byte where the fastest handle fits with a margin, else in two."""
-    if MARGIN * counts_in_a_tick(experiment) + 1.0 > _I8_GREATEST:
+    """Layout: differences in one byte where the fastest handle fits with a margin, else in two.
+
+    Raises `PlanError` where two do not hold them either.
+    """
+    counts = MARGIN * counts_in_a_tick(experiment) + 1.0
+    if counts > _I16_GREATEST:
+        raise refusal(
+            "rig.limits.speed",
+            experiment.rig.limits.speed,
+            f"a tick in which the handle may pass {counts:.0f} counts cannot be told",
+            "lower it, or raise controller.position_rate",
+        )
+    if counts > _I8_GREATEST:
         return WIDE
     return FULL if experiment.controller.measured_current else WITHOUT_MEASURED
 

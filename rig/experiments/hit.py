@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig import config, devices
+from rig import config, device_law, devices
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
 from rig.devices.local import serve_locally
@@ -100,6 +100,7 @@ class HitResult:
             "velocity_rate": self.experiment.controller.velocity_rate,
             "estimator": self.experiment.controller.estimator,
             "loop": self.experiment.controller.loop,
+            "arithmetic": self._arithmetic(),
             "resolution": self.experiment.rig.encoder.resolution,
             "kind": self.experiment.trial.kind,
             "grip": self.experiment.operator.grip if self.experiment.trial.kind == "human" else None,
@@ -113,6 +114,11 @@ class HitResult:
             "gate": None if self.gate is None else self.gate.as_mapping(),
             "messages": list(self.messages),
         }
+
+    def _arithmetic(self) -> str | None:
+        """Of the law on the device; None where the host runs it."""
+        rates = self.experiment.controller
+        return device_law.arithmetic_of(rates) if rates.loop == "device" else None
 
 
 Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]

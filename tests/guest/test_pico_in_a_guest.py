@@ -16,13 +16,16 @@ import usb.util
 from usb.backend import libusb1
 
 from firmware_protocol import messages as m
+from rig import config, presets
 from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
+from rig.recording.reader import open_recording
 from sim_backend.usb import PRODUCT, VENDOR, VENDOR_CLASS
 from tests.conformance.host import Host
 from tests.firmware.supervised import samples_of
 from tests.firmware.test_core_law import push, told_to_run
 from tests.guest import pico, vhci
+from tests.guest.hits import check_recorded, whole_hit
 from tests.guest.pico_port import plugged_pico, port
 
 WHY = os.environ.get("HAPTIC_RIG_NO_PICO") or "no emulated board here: run .ci/guest"
@@ -122,3 +125,18 @@ def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board):
     assert {sample.commanded for sample in samples} & {50, 0} == {sample.commanded for sample in samples}
     check_at_rest(board)
     assert board.status()["strongest"] > 0
+
+
+def test_a_whole_hit_with_the_law_on_the_board(board, tmp_path):
+    """``rig hit --loop device --url usb://…``: the board runs the wall, this kernel carries its ticks."""
+    before = board.status()["counts"]["bytesIn"]
+    experiment = config.with_realtime(presets.load(pico.RIG))
+    ended = whole_hit(board.url, tmp_path, experiment, pico.CHANGES, verified=True)
+    print(f"{ended.wall_s:.1f} s: {type(ended.error).__name__}: {ended.error}; {board.status()}")
+    check_at_rest(board)
+    check_recorded(ended)
+    assert ended.path is not None
+    recording = open_recording(ended.path)
+    assert recording.trailer["law_agreement"]["holds"]
+    assert board.status()["counts"]["bytesIn"] > before
+    assert len(recording.rows) > 0

@@ -14,6 +14,7 @@ from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import pack
 from rig import config, presets
 from rig.device_law import batch
+from rig.errors import PlanError
 
 RIGID = config.override(presets.load("koul-rigid"), {"controller.loop": "device"})
 SAMPLES = next(parameter for parameter in LAW_PARAMETERS if parameter.name == "batch_samples")
@@ -40,7 +41,7 @@ def test_layout_and_samples_follow_rate_and_speed(rate, layout, samples):
     assert batch.batch_samples(at(rate)) == samples
 
 
-@given(st.integers(50, 50_000), st.booleans(), st.floats(0.5, 500.0))
+@given(st.integers(1000, 50_000), st.booleans(), st.floats(0.5, 500.0))
 def test_no_frame_is_late_too_long_or_out_of_range(rate, measured, speed):
     x = at(rate, **{"controller.measured_current": measured, "rig.limits.speed": speed})
     samples = batch.batch_samples(x)
@@ -52,6 +53,12 @@ def test_no_frame_is_late_too_long_or_out_of_range(rate, measured, speed):
     assert batch.bytes_per_second(x) == pytest.approx(stuffed * rate / samples + states)
     if batch.batch_layout(x) != batch.WIDE:
         assert batch.MARGIN * batch.counts_in_a_tick(x) < 127
+
+
+def test_a_handle_too_fast_for_any_layout_is_refused():
+    with pytest.raises(PlanError, match=r"rig.limits.speed = 500.*may pass 127325 counts") as refused:
+        batch.batch_layout(at(50, **{"rig.limits.speed": 500.0}))
+    assert "position_rate" in refused.value.remedy
 
 
 def test_twenty_kilohertz_fit_three_megabaud_and_fifty_full_speed_usb():

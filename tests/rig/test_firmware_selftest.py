@@ -11,7 +11,8 @@ from firmware_protocol.packing import pack_batch_samples
 from rig import presets
 from rig.devices import open_device
 from rig.errors import DeviceRefusedError
-from rig.firmware.selftest import SelfTestRequest, failure, judge_stream, selftest
+from rig.firmware.selftest import SelfTestRequest, failure, selftest
+from rig.firmware.stream import judge_stream
 
 REQUEST = SelfTestRequest(rate=2_000, seconds=0.1)
 

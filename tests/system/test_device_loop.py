@@ -9,14 +9,13 @@ import numba
 import numpy as np
 import pytest
 
-from rig import config, presets, sample
+from rig import config, presets
 from rig.errors import PlanError
 from rig.experiments import impedance, live, trial
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 from rig.sample import Phase
-from tests.conformance.command_line import run_command
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -74,14 +73,15 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(tmp_pa
 
     def watch(repeat, experiment):
         def told(ticks, phase):
-            if phase == Phase.TRIAL and not posted:
+            if not posted:
                 posted.append(live._post(rings[0], {"wall.stiffness": 90.0, "wall.damping": 0.05}))
                 with pytest.raises(PlanError, match="do not change while"):
                     live._post(rings[0], {"wall.damping_on": "entry"})
 
         return told
 
-    (result,) = hit(HitRequest(experiment=BOARD, output=tmp_path), watch)
+    patient = config.override(BOARD, {"homing.settle_s": 4.0})  # virtual time flies
+    (result,) = hit(HitRequest(experiment=patient, output=tmp_path), watch)
     assert [number for number, _ in posted] == [1]
     recording = open_recording(result.recording)
     (taken,) = recording.trailer["parameter_sets"]
@@ -101,7 +101,8 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
         "excitation.period_s": 0.05,
         "excitation.periods": 4,
         "excitation.settle_periods": 4,
-        "excitation.realisations": 2,
+        "excitation.realisations": 1,
+        "excitation.kind": "schroeder",
         "wall.stiffness": 100.0,
         "wall.damping": 0.05,
     }
@@ -117,18 +118,48 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
     assert there.as_mapping()["loop"] == "device"
     assert not there.of_device_loop
     size = np.abs(here.impedance.z)
-    assert np.abs(there.impedance.z - here.impedance.z).max() < 0.05 * size.max()
+    assert (np.abs(there.impedance.z - here.impedance.z) < 0.05 * size).all()
     recording = open_recording(there.recordings[0])
     assert recording.header["identity"]["parameters"]["excitation_lines"] == 10
     assert recording.trailer["law_agreement"]["holds"]
     assert replay(recording).exact
 
 
-def test_the_commands_say_where_the_law_ran(tmp_path):
+def test_the_commands_say_where_the_law_ran(run, tmp_path):
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
-    done = run_command("hit", str(EXAMPLE), *sets, "--no-plot", "--json", "-o", str(tmp_path))
-    (told,) = json.loads(done.stdout)["hits"]
+    code, out, _ = run("hit", EXAMPLE, *sets, "--no-plot", "--json", "-o", tmp_path)
+    assert code == 0
+    (told,) = json.loads(out)["hits"]
     assert (told["loop"], told["arithmetic"]) == ("device", "fixed")
-    shown = run_command("show", told["recording"])
-    assert "the device, in integers" in shown.stdout
-    assert sample.Phase.TRIAL
+    _, shown, _ = run("show", told["recording"])
+    assert "the device, in integers" in shown
+    assert "currents differ" in shown
+
+
+def test_a_map_of_a_device_is_hit_by_its_own_law(run, tmp_path):
+    sets = [f"--set={key}={value}" for key, value in SHORT.items()]
+    narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--search", "bisection", "-K", "100:120"]
+    code, out, _ = run(
+        "zwidth", EXAMPLE, "--url", "sim://", *sets, *narrow, "--no-plot", "--json", "-o", tmp_path
+    )
+    assert code == 0
+    found = json.loads(out)
+    assert found["hits"] == 2
+    assert found["note"] is None
+    recordings = [open_recording(path) for path in tmp_path.rglob("*.parquet") if path.name != "hits.parquet"]
+    assert [one.header["extra"]["loop"] for one in recordings] == ["device", "device"]
+
+
+def test_a_map_in_simulation_says_what_it_stands_for(run, tmp_path):
+    narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--offsets", "0.1", "-K", "100:120"]
+    code, out, _ = run("zwidth", EXAMPLE, *narrow, "--no-plot", "-o", tmp_path)
+    assert code == 0
+    assert "it stands for that of the device" in out
+
+
+def test_a_device_without_a_law_is_refused_before_anything_moves(run, tmp_path):
+    code, _, err = run("hit", EXAMPLE, "--url", "sim://koul-rigid?firmware=0", "--no-plot", "-o", tmp_path)
+    assert code == PlanError.exit_code
+    assert "runs no law of its own" in err
+    assert "firmware=1" in err
+    assert not list(tmp_path.glob("*.rigcap"))

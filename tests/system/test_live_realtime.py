@@ -35,9 +35,9 @@ LOST = (
 
 
 @contextmanager
-def hit(directory: Path) -> Iterator[tuple[subprocess.Popen[str], RunningLoop]]:
+def hit(directory: Path, *more: str) -> Iterator[tuple[subprocess.Popen[str], RunningLoop]]:
     """A hit of a simulated rig in real time that waits long before its wall; yields it when its loop steps."""
-    options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--no-plot", "--json"]
+    options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--no-plot", "--json", *more]
     command = [sys.executable, "-m", "rig", "hit", "--realtime", "-o", str(directory), *options]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -64,8 +64,22 @@ def stepping(process: subprocess.Popen[str]) -> RunningLoop:
     raise AssertionError(f"no loop: {process.communicate()}")
 
 
-def test_another_terminal_changes_the_wall_and_stops_the_loop(tmp_path: Path) -> None:
-    with hit(tmp_path) as (process, loop):
+# The longest lifetime: a busy machine may keep the supervising loop from its words.
+ON_DEVICE = (
+    "--rig=koul-rigid",
+    "--loop=device",
+    "--rate=5k/500",
+    "-K60",
+    "-B0.05",
+    "--set=controller.supervise_lifetime_s=0.1",
+)
+
+
+@pytest.mark.parametrize("options", [(), ON_DEVICE], ids=["host", "device"])
+def test_another_terminal_changes_the_wall_and_stops_the_loop(
+    options: tuple[str, ...], tmp_path: Path
+) -> None:
+    with hit(tmp_path, *options) as (process, loop):
         assert Path(loop.info["recording"]).parent == tmp_path
         try:
             done = change_wall({"stiffness": 120.0, "damping": 0.3}, process.pid, patience_s=PATIENCE_S)

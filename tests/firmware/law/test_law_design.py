@@ -11,9 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.parameters import BY_NAME, LIVE, decode_block, encode_block
-from rig import config, controller, device_law, laws, presets
+from rig import bilateral, config, controller, device_law, laws, presets
 from rig.errors import ConfigError, PlanError
 from rig.experiments.live import parameter_set
+from rig.experiments.shaking import shaken_law
 from tests.firmware.law.law_design import structure_of
 
 PRESETS = {name: presets.load(name) for name in presets.names()}
@@ -217,6 +218,27 @@ def test_a_law_on_the_host_switches_the_one_on_the_device_off():
     values = values_of(PRESETS["koul-rigid"])
     assert values["law"] == 0
     assert "float_stiffness" not in values
+
+
+@pytest.mark.parametrize("estimator", ["fdm-butterworth-fixed", "fdm-butterworth"])
+@pytest.mark.parametrize("stiffness", [0.0, 1e-3, 1.0, 1e3])
+def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(law, estimator, stiffness):
+    changes = {
+        "controller.loop": "device",
+        "controller.estimator": estimator,
+        "wall.stiffness": 50.0 * stiffness,
+        "wall.damping": 0.05 * stiffness,
+        "excitation.channel": "motor",
+        "excitation.period_s": 0.05,
+        "excitation.low_hz": 20.0,
+    }
+    x = config.shaken(config.override(PRESETS["koul-rigid"], {**changes, "trial.minimum_rest_counts": 0.0}))
+    excitation = shaken_law(x, 3, QUANTUM)
+    struct = structure_of(values_of(x, excitation), 1)
+    assert law.check(struct) == 0
+    made = law.excitation(struct) * 2.0**-struct.excitation.bits * controller.effort_quantum(x, QUANTUM)
+    prepared = excitation.prepare({"stiffness": 1.0, "damping": 0.0, "side": x.wall.side})
+    np.testing.assert_array_equal(made, -x.wall.side * prepared.parameters[bilateral.TABLE :])
 
 
 @pytest.mark.parametrize("name", PRESETS)
