@@ -31,6 +31,7 @@ void device_restart(struct device *device)
     assembler_reset(&device->assembler);
     faults_reset(&device->faults);
     device->remembered.there = false;
+    device->live_change.step = LIVE_NOTHING;
     device->configuration.homed = false;
     device->sample_index = 0;
     device->time = device->hal->time(device->hal->context);
@@ -532,6 +533,11 @@ bool device_is_preparing(const struct device *device)
     return device->renderer.there && !device->renderer.ready;
 }
 
+bool device_is_changing(const struct device *device)
+{
+    return device->live_change.step != LIVE_NOTHING;
+}
+
 static size_t take_bytes(struct device *device)
 {
     uint8_t bytes[HR_POLL_BYTES];
@@ -550,7 +556,13 @@ static size_t take_bytes(struct device *device)
 
 size_t device_poll(struct device *device)
 {
-    const size_t count = send_some(device) ? 0 : take_bytes(device);
+    size_t count = 0;
+    if (!send_some(device)) {
+        if (device_is_changing(device))
+            live_change_continue(device);
+        else
+            count = take_bytes(device);
+    }
     if (device_is_preparing(device))
         renderer_prepare(&device->renderer, HR_POLL_COSINES);
     return count;
