@@ -264,6 +264,19 @@ def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL)
     assert board.arm().status == Status.OK
 
 
+@pytest.mark.parametrize("name", [name for name, _ in Parameters().excitation._fields_])
+def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.CDLL, name: str) -> None:
+    board = Board(library)
+    p = shaking()
+    board.prepare(**told_to_run(p))
+    while board.arm().status == Status.NOT_READY:
+        board.tick()
+    board.disarm()
+    setattr(p.excitation, name, getattr(p.excitation, name) + 1)
+    board.prepare(**told_to_run(p))
+    assert board.arm().status == Status.NOT_READY
+
+
 def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CDLL) -> None:
     board = Board(library)
     library.host_set_excitation(board.core.address, 699)
