@@ -272,11 +272,11 @@ class FramedDevice:
     def supervise(self, seconds: float, lifetime_us: int) -> list[m.Message]:
         """Keep the law on an armed device going for a while; return the STATE and BATCH frames that come.
 
-        For a look at it, not for a run: the compiled loop supervises without Python.
+        For a look at it, not for a run: the compiled loop supervises without Python. A fault ends it early.
         """
         said: list[m.Message] = []
         end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
-        while (left_ns := end_ns - self.link.clock.now_ns()) > 0:
+        while (left_ns := end_ns - self.link.clock.now_ns()) > 0 and self.connection.state != State.FAULT:
             self.link.write(self.connection.send(m.Command(0, lifetime_us, int(m.Mode.SUPERVISE), 0, 0)))
             said += [event.message for event in self._events(min(SUPERVISE_EVERY_S, left_ns * 1e-9))]
         return [message for message in said if isinstance(message, m.State | m.Batch)]
