@@ -35,6 +35,7 @@ static void begin(struct batch *batch, struct connection *connection, uint32_t i
     builder_begin(&batch->builder, batch->frames[batch->making]);
     builder_append(&batch->builder, raw, sizeof raw);
     batch->begun = true;
+    batch->begun_index = index;
 }
 
 /* The fixed fields behind them. After a gap the base is the count itself: how far the handle has moved meanwhile need
@@ -48,11 +49,11 @@ static void begin_samples(struct batch *batch, uint32_t time)
     builder_append(&batch->builder, raw, sizeof raw);
 }
 
-bool batch_prepare(struct batch *batch, struct connection *connection)
+bool batch_prepare(struct batch *batch, struct connection *connection, uint32_t index)
 {
-    if (batch->begun || !batch->follows)
+    if (batch->samples > 0 || (batch->begun && batch->begun_index == index))
         return false;
-    begin(batch, connection, batch->next);
+    begin(batch, connection, index);
     return true;
 }
 
@@ -67,12 +68,18 @@ bool batch_fits(const struct batch *batch, uint32_t index)
     return batch->samples == 0 || index == batch->next;
 }
 
+/* Header and base of a frame that begins with this sample. */
+static void begin_frame(struct batch *batch, struct connection *connection, uint32_t index, uint32_t time)
+{
+    batch_prepare(batch, connection, index);
+    begin_samples(batch, time);
+}
+
 bool batch_push(struct batch *batch, struct connection *connection, const struct fault_entry *sample, uint32_t time)
 {
-    const uint32_t index = sample->sample_index;
-    const int32_t most = batch->layout == WIDE ? INT16_MAX : INT8_MAX;
-    const bool following = follows(batch, index);
-    if (!following)
+    const uint32_t layout = batch->layout;
+    const int32_t most = layout == WIDE ? INT16_MAX : INT8_MAX;
+    if (!follows(batch, sample->sample_index))
         batch->count = sample->count;
     /* The counter may wrap between two samples. */
     const int32_t moved = signed_32((uint32_t)sample->count - (uint32_t)batch->count);
@@ -80,24 +87,21 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
         batch->follows = false;
         return false;
     }
-    if (batch->samples == 0) {
-        if (!batch->begun || !following)
-            begin(batch, connection, index);
-        begin_samples(batch, time);
-    }
+    if (batch->samples == 0)
+        begin_frame(batch, connection, sample->sample_index, time);
+    batch->samples++;
+    batch->count = sample->count;
+    batch->next = sample->sample_index + 1u;
+    batch->follows = true;
     uint8_t bytes[MOST_SAMPLE_BYTES];
     uint8_t *at = bytes;
     *at++ = (uint8_t)((uint32_t)moved & 0xFFu);
-    if (batch->layout == WIDE)
+    if (layout == WIDE)
         *at++ = (uint8_t)((uint32_t)moved >> 8 & 0xFFu);
     put_u16(at, (uint16_t)sample->current_commanded);
-    if (batch->layout != NO_MEASUREMENT)
+    if (layout != NO_MEASUREMENT)
         put_u16(at + 2, (uint16_t)sample->current_measured);
-    builder_append(&batch->builder, bytes, sample_bytes[batch->layout]);
-    batch->samples++;
-    batch->count = sample->count;
-    batch->next = index + 1u;
-    batch->follows = true;
+    builder_append(&batch->builder, bytes, sample_bytes[layout]);
     return true;
 }
 

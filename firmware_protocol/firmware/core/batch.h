@@ -19,9 +19,10 @@ struct batch {
     uint8_t most;    /* samples in a frame */
     uint8_t samples; /* in the frame that is being made; 0: none is */
     uint8_t making;  /* which of both frames that is */
-    bool begun;      /* it has its header, for tick `next` */
+    bool begun;      /* it has its header, for tick `begun_index` */
     bool follows;    /* `count` is that of tick `next` - 1 */
     uint16_t ready;  /* bytes of the other frame that wait to be sent */
+    uint32_t begun_index;
     uint32_t next;   /* tick that would follow without a gap */
     int32_t count;   /* of the last sample */
     struct builder builder;
@@ -34,9 +35,9 @@ void batch_configure(struct batch *batch, uint8_t layout, uint8_t most);
 /* Forget the last sample and what was not sent: a run begins. */
 void batch_forget(struct batch *batch);
 
-/* Begin the next frame before its first sample is there, so that the tick has less to do; false when there is nothing to
- * begin. */
-bool batch_prepare(struct batch *batch, struct connection *connection);
+/* Begin a frame for the sample of a tick before it is there, so that the tick has less to do; false when there is nothing
+ * to begin. */
+bool batch_prepare(struct batch *batch, struct connection *connection, uint32_t index);
 
 /* Whether the sample of a tick can be appended to the frame that is being made; if not, finish that first. */
 bool batch_fits(const struct batch *batch, uint32_t index);

@@ -148,13 +148,8 @@ class Pico:
 
     def __init__(self, model: RigModel, image: Path, *, position: float | None = None) -> None:
         self._process = _started()
-<<<<<<< HEAD
-        self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 6)
-        self.ask("power", image=str(image), pins=PINS, motor=motor_of(model, position))
-=======
         self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 7)
-        self.ask("power", image=str(built.bin), pins=PINS, motor=motor_of(model, position))
->>>>>>> h/pico
+        self.ask("power", image=str(image), pins=PINS, motor=motor_of(model, position))
         self.run(START_US)
 
     def __enter__(self) -> Self:
