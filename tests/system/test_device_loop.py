@@ -8,7 +8,6 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from tests.conformance.command_line import run_command
 
 from rig import config, presets
 from rig.errors import PlanError

@@ -325,10 +325,10 @@ static bool state_is_due(struct device *device)
 
 static void send_batch(struct device *device)
 {
-    struct batch *batch = &device->batch;
-    if (batch->ready > 0)
-        device->hal->link_write(device->hal->context, batch_frame(batch), batch->ready);
-    batch->ready = 0;
+    size_t count;
+    const uint8_t *frame = batch_take(&device->batch, &count);
+    if (frame != NULL)
+        device->hal->link_write(device->hal->context, frame, count);
 }
 
 /* Let the frame that is being made wait to be sent; there is room for one that waits. */
@@ -355,7 +355,7 @@ static void send_state(struct device *device, size_t most)
 
 bool device_is_sending(const struct device *device)
 {
-    return device->batch.ready > 0 || device->state_left > 0 || device->state_wanted;
+    return device->batch.waiting || device->state_left > 0 || device->state_wanted;
 }
 
 void device_flush(struct device *device)
@@ -369,24 +369,21 @@ void device_flush(struct device *device)
     }
 }
 
-static bool prepare_batch(struct device *device)
-{
-    return batch_prepare(&device->batch, &device->connection, device->sample_index + 1u);
-}
-
-/* Send a piece of what waits, or begin what comes next; false when there is nothing to do. */
+/* Pack or send a piece of what waits; false when there is nothing worth a look. */
 static bool send_some(struct device *device)
 {
+    if (batch_pack(&device->batch, HR_BYTES_A_POLL))
+        return true;
     if (device->state_every == 1u && device_is_sending(device))
         device_flush(device); /* no law runs here: the host waits for it */
-    else if (device->batch.ready > 0)
+    else if (device->batch.waiting)
         send_batch(device);
     else if (device->state_left > 0)
-        send_state(device, HR_STATE_BYTES_A_POLL);
+        send_state(device, HR_BYTES_A_POLL);
     else if (device->state_wanted)
         make_state(device);
     else
-        return device->tick.supervised && prepare_batch(device);
+        return false;
     return true;
 }
 

@@ -24,9 +24,9 @@
 #include "watchdog.h"
 
 /* What one device_poll does at most: neither a flood of bytes nor an excitation can starve the tick. */
-#define HR_POLL_BYTES 64u         /* of the host */
-#define HR_POLL_BYTES_RUNNING 8u  /* while the law runs here */
-#define HR_STATE_BYTES_A_POLL 16u /* of a STATE, taken into its frame beside a law */
+#define HR_BYTES_A_POLL 16u /* of BATCH, and of STATE beside a law, packed into a frame */
+#define HR_POLL_BYTES_RUNNING 8u /* taken in one while the law runs here */
+#define HR_POLL_BYTES 64u
 #define HR_POLL_COSINES 32u
 
 struct ack {
