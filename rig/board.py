@@ -5,6 +5,7 @@ All in the device's own units: current quanta and counts. Only the mechanics sta
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol import dictionary as dictionaries
@@ -82,7 +83,8 @@ def describe(
     simulated: bool,
     rate_default: int,
     rate_maximum: int,
-    narrower: dict[str, tuple[Value, Value]] | None = None,
+    name: str | None = None,
+    narrower: Mapping[str, tuple[Value, Value]] | None = None,
 ) -> dictionaries.Dictionary:
     """Dictionary of a rig's device: narrower than the parameter table by its motion and its amplifier's peak.
 
@@ -96,13 +98,15 @@ def describe(
         Whether there is no real motor behind it.
     rate_default, rate_maximum
         Ticks a second (Hz): unless configured, and at most.
+    name
+        Of the device; None: that of the rig.
     narrower
         Further ranges, by the name of the parameter.
     """
     motion = 0 if model.motion == "rotary" else 1
     peak = peak_current(model)
     return dictionaries.build(
-        device=model.name,
+        device=name or model.name,
         firmware=firmware,
         simulated=simulated,
         current_quantum_a=model.amplifier.current_quantum_a,

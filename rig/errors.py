@@ -137,6 +137,12 @@ class OverrunError(RigError):
     exit_code = 14
 
 
+class ToolchainError(RigError):
+    """There is no usable cross compiler, or it refuses the firmware: install it, or report what it said."""
+
+    exit_code = 15
+
+
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed."""
 

@@ -19,8 +19,8 @@ from firmware_protocol.parameters import (
     encode_block,
 )
 from firmware_protocol.transfer import Assembler, page
+from rig import board
 from rig.model import RigModel
-from sim_backend.sensors import CURRENT_QUANTA_LIMIT
 
 FIRMWARE = "simulated 1"
 
@@ -32,24 +32,14 @@ def describe(
 
     `law_maximum` says which laws it runs itself (parameter `law`): 0 none.
     """
-    motion = 0 if model.motion == "rotary" else 1
-    whole = (
-        model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
-    )  # 11 quanta, not 10.999…
-    peak = int(min(whole, CURRENT_QUANTA_LIMIT))
-    return dictionaries.build(
-        device=name,
+    return board.describe(
+        model,
         firmware=FIRMWARE,
         simulated=True,
-        current_quantum_a=model.amplifier.current_quantum_a,
-        position_rate_default=rate_default,
-        position_rate_maximum=rate_maximum,
-        ranges={
-            "motion": (motion, motion),
-            "current_limit": (0, peak),
-            "continuous_current": (0, peak),
-            "law": (0, law_maximum),
-        },
+        rate_default=rate_default,
+        rate_maximum=rate_maximum,
+        name=name,
+        narrower={"law": (0, law_maximum)},
     )
 
 

@@ -127,6 +127,11 @@ class Hardware:
         return int(ticks)
 
     @property
+    def effort(self) -> float:
+        """Motor effort at the last sample, behind the amplifier's lag (N·m or N)."""
+        return self._state.item(self._plant.effort)
+
+    @property
     def edge_age_s(self) -> float:
         """Age of the last encoder edge at the last sample (s); ∞ when there was none."""
         return self._state.item(self._plant.edge_age)

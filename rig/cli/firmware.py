@@ -174,6 +174,8 @@ def selftest(
         from rig.firmware.selftest import selftest as run  # noqa: PLC0415
 
     experiment = None if preset is None else _experiment(preset)
+    if move and not as_json:
+        click.echo("move the handle by hand until the test has ended", err=True)
     request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)
     with open_device(url, request.model) as device, Progress(quiet=as_json) as progress:
         found = run(device, request, progress.told)

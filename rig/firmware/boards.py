@@ -80,6 +80,8 @@ class Board:
         Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
     settings
         By name.
+    reserved_pins
+        Pin → what the port uses it for, whatever the settings are.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Board:
     uf2_family: int | None
     drive: str
     settings: Mapping[str, Setting]
+    reserved_pins: Mapping[int, str]
 
     def sources(self, application: str) -> tuple[Path, ...]:
         """C and assembler files of one of its programs: those of the port by name, then the program's own."""
@@ -145,6 +148,7 @@ def load(name: str) -> Board:
         uf2_family=content.get("uf2_family"),
         drive=content.get("drive", ""),
         settings={key: _setting(key, entry) for key, entry in content.get("settings", {}).items()},
+        reserved_pins={int(pin): use for pin, use in content.get("reserved_pins", {}).items()},
     )
 
 
@@ -178,7 +182,7 @@ def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingVal
 
 def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
     """Refuse two uses of one pin."""
-    used: dict[int, str] = {}
+    used = dict(board.reserved_pins)
     for name, setting in board.settings.items():
         for pin in range(int(values[name]), int(values[name]) + setting.pins) if setting.pins else ():
             if pin in used:

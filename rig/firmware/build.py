@@ -16,11 +16,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ConfigError, RecordingError
+from rig.errors import ConfigError, RecordingError, ToolchainError
 from rig.firmware.board_config import BoardConfig, configure
 from rig.firmware.boards import FIRMWARE, Board, load, settings_of
 from rig.firmware.elf import Segment, flat, read_segments
-from rig.firmware.toolchain import Compiler, ToolchainError, find_compiler
+from rig.firmware.toolchain import Compiler, find_compiler
 from rig.firmware.uf2 import write_uf2
 from rig.model import RigModel
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault, Input, Status
-from firmware_protocol.packing import unpack_batch_samples
+from firmware_protocol.faults import Input, Status
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig import config
@@ -23,7 +22,9 @@ from rig.config import Experiment
 from rig.controller import device_parameters
 from rig.devices.framed import FramedDevice
 from rig.errors import DeviceRefusedError, RigError
+from rig.firmware.check import Check
 from rig.firmware.info import compatibility
+from rig.firmware.stream import judge_stream
 from rig.model import RigModel
 from rig.sample import unit_of
 
@@ -33,14 +34,12 @@ DRIFT_LIMIT_PPM = 300.0  # two crystals differ by less than 200; an RC oscillato
 RATE_LIMIT_PPM = 300.0
 JITTER_LIMIT = 0.05  # of a period: the time between two samples is what a velocity is divided by
 INPUTS_S, INPUTS_LOOKS = 0.05, 20
-STREAM_SHARE = 0.9  # of the ticks must be told: the rest is beginning and end
 MOVE_COUNTS = 20  # a hand moves farther; one channel alone, or noise, does not
 MOVE_LOOK_S, REST_S = 0.1, 0.5
 MOVE_LOOKS = 2_000  # STATE frames of an unarmed device: twenty seconds
 _SESSION = 0xFF  # asked for by an ARM that must be refused
 
 Told = Callable[[str, float], None]
-Outcome = Literal["ok", "failed", "skipped"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,16 +70,6 @@ class SelfTestRequest:
     def model(self) -> RigModel | None:
         """The rig to compare with."""
         return None if self.experiment is None else config.rig_model(self.experiment)
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One question and its answer."""
-
-    name: str
-    outcome: Outcome
-    text: str
-    remedy: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -421,46 +410,7 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
         device.disarm(clear_fault=True)
     finally:
         device.configure(before)
-    return judge_stream(said, experiment.controller.position_rate * request.seconds)
-
-
-def judge_stream(said: list[m.Message], ticks: float) -> Check:
-    """Judge what a supervised device has said while it was to run so many ticks without a current."""
-    batches = [message for message in said if isinstance(message, m.Batch)]
-    states = {message.sample_index: message for message in said if isinstance(message, m.State)}
-    rows, gaps = _rows(batches)
-    remedy = "flash the device again; keep motor power off"
-    faults = {state.fault for state in states.values() if state.fault}
-    if faults:
-        return Check(
-            "stream", "failed", f"it latched {', '.join(Fault(code).name for code in faults)}", remedy
-        )
-    if any(current for _, current in rows.values()):
-        return Check("stream", "failed", "it drove a current although the limit was zero", remedy)
-    differ = [index for index, state in states.items() if index in rows and rows[index][0] != state.count]
-    if differ:
-        return Check(
-            "stream", "failed", f"BATCH and STATE tell different counts in {len(differ)} ticks", remedy
-        )
-    text = f"{len(rows)} samples in {len(batches)} frames, {gaps} gaps"
-    if gaps or len(rows) < STREAM_SHARE * ticks:
-        slower = "take a lower rate, a faster link, or free the computer: rig doctor says what it can do"
-        return Check("stream", "failed", f"{text}, where {ticks:.0f} ticks passed", slower)
-    return Check("stream", "ok", f"{text}; no current")
-
-
-def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
-    """Return count and current by sample index, and how often an index was left out."""
-    rows: dict[int, tuple[int, int]] = {}
-    gaps = 0
-    for number, batch in enumerate(batches):
-        if number and (batch.first_index - 1) % 2**32 not in rows:
-            gaps += 1
-        count = batch.base_count
-        for offset, (difference, current, *_) in enumerate(unpack_batch_samples(batch)):
-            count += difference
-            rows[(batch.first_index + offset) % 2**32] = (count, current)
-    return rows, gaps
+    return judge_stream(said, experiment.controller.position_rate * request.seconds, device.dictionary)
 
 
 def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.errors import RigError
+from rig.errors import ToolchainError
 
 COMPILER = "arm-none-eabi-gcc"
 COMPILER_VARIABLE = "ARM_NONE_EABI_GCC"  # another one, by its path
@@ -20,12 +20,6 @@ INSTALL = (
     f"{COMPILER_VARIABLE}=/path/to/{COMPILER}"
 )
 _SHOWN_LINES = 12  # of what the compiler complains about
-
-
-class ToolchainError(RigError):
-    """There is no usable compiler, or it refuses the sources: install it, or report what it said."""
-
-    exit_code = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,4 +78,6 @@ def _called(command: list[str], directory: Path | None) -> subprocess.CompletedP
 def _remedy(complaint: str) -> str:
     if "overflowed" in complaint or "will not fit" in complaint:
         return "it is too large for the board: make what its board.toml sizes smaller, or take a larger board"
+    if "#error" in complaint:
+        return "change the setting that it names (--set)"
     return "report it, with this output and the compiler's version"

@@ -1,8 +1,9 @@
 """Does the device's current follow the host's law? What is in force at a sample beside what the law gave one before.
 
 The two compute in different arithmetic, so they may differ by a little; where a limit, a ramp or a gap acts the device
-is right to differ, and nothing is compared. STATE tells limits afterwards, so what was found since the last one waits
-for the next; what no STATE tells about, because one was lost or the run ended, is left out.
+is right to differ, and nothing is compared; nor for a while after a gap, until the estimators have forgotten it. STATE
+tells limits afterwards, so what was found since the last one waits for the next; what no STATE tells about, because one
+was lost or the run ended, is left out.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from numba import types
 from firmware_protocol.codec import STATE
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.kernel import kernel
-from rig.loop.layout import INTS
+from rig.loop.layout import INTS, SETTINGS_TYPE
 from rig.loop.supervision import CONTIGUOUS, SUPERVISION_TYPE
+from rig.step import CONTROL_TYPE
 
 # Limits that change the current; the others only warn.
 _ACTING = int(
@@ -27,18 +29,27 @@ _ACTING = int(
 )
 
 
-@kernel(types.void(SUPERVISION_TYPE, types.int64, types.int64, types.int64))
-def compare(supervision: Any, elapsed: int, applied: int, bound: int) -> None:
+FORGET_PERIODS, FORGET_NS = 50, 20_000_000  # velocity periods, and time, whichever is longer
+
+
+@kernel(types.void(SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, types.int64, types.int64))
+def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied: int) -> None:
     """Compare the current in force at a sample with what the law gave at the sample before."""
-    v = supervision[0]
-    if v["comparable"] == 0 or elapsed != 1:
+    v, s = supervision[0], settings[0]
+    if v["comparable"] == 0:
+        return
+    if elapsed != 1:
+        v["forgetting"] = max(FORGET_PERIODS * control[0]["velocity_divider"], FORGET_NS // s["period_ns"])
+    if v["forgetting"] > 0:
+        v["forgetting"] -= 1
+        v["excluded"] += 1
         return
     difference = abs(applied - v["sent"])
     v["open_compared"] += 1
     if difference > 0:
         v["open_differing"] += 1
         v["open_greatest"] = max(v["open_greatest"], difference)
-    if difference > bound:
+    if difference > s["agreement_quanta"]:
         v["open_beyond"] += 1
 
 

@@ -158,8 +158,12 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
         v["states_tail"] += 1
 
 
-@kernel(types.int64(INTS, INT_ROWS, INTS, SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE))
-def _show_sample(sample: Any, states: Any, state: Any, supervision: Any, settings: Any, progress: Any) -> int:
+@kernel(
+    types.int64(INTS, INT_ROWS, INTS, SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, PROGRESS_TYPE),
+)
+def _show_sample(
+    sample: Any, states: Any, state: Any, supervision: Any, settings: Any, control: Any, progress: Any
+) -> int:
     """Make `state` what a STATE of this very sample would be; return the ticks since the last one."""
     v, p = supervision[0], progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -169,7 +173,7 @@ def _show_sample(sample: Any, states: Any, state: Any, supervision: Any, setting
     p["device_time"] = sample[TIME]
     p["late"] = sample[LATE]
     _take_states(states, state, supervision, sample[INDEX])
-    compare(supervision, elapsed, sample[CURRENT], settings[0]["agreement_quanta"])
+    compare(supervision, settings, control, elapsed, sample[CURRENT])
     state[STATE.sample_index] = sample[INDEX] % WRAP
     state[STATE.device_time] = sample[TIME] % WRAP
     state[STATE.count] = sample[COUNT]
@@ -203,7 +207,7 @@ def _run_law(
         sample = samples[v["tail"] % QUEUE]
         v["tail"] += 1
         tick = v["ticks"]
-        elapsed = _show_sample(sample, states, state, supervision, settings, progress)
+        elapsed = _show_sample(sample, states, state, supervision, settings, control, progress)
         if v["step"] == GRANTED and sample[INDEX] >= v["change_at"]:
             begin_set(control, law_parameters, waiting, sets, progress, tick, words)
             v["step"] = IDLE
@@ -322,6 +326,7 @@ def run(
     v, p = supervision[0], progress[0]
     p["last_fresh"] = now(clock)
     reason = 0
+    last_row = False  # whether the row of the end is there
     while reason == 0:
         reason = told_to_end(now, clock, settings, words)
         if reason != 0:
@@ -342,7 +347,8 @@ def run(
             estimator, law, samples, states, state, waiting, sets, supervision, settings, control, memory,
             estimator_f, estimator_i, estimator_p, law_state, law_parameters, progress, rows, words, False,
         )  # fmt: skip
-        if reason == _GO_ON:
+        last_row = reason != _GO_ON
+        if not last_row:
             reason = _ended_by_device(newest, supervision, settings, memory, progress, ready)
         if reason == CLOSED:
             store_word(words + WORD * ring.END_ERRNO, -ready)
@@ -352,10 +358,10 @@ def run(
     v["stop_sequence"] = p["sequence"]
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
         send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0)
-    # What the device had told before it stopped; of a run that the law ended nothing more is wanted.
+    # What the device had told before it stopped, unless the row of the end is there.
     until_ns = now(clock) + REST_NS
-    listening = reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
-    resting = listening or reason in (SILENT, CLOSED)
+    listening = not last_row and reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
+    resting = not last_row
     stopped = 0
     while resting:
         ready = -1

@@ -16,6 +16,7 @@ from firmware_protocol.messages import NO_COMMAND_YET
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
 from rig import mailbox as mailboxes
+from rig import ring as words
 from rig.errors import RigError
 from rig.loop import supervise
 from rig.loop.letters import letter_of
@@ -42,7 +43,7 @@ class Agreement:
     compared
         Ticks in which the two could be compared: no limit, no ramp, no gap.
     excluded
-        Ticks left out, because a limit acted or no STATE told.
+        Ticks left out, because a limit acted, no STATE told, or a gap was not yet forgotten.
     differing
         Ticks with another current.
     greatest_quanta
@@ -122,10 +123,15 @@ class SupervisedThread(LoopThread):
             why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
             said.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
         if not found.holds:
+            lost = self.ring.get(words.LOST)
             said.append(
                 f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
-                f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}: check that firmware "
-                "and package are of one version (rig firmware info)"
+                f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}"
+                + (
+                    f"; {lost} samples were lost, so the two may be in different phases: relieve the link"
+                    if lost
+                    else ": check that firmware and package are of one version (rig firmware info)"
+                )
             )
         return said
 

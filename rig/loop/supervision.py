@@ -49,6 +49,7 @@ SUPERVISION = np.dtype(
         # the device's current beside the law's (rig.loop.agreement)
         ("sent", "<i8"),  # current of the law in the last row
         ("comparable", "<i8"),  # 1 when the next sample shows what the device made of it
+        ("forgetting", "<i8"),  # ticks until a gap is forgotten
         ("limits_before", "<i8"),  # limits that the last STATE told
         ("compared", "<i8"),
         ("differing", "<i8"),

@@ -29,7 +29,8 @@ from rig.model import RigModel
 from sim_backend import pty
 from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
-from sim_backend.real_time import Port, RealTime, sleep_until
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.real_time import FirmwareTime, Port, RealTime, sleep_until
 
 WAIT_S = 30.0  # for anything at all, on a loaded machine
 LONGEST_LIFE_S = 90.0  # of a device process whose test has died
@@ -62,10 +63,50 @@ class Script:
     after: int = 60
     frames: tuple[FrameFault, ...] = ()
     fault: Fault = Fault.NONE  # that the device finds
+    brown_out: bool = False  # of the firmware's board
     flood: bool = False  # noise without end, to the host
 
 
 # ---------------------------------------------------------------------- in the process of the device
+
+
+class Witness:
+    """What a device writes down of itself, and what the script does to it."""
+
+    def __init__(self, device: SimulatedDevice | FirmwareDevice, witness: np.ndarray, script: Script) -> None:
+        self._device = device
+        self._witness = witness
+        self._script = script
+        self._struck = False
+        self.ticks = self.running = self.peak = self.rises = 0
+        self._first_fault = Fault.NONE
+
+    def see_tick(self, state: State, current: int, fault: Fault) -> None:
+        """Look at a tick that has passed, and strike when it is time."""
+        self.ticks += 1
+        self.running += state is State.RUNNING
+        self.peak = max(self.peak, abs(current))
+        self._first_fault = self._first_fault or fault
+        script, device = self._script, self._device
+        if self._struck or self.running <= script.after:
+            return
+        self._struck = True
+        if script.brown_out and isinstance(device, FirmwareDevice):
+            device.brown_out()
+        elif script.fault is Fault.EMERGENCY_STOP:
+            device.press_emergency_stop()
+        elif script.fault:
+            device.inject_fault(script.fault)
+
+    def write(self, state: State, current: int, fault: Fault, statistics: Any) -> None:
+        """Leave what is known now for everybody to read."""
+        w = self._witness[0]
+        w["running"], w["peak"], w["rises"] = self.running, self.peak, self.rises
+        w["current"], w["state"], w["fault"], w["first_fault"] = current, state, fault, self._first_fault
+        w["lost"] = statistics.lost
+        w["bad_frames"] = statistics.crc_errors + statistics.framing_errors + statistics.malformed
+        w["duplicated"], w["reordered"] = statistics.duplicated, statistics.reordered
+        w["ticks"] = self.ticks
 
 
 class WatchedDevice(SimulatedDevice):
@@ -73,43 +114,49 @@ class WatchedDevice(SimulatedDevice):
 
     def __init__(self, model: RigModel, witness: np.ndarray, script: Script, **options: Any) -> None:
         super().__init__(model, **options)
-        self.witness = witness
-        self._script = script
-        self._struck = False
+        self.witness = Witness(self, witness, script)
 
     def tick(self) -> bytes:
-        w = self.witness[0]
         before = abs(self.current)
-        state = super().tick()
-        if self.connection.state is State.RUNNING:
-            w["running"] += 1
+        said = super().tick()
         if self._watchdog.ramping and abs(self.current) > before:
-            w["rises"] += 1
-        if not self._struck and w["running"] > self._script.after and self._script.fault:
-            self._struck = True
-            if self._script.fault is Fault.EMERGENCY_STOP:
-                self.press_emergency_stop()
-            else:
-                self.inject_fault(self._script.fault)
-        w["current"] = self.current
-        w["peak"] = max(int(w["peak"]), abs(self.current))
-        w["state"] = self.connection.state
-        w["fault"] = self.fault
-        if self.fault and not w["first_fault"]:
-            w["first_fault"] = self.fault
-        statistics = self.connection.statistics
-        w["lost"] = statistics.lost
-        w["bad_frames"] = statistics.crc_errors + statistics.framing_errors + statistics.malformed
-        w["duplicated"] = statistics.duplicated
-        w["reordered"] = statistics.reordered
-        w["ticks"] += 1
-        return state
+            self.witness.rises += 1
+        self.witness.see_tick(self.connection.state, self.current, self.fault)
+        self.witness.write(self.connection.state, self.current, self.fault, self.connection.statistics)
+        return said
+
+
+class WatchedFirmware(FirmwareDevice):
+    """The firmware with its witness. (That a ramp only falls is not asked: the law behind it goes on.)"""
+
+    def __init__(self, model: RigModel, witness: np.ndarray, script: Script, **options: Any) -> None:
+        super().__init__(model, **options)
+        self.witness = Witness(self, witness, script)
+
+    def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
+        said, ticks = b"", 0
+        while ticks < most and len(said) < enough:
+            piece, ran = super().run(until_ns, 1)
+            if not ran:
+                break
+            said, ticks = said + piece, ticks + 1
+            self.witness.see_tick(self.state, self.current, self.fault)
+        self.witness.write(self.state, self.current, self.fault, self.status.counters)
+        return said, ticks
 
 
 class FaultyPort:
     """A port whose line follows a script; `unplug` is what pulling the plug means for that port."""
 
-    def __init__(self, port: Port, device: WatchedDevice, script: Script, unplug: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        port: Port,
+        device: WatchedDevice | WatchedFirmware,
+        script: Script,
+        unplug: Callable[[], None],
+        witness: np.ndarray,
+    ) -> None:
+        self._witness = witness
         self._port = port
         self._device = device
         self._script = script
@@ -151,7 +198,7 @@ class FaultyPort:
         return self._line.receive(Direction.TO_HOST, tick)
 
     def _begin(self) -> None:
-        if not self._begun and self._device.witness[0]["running"] > self._script.after:
+        if not self._begun and self._device.witness.running > self._script.after:
             self._begun = True
             self._line.add(
                 replace(fault, frame=fault.frame + self._line.frames[fault.direction])
@@ -159,7 +206,7 @@ class FaultyPort:
             )
 
     def _look(self) -> None:
-        self._device.witness[0]["acted"] = sum(self._line.acted.values())
+        self._witness[0]["acted"] = sum(self._line.acted.values())
         if self._line.unplugged and not self._gone:
             self._gone = True
             self._unplug()
@@ -183,21 +230,30 @@ PORTS: dict[str, Callable[[], AbstractContextManager[tuple[str, Port, Callable[[
 }
 
 
-def _serve(port_name: str, model: RigModel, script: Script, witness_path: Path, rate: int, pipe: Any) -> None:
+def _serve(
+    port_name: str,
+    model: RigModel,
+    script: Script,
+    witness_path: Path,
+    rate: int,
+    firmware: bool,
+    pipe: Any,
+) -> None:
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    device = WatchedDevice(
-        model,
-        np.memmap(witness_path, WITNESS, mode="r+", shape=1),
-        script,
-        position_rate_default=rate,
-        position_rate_maximum=4_000,
-        keep_truth=False,
-    )
+    witness = np.memmap(witness_path, WITNESS, mode="r+", shape=1)
+    options: dict[str, Any] = {"position_rate_default": rate, "keep_truth": False}
     with PORTS[port_name]() as (url, port, unplug):
         pipe.send(url)
-        RealTime(device, FaultyPort(port, device, script, unplug), stop).run(LONGEST_LIFE_S)
+        if firmware:
+            made = WatchedFirmware(
+                model, witness, script, position_rate_maximum=pty.FIRMWARE_RATE_MAXIMUM, **options
+            )
+            FirmwareTime(made, FaultyPort(port, made, script, unplug, witness), stop).run(LONGEST_LIFE_S)
+        else:
+            device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
+            RealTime(device, FaultyPort(port, device, script, unplug, witness), stop).run(LONGEST_LIFE_S)
 
 
 # ---------------------------------------------------------------------- in the process of the test
@@ -217,14 +273,26 @@ class FarEnd:
 
     _numbers = itertools.count()
 
-    def __init__(self, port: str, directory: Path, model: RigModel, script: Script, rate: int) -> None:
+    def __init__(
+        self,
+        port: str,
+        directory: Path,
+        model: RigModel,
+        script: Script,
+        rate: int,
+        *,
+        firmware: bool = False,
+    ) -> None:
         path = directory / f"witness-{next(self._numbers)}"
         np.zeros(1, WITNESS).tofile(path)
         self._witness = np.memmap(path, WITNESS, mode="r", shape=1)
         context = processes()
         receiver, sender = context.Pipe(duplex=False)
         self.process = context.Process(
-            target=_serve, args=(port, model, script, path, rate, sender), name="far-end", daemon=True
+            target=_serve,
+            args=(port, model, script, path, rate, firmware, sender),
+            name="far-end",
+            daemon=True,
         )
         self.process.start()
         sender.close()

@@ -17,8 +17,8 @@ CORE = [path for part in PARTS if part != "host" for path in sorted((FIRMWARE / 
 SOURCES = sources()
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 FLAGS = ("-std=c99", "-O1", "-g", "-ffp-contract=off", *WARNINGS)
-UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
-ADDRESS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+UNDEFINED = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+ADDRESS = ("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 LIBRARY_VARIABLE = "HAPTIC_RIG_FIRMWARE_LIBRARY"  # one that was built before: see coverage.py
 COMPILE_S = 120.0
 

@@ -23,7 +23,7 @@ import pytest
 
 from tests.firmware.build import FIRMWARE
 
-FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x4_0000
+FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x8_0000
 STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for whoever calls
 RETURN = FLASH + SIZE - 0x100  # where a function returns to: nothing is there
 PAINT = b"\xa5"
@@ -115,6 +115,7 @@ class Simulator:
     """One core with an image in its flash."""
 
     image: Image
+    counts: bool = True  # what a call costs; without, it is quicker
     instructions: int = 0  # of the last call
     cycles: int = 0
     profile: Counter[int] | None = None  # cycles of each block, if wanted
@@ -134,7 +135,8 @@ class Simulator:
         uc.mem_write(STACK_LEAST, PAINT * (STACK_TOP - STACK_LEAST))
         self._blocks: dict[tuple[int, int], Block] = {}
         self._last = Block(0, 0, 0, 0)
-        uc.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
+        if self.counts:
+            uc.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
 
     def _count(self, uc: Any, address: int, size: int, user: object) -> None:
         block = self._blocks.get((address, size))

@@ -18,10 +18,10 @@ from tests.firmware.build import FIRMWARE, SOURCES
 from tests.firmware.cortex import RAM, Image, Simulator
 
 ENTRIES = (
-    "host_tick", "host_bytes", "host_setup", "host_narrow", "host_start", "host_receive", "host_take",
+    "device_tick", "host_poll", "host_bytes", "host_setup", "host_narrow", "host_start", "host_receive", "host_take",
     "host_set_world", "host_status",
 )  # fmt: skip
-HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x3_0000, 0x3_0100, 0x3_0400, 0x3_4000))
+HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x6_0000, 0x6_0100, 0x6_0400, 0x6_4000))
 MOST_BYTES, MOST_DICTIONARY = 0x3C00, 0x7000
 
 
@@ -41,6 +41,7 @@ class CortexLibrary:
         assert self.host_bytes() <= SETUP - HOST
         self.instructions: list[int] = []  # of each tick
         self.cycles: list[int] = []
+        self.polls: list[int] = []  # cycles of the longest device_poll behind each tick
         self.profile: list[Counter[int]] | None = None  # cycles of each block in each tick, if wanted
 
     def host_bytes(self) -> int:
@@ -80,14 +81,23 @@ class CortexLibrary:
         if self.profile is not None:
             self.simulator.profile = Counter()
             self.profile.append(self.simulator.profile)
-        self.simulator.call("host_tick", HOST)
+        self.simulator.call("device_tick", HOST)  # struct host begins with the device
         self.simulator.profile = None
         self.instructions.append(self.simulator.instructions)
         self.cycles.append(self.simulator.cycles)
+        self.polls.append(self._poll())
 
     def host_receive(self, address: int, data: bytes, count: int) -> None:
         self._write(BYTES, data)
         self.simulator.call("host_receive", HOST, BYTES, count)
+
+    def _poll(self) -> int:
+        """Poll until nothing waits to be sent."""
+        longest = 0
+        for _ in range(6):
+            self.simulator.call("host_poll", HOST, BYTES, 0)
+            longest = max(longest, self.simulator.cycles)
+        return longest
 
     def host_take(self, address: int, into: Any, capacity: int) -> int:
         count = self.simulator.call("host_take", HOST, BYTES, min(capacity, MOST_BYTES))

@@ -1,8 +1,8 @@
 /* Anything at all into the core, under the sanitizers: fuzz SEED STEPS. Deterministic; prints what it reached.
  *
- * Frames with a good CRC and any content, frames with flipped bits, noise; ticks with any count and measurement
- * in between. What must hold whatever comes: no current unless armed, never above current_limit, none behind a
- * latched fault. */
+ * Frames with a good CRC and any content, frames with flipped bits, noise; laws of any kind that the device runs; ticks
+ * with any count and measurement in between. What must hold whatever comes: no current unless armed, never above
+ * current_limit, none behind a latched fault; and whatever leaves is a whole frame. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -44,8 +44,14 @@ struct fuzz {
     struct host *host;
     uint16_t nonce;
     uint16_t sequence;
+    struct splitter output; /* of what the device sends */
+    struct counters broken;
     uint32_t states[HR_STATES];
     uint32_t faults[16];
+    uint32_t laws[3];   /* ticks under supervision */
+    uint32_t phases[6]; /* of the law */
+    uint32_t batches[3]; /* frames of each layout */
+    uint32_t lives;     /* walls that changed while the device was armed */
 };
 
 static void send(struct fuzz *fuzz, struct packet *packet, bool damage)
@@ -95,40 +101,126 @@ static void identify(struct fuzz *fuzz)
     send(fuzz, &packet, false);
 }
 
-/* A block of every parameter, most values inside their ranges. */
-static size_t make_block(uint8_t *block)
+static uint32_t bits_of(float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+/* A number of a law, of a size that a law may have. */
+static uint32_t any_number(const struct hr_parameter *parameter)
+{
+    const int32_t whole = (int32_t)below(2000) - (parameter->minimum == 0 ? 0 : 1000);
+    if (parameter->kind == HR_FLOAT)
+        return bits_of((float)whole * (below(2) ? 1.0f : 0.001f));
+    return (uint32_t)whole;
+}
+
+/* A value for a law that has a good chance of being one. */
+static uint32_t law_value(size_t index, uint32_t law)
+{
+    const struct hr_parameter *parameter = &hr_parameters[index];
+    switch (index) {
+    case HR_PARAMETER_LAW:
+        return law;
+    case HR_PARAMETER_BATCH_LAYOUT:
+        return below(3);
+    case HR_PARAMETER_BATCH_SAMPLES:
+        return 1 + below(76);
+    case HR_PARAMETER_ESTIMATOR:
+        return law == 2 ? below(7) : 0;
+    case HR_PARAMETER_EXTRAPOLATE:
+        return law == 2 ? below(2) : 0;
+    case HR_PARAMETER_SLOW_MULTIPLE:
+        return 1 + below(3);
+    case HR_PARAMETER_TRIAL_TICKS:
+    case HR_PARAMETER_RELEASE_TICKS:
+    case HR_PARAMETER_SETTLE_TICKS:
+        return 1 + below(30);
+    case HR_PARAMETER_HOME_TIMEOUT_TICKS:
+        return below(8) ? UINT32_MAX : below(20);
+    case HR_PARAMETER_LAW_WINDOW_MINIMUM:
+    case HR_PARAMETER_HOME_MINIMUM:
+        return (uint32_t)(below(4) ? INT32_MIN : -20);
+    case HR_PARAMETER_LAW_WINDOW_MAXIMUM:
+    case HR_PARAMETER_HOME_MAXIMUM:
+        return (uint32_t)INT32_MAX;
+    case HR_PARAMETER_HOME_STEP:
+        return below(4) ? UINT32_C(1) << 30 : below(1000);
+    case HR_PARAMETER_FIXED_SPEED_LIMIT:
+        return below(4) ? (uint32_t)INT32_MAX : below(100);
+    case HR_PARAMETER_FLOAT_SPEED_LIMIT:
+        return below(4) ? bits_of(1e9f) : bits_of(10.0f);
+    case HR_PARAMETER_FIXED_STIFFNESS:
+    case HR_PARAMETER_FIXED_DAMPING:
+    case HR_PARAMETER_FIXED_HOME_STIFFNESS:
+    case HR_PARAMETER_FIXED_HOME_DAMPING:
+    case HR_PARAMETER_FIXED_HOME_EFFORT_HIGH:
+        return below(2000); /* below zero there is none */
+    case HR_PARAMETER_EXCITATION_LINES:
+        return below(4) ? 0 : 1 + below(3);
+    case HR_PARAMETER_EXCITATION_PERIOD:
+        return 7 + below(200);
+    case HR_PARAMETER_EXCITATION_FIRST:
+    case HR_PARAMETER_EXCITATION_STEP:
+        return 1;
+    default:
+        break;
+    }
+    const bool is_choice = parameter->kind == HR_UNSIGNED && parameter->maximum < 256;
+    return is_choice ? parameter->minimum + below(parameter->maximum - parameter->minimum + 1) : any_number(parameter);
+}
+
+static uint32_t host_value(size_t index)
 {
     const uint32_t speeds[] = {0, 1000, UINT32_MAX};
+    const struct hr_parameter *parameter = &hr_parameters[index];
+    switch (index) {
+    case HR_PARAMETER_VERIFIED:
+        return 1;
+    case HR_PARAMETER_MOTION:
+        return 0;
+    case HR_PARAMETER_CURRENT_LIMIT:
+        return below(NARROWED_LIMIT + 1);
+    case HR_PARAMETER_CONTINUOUS_CURRENT:
+        return below(4) ? below(NARROWED_LIMIT + 1) : below(20); /* that a spike overheats */
+    case HR_PARAMETER_WINDOW_MINIMUM:
+        return (uint32_t)(below(4) ? INT32_MIN : -50);
+    case HR_PARAMETER_WINDOW_MAXIMUM:
+        return (uint32_t)INT32_MAX;
+    case HR_PARAMETER_SPEED_LIMIT:
+        return speeds[below(3)];
+    default:
+        return below(3) ? parameter->initial : below(2) ? parameter->minimum : parameter->maximum;
+    }
+}
+
+/* A block of every parameter, most values inside their ranges; or of those alone that may change while it is armed. */
+static size_t make_block(uint8_t *block, bool live_alone)
+{
+    const uint32_t law = below(3);
+    const size_t wild = below(3) ? HR_PARAMETERS : below(HR_PARAMETERS);
     size_t count = 0;
     for (size_t i = 0; i < HR_PARAMETERS; i++) {
-        const struct hr_parameter *parameter = &hr_parameters[i];
-        uint32_t value = below(3) ? parameter->initial : below(2) ? parameter->minimum : parameter->maximum;
-        if (i == HR_PARAMETER_VERIFIED)
-            value = 1;
-        if (i == HR_PARAMETER_MOTION)
-            value = 0;
-        if (i == HR_PARAMETER_CURRENT_LIMIT || i == HR_PARAMETER_CONTINUOUS_CURRENT)
-            value = below(NARROWED_LIMIT + 1);
-        if (i == HR_PARAMETER_WINDOW_MINIMUM)
-            value = (uint32_t)(below(4) ? INT32_MIN : -50);
-        if (i == HR_PARAMETER_WINDOW_MAXIMUM)
-            value = INT32_MAX;
-        if (i == HR_PARAMETER_SPEED_LIMIT)
-            value = speeds[below(3)];
-        if (!below(40))
-            value = (uint32_t)chance();
-        put(block + count, 2, parameter->id);
+        if (live_alone && !hr_parameters[i].live)
+            continue;
+        const bool of_law = i >= HR_PARAMETER_LAW;
+        const uint32_t value = i == wild ? (uint32_t)chance() : of_law ? law_value(i, law) : host_value(i);
+        put(block + count, 2, hr_parameters[i].id);
         put(block + count + 2, 4, value);
         count += HR_PARAMETER_BYTES;
     }
     return count;
 }
 
-static void configure(struct fuzz *fuzz)
+static void configure(struct fuzz *fuzz, bool live_alone)
 {
     struct packet packet;
     uint8_t block[HR_FULL_BLOCK_BYTES];
-    const size_t count = make_block(block);
+    const size_t count = make_block(block, live_alone);
+    const uint32_t crc = fuzz->host->device.configuration.crc;
+    const uint8_t state = fuzz->host->device.connection.state;
     fuzz->nonce++;
     uint8_t *raw = begin(fuzz, &packet, HR_TYPE_SET_BEGIN, HR_BYTES_SET_BEGIN);
     put(raw + HR_AT_SET_BEGIN_LENGTH, 2, count);
@@ -139,10 +231,12 @@ static void configure(struct fuzz *fuzz)
         raw = begin(fuzz, &packet, HR_TYPE_SET_CHUNK, HR_BYTES_SET_CHUNK + piece);
         put(raw + HR_AT_SET_CHUNK_OFFSET, 2, at);
         memcpy(raw + HR_AT_SET_CHUNK_DATA, block + at, piece);
-        send(fuzz, &packet, !below(50));
+        send(fuzz, &packet, !below(200));
     }
     begin(fuzz, &packet, HR_TYPE_SET_COMMIT, HR_BYTES_SET_COMMIT);
     send(fuzz, &packet, false);
+    if ((state == HR_STATE_ARMED || state == HR_STATE_RUNNING) && crc != fuzz->host->device.configuration.crc)
+        fuzz->lives++;
 }
 
 static void arm(struct fuzz *fuzz)
@@ -170,7 +264,9 @@ static void command(struct fuzz *fuzz)
     struct packet packet;
     uint8_t *raw = begin(fuzz, &packet, HR_TYPE_COMMAND, HR_BYTES_COMMAND);
     put(raw + HR_AT_COMMAND_LIFETIME_US, 4, below(2) ? 20000u : chance());
-    raw[HR_AT_COMMAND_MODE] = (uint8_t)(below(8) ? 0 : below(256));
+    const bool runs_law = fuzz->host->device.renderer.there;
+    const uint8_t usual = runs_law && below(8) ? HR_MODE_SUPERVISE : HR_MODE_CURRENT;
+    raw[HR_AT_COMMAND_MODE] = (uint8_t)(below(32) ? usual : below(256));
     raw[HR_AT_COMMAND_FLAGS] = 0;
     put(raw + HR_AT_COMMAND_CURRENT, 2, chance());
     fuzz->sequence++;
@@ -186,6 +282,26 @@ static void noise(struct fuzz *fuzz)
     host_receive(fuzz->host, bytes, count);
 }
 
+/* What the device has sent: whole frames, and of a BATCH whole samples. */
+static void take_all(struct fuzz *fuzz)
+{
+    static const size_t sample_bytes[] = {5, 3, 6};
+    uint8_t away[256];
+    size_t count;
+    while ((count = host_take(fuzz->host, away, sizeof away)) > 0)
+        for (size_t i = 0; i < count; i++) {
+            const size_t raw = splitter_take(&fuzz->output, away[i], &fuzz->broken);
+            const uint8_t *frame = splitter_raw(&fuzz->output);
+            if (raw == 0 || frame[HR_AT_HEADER_TYPE_ID] != HR_TYPE_BATCH)
+                continue;
+            const uint8_t layout = frame[HR_AT_BATCH_LAYOUT];
+            CHECK(raw > HR_BYTES_BATCH && layout < 3);
+            CHECK((raw - HR_BYTES_BATCH) % sample_bytes[layout] == 0);
+            fuzz->batches[layout]++;
+        }
+    CHECK(fuzz->broken.framing_errors == 0 && fuzz->broken.crc_errors == 0);
+}
+
 static void check(struct fuzz *fuzz)
 {
     const struct device *device = &fuzz->host->device;
@@ -199,6 +315,10 @@ static void check(struct fuzz *fuzz)
         CHECK(!fuzz->host->enabled);
     }
     CHECK((state == HR_STATE_FAULT) == (device->faults.latched != HR_FAULT_NONE));
+    if (device->tick.supervised) {
+        fuzz->laws[device->configuration.values[HR_PARAMETER_LAW]]++;
+        fuzz->phases[device->renderer.phase]++;
+    }
     fuzz->states[state]++;
     fuzz->faults[device->faults.latched]++;
 }
@@ -206,12 +326,11 @@ static void check(struct fuzz *fuzz)
 static void tick(struct fuzz *fuzz)
 {
     struct host *host = fuzz->host;
-    uint8_t away[256];
     int32_t count = host->count + (int32_t)below(5) - 2;
     if (!below(300))
         count = below(10) ? (int32_t)below(200) - 100 : (int32_t)(chance() >> 33) - (1 << 30);
     const uint8_t inputs = (uint8_t)(below(500) ? HR_INPUT_HOLD_TO_RUN : below(256));
-    const int16_t measured = (int16_t)(below(3000) ? host->current : (int32_t)below(65536) - 32768);
+    const int16_t measured = (int16_t)(below(300) ? host->current : (int32_t)below(65536) - 32768);
     const uint64_t late = below(100) ? 0 : below(1000000);
     host_set_world(host, host->device.due + late, count, below(2) ? host->time : 0, measured, inputs);
     host_set_clock(host, host->time, below(2000) ? 0 : below(20000));
@@ -220,8 +339,8 @@ static void tick(struct fuzz *fuzz)
     host_tick(host);
     if (!below(5000))
         host_missed(host, below(100));
-    while (host_take(host, away, sizeof away) > 0) {
-    }
+    take_all(fuzz);
+    host_set_room(host, below(50) ? HR_HOST_OUTPUT_BYTES : below(300));
 }
 
 /* Those that nothing in a simulated world can cause. */
@@ -236,7 +355,7 @@ static void step(struct fuzz *fuzz)
     const uint32_t which = below(1000);
     if (which < 2)
         noise(fuzz);
-    else if (which < 4)
+    else if (which < 3)
         inject(fuzz);
     else if (which < 7)
         host_restart(fuzz->host);
@@ -245,10 +364,12 @@ static void step(struct fuzz *fuzz)
     else if (which < 50)
         identify(fuzz);
     else if (which < 70)
-        configure(fuzz);
+        configure(fuzz, false);
+    else if (which < 80)
+        configure(fuzz, true);
     else if (which < 100)
         arm(fuzz);
-    else if (which < 115)
+    else if (which < 140)
         disarm(fuzz);
     else if (which < 600)
         command(fuzz);
@@ -275,6 +396,7 @@ int main(int count, char **arguments)
     host_narrow(fuzz.host, HR_PARAMETER_CURRENT_LIMIT, 0, NARROWED_LIMIT);
     host_narrow(fuzz.host, HR_PARAMETER_CONTINUOUS_CURRENT, 0, NARROWED_LIMIT);
     host_start(fuzz.host);
+    splitter_reset(&fuzz.output);
     for (unsigned long left = strtoul(arguments[2], NULL, 10); left > 0; left--) {
         step(&fuzz);
         check(&fuzz);
@@ -283,6 +405,13 @@ int main(int count, char **arguments)
         printf("state %zu %u\n", i, fuzz.states[i]);
     for (size_t i = 0; i < sizeof fuzz.faults / sizeof fuzz.faults[0]; i++)
         printf("fault %zu %u\n", i, fuzz.faults[i]);
+    for (size_t i = 1; i < 3; i++)
+        printf("law %zu %u\n", i, fuzz.laws[i]);
+    for (size_t i = 0; i < 6; i++)
+        printf("phase %zu %u\n", i, fuzz.phases[i]);
+    for (size_t i = 0; i < 3; i++)
+        printf("layout %zu %u\n", i, fuzz.batches[i]);
+    printf("live 0 %u\n", fuzz.lives);
     free(fuzz.host);
     return 0;
 }

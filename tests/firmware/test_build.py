@@ -11,13 +11,14 @@ import pytest
 from firmware_protocol.parameters import PARAMETERS
 from rig import config, presets
 from rig.board import MovedMechanics, moved_mechanics, over_current, peak_current
-from rig.errors import ConfigError, RecordingError
+from rig.errors import ConfigError, RecordingError, ToolchainError
 from rig.firmware import boards
 from rig.firmware.board_config import configure
 from rig.firmware.build import BuildRequest, build, package_version, sources_hash
 from rig.firmware.elf import read_segments
 from rig.firmware.info import info
-from rig.firmware.toolchain import COMPILER_VARIABLE, ToolchainError, find_compiler
+from rig.firmware.toolchain import COMPILER_VARIABLE, find_compiler
+from rig.firmware.uf2 import read_uf2
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, compile_c
 
@@ -204,3 +205,31 @@ def test_no_pin_is_used_twice():
     assert boards.settings_of(board, {"encoder": 5}) == {"encoder": 5, "enable": 4}
     with pytest.raises(ConfigError, match=r"encoder and enable .* both use pin 4"):
         boards.settings_of(board, {"encoder": 3})
+    reserved = replace(board, reserved_pins={4: "the line"})
+    with pytest.raises(ConfigError, match="the line and enable"):
+        boards.settings_of(reserved, {})
+
+
+@pytest.mark.parametrize("name", boards.names())
+def test_a_board_is_whole(name):
+    board = boards.load(name)
+    settings = boards.settings_of(board, {})
+    assert all(type(value) is type(board.settings[key].default) for key, value in settings.items())
+    assert (board.directory / board.linker_script).is_file()
+    assert "device" in board.applications
+    for application in board.applications:
+        assert all(path.is_file() for path in board.sources(application))
+
+
+@pytest.mark.parametrize("name", [name for name in boards.names() if boards.load(name).uf2_family])
+def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name):
+    board, made = boards.load(name), cross.image(name)
+    written = read_uf2(made.uf2.read_bytes(), "x")
+    assert written.family == board.uf2_family
+    (whole,) = written.pieces
+    image = made.bin.read_bytes()
+    assert whole.address == board.flash.origin
+    assert whole.data[: len(image)].replace(b"\xff", b"\0") == image.replace(b"\xff", b"\0")
+    assert len(whole.data) - len(image) < 256
+    assert whole.address + len(whole.data) <= board.flash.origin + board.flash.bytes
+    assert info(str(made.uf2)).firmware == made.firmware

@@ -7,7 +7,7 @@ slowness causes, or by the guard, when answers come so late that they throw the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import pytest
 
 from firmware_protocol.connection import State
 from rig import config, presets
+from rig.config import Experiment
 from rig.devices import open_device
 from rig.errors import DeviceFaultError, GuardError, LinkLostError, RigError
 from rig.experiments.hit import HitRequest, hit
@@ -51,11 +52,25 @@ class Ended:
     wall_s: float
 
 
-def whole_hit(url: str, output: Path) -> Ended:
+def whole_hit(
+    url: str,
+    output: Path,
+    experiment: Experiment = EXPERIMENT,
+    changes: Mapping[str, Any] = CHANGES,
+    *,
+    verified: bool = False,
+) -> Ended:
     """All of ``rig hit --url …``: the gate, the hit, its verdict, its sealed recording."""
 
     def run() -> Path:
-        request = HitRequest(experiment=EXPERIMENT, url=url, changes=CHANGES, output=output, arm_anyway=True)
+        request = HitRequest(
+            experiment=experiment,
+            url=url,
+            changes=changes,
+            output=output,
+            verified=verified,
+            arm_anyway=True,
+        )
         (result,) = hit(request)
         return result.recording
 
@@ -110,11 +125,16 @@ def check_ended_safely(ended: Ended, far_end: FarEnd, *kinds: type[RigError]) ->
     `kinds` are the errors of what struck the run; those of a machine that is too slow may come first.
     """
     print(f"{ended.wall_s:.1f} s: {type(ended.error).__name__}: {ended.error}; {far_end.left()}")
+    assert far_end.left().current == 0
+    assert far_end.left().state not in (State.ARMED, State.RUNNING)
+    check_recorded(ended, *kinds)
+
+
+def check_recorded(ended: Ended, *kinds: type[RigError]) -> None:
+    """The host's half of `check_ended_safely`."""
     assert ended.wall_s < BOUND_S
     assert ended.error is None or type(ended.error) in (*kinds, *TOO_SLOW), repr(ended.error)
     assert ended.error is None or ended.error.remedy
-    assert far_end.left().current == 0
-    assert far_end.left().state not in (State.ARMED, State.RUNNING)
     assert ended.path is not None
     recording = open_recording(ended.path)
     assert recording.complete

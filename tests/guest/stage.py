@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.guest.absent import GuestAbsentError
 from tests.guest.boot import UDEV, WATCHDOG_S, GuestEnd, check_tools, run_in_guest
 from tests.guest.kernel_files import unpacked_kernel
-from tests.guest.pico import PORT, emulated_pico
+from tests.guest.pico import PORT, RIG, emulated_pico
 
 HERE = Path(__file__).resolve().parents[2]
 MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console")
@@ -32,6 +32,21 @@ HIT_STATUSES = (
     7,
     10,
 )  # on a busy machine it may lose its device or its handle: what counts is that it compiled
+ON_BOARD = (
+    *(
+        "--rig",
+        RIG,
+        "--loop",
+        "device",
+        "--estimator",
+        "fdm-butterworth-fixed",
+        "--rate",
+        "4k/1k",
+        "-K",
+        "50",
+    ),
+    *("--duration", "0.5", "--realtime", "--no-plot"),
+)
 TEST_TIMEOUT_S = 150
 
 
@@ -81,6 +96,7 @@ def _prepare(kernels: Path) -> None:
         for command in (
             ["-c", f"import {', '.join(LOADED)}"],
             ["-m", "rig", "hit", "--realtime", "--no-plot", "--duration", "0.5", "-o", place],
+            ["-m", "rig", "hit", *ON_BOARD, "-o", place],
         ):
             done = subprocess.run(
                 [sys.executable, *command], cwd=HERE, env=environment, capture_output=True,

@@ -461,6 +461,20 @@ def test_where_a_limit_acts_the_device_is_right_to_differ():
     assert found.compared + found.excluded == 399
 
 
+def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it():
+    """The device saw what the host did not: for a while their velocities are apart."""
+    counts = taps(2000)
+    currents = by_the_host(counts, controlled())["current_sent"].tolist()
+    device = BatchDevice(counts, currents, mangle=lambda number, frame: [] if 20 <= number < 24 else [frame])
+    device.at[2000] = lambda: setattr(device, "silent", True)
+    thread, _ = ran(device)
+    rows = rows_of(thread)
+    found = thread.agreement()
+    assert np.abs(rows["current_applied"][101:150] - rows["current_sent"][100:149]).max() > 1
+    assert (found.beyond, found.holds) == (0, True)
+    assert 50 * 10 <= found.excluded <= 50 * 10 + 20
+
+
 # ---------------------------------------------------------------------- a new wall on the way
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from rig.firmware import flash as flashing
 from tests.firmware import cross
 
 
@@ -42,6 +43,16 @@ def test_the_self_test_of_another_rig_fails_with_its_remedy(run):
     found = json.loads(out)
     assert not found["passed"]
     assert "--rig chawda-linear" in err
+
+
+def test_the_law_of_the_firmware_streams_without_a_current(run):
+    url = "sim://koul-rigid?firmware=1"
+    code, out, err = run(
+        "firmware", "selftest", url, "--rig", "koul-rigid", "--stream", "--rate", "1000", "--seconds", "0.1"
+    )
+    assert code == 0, err
+    assert "ok stream: " in out
+    assert "0 gaps; no current" in out
 
 
 def test_info_of_a_simulated_device(run):
@@ -94,3 +105,25 @@ def test_an_image_is_built_and_looked_at(run, built):
     assert code == 0
     for words in ("mps2", "koul-rigid", built["dictionary_hash"], "compatible", "yes"):
         assert words in out
+
+
+def test_what_was_built_for_a_pico_is_flashed_to_a_pico(run, tmp_path, monkeypatch):
+    made = cross.image("rp2040")
+    drive = tmp_path / "RPI-RP2"
+    drive.mkdir()
+    (drive / "INFO_UF2.TXT").write_text("Model: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n")
+    monkeypatch.setattr(flashing, "_wait_until_gone", lambda *_arguments: None)
+    code, out, err = run("firmware", "flash", made.uf2, "--drive", drive)
+    assert code == 0, err
+    assert f"rp2040 at {drive} runs {made.firmware}" in out
+    assert (drive / made.uf2.name).read_bytes() == made.uf2.read_bytes()
+
+
+def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run):
+    code, _, err = run("firmware", "build", "--set", "enable_pin=2")
+    assert code == 2
+    assert "encoder_pin and enable_pin of board rp2040 both use pin 2" in err
+    cross.need_compiler()
+    code, _, err = run("firmware", "build", "--set", "pwm_pin=13")
+    assert code == 15
+    assert "change the setting that it names" in err

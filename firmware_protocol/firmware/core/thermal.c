@@ -42,13 +42,3 @@ void thermal_update(struct thermal *thermal, int16_t measured)
     else
         thermal->heat -= scaled(thermal->heat - aim, thermal->decay, thermal->shift);
 }
-
-bool thermal_is_spent(const struct thermal *thermal)
-{
-    return thermal->heat >= thermal->budget;
-}
-
-bool thermal_is_overheated(const struct thermal *thermal)
-{
-    return thermal->heat > thermal->cut;
-}

@@ -21,9 +21,15 @@ void thermal_configure(struct thermal *thermal, uint16_t continuous_current, flo
 void thermal_update(struct thermal *thermal, int16_t measured);
 
 /* Whether the budget is used up: reduce the current. */
-bool thermal_is_spent(const struct thermal *thermal);
+static inline bool thermal_is_spent(const struct thermal *thermal)
+{
+    return thermal->heat >= thermal->budget;
+}
 
 /* Whether the heat is so far above the budget that reducing has failed. */
-bool thermal_is_overheated(const struct thermal *thermal);
+static inline bool thermal_is_overheated(const struct thermal *thermal)
+{
+    return thermal->heat > thermal->cut;
+}
 
 #endif

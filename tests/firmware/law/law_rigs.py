@@ -75,10 +75,10 @@ class Run:
         return judge(signals, config.verdict_limits(experiment))
 
 
-def on_the_host(experiment: Experiment) -> Run:
-    """The host's law, compiled, with the plant."""
+def on_the_host(experiment: Experiment, start: float = START) -> Run:
+    """The host's law, compiled, with the plant, whose handle rests at `start` first."""
     plant = plant_of(experiment)
-    t = trial.run_trial(controller_of(experiment), plant, START, most_ticks=100_000)
+    t = trial.run_trial(controller_of(experiment), plant, start, most_ticks=100_000)
     return Run(t.counts, t.currents, t.flags, t.phases)
 
 

@@ -27,7 +27,7 @@ def powered(built: BuildResult) -> Iterator[Callable[..., Session]]:
     with ExitStack() as boards:
 
         def power(position: float | None = None) -> Session:
-            pico = emulator.Pico(rig_model(load(PRESET)), built, position=position)
+            pico = emulator.Pico(rig_model(load(PRESET)), built.bin, position=position)
             return Session(boards.enter_context(pico), built)
 
         yield power

@@ -29,7 +29,7 @@ from rig.model import RigModel
 from sim_backend.plant import DiscretePlant
 
 HERE = Path(__file__).parent
-CLOCK_HZ = 125_000_000
+CLOCK_HZ = 200_000_000
 PLANT_STEP_S = 2e-6
 INSTALL_S = 60.0
 SLICE_US = 200.0
@@ -94,10 +94,11 @@ def modules() -> Path:
 class Ticks:
     """What ticks did, one number each: cycles of the processor since its reset; counts that the encoder had.
 
-    The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the interrupt's entry and return. While
-    the count was read the encoder went from `before` to `after`.
+    It came at `came` (ns since power-up). The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the
+    interrupt's entry and return. While the count was read the encoder went from `before` to `after`.
     """
 
+    came: NDArray[np.int64]
     at: NDArray[np.int64]
     ends: NDArray[np.int64]
     entered: NDArray[np.int64]
@@ -145,10 +146,10 @@ def _ended(process: subprocess.Popen[str]) -> None:
 class Pico:
     """The emulated board; leave its context to end the process."""
 
-    def __init__(self, model: RigModel, built: BuildResult, *, position: float | None = None) -> None:
+    def __init__(self, model: RigModel, image: Path, *, position: float | None = None) -> None:
         self._process = _started()
-        self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 6)
-        self.ask("power", image=str(built.bin), pins=PINS, motor=motor_of(model, position))
+        self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 7)
+        self.ask("power", image=str(image), pins=PINS, motor=motor_of(model, position))
         self.run(START_US)
 
     def __enter__(self) -> Self:
@@ -177,7 +178,7 @@ class Pico:
         """All since power-up or the last reset: the first is sample 1 of the device."""
         answer = self.ask("ticks")
         fields = Ticks.__dataclass_fields__
-        new = (np.array(answer[name], dtype=np.int64) for name in fields)
+        new = (np.array(answer[name]).astype(np.int64) for name in fields)
         self._ticks = Ticks(
             *(np.concatenate([getattr(self._ticks, name), a]) for name, a in zip(fields, new, strict=True))
         )

@@ -8,8 +8,6 @@ const { RP2040 } = require('rp2040js');
 const { ConsoleLogger, LogLevel } = require('rp2040js');
 const { Uart } = require('./uart.js');
 
-const CLOCK_HZ = 125e6;
-const NANOS_A_CYCLE = 1e9 / CLOCK_HZ;
 /* Armv6-M without wait states (Cortex-M0+ Technical Reference Manual, 3.3 and 3.6). The emulator takes none. */
 const EXCEPTION_ENTRY = 15;
 const EXCEPTION_RETURN = 13;
@@ -60,11 +58,10 @@ class Pico {
     chip.sram.fill(0xa5); // as found after power-up: anything
     this.uart = new Uart(chip);
     chip.uart[0] = chip.peripherals[0x40034] = this.uart;
-    // Power-on reset: HAD_POR of CHIP_RESET (data sheet 2.12.7).
-    const chipReset = { 8: 1 << 8 };
+    this.regulator = { 0: 0xb1 }; // 1.10 V, on (data sheet 2.10.6)
     chip.peripherals[0x40064] = {
-      readUint32: (offset) => chipReset[offset] || 0,
-      writeUint32Atomic: (offset, value) => (chipReset[offset] = value),
+      readUint32: (offset) => this.regulator[offset] || 0,
+      writeUint32Atomic: (offset, value) => (this.regulator[offset] = value),
     };
     this.watchdog = chip.peripherals[0x40058];
     this.watchdog.reason = reason;
@@ -77,6 +74,7 @@ class Pico {
     this.levels = 0;
     Object.defineProperty(chip, 'gpioValues', { get: () => this.levels });
     this.watchPads();
+    this.watchPwm();
     this.watchPio();
     this.showSwitches();
     this.showEncoder();
@@ -142,6 +140,20 @@ class Pico {
     };
   }
 
+  /* A counter shows whole counts that are over; the emulator's rounds to the nearest, and is at zero before it has wrapped. */
+  watchPwm() {
+    const COUNTER = 8;
+    for (const channel of this.chip.pwm.channels) {
+      const read = channel.readRegister.bind(channel);
+      channel.readRegister = (offset) => {
+        const { timer } = channel;
+        if (offset !== COUNTER || !timer.enable) return read(offset);
+        const counts = ((this.chip.clock.nanos - timer.baseNanos) / 1e9) * (timer.frequency / timer.prescaler);
+        return Math.floor(timer.baseValue + counts + 1e-6) % (timer.top + 1);
+      };
+    }
+  }
+
   /* ---------------------------------------------------------------- PIO on the chip's own clock */
 
   watchPio() {
@@ -169,10 +181,10 @@ class Pico {
   }
 
   /* Let the state machines live through some cycles; at rest only the guard turns, in circles. */
-  advancePio(from, cycles) {
+  advancePio(from, cycles, nanos) {
     const { edges } = this;
     for (let i = 0; i < cycles; i++) {
-      const at = from + i * NANOS_A_CYCLE;
+      const at = from + i * nanos;
       while (edges.length > 0 && edges[0].at <= at) this.turn(edges.shift().way);
       if (this.awake > 0) {
         for (; this.slept % GUARD_LOOP !== 0; this.slept--) this.stepPio();
@@ -188,11 +200,11 @@ class Pico {
   /* ---------------------------------------------------------------- what is measured */
 
   clear() {
-    this.ticks = []; // { at, ends, entered, left, before, after }: cycles since reset; counts of the encoder
+    this.ticks = []; // { came, at, ends, entered, left, before, after }: ns; cycles since reset; counts of the encoder
     this.inTick = false;
     this.tick = null;
     this.entered = 0;
-    this.inside = false;
+    this.held = this.longestHeld = 0; // interrupts masked, cycles
   }
 
   syncChanged(state) {
@@ -200,7 +212,7 @@ class Pico {
     if (high === this.inTick) return;
     this.inTick = high;
     if (high) {
-      this.tick = { at: this.cycles, ends: 0, entered: this.entered, left: 0, before: 0, after: 0 };
+      this.tick = { came: this.now, at: this.cycles, ends: 0, entered: this.entered, left: 0, before: 0, after: 0 };
       this.ticks.push(this.tick);
     } else if (this.tick) {
       this.tick.ends = this.cycles;
@@ -235,9 +247,12 @@ class Pico {
       if (before !== after) cycles += this.excepted(before, after, cycles);
     }
     const from = this.now;
-    clock.tick(cycles * NANOS_A_CYCLE);
-    this.advancePio(from, cycles);
+    const nanos = 1e9 / chip.clkSys;
+    clock.tick(cycles * nanos);
+    this.advancePio(from, cycles, nanos);
     this.cycles += cycles;
+    this.held = core.PM ? this.held + cycles : 0;
+    if (this.held > this.longestHeld) this.longestHeld = this.held;
     if (this.bitten) this.bite();
   }
 
@@ -292,4 +307,4 @@ class Pico {
   }
 }
 
-module.exports = { Pico, NANOS_A_CYCLE, CLOCK_HZ };
+module.exports = { Pico };

@@ -60,7 +60,10 @@ const commands = {
   look() {
     const most = motor.most;
     motor.most = 0;
+    const held = pico.longestHeld;
+    pico.longestHeld = 0;
     return {
+      held,
       now: pico.now,
       truth: pico.truth,
       enabled: pico.enabled,
@@ -75,6 +78,7 @@ const commands = {
       complaints: Object.fromEntries(pico.complaints),
       vtor: pico.chip.core.VTOR,
       clock: pico.chip.clkSys,
+      regulator: pico.regulator[0],
     };
   },
   /* Every tick since the last question. */
@@ -82,7 +86,7 @@ const commands = {
     const ticks = pico.takeTicks();
     const column = (name) => ticks.map((tick) => tick[name]);
     const answer = {};
-    for (const name of ['at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
+    for (const name of ['came', 'at', 'ends', 'entered', 'left', 'before', 'after']) answer[name] = column(name);
     return answer;
   },
   /* Time that a pin is high (ns) over the next stretch of time. */
@@ -104,18 +108,30 @@ const commands = {
     if (since !== null) high += pico.now - since;
     return { high, time: pico.now - begins };
   },
-  /* Cycles by instruction over the next stretch of time: all, or those of ticks. */
-  profile({ us, ticks }) {
-    const spent = new Map();
+  /* Cycles by instruction over the next stretch of time, in the tick's interrupt: of all, and of the longest. */
+  profile({ us }) {
+    const all = new Map();
+    let one = new Map();
+    let longest = new Map();
+    const sum = (spent) => [...spent.values()].reduce((a, b) => a + b, 0);
     const ends = pico.now + us * 1000;
+    let count = 0;
     while (pico.now < ends) {
       motor.upTo(pico.now);
-      const { PC } = pico.chip.core;
-      const { cycles, inTick } = pico;
+      const { core } = pico.chip;
+      const at = core.PC & ~1;
+      const { cycles } = pico;
+      const inside = core.IPSR === 20;
       pico.step();
-      if (!ticks || inTick) spent.set(PC & ~1, (spent.get(PC & ~1) || 0) + pico.cycles - cycles);
+      if (!inside) continue;
+      one.set(at, (one.get(at) || 0) + pico.cycles - cycles);
+      if (core.IPSR === 20) continue;
+      for (const [pc, spent] of one) all.set(pc, (all.get(pc) || 0) + spent);
+      if (sum(one) > sum(longest)) longest = one;
+      one = new Map();
+      count++;
     }
-    return { spent: [...spent] };
+    return { count, all: [...all], longest: [...longest] };
   },
   /* The plant alone, for comparison: a command for each step. */
   plant({ plant, commands: efforts }) {

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
 from rig.config.derive import rig_model
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit
 from rig.firmware.build import BuildResult
 from rig.presets import load
+from rig.recording.reader import open_recording
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
+from tests.firmware.rp2040.usb_link import EmulatedUsb
 from tests.firmware.test_core_law import push, told_to_run
 
 RIG, PORT = 1, 2
@@ -22,12 +29,24 @@ STALL = -32
 STREAM_US = 40_000.0
 FULL_SPEED_BYTES = 19 * 64 * 1000  # a second, in bulk: USB 2.0, table 5-9
 IDENTIFY = m.Identify(nonce=7, offset=0)
+ON_DEVICE: dict[str, Any] = {
+    "controller.loop": "device",
+    "controller.estimator": "fdm-butterworth-fixed",
+    "controller.position_rate": 20_000,
+    "controller.velocity_rate": 2_000,
+    "wall.stiffness": 150.0,
+    "wall.damping": 0.1,
+    "homing.settle_s": 0.02,
+    "trial.duration_s": 0.3,
+    "trial.release_s": 0.02,
+    "verdict.tail_s": 0.1,
+}
 WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
 
 
 @pytest.fixture
 def pico(built: BuildResult) -> Iterator[emulator.Pico]:
-    with emulator.Pico(rig_model(load(PRESET)), built) as board:
+    with emulator.Pico(rig_model(load(PRESET)), built.bin) as board:
         yield board
         look = board.ask("usb_look")
         assert look["errors"] == []
@@ -112,3 +131,26 @@ def test_a_cable_that_is_pulled_in_a_session_ends_with_no_current(
     host.line = UsbLine(pico)
     host.identify()
     assert host.states[-1].state == State.FAULT
+
+
+def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
+    """The plan, the loop that supervises, the recording: as on any device; the plant at the pins of the board."""
+    model = rig_model(load(PRESET))
+    with emulator.Pico(model, built.bin, position=0.0) as pico:
+        line = UsbLine(pico)
+        with FramedDevice(EmulatedUsb(line)) as device:
+            (result,) = hit(
+                HitRequest(
+                    experiment=load(PRESET), changes=ON_DEVICE, device=device, verified=True, output=tmp_path
+                )
+            )
+        look = pico.look()
+        assert line.look()["errors"] == []
+    recording = open_recording(result.recording)
+    rows = recording.rows
+    assert result.verdict.kind.value == "stable"
+    assert recording.trailer["law_agreement"]["holds"]
+    assert recording.trailer["law_agreement"]["compared"] > 0.9 * len(rows)
+    assert (look["enabled"], look["duty"]) == (False, 0)
+    assert np.array_equal(np.diff(rows["sample_index"]), np.ones(len(rows) - 1))
+    assert look["truth"] == rows["count"][-1]

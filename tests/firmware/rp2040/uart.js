@@ -24,6 +24,8 @@ class Uart {
     this.receiveAlarm = rp2040.clock.createAlarm(() => this.byteReceived());
   }
 
+  clkPeriChanged() {}
+
   get baud() {
     return this.rp2040.clkPeri / (16 * this.divider);
   }

@@ -20,6 +20,7 @@ class UsbLine:
     def __init__(self, pico: Pico, endpoint: int = 1) -> None:
         self.pico = pico
         self.plugged = pico.ask("usb_plug", endpoint=endpoint)
+        self.now_ns = round(pico.look()["now"])  # of the board
 
     def send(self, data: bytes, endpoint: int | None = None) -> None:
         self.pico.ask("usb_send", hex=data.hex(), **({} if endpoint is None else {"endpoint": endpoint}))
@@ -28,6 +29,7 @@ class UsbLine:
         """Let time pass, or less of it: until something has come; what has come."""
         answer = self.pico.ask("usb_run", us=us, first=first)
         assert not answer["broken"], answer
+        self.now_ns = round(answer["now"])
         return bytes.fromhex(answer["hex"])
 
     def control(

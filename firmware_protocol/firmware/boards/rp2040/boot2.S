@@ -2,8 +2,8 @@
  * checks their CRC and calls them there. They set the flash interface up for the plain read command, 03h with a 24-bit
  * address, which every serial flash has, so that the flash can be read as memory; then the program starts.
  *
- * Slow and sure: the flash is read once, when the program is copied to RAM. At 125 MHz the flash's clock is 31 MHz; the
- * command is good for 33 MHz at least (W25Q16JV data sheet, 9.6: 50 MHz). */
+ * Slow and sure: the flash is read once, when the program is copied to RAM, before any clock is set. The boot's clock
+ * is the ring oscillator's, some MHz, of which the flash gets a quarter; every flash does that. */
     .syntax unified
     .cpu cortex-m0plus
     .thumb

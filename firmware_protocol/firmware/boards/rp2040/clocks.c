@@ -6,6 +6,9 @@
 #define CRYSTAL_START_DELAY 47u
 #define CRYSTAL_MHZ 12u
 
+/* 2.10.2: 1.15 V. Raspberry Pi has certified 200 MHz at that voltage (release notes of its SDK 2.1.1, 2025-02-19). */
+#define VOLTS_1_15 0xCu
+
 void clocks_release(uint32_t blocks)
 {
     CLEAR_BITS(RESETS) = blocks;
@@ -28,6 +31,9 @@ static void start_pll(uint32_t pll, uint32_t feedback, uint32_t first, uint32_t 
 void clocks_start(void)
 {
     CLOCK_RESUSCITATION = 0;
+#ifdef BOARD_CLOCK_200MHZ
+    REGULATOR = VOLTS_1_15 << 4 | REGULATOR_ON; /* it settles while the crystal starts */
+#endif
     CRYSTAL_STARTUP = CRYSTAL_START_DELAY;
     CRYSTAL_CONTROL = CRYSTAL_ENABLE_1_TO_15_MHZ;
     while (!(CRYSTAL_STATUS & CRYSTAL_STABLE))
@@ -42,7 +48,11 @@ void clocks_start(void)
     CLOCK_REFERENCE_DIVIDER = CLOCK_DIVIDED_BY_ONE;
     SET_BITS(RESETS) = RESET_PLL_SYS | RESET_PLL_USB;
     clocks_release(RESET_PLL_SYS | RESET_PLL_USB);
+#ifdef BOARD_CLOCK_200MHZ
+    start_pll(PLL_SYSTEM, 100, 6, 1); /* 1200 MHz, 200 MHz */
+#else
     start_pll(PLL_SYSTEM, 125, 6, 2); /* 1500 MHz, 125 MHz */
+#endif
     start_pll(PLL_USB, 100, 5, 5);    /* 1200 MHz, 48 MHz */
     CLOCK_SYSTEM_DIVIDER = CLOCK_DIVIDED_BY_ONE;
     CLOCK_SYSTEM_CONTROL = SYSTEM_FROM_PLL;

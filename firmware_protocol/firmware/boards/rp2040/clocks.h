@@ -4,9 +4,16 @@
 
 #include <stdint.h>
 
-#define CLOCK_HZ 125000000u /* of the processor and all that hangs on its bus */
+#include "board_config.h"
 
-/* Start the crystal, 125 MHz for the processor, 48 MHz for USB and ADC, 1 MHz for timer and watchdog. */
+/* Of the processor and all that hangs on its bus. */
+#ifdef BOARD_CLOCK_200MHZ
+#define CLOCK_HZ 200000000u
+#else
+#define CLOCK_HZ 125000000u
+#endif
+
+/* Start the crystal, the processor's clock, 48 MHz for USB and ADC, 1 MHz for timer and watchdog. */
 void clocks_start(void);
 
 /* Take blocks (RESET_… bits) out of reset. */

@@ -163,6 +163,7 @@ static void converse(void)
     if (grid.polled && tick_cycles_left() < POLL_CYCLES)
         return;
     mask();
+    time_look();
     device_poll(&device);
     link_pump();
     grid.polled = true;

@@ -31,6 +31,10 @@
 #define PSM_OSCILLATORS 0x3u
 #define PSM_ALL 0x1FFFFu
 
+/* 2.10.6 Regulator of the core's voltage */
+#define REGULATOR REGISTER(0x40064000u)
+#define REGULATOR_ON 1u
+
 /* 2.15.7 Clocks */
 #define CLOCKS 0x40008000u
 #define CLOCK_REFERENCE_CONTROL REGISTER(CLOCKS + 0x30u)

@@ -3,8 +3,8 @@
 #include "clocks.h"
 #include "registers.h"
 
-/* 125 MHz / 16 MHz, in sixteenths: 7 13/16 exactly (4.5.2.4, fractional division is exact on average). */
-#define TIME_DIVIDER 125u
+/* To 16 MHz, in sixteenths: 7 13/16 or 12 1/2 exactly (4.5.2.4, fractional division is exact on average). */
+#define TIME_DIVIDER (CLOCK_HZ / 1000000u)
 #define TICK_LONGEST 65536u
 #define TICK_DIVIDER_LIMIT 255u
 
@@ -49,9 +49,18 @@ static uint32_t joined(uint32_t fine, uint32_t coarse)
 
 uint64_t time_now(void)
 {
-    const uint32_t coarse = REGISTER(TIMER_RAW_LOW);
-    clock.now += joined(PWM_COUNTER(TIME_SLICE), coarse) - (uint32_t)clock.now;
+    clock.now += (uint16_t)(PWM_COUNTER(TIME_SLICE) - (uint32_t)clock.now);
     return clock.now;
+}
+
+static void look_at(uint32_t coarse)
+{
+    clock.now += joined(PWM_COUNTER(TIME_SLICE), coarse) - (uint32_t)clock.now;
+}
+
+void time_look(void)
+{
+    look_at(REGISTER(TIMER_RAW_LOW));
 }
 
 uint64_t time_of(uint32_t fine, uint32_t coarse)
@@ -107,7 +116,7 @@ void tick_start(void)
     PWM_COUNTER(TICK_SLICE) = 0;
     PWM_WRAPPED = 1u << TICK_SLICE;
     PWM_INTERRUPTS = 1u << TICK_SLICE;
-    INTERRUPT_PRIORITY(INTERRUPT_PWM_WRAP / 4u) = 0; /* the highest, of all four */
+    INTERRUPT_PRIORITY(INTERRUPT_PWM_WRAP / 4u) &= ~(UINT32_C(0xFF) << 8u * (INTERRUPT_PWM_WRAP % 4u)); /* the highest */
     tick.at = REGISTER(TIMER_RAW_LOW);
     INTERRUPTS_FORGET = 1u << INTERRUPT_PWM_WRAP;
     INTERRUPTS_ENABLE = 1u << INTERRUPT_PWM_WRAP;
@@ -118,8 +127,10 @@ bool tick_taken(void)
     const uint32_t now = REGISTER(TIMER_RAW_LOW);
     const bool in_time = now - tick.at < tick.late;
     tick.at = now;
+    look_at(now);
     PWM_WRAPPED = 1u << TICK_SLICE;
-    PWM_TOP(TICK_SLICE) = next_top(); /* in force from the next wrap on (4.5.2.3) */
+    if (tick.rest != 0)
+        PWM_TOP(TICK_SLICE) = next_top(); /* in force from the next wrap on (4.5.2.3) */
     return in_time;
 }
 
@@ -127,5 +138,5 @@ uint32_t tick_cycles_left(void)
 {
     if (PWM_WRAPPED & 1u << TICK_SLICE)
         return 0;
-    return (tick.top - PWM_COUNTER(TICK_SLICE)) * tick.divider;
+    return (tick.top + 1u - PWM_COUNTER(TICK_SLICE)) * tick.divider; /* the period's longer kind ends at top + 1 */
 }

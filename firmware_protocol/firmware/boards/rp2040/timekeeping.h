@@ -20,8 +20,12 @@ struct stamp {
 
 void time_start(void);
 
-/* Device time now, 1/16 µs. Not from two places that may interrupt each other. */
+/* Device time now, 1/16 µs; at most 4 ms behind the last look at the clock. Not from two places that may interrupt each
+ * other. */
 uint64_t time_now(void);
+
+/* Look at the clock, however long ago the last look was. */
+void time_look(void);
 
 /* Device time of a stamp taken less than an hour ago. */
 uint64_t time_of(uint32_t fine, uint32_t coarse);
@@ -35,8 +39,8 @@ bool tick_set_rate(uint32_t rate);
 /* Let the interrupt come, not before a whole period. */
 void tick_start(void);
 
-/* In the interrupt: take it, and say how long the next period but one will be. False when it comes so late that a tick
- * may have been missed. */
+/* In the interrupt: look at the clock, take the tick, and say how long the next period but one will be. False when it comes
+ * so late that a tick may have been missed. */
 bool tick_taken(void);
 
 /* Cycles of the processor until the next tick is due; 0 when it waits already. */

@@ -80,6 +80,8 @@ size_t uart_read(uint8_t *into, size_t capacity)
 
 void uart_pump(void)
 {
+    if (link.given == link.begun)
+        return;
     if (!busy(DMA_COPY))
         link.written = link.begun;
     if (link.given == link.written || busy(DMA_TRANSMIT))

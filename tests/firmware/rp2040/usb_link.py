@@ -1,0 +1,53 @@
+"""The emulated board's USB as a link of `rig`, in the time of the board."""
+
+from __future__ import annotations
+
+from rig.clock import VirtualClock
+from rig.devices.device import DeviceUrl
+from sim_backend.link import MemoryLink
+from tests.firmware.rp2040.usb_line import UsbLine
+
+URL = DeviceUrl("usb", "1209:0001", {}, "usb://1209:0001")
+
+
+class EmulatedUsb(MemoryLink):
+    """Time moves while the host waits, as on any link in virtual time; but bytes take the time of the bus."""
+
+    def __init__(self, line: UsbLine) -> None:
+        self.url = URL
+        self.clock = VirtualClock()
+        self.line = None  # of a link that fails on command
+        self.discarded = 0
+        self._usb = line
+        self._began_ns = line.now_ns
+        self._arrived = bytearray()
+        self._failure: BaseException | None = None
+        self._closed = False
+        self._port = None
+
+    def write(self, data: bytes) -> None:
+        self._check_open()
+        self._catch_up()
+        self._usb.send(data)
+
+    def truth(self) -> None:  # type: ignore[override]
+        return None
+
+    def _catch_up(self) -> None:
+        self._run(self.clock.now_ns(), first=False)
+
+    def _wait(self, deadline_ns: int) -> bool:
+        self._check_open()
+        self._catch_up()
+        if not self._arrived:
+            self._run(deadline_ns, first=True)
+            self.clock.sleep_until(max(self.clock.now_ns(), min(deadline_ns, self._now_ns)))
+        return bool(self._arrived)
+
+    @property
+    def _now_ns(self) -> int:
+        return self._usb.now_ns - self._began_ns
+
+    def _run(self, until_ns: int, *, first: bool) -> None:
+        if until_ns > self._now_ns:
+            self._keep(self._usb.run((until_ns - self._now_ns) * 1e-3, first=first))

@@ -1,0 +1,102 @@
+"""The golden vectors, on this computer and on the processors of the simulator."""
+
+from __future__ import annotations
+
+import ctypes as ct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.sample import Phase, RowFlag
+from tests.firmware import cortex, golden
+from tests.firmware.build import compile_c
+from tests.firmware.law.law_library import SOURCES, LawLibrary, compile_law
+
+RUNNER = Path(__file__).with_name("golden.c")
+MET, BAD_FILE, REFUSED, DIFFERENT, OTHER_BITS = range(5)
+RESULT, STATE, FILE = cortex.RAM, cortex.RAM + 0x100, cortex.RAM + 0x2000
+
+
+class Result(ct.Structure):
+    """golden_result."""
+
+    _fields_ = [
+        *((name, ct.c_uint32) for name in ("verdict", "ticks", "wrong", "first")),
+        ("worst", ct.c_int32),
+        ("crc", ct.c_uint32),
+    ]
+
+    def __repr__(self) -> str:
+        return " ".join(f"{name}={getattr(self, name)}" for name, _ in self._fields_)
+
+
+@pytest.fixture(scope="module")
+def vectors(tmp_path_factory: pytest.TempPathFactory) -> list[golden.Vector]:
+    library = tmp_path_factory.mktemp("law") / "law.so"
+    return list(golden.vectors(LawLibrary(compile_law(library, "-O2", "-fPIC", "-shared"))))
+
+
+@pytest.fixture(scope="module")
+def runner(tmp_path_factory: pytest.TempPathFactory) -> ct.CDLL:
+    """The runner and the law for this computer, without optimisation and with the sanitizer: other code."""
+    options = ["-fPIC", "-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all", f"-I{SOURCES}"]
+    sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
+    built = compile_c(
+        tmp_path_factory.mktemp("golden") / "golden.so", sources, [*options, "-ffp-contract=off"]
+    )
+    library = ct.CDLL(str(built))
+    library.golden_run.restype = Result
+    return library
+
+
+def run_here(runner: ct.CDLL, file: bytes) -> Result:
+    memory = ct.create_string_buffer(8192)
+    return runner.golden_run(memory, ct.create_string_buffer(file, len(file)), ct.c_size_t(len(file)))
+
+
+def test_the_vectors_are_whole_runs_that_hit_the_wall(vectors: list[golden.Vector]) -> None:
+    assert len(vectors) == len(golden.SCHEMES) * len(golden.SIDES) * (len(golden.ESTIMATORS) + 1)
+    assert len({v.name for v in vectors}) == len(vectors)
+    for v in vectors:
+        assert set(v.records["phase"].tolist()) == set(Phase) - {Phase.WAIT}, v.name
+        assert np.count_nonzero(v.records["flags"] & RowFlag.INSIDE) > 50, v.name
+        side = -1 if "/-/" in v.name else 1
+        assert (side * v.records["current"]).min() < -500, "the wall answers against its side"
+
+
+def test_this_computer_meets_them(runner: ct.CDLL, vectors: list[golden.Vector]) -> None:
+    for v in vectors:
+        result = run_here(runner, v.to_bytes())
+        assert (result.verdict, result.ticks) == (MET, len(v.records)), f"{v.name}: {result}"
+
+
+def test_a_runner_says_what_is_wrong(runner: ct.CDLL, vectors: list[golden.Vector]) -> None:
+    file = vectors[0].to_bytes()
+    at = file.index(vectors[0].records.tobytes())
+
+    def with_byte(position: int, value: int) -> Result:
+        return run_here(runner, file[:position] + bytes([value]) + file[position + 1 :])
+
+    assert run_here(runner, file[:-1]).verdict == BAD_FILE
+    assert with_byte(4, 2).verdict == BAD_FILE
+    assert with_byte(64 + 16, 9).verdict == REFUSED
+    assert with_byte(24, file[24] ^ 1).verdict == OTHER_BITS
+    wrong = with_byte(at + 20 * 7 + 8, file[at + 20 * 7 + 8] ^ 1)
+    assert (wrong.verdict, wrong.wrong, wrong.first, wrong.worst) == (DIFFERENT, 1, 7, 1)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
+def test_a_processor_meets_them(core: cortex.Core, vectors: list[golden.Vector], tmp_path: Path) -> None:
+    pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
+    sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
+    image = cortex.build(core, tmp_path, sources, ["golden_run"])
+    simulator = cortex.Simulator(image, counts=False)
+    for v in vectors:
+        file = v.to_bytes()
+        simulator.uc.mem_write(FILE, file)
+        simulator.call("golden_run", RESULT, STATE, FILE, len(file))
+        result = Result.from_buffer_copy(bytes(simulator.uc.mem_read(RESULT, ct.sizeof(Result))))
+        assert (result.verdict, result.ticks) == (MET, len(v.records)), f"{v.name}: {result}"

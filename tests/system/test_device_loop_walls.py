@@ -1,0 +1,176 @@
+"""New walls for a law on the device, the firmware itself at the far end: on both sides from one and the same sample."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from rig import config, controller, device_law, presets, ring
+from rig.devices.framed import FramedDevice
+from rig.errors import RigError
+from rig.experiments.replay import COMPUTED, replay_rows
+from rig.loop import exchange
+from rig.loop.layout import EndReason
+from rig.loop.run import LoopSettings
+from rig.loop.supervised import BOUNDS, SupervisedThread
+from rig.ring import Ring
+from rig.sample import Phase
+from sim_backend.channel import Direction, Faults, FrameFault, Happening, Kind
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.firmware_library import compiler
+from sim_backend.link import MemoryLink
+
+RATE = 10_000
+WAIT_S = 20.0
+WALL = 0.004  # rad beyond the start: the handle begins outside
+SHAKEN = {
+    "controller.loop": "device",
+    "controller.position_rate": RATE,
+    "controller.velocity_rate": 1000,
+    "trial.duration_s": 0.5,
+    "trial.release_s": 0.01,
+    "homing.settle_s": 0.005,
+    "verdict.tail_s": 0.01,
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _has_compiler() -> None:
+    try:
+        compiler()
+    except RigError:
+        pytest.skip("no C compiler is installed (package gcc)")
+
+
+class Session:
+    """One armed device with a thread that supervises it; walls are posted at ticks of the device."""
+
+    def __init__(self, estimator: str, posts: dict[int, float], faults: tuple[FrameFault, ...] = ()) -> None:
+        self.experiment = config.override(
+            presets.load("koul-compliant"), {**SHAKEN, "controller.estimator": estimator}
+        )
+        x = self.experiment
+        happenings = tuple(
+            Happening(tick, lambda _, stiffness=stiffness: self.post(stiffness))
+            for tick, stiffness in posts.items()
+        )
+        model = config.rig_model(x)
+        self.device = FirmwareDevice(model, initial_position=x.trial.start)
+        self.link = MemoryLink(self.device, Faults(frames=faults, device=happenings))
+        self.host = FramedDevice(self.link)
+        self.arithmetic = device_law.arithmetic_of(x.controller)
+        quantum = self.host.dictionary.current_quantum_a
+        self.bundle, armed = (controller.for_experiment(x, current_quantum_a=quantum) for _ in range(2))
+        parameters = controller.device_parameters(
+            x, current_quantum_a=quantum, reference_count=0, verified=True
+        )
+        self.echo = self.host.configure(parameters)
+        self.memory = Ring.allocate(20_000)
+        settings = LoopSettings(
+            period_ns=10**9 // RATE, session=self.host.arm(), lifetime_us=20_000, lost_after_ns=50_000_000,
+            device_tick_ps=62_500, current_quantum_a=quantum, wait_for_room=False,
+            exchange_every_ns=exchange.EVERY_NS, supervise_every_ns=5_000_000,
+            batch_samples=int(parameters["batch_samples"]), agreement_quanta=BOUNDS[self.arithmetic],
+        )  # fmt: skip
+        self.thread = SupervisedThread(
+            self.link, self.bundle, settings, self.memory, nonce=self.host.nonce,
+            live=partial(device_law.live_parameters, armed, self.arithmetic),
+        )  # fmt: skip
+
+    def post(self, stiffness: float) -> None:
+        values = [self.experiment.wall.position, *self.bundle.law.parameters.tolist()]
+        values[1] = stiffness
+        self.memory.post(values)
+        self.thread._attend()
+
+    def run(self) -> np.ndarray:
+        self.thread.start()
+        self.thread._thread.join(WAIT_S)
+        assert self.thread._ended.is_set()
+        self.host.take_back(**self.thread.handover())
+        self.host.stop()
+        self.host.disarm(clear_fault=True)
+        return self.memory.rows[: self.memory.get(ring.HEAD)]
+
+
+def replayed(session: Session, rows: np.ndarray) -> np.ndarray:
+    fresh = controller.for_experiment(
+        session.experiment, current_quantum_a=session.host.dictionary.current_quantum_a
+    )
+    sets = np.array(
+        [[s["tick"], s["wall_position"], *s["parameters"]] for s in session.thread.parameter_sets()]
+    )
+    again = rows.copy()
+    replay_rows(
+        fresh.estimator.estimator.update, fresh.law.law.function, rows, again, sets, *fresh.arguments()
+    )
+    return again
+
+
+HOMING, FLYING, PRESSED = 200, 900, 2500  # ticks since the device started
+
+
+def check(session: Session, rows: np.ndarray) -> None:
+    """Device and host had the same wall in every tick, and the rows say which."""
+    found = session.thread.agreement()
+    assert (found.beyond, found.holds) == (0, True), found
+    assert found.compared > 0.7 * len(rows)
+    again = replayed(session, rows)
+    for name in COMPUTED:
+        assert again[name][:-1].tobytes() == rows[name][:-1].tobytes(), name
+
+
+@pytest.mark.parametrize("estimator", ["fdm-butterworth-fixed", "fdm-butterworth"])
+def test_walls_change_on_both_sides_at_one_sample(estimator: str) -> None:
+    session = Session(estimator, {HOMING: 500.0, FLYING: 150.0, PRESSED: 900.0})
+    rows = session.run()
+    assert session.thread.end().reason == EndReason.FINISHED
+    assert session.thread.messages() == []
+    check(session, rows)
+    first, second, *third = session.thread.parameter_sets()
+    assert (first["parameters"][0], second["parameters"][0]) == (500.0, 150.0)
+    pressed = (rows["parameter_set"] == second["number"]) & (rows["penetration"] > 0.0)
+    assert np.count_nonzero(pressed & (rows["phase"] == Phase.TRIAL)) > 100, "the second wall was felt"
+    for change in third:  # only if the handle came out of the wall again
+        assert rows["penetration"][change["tick"]] <= 0.0
+    in_force = session.host.in_force()
+    assert in_force["stiffness"] == [first, second, *third][-1]["parameters"][0]
+
+
+def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
+    """The parameters in force are ours, though a loop set them: nobody takes the device for one that restarted."""
+    session = Session("fdm-butterworth-fixed", {HOMING: 500.0})
+    session.run()
+    dictionary = session.host.dictionary
+    session.host._dictionary = type(dictionary)(
+        **{name: getattr(dictionary, name) for name in dictionary.__slots__} | {"simulated": False}
+    )
+    assert session.host.configure(session.echo.values | {"verified": 1}).values["stiffness"] != 500.0
+
+
+@pytest.mark.parametrize("kind", [Kind.DROP, Kind.CORRUPT, Kind.DUPLICATE, Kind.REORDER, Kind.DELAY])
+@pytest.mark.parametrize("way", Direction)
+def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
+    kind: Kind, way: Direction
+) -> None:
+    """Each frame of it is struck once, words and answers; what is lost is said again."""
+    clean = Session("fdm-butterworth-fixed", {HOMING: 150.0})
+    line = clean.link.line
+    assert line is not None
+    begun: list[dict[Direction, int]] = []
+    attend = clean.thread._attend
+    clean.thread._attend = lambda: (attend(), begun.append(dict(line.frames)))  # type: ignore[assignment,func-returns-value]
+    clean.run()
+    for frame in range(begun[0][way], begun[0][way] + 7):
+        fault = FrameFault(kind=kind, direction=way, frame=frame, byte=frame, bit=frame % 8, ticks=60)
+        session = Session("fdm-butterworth-fixed", {HOMING: 150.0}, (fault,))
+        rows = session.run()
+        assert session.thread.end().reason == EndReason.FINISHED
+        assert len(session.thread.parameter_sets()) == 1, frame
+        check(session, rows)

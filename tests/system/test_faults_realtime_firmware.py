@@ -1,0 +1,189 @@
+"""The firmware as a process behind a pseudo-terminal, in real time: the law on it, and a host that is told to break.
+
+Nothing here is asserted about latency, as in test_faults_realtime.py: a run completes or ends with a typed error, every
+wait is bounded by seconds, and the device's own witness says that it ended without current.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_protocol.faults import Fault
+from rig import config, presets
+from rig.devices import open_device
+from rig.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
+from rig.experiments.replay import replay
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.recording.reader import open_recording
+from sim_backend.channel import Direction, FrameFault, Kind
+from tests.conformance.far_end import FarEnd, HostProcess, Script
+from tests.conformance.firmware import need_compiler
+
+RATE = 2_000
+EARLY = 200  # ticks of RUNNING before something breaks
+ALLOWED = (LinkLostError, DeviceFaultError)  # on a machine that is too busy, of any run
+
+SHORT = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {
+        "controller.loop": "device",
+        "controller.position_rate": RATE,
+        "controller.velocity_rate": 500,
+        "trial.duration_s": 0.3,
+        "trial.release_s": 0.02,
+        "homing.settle_s": 0.02,
+        "verdict.tail_s": 0.1,
+    },
+)
+LONG = config.override(SHORT, {"trial.duration_s": 60.0})
+MODEL = config.rig_model(SHORT)
+Start = Callable[..., FarEnd]
+
+
+@pytest.fixture(autouse=True)
+def _compiler() -> None:
+    need_compiler()
+
+
+@pytest.fixture
+def far_end(tmp_path: Path) -> Iterator[Start]:
+    started: list[FarEnd] = []
+
+    def start(**script: Any) -> FarEnd:
+        end = FarEnd("pty", tmp_path, MODEL, Script(after=EARLY, **script), RATE, firmware=True)
+        started.append(end)
+        return end
+
+    yield start
+    for one in started:
+        one.close()
+
+
+class Run:
+    """One trial on a far end, brought to its end whatever that is."""
+
+    def __init__(self, device: FarEnd, directory: Path, experiment: config.Experiment = SHORT) -> None:
+        self.device = device
+        self.path = directory / "trial.rigcap"
+        self.error: RigError | None = None
+        request = TrialRequest(
+            experiment=experiment, recording=self.path, verified=True, seed=0, sealed=False
+        )
+        try:
+            with open_device(device.url) as opened:
+                run_trial(opened, request)
+        except RigError as error:
+            self.error = error
+
+    def check(self, *allowed: type[RigError]) -> Run:
+        """Without an error or with one of these; the device at rest; a recording that is whole and replays."""
+        assert self.error is None or isinstance(self.error, allowed), self.error
+        assert self.error is None or self.error.remedy
+        self.device.wait_for_rest()
+        if not self.path.exists():
+            assert isinstance(self.error, LinkLostError)
+            assert self.device["peak"] == 0
+            pytest.skip(f"too busy to begin: {self.error}")
+        recording = open_recording(self.path)
+        assert recording.complete
+        assert not recording.lost
+        assert replay(recording).exact
+        return self
+
+
+def test_without_a_fault_it_completes(far_end: Start, tmp_path: Path) -> None:
+    device = far_end()
+    run = Run(device, tmp_path).check(*ALLOWED)
+    if run.error is None:
+        assert device["peak"] > 0, "it did push"
+        assert device["bad_frames"] == 0
+        trailer = open_recording(run.path).trailer
+        assert trailer is not None
+        assert trailer["counters"]["bad_frames"] == 0
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_silence_is_a_lost_link_and_a_ramp_to_zero(
+    direction: Direction, far_end: Start, tmp_path: Path
+) -> None:
+    device = far_end(frames=(FrameFault(kind=Kind.SILENCE, direction=direction, frame=0),))
+    run = Run(device, tmp_path, LONG).check(*ALLOWED)
+    assert run.error is not None
+    if direction is Direction.TO_DEVICE and device["acted"]:
+        assert device["first_fault"] == Fault.LINK_LOST
+
+
+def test_a_pulled_plug_is_a_lost_link_and_the_device_ends_by_itself(far_end: Start, tmp_path: Path) -> None:
+    device = far_end(frames=(FrameFault(kind=Kind.UNPLUG, direction=Direction.TO_HOST, frame=0),))
+    run = Run(device, tmp_path, LONG).check(*ALLOWED)
+    assert run.error is not None
+    assert device["first_fault"] == Fault.LINK_LOST
+
+
+@pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
+def test_a_fault_of_the_device_is_told_with_its_remedy(fault: Fault, far_end: Start, tmp_path: Path) -> None:
+    device = far_end(fault=fault)
+    run = Run(device, tmp_path, LONG).check(*ALLOWED)
+    assert run.error is not None
+    if device["first_fault"] == fault and isinstance(run.error, DeviceFaultError):
+        assert fault.text in run.error.message
+
+
+def test_a_brown_out_is_told(far_end: Start, tmp_path: Path) -> None:
+    device = far_end(brown_out=True)
+    run = Run(device, tmp_path, LONG).check(*ALLOWED, StoppedError)
+    assert run.error is not None
+    with open_device(device.url) as opened:
+        opened.identify()
+        assert opened.fault_report().name == Fault.WATCHDOG_RESET.name
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, signal.SIGSTOP])
+def test_a_signal_to_the_host_leaves_the_device_at_rest(
+    number: signal.Signals, far_end: Start, tmp_path: Path
+) -> None:
+    """Ctrl-C stops it by STOP; after kill -9, and behind a host that stands still, it ramps down by itself."""
+    device, path = far_end(), tmp_path / "trial.rigcap"
+    host = HostProcess(device.url, LONG, path)
+    try:
+        device.wait_for(
+            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
+        )
+        host.send(number)
+        device.wait_for_rest()
+        if number == signal.SIGSTOP:
+            host.send(signal.SIGCONT)
+        said = host.ended()
+    finally:
+        host.close()
+    expected = {signal.SIGINT: "StoppedError", signal.SIGKILL: "killed", signal.SIGSTOP: "DeviceFaultError"}
+    assert said in (expected[number], "LinkLostError", "DeviceFaultError")
+    if not path.exists():
+        assert device["peak"] == 0
+        pytest.skip("too busy to begin")
+    recording = open_recording(path)
+    assert recording.complete == (said != "killed")
+    if said == "killed":
+        assert device["first_fault"] == Fault.LINK_LOST
+
+
+def test_after_a_host_that_was_killed_the_next_one_finds_the_device_usable(
+    far_end: Start, tmp_path: Path
+) -> None:
+    device = far_end()
+    host = HostProcess(device.url, LONG, tmp_path / "first.rigcap")
+    try:
+        device.wait_for(
+            lambda w: w["running"] > EARLY or not host.process.is_alive(), "the host moves nothing"
+        )
+        host.process.kill()
+        device.wait_for_rest()
+        host.ended()
+    finally:
+        host.close()
+    Run(device, tmp_path).check(*ALLOWED)
