@@ -17,13 +17,13 @@ from usb.backend import libusb1
 
 from firmware_protocol import messages as m
 from rig import config, presets
+from rig.controller import device_parameters
 from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
+from rig.experiments import trial
 from rig.recording.reader import open_recording
 from sim_backend.usb import PRODUCT, VENDOR, VENDOR_CLASS
 from tests.conformance.host import Host
-from tests.firmware.supervised import samples_of
-from tests.firmware.test_core_law import push, told_to_run
 from tests.guest import pico, vhci
 from tests.guest.hits import check_recorded, whole_hit
 from tests.guest.pico_port import plugged_pico, port
@@ -31,11 +31,11 @@ from tests.guest.pico_port import plugged_pico, port
 WHY = os.environ.get("HAPTIC_RIG_NO_PICO") or "no emulated board here: run .ci/guest"
 pytestmark = pytest.mark.skipif(not vhci.is_here() or port() is None, reason=WHY)
 
-RATE = 1_000
 BATCHES = 5
 LONG_S = 60.0
 WORD_S = 0.005
-WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
+PATIENCE_S = 5.0
+SAMPLE_BYTES = 5  # of the layout with the measured current
 
 
 @pytest.fixture(scope="module")
@@ -109,34 +109,37 @@ def check_at_rest(board):
 
 def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board):
     """Enumerated, identified, configured, armed, supervised, stopped: without the loop, a request at a time."""
+    experiment = config.override(presets.load(pico.RIG), pico.CHANGES)
+    quantum = experiment.rig.amplifier.current_quantum_a
+    told = device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
     link = open_link(board.url)
     try:
         host = Host(link)
-        host.begin(**told_to_run(push(), position_rate=RATE, batch_samples=10, **WIDE_OPEN))
-        assert board.status() is not None
+        host.begin(**{**told, "batch_samples": 10})
         batches = supervised(host, BATCHES)
         host.command(mode=m.Mode.STOP)
         assert host.disarm().status == 0
     finally:
         link.close()
-    samples = [sample for batch in batches for sample in samples_of(batch)]
-    indices = [sample.index for sample in samples]
-    assert indices == list(range(indices[0], indices[0] + len(indices)))
-    assert {sample.commanded for sample in samples} & {50, 0} == {sample.commanded for sample in samples}
+    sizes = [len(batch.data) // SAMPLE_BYTES for batch in batches]
+    ends = [batch.first_index + size for batch, size in zip(batches, sizes, strict=True)]
+    assert [batch.first_index for batch in batches[1:]] == ends[:-1]
     check_at_rest(board)
-    assert board.status()["strongest"] > 0
 
 
-def test_a_whole_hit_with_the_law_on_the_board(board, tmp_path):
-    """``rig hit --loop device --url usb://…``: the board runs the wall, this kernel carries its ticks."""
-    before = board.status()["counts"]["bytesIn"]
+def test_a_whole_hit_with_the_law_on_the_board(board, tmp_path, monkeypatch):
+    """``rig hit --loop device --url usb://…``: the board runs the wall, this kernel carries its ticks.
+
+    A second of the board takes many of ours, so the silence that ends a run is longer than on a real one.
+    """
+    monkeypatch.setattr(trial, "LOST_AFTER_S", PATIENCE_S)
     experiment = config.with_realtime(presets.load(pico.RIG))
     ended = whole_hit(board.url, tmp_path, experiment, pico.CHANGES, verified=True)
     print(f"{ended.wall_s:.1f} s: {type(ended.error).__name__}: {ended.error}; {board.status()}")
     check_at_rest(board)
     check_recorded(ended)
-    assert ended.path is not None
     recording = open_recording(ended.path)
+    print(f"{len(recording.rows)} ticks, {recording.trailer['law_agreement']}")
     assert recording.trailer["law_agreement"]["holds"]
-    assert board.status()["counts"]["bytesIn"] > before
     assert len(recording.rows) > 0
+    assert board.status()["strongest"] > 0

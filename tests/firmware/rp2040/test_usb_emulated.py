@@ -97,7 +97,7 @@ def test_pulled_and_plugged_in_again(pico: emulator.Pico) -> None:
         pico.run(5_000.0)
 
 
-@pytest.mark.parametrize("rate", [20_000])
+@pytest.mark.parametrize("rate", [20_000, 50_000])
 def test_every_tick_of_a_law_arrives(pico: emulator.Pico, built: BuildResult, rate: int) -> None:
     """BATCH without a gap, in the time that the bus takes for its packets; and how much of the bus that is."""
     host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))

@@ -32,6 +32,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("arm-none-eabi-gcc is not installed (package gcc-arm-none-eabi)")
     place = tmp_path_factory.mktemp("stream")
     (place / "board_config.h").write_text(
+        "#define BOARD_CLOCK_200MHZ\n"
         f"#define BOARD_ENABLE_PIN {emulator.PINS['enable']}u\n"
         f"#define BOARD_SYNC_OUT_PIN {emulator.PINS['sync_out']}u\n"
     )

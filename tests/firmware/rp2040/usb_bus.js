@@ -5,7 +5,6 @@
  * and one buffer. Mirrors the data sheet (4.1.2, 4.1.4) as usb_controller.c does, and the bus as USB 2.0 has it at full speed:
  * one transaction at a time, each as long as its bits take, frames of a millisecond that no transaction crosses. */
 
-const CYCLE_NANOS = 8;
 const INTERRUPT = 5;
 const ENABLE = 0x80000000, TWO_BUFFERS = 0x40000000;
 const FULL = 0x8000, DATA1 = 0x2000, SELECT_FIRST = 0x1000, STALL = 0x800, AVAILABLE = 0x400, LENGTH = 0x3ff;
@@ -410,4 +409,4 @@ const setup = (kind, request, value, index, length) => {
   return bytes;
 };
 
-module.exports = { Bus, setup, PACKET, CYCLE_NANOS, EPIPE, EPROTO, ECONNRESET };
+module.exports = { Bus, setup, ECONNRESET };

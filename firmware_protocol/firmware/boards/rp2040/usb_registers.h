@@ -138,7 +138,7 @@ static inline uint8_t usb_memory_get_byte(size_t at)
 }
 
 /* The controller runs at 48 MHz and must have seen length and PID before it sees a buffer that is available
- * (4.1.2.5.1, "Concurrent access"): some of its cycles in ours, up to 133 MHz. */
+ * (4.1.2.5.1, "Concurrent access"): five of its cycles in ours, at 200 MHz. */
 static inline void usb_wait_for_controller(void)
 {
     for (int i = 0; i < 4; i++)
