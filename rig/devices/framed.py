@@ -219,23 +219,21 @@ class FramedDevice:
         A device that is still working out its excitation is asked again, for `READY_S` at most. Raises
         `DeviceRefusedError` when it is not homed, not verified, or its configuration is not ours.
         """
-        session = self._other_than(self._next_nonce() % 0xFF, self._session)
+        session, used_before = self._other_than(self._next_nonce() % 0xFF, self._session), False
         deadline_ns = self.link.clock.now_ns() + round(READY_S * 1e9)
         while True:
             try:
                 self._arm(session)
             except DeviceRefusedError as error:
-                if error.status == Status.STALE_SESSION and session != self._other_than(
-                    session, self._session
-                ):
-                    session = self._other_than(session, self._session)
-                elif error.status != Status.NOT_READY or self.link.clock.now_ns() > deadline_ns:
-                    raise
-                else:
+                if error.status == Status.STALE_SESSION and not used_before:
+                    session, used_before = self._other_than(session, self._session), True
+                elif error.status == Status.NOT_READY and self.link.clock.now_ns() < deadline_ns:
                     self._listen_until(self.link.clock.now_ns() + round(READY_AGAIN_S * 1e9))
-                continue
-            self._session = session
-            return session
+                else:
+                    raise
+            else:
+                self._session = session
+                return session
 
     def _arm(self, session: int) -> None:
         self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc or 0), session=session)
@@ -274,11 +272,11 @@ class FramedDevice:
     def supervise(self, seconds: float, lifetime_us: int) -> list[m.Message]:
         """Keep the law on an armed device going for a while; return the STATE and BATCH frames that come.
 
-        For a look at it, not for a run: the compiled loop supervises without Python.
+        For a look at it, not for a run: the compiled loop supervises without Python. A fault ends it early.
         """
         said: list[m.Message] = []
         end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
-        while (left_ns := end_ns - self.link.clock.now_ns()) > 0:
+        while (left_ns := end_ns - self.link.clock.now_ns()) > 0 and self.connection.state != State.FAULT:
             self.link.write(self.connection.send(m.Command(0, lifetime_us, int(m.Mode.SUPERVISE), 0, 0)))
             said += [event.message for event in self._events(min(SUPERVISE_EVERY_S, left_ns * 1e-9))]
         return [message for message in said if isinstance(message, m.State | m.Batch)]

@@ -162,6 +162,9 @@ def _arm(
     """Arm the device, and make the loop that goes with where the law runs."""
     experiment, host, virtual = request.experiment, request.experiment.host, device.link.clock.virtual
     period_s = 1.0 / experiment.controller.position_rate
+    # Before arming, because an armed device waits for half a second only: what must be compiled, and memory.
+    thread = _loop_of(experiment, controller)
+    realtime.prefault(ring.buffer)
     settings = LoopSettings(
         period_ns=round(period_s * 1e9),
         session=device.arm(),
@@ -176,37 +179,45 @@ def _arm(
         wake_descriptor=signals.descriptor,
         exchange_every_ns=exchange.EVERY_NS,
     )
-    common: dict[str, Any] = {"realtime": realtime, "heartbeat_s": host.heartbeat_s, "nonce": device.nonce}
+    if experiment.controller.loop == "device":
+        settings = _supervising(settings, experiment, parameters)
+    return thread(
+        device.link,
+        controller,
+        settings,
+        ring,
+        realtime=realtime,
+        heartbeat_s=host.heartbeat_s,
+        nonce=device.nonce,
+    )
+
+
+def _loop_of(experiment: Experiment, controller: Controller) -> Callable[..., LoopThread]:
+    """The thread of the loop, for a law here or on the device; that one is compiled only where it is wanted."""
     if experiment.controller.loop == "host":
-        return LoopThread(device.link, controller, settings, ring, **common)
-    return _supervising(device, request, controller, parameters, settings, ring, common)
+        return LoopThread
+    from rig.loop.supervised import SupervisedThread  # noqa: PLC0415
 
-
-def _supervising(
-    device: FramedDevice,
-    request: TrialRequest,
-    controller: Controller,
-    parameters: Mapping[str, Value],
-    settings: LoopSettings,
-    ring: Ring,
-    common: Mapping[str, Any],
-) -> LoopThread:
-    """The loop of a law on the device, which says how to go on and computes the same rows."""
-    from rig.loop.supervised import BOUNDS, SupervisedThread  # noqa: PLC0415  (compiled only where it is wanted)
-
-    arithmetic = device_law.arithmetic_of(request.experiment.controller)
     armed = Controller.from_mapping(
         controller.as_mapping(), law=controller.law.law
     )  # the loop changes its own
-    settings = replace(
+    arithmetic = device_law.arithmetic_of(experiment.controller)
+    return partial(SupervisedThread, live=partial(device_law.live_parameters, armed, arithmetic))
+
+
+def _supervising(
+    settings: LoopSettings, experiment: Experiment, parameters: Mapping[str, Value]
+) -> LoopSettings:
+    """The settings of a loop that says how to go on, and computes the same rows."""
+    from rig.loop.supervised import BOUNDS  # noqa: PLC0415
+
+    return replace(
         settings,
         lifetime_us=int(parameters["supervise_lifetime_us"]),
         supervise_every_ns=round(device_law.SUPERVISE_EVERY_S * 1e9),
         batch_samples=int(parameters["batch_samples"]),
-        agreement_quanta=BOUNDS[arithmetic],
+        agreement_quanta=BOUNDS[device_law.arithmetic_of(experiment.controller)],
     )
-    live = partial(device_law.live_parameters, armed, arithmetic)
-    return SupervisedThread(device.link, controller, settings, ring, live=live, **common)
 
 
 def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:

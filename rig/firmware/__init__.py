@@ -5,5 +5,5 @@
 * `toolchain`, `elf`, `uf2`, `build`: from sources to files that can be flashed;
 * `flash`: onto a board whose boot ROM shows itself as a drive;
 * `info`: what an image or a connected device says of itself, and whether this package can speak to it;
-* `selftest`, of `check`s: a device checks itself over its own link, without moving; `stream` judges what its law has told.
+* `selftest`, of `check`s: a device checks itself over its own link, without moving; `stream`: what its law has told.
 """

@@ -410,7 +410,7 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
         device.disarm(clear_fault=True)
     finally:
         device.configure(before)
-    return judge_stream(said, experiment.controller.position_rate * request.seconds)
+    return judge_stream(said, experiment.controller.position_rate * request.seconds, device.dictionary)
 
 
 def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from firmware_protocol import messages as m
-from firmware_protocol.faults import Fault
+from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.packing import unpack_batch_samples
 from rig.firmware.check import Check
 
 STREAM_SHARE = 0.9  # of the ticks must be told: the rest is beginning and end
 
 
-def judge_stream(said: list[m.Message], ticks: float) -> Check:
+def judge_stream(said: list[m.Message], ticks: float, dictionary: Dictionary) -> Check:
     """Judge what a supervised device has said while it was to run so many ticks without a current."""
     batches = [message for message in said if isinstance(message, m.Batch)]
     states = {message.sample_index: message for message in said if isinstance(message, m.State)}
     rows, gaps = _rows(batches)
     remedy = "flash the device again; keep motor power off"
-    faults = {state.fault for state in states.values() if state.fault}
+    faults = [dictionary.explain_fault(code) for code in {state.fault for state in states.values()} if code]
     if faults:
-        return Check(
-            "stream", "failed", f"it latched {', '.join(Fault(code).name for code in faults)}", remedy
-        )
+        return Check("stream", "failed", "; ".join(fault.text for fault in faults), faults[0].remedy)
     if any(current for _, current in rows.values()):
         return Check("stream", "failed", "it drove a current although the limit was zero", remedy)
     differ = [index for index, state in states.items() if index in rows and rows[index][0] != state.count]

@@ -94,7 +94,7 @@ class CortexLibrary:
     def _poll(self) -> int:
         """Poll until nothing waits to be sent."""
         longest = 0
-        for _ in range(10):
+        for _ in range(6):
             self.simulator.call("host_poll", HOST, BYTES, 0)
             longest = max(longest, self.simulator.cycles)
         return longest

@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 
 from firmware_protocol import messages as m
+from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.messages import Mode
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
-from firmware_protocol.parameters import BY_ID, BY_NAME
+from firmware_protocol.parameters import BY_ID, BY_NAME, encode_block
+from firmware_protocol.transfer import set_parameters
 from rig import config
 from rig.sample import Phase
 from tests.conformance.host import RUN_PARAMETERS
@@ -605,3 +607,90 @@ def test_values_of_a_host_may_change_whatever_runs(library: ctypes.CDLL) -> None
     plain = Board(library).begin(law=0)
     plain.run([4_000] * 3)
     assert plain.configure(fixed_surface=0, fixed_stiffness=5).status == Status.OK
+
+
+class Slow(Board):
+    """A board whose main loop does one device_poll for 8 bytes of the host, and one for each `poll`."""
+
+    heard: list[m.Message]  # answers
+
+    def receive(self, data: bytes) -> bytes:
+        while data:
+            data = data[self.library.host_poll(self.core.address, data, min(8, len(data))) :]
+        return self.core.take()
+
+    def poll(self) -> None:
+        self.library.host_poll(self.core.address, b"", 0)
+        self.heard += self.take(self.core.take())
+
+    def begin_change(self, **values: Value) -> None:
+        """Bring a block as far as the COMMIT, and nothing of what that begins."""
+        self.nonce, self.heard = self.nonce + 1, []
+        *messages, commit = set_parameters(encode_block(values), self.nonce)
+        for message in messages:
+            assert self.ask(message).status == Status.OK
+        self.receive(self.host.send(commit))
+        assert not self.heard
+
+
+def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDLL, law: LawLibrary) -> None:
+    """The answer names the tick, however many passed meanwhile; before it the old wall, from it on the new one."""
+    p = push()
+    board = Slow(library).begin(**told_to_run(p))
+    board.run([90] * 10)
+    board.begin_change(fixed_surface=95 * 256, fixed_stiffness=7 * 2**8)
+    while not board.heard:
+        board.count = 94 if len(board.fed) % 2 else 60
+        board.tick()
+        board.poll()
+        board.poll()
+    (ack,) = board.heard
+    assert isinstance(ack, m.Ack)
+    assert ack.status == Status.OK
+    assert 20 < len(board.fed) < 50
+    board.run([110] * 5)
+    board.command(Mode.STOP)
+    other, state, currents = law_of(board), law.reset(p), []
+    for sample in board.samples:
+        if sample.index == ack.sample_index:
+            p = other
+        currents.append(law.tick(state, p, sample.count).current)
+    assert driven(board.samples) == currents[:-1]
+    assert currents[-1] == 50 - 7 * 15
+    board.disarm()
+    board.crc = ack.crc
+    assert board.arm().status == Status.OK
+
+
+def test_a_fault_in_the_middle_of_a_change_leaves_the_old_wall(library: ctypes.CDLL) -> None:
+    board = Slow(library).begin(**told_to_run(push()))
+    board.run([0] * 5)
+    before, crc = bytes(law_of(board)), board.crc
+    board.begin_change(fixed_surface=95 * 256)
+    library.host_fault(board.core.address, int(Fault.INTERNAL))
+    for _ in range(60):
+        board.poll()
+    (ack,) = board.heard
+    assert isinstance(ack, m.Ack)
+    assert (ack.status, ack.detail, ack.crc) == (Status.BAD_STATE, State.FAULT, crc)
+    assert bytes(law_of(board)) == before
+
+
+def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -> None:
+    board = Slow(library).begin(**told_to_run(push()))
+    board.run([0] * 5)
+    board.begin_change(fixed_surface=95 * 256)
+    board.nonce += 1
+    answers = board.take(board.core.receive(board.host.send(m.GetParameters(board.nonce, 0))))
+    assert [type(answer) for answer in answers] == [m.Ack, m.Parameters]
+    assert answers[0].crc == answers[1].crc  # type: ignore[attr-defined]
+
+
+def test_a_reset_forgets_a_change(library: ctypes.CDLL) -> None:
+    board = Slow(library).begin(**told_to_run(push()))
+    board.run([0] * 5)
+    board.begin_change(fixed_surface=95 * 256)
+    library.host_restart(board.core.address)
+    for _ in range(60):
+        board.poll()
+    assert not board.heard

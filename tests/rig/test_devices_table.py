@@ -15,6 +15,7 @@ from rig.devices import local
 from rig.devices.device import DeviceUrl
 from rig.errors import ConfigError, DeviceNotFoundError
 from sim_backend.link import MemoryLink
+from tests.conformance.firmware import need_compiler
 from tests.conformance.rigs import rotary_rig
 
 
@@ -180,6 +181,21 @@ def test_a_device_process_answers_by_name_and_ends_with_its_context():
     assert not multiprocessing.active_children()
     with pytest.raises(DeviceNotFoundError):
         rig.devices.open_device(url)
+
+
+def test_a_device_process_is_the_firmware_when_the_url_says_so():
+    need_compiler()
+    with (
+        local.serve_locally("sim://chawda-linear?firmware=1", rotary_rig()) as url,
+        rig.devices.open_device(url) as device,
+    ):
+        assert device.dictionary.device == "chawda-linear"
+        assert device.dictionary.parameter("law").maximum == 2
+    with (
+        pytest.raises(ConfigError, match="neither 0 nor 1"),
+        local.serve_locally("sim://?firmware=2", rotary_rig()),
+    ):
+        pass
 
 
 def test_a_device_process_that_does_not_start_is_an_error_and_no_process_stays(monkeypatch):

@@ -6,6 +6,7 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
+from firmware_protocol.dictionary import build
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.packing import pack_batch_samples
 from rig import presets
@@ -14,6 +15,7 @@ from rig.errors import DeviceRefusedError
 from rig.firmware.selftest import SelfTestRequest, failure, selftest
 from rig.firmware.stream import judge_stream
 
+DICTIONARY = build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
 REQUEST = SelfTestRequest(rate=2_000, seconds=0.1)
 
 
@@ -131,10 +133,10 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
         ([WHOLE[0], batch(1, [(0, 0, 0)])], 3, "failed", "1 gaps"),
         ([*WHOLE, state(0, count=9)], 4, "failed", "different counts in 1 ticks"),
         ([*WHOLE, batch(2, [(0, 5, 0)])], 4, "failed", "drove a current"),
-        ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, "failed", "LINK_LOST"),
+        ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, "failed", Fault.LINK_LOST.text),
     ],
 )
 def test_the_samples_of_a_law_on_the_device_are_judged(said, ticks, outcome, text):
-    check = judge_stream(said, ticks)
+    check = judge_stream(said, ticks, DICTIONARY)
     assert check.outcome == outcome
     assert text in check.text

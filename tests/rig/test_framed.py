@@ -351,6 +351,37 @@ def test_a_device_that_is_not_ready_is_asked_again_until_it_is():
     assert wire.clock.now_ns() - start_ns >= round(READY_S * 1e9)
 
 
+def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever():
+    _, _, device = make()
+    device.configure(RUN_PARAMETERS)
+    asked = []
+
+    def arm(session):
+        asked.append(session)
+        raise DeviceRefusedError("stale", status=Status.STALE_SESSION)
+
+    device._arm = arm
+    with pytest.raises(DeviceRefusedError):
+        device.arm()
+    assert len(set(asked)) == 2
+
+
+def test_parameters_that_a_loop_has_changed_are_ours():
+    """A law on the device takes new walls while it runs; the next session arms with the fingerprint of them all."""
+    _, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    streams = {"next_command": 0, "newest_state": 0, "state": int(State.RUNNING), "nonce": 9}
+    device.take_back(**streams, parameters_crc=0x12345678)
+    device.disarm()
+    with pytest.raises(
+        DeviceRefusedError
+    ) as refused:  # this device took none: so it was asked with that fingerprint
+        device.arm()
+    assert refused.value.status == Status.HASH_MISMATCH
+    assert wire.messages()[-1].parameters_crc == 0x12345678
+
+
 def test_any_number_of_sessions_can_follow_each_other_on_one_device():
     """Also where the nonce comes round to the number used last."""
     _, _, device = make()

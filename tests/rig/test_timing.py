@@ -301,3 +301,41 @@ def test_a_million_rows_are_quick():
     summary = summarise(ledger(rows, clock(offset_ns=10**12, drift_ppm=1.0), 100_000.0), None)
     assert time.perf_counter() - started < 10.0
     assert summary.stages["whole"].ticks == count - 2
+
+
+# ---------------------------------------------------------------------- a law on the device
+
+
+def rows_of_batches(fit, ticks=200, samples=20):
+    """What a loop leaves that listens to batches: no command answers a sample."""
+    rows = np.zeros(ticks, ROW)
+    number = np.arange(ticks)
+    rows["tick"] = number
+    rows["sample_index"] = 700 + number
+    rows["elapsed_ticks"] = 1
+    rows["device_time"] = (700 + number) * PERIOD_NS
+    last = np.minimum((number // samples + 1) * samples - 1, ticks - 1)
+    rows["received_at"] = fit.host_of(rows["device_time"][last]) + 30_000
+    rows["command_sequence"], rows["command_in_force"], rows["command_age"] = 7, 6, number % 100
+    rows["execution_time"] = np.where(number < 50, 2_000, 3_000)
+    return rows
+
+
+def test_where_the_law_ran_on_the_device_no_command_is_spoken_of():
+    fit = clock(offset_ns=5_000_000)
+    rows = rows_of_batches(fit)
+    summary = summarise(ledger(rows, fit, PERIOD_NS, "device"), {"late": 0})
+    assert summary.loop == "device"
+    assert summary.execution_ns == 3_000
+    for name in ("law", "send", "answered", "transport_out", "whole"):
+        assert summary.stages[name] is None
+    arrived = summary.stages["transport_in"]
+    assert (arrived.ticks, arrived.minimum, arrived.maximum) == (200, 30_000, 30_000 + 19 * PERIOD_NS)
+    assert (summary.never_in_force, summary.unanswered, summary.within_tick) == (0, 0, 0)
+    assert json.loads(json.dumps(summary.as_mapping()))["loop"] == "device"
+
+
+def test_a_law_on_the_host_has_no_execution_time_of_a_device():
+    found = summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS), None)
+    assert (found.loop, found.execution_ns) == ("host", None)
+    assert summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS, "device"), None).execution_ns == 0

@@ -18,11 +18,13 @@ if numba.config.DISABLE_JIT:
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config, presets
+from rig.cli import run
 from rig.devices.framed import FramedDevice
 from rig.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.experiments.replay import replay
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
+from rig.recording.seal import seal
 from rig.sample import Phase
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.firmware import FirmwareDevice
@@ -134,6 +136,26 @@ def test_an_undisturbed_run_is_whole(clean: Clean) -> None:
     assert [int(phase) for phase in np.unique(rows["phase"])] == [1, 2, 3, 4, 5]
     assert (rows["phase"] == Phase.TRIAL).sum() == 0.06 * RATE
     assert np.abs(rows["current_applied"][1:] - rows["current_sent"][:-1]).max() <= 1
+
+
+def test_timing_says_where_the_law_ran(
+    clean: Clean, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = Bench(tmp_path).run()
+    sealed = seal(bench.path)
+    recording = open_recording(sealed)
+    assert recording.header["extra"] == {"loop": "device", "arithmetic": "fixed"}
+    assert recording.header["identity"]["parameters"]["law"] == 1
+    assert (recording.rows["sampled_at"] != 0).any()
+    assert not recording.rows["applied_at"].any()
+    found = recording.trailer["law_agreement"]  # type: ignore[index]
+    assert (found["holds"], found["beyond"]) == (True, 0)
+    assert found["compared"] > 0.8 * len(recording.rows)
+    assert run(["timing", str(sealed), "--no-plot"]) == 0
+    said = capsys.readouterr().out
+    assert "law on the device" in said
+    assert "sent to applied" not in said
+    assert "unanswered" not in said
 
 
 @pytest.mark.parametrize("kind", Kind)

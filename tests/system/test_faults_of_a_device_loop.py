@@ -32,6 +32,7 @@ from rig.sample import Phase
 from sim_backend.channel import Faults, Happening
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.firmware import need_compiler
 
 RATE = 2_000
 START = -0.015
@@ -49,6 +50,11 @@ BASE = config.override(
         "verdict.tail_s": 0.2,
     },
 )
+
+
+@pytest.fixture(autouse=True)
+def _compiler() -> None:
+    need_compiler()
 
 
 class Bench:

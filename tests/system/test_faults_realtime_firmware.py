@@ -22,6 +22,7 @@ from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import FarEnd, HostProcess, Script
+from tests.conformance.firmware import need_compiler
 
 RATE = 2_000
 EARLY = 200  # ticks of RUNNING before something breaks
@@ -42,6 +43,11 @@ SHORT = config.override(
 LONG = config.override(SHORT, {"trial.duration_s": 60.0})
 MODEL = config.rig_model(SHORT)
 Start = Callable[..., FarEnd]
+
+
+@pytest.fixture(autouse=True)
+def _compiler() -> None:
+    need_compiler()
 
 
 @pytest.fixture

@@ -144,19 +144,7 @@ static struct refusal set_while_idle(struct device *device, const struct candida
     return refusal;
 }
 
-/* A wall changes in free space alone: a jump of stiffness under a pressed hand would be a jump of effort. */
-static struct refusal set_while_armed(struct device *device, const law_parameters *law)
-{
-    struct refusal refusal = {HR_STATUS_OK, 0};
-    if (law == NULL)
-        return refusal;
-    if (law_inside(&device->renderer.parameters, device->count) || law_inside(law, device->count))
-        refusal.status = HR_STATUS_INSIDE_WALL;
-    else
-        renderer_change(&device->renderer, law);
-    return refusal;
-}
-
+/* Of a device that is not armed. */
 static struct refusal set_commit(struct device *device, const uint8_t *raw)
 {
     struct candidate candidate;
@@ -164,16 +152,14 @@ static struct refusal set_commit(struct device *device, const uint8_t *raw)
     struct refusal refusal = {assembler_commit(&device->assembler, nonce_of(raw)), 0};
     if (refusal.status != HR_STATUS_OK)
         return refusal;
-    const bool armed = device_is_armed(device);
-    refusal = configuration_read(&device->configuration, device->board, armed, device->assembler.block,
+    refusal = configuration_read(&device->configuration, device->board, device->assembler.block,
                                  device->assembler.length, &candidate);
     const bool runs_law = candidate.values[HR_PARAMETER_LAW] != LAW_OF_HOST;
     if (refusal.status == HR_STATUS_OK && runs_law)
         refusal = law_settings_read(candidate.values, device->board, &law);
     if (refusal.status != HR_STATUS_OK)
         return refusal;
-    const law_parameters *chosen = runs_law ? &law : NULL;
-    refusal = armed ? set_while_armed(device, chosen) : set_while_idle(device, &candidate, chosen);
+    refusal = set_while_idle(device, &candidate, runs_law ? &law : NULL);
     if (refusal.status == HR_STATUS_OK)
         configuration_put_in_force(&device->configuration, &candidate);
     return refusal;
@@ -315,6 +301,13 @@ static bool is_repeat(const struct remembered *last, const uint8_t *raw)
            && last->session == raw[HR_AT_HEADER_SESSION];
 }
 
+static void remember(struct device *device, const struct ack *ack, uint8_t session)
+{
+    device->remembered.there = true;
+    device->remembered.session = session;
+    device->remembered.ack = *ack;
+}
+
 /* A repeat moves nothing: a DISARM that was late on the line must not lead out of a fault that came since. */
 static void acknowledge(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
@@ -324,15 +317,32 @@ static void acknowledge(struct device *device, const uint8_t *raw, size_t count,
         send_ack(device, &device->remembered.ack);
         return;
     }
-    const struct ack ack = verdict->kind == VERDICT_REFUSE ? refused(raw, verdict) : executed(device, raw, count);
-    if (remembers) {
-        device->remembered.there = true;
-        device->remembered.session = session;
-        device->remembered.ack = ack;
+    if (verdict->kind == VERDICT_REQUEST && type == HR_TYPE_SET_COMMIT && device_is_armed(device)) {
+        live_change_begin(device, nonce_of(raw), session); /* answered when it is done */
+        return;
     }
+    const struct ack ack = verdict->kind == VERDICT_REFUSE ? refused(raw, verdict) : executed(device, raw, count);
+    if (remembers)
+        remember(device, &ack, session);
     send_ack(device, &ack);
     if (verdict->kind == VERDICT_REQUEST && ack.status == HR_STATUS_OK)
         connection_answered(&device->connection, type, session);
+}
+
+void answer_live_change(struct device *device)
+{
+    const struct live_change *change = &device->live_change;
+    const bool done = change->refusal.status == HR_STATUS_OK;
+    const struct ack ack = {
+        .nonce = change->nonce,
+        .request = HR_TYPE_SET_COMMIT,
+        .status = (uint8_t)change->refusal.status,
+        .detail = change->refusal.detail,
+        .sample_index = done ? change->sample_index : device->sample_index + 1u,
+        .crc = device->configuration.crc,
+    };
+    remember(device, &ack, change->session);
+    send_ack(device, &ack);
 }
 
 /* Answer one of the questions, which have replies of their own; false for every other request. */
@@ -359,8 +369,11 @@ static bool tell(struct device *device, const uint8_t *raw)
     }
 }
 
+/* One request at a time: a host that does not wait for its answer pays with a longer poll. */
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
+    while (device_is_changing(device))
+        live_change_continue(device);
     if (verdict->kind == VERDICT_REQUEST && tell(device, raw))
         connection_answered(&device->connection, raw[HR_AT_HEADER_TYPE_ID], raw[HR_AT_HEADER_SESSION]);
     else

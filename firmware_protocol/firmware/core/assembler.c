@@ -24,13 +24,18 @@ enum hr_status assembler_begin(struct assembler *assembler, uint16_t nonce, uint
     return HR_STATUS_OK;
 }
 
-static void mark(struct assembler *assembler, size_t at)
+/* Note the bytes from `first` to before `end` as there, eight of them at a time. */
+static void mark(struct assembler *assembler, size_t first, size_t end)
 {
-    const uint8_t bit = (uint8_t)(1u << at % 8u);
-    if (assembler->there[at / 8u] & bit)
-        return;
-    assembler->there[at / 8u] |= bit;
-    assembler->missing--;
+    static const uint8_t ones[16] = {0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};
+    for (size_t at = first / 8u; at * 8u < end; at++) {
+        const uint32_t from = at * 8u < first ? (uint32_t)(first - at * 8u) : 0u;
+        const uint32_t to = end < at * 8u + 8u ? (uint32_t)(end - at * 8u) : 8u;
+        const uint32_t these = (0xFFu << from & 0xFFu) & 0xFFu >> (8u - to);
+        const uint32_t fresh = these & ~(uint32_t)assembler->there[at];
+        assembler->there[at] |= (uint8_t)these;
+        assembler->missing = (uint16_t)(assembler->missing - ones[fresh & 15u] - ones[fresh >> 4]);
+    }
 }
 
 enum hr_status assembler_chunk(struct assembler *assembler, uint16_t nonce, size_t offset, const uint8_t *data,
@@ -40,18 +45,24 @@ enum hr_status assembler_chunk(struct assembler *assembler, uint16_t nonce, size
         return HR_STATUS_INCOMPLETE;
     if (offset + count > assembler->length)
         return HR_STATUS_BAD_LENGTH;
-    for (size_t i = 0; i < count; i++) {
-        assembler->block[offset + i] = data[i];
-        mark(assembler, offset + i);
-    }
+    memcpy(assembler->block + offset, data, count);
+    mark(assembler, offset, offset + count);
+    return HR_STATUS_OK;
+}
+
+enum hr_status assembler_close(struct assembler *assembler, uint16_t nonce)
+{
+    if (!assembler->begun || nonce != assembler->nonce || assembler->missing > 0)
+        return HR_STATUS_INCOMPLETE;
+    assembler->begun = false;
     return HR_STATUS_OK;
 }
 
 enum hr_status assembler_commit(struct assembler *assembler, uint16_t nonce)
 {
-    if (!assembler->begun || nonce != assembler->nonce || assembler->missing > 0)
-        return HR_STATUS_INCOMPLETE;
-    assembler->begun = false;
+    const enum hr_status closed = assembler_close(assembler, nonce);
+    if (closed != HR_STATUS_OK)
+        return closed;
     const bool same = crc_of(assembler->block, assembler->length) == assembler->crc;
     return same ? HR_STATUS_OK : HR_STATUS_BAD_CRC;
 }

@@ -30,4 +30,7 @@ enum hr_status assembler_chunk(struct assembler *assembler, uint16_t nonce, size
 /* Whether `block`, `length` bytes of it, is whole. It is forgotten then, unless bytes are missing. */
 enum hr_status assembler_commit(struct assembler *assembler, uint16_t nonce);
 
+/* The same but for the sum of its bytes: that it is `crc` is left to the caller. */
+enum hr_status assembler_close(struct assembler *assembler, uint16_t nonce);
+
 #endif

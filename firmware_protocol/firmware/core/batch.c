@@ -5,7 +5,6 @@
 /* What one sample of each layout takes; see BATCH_LAYOUTS. */
 static const uint8_t sample_bytes[] = {5, 3, 6};
 
-enum { MOST_SAMPLE_BYTES = 6 };
 enum { NARROW = 0, NO_MEASUREMENT = 1, WIDE = 2 };
 
 void batch_configure(struct batch *batch, uint8_t layout, uint8_t most)
@@ -19,41 +18,23 @@ void batch_configure(struct batch *batch, uint8_t layout, uint8_t most)
 void batch_forget(struct batch *batch)
 {
     batch->samples = 0;
-    batch->begun = false;
-    batch->ready = 0;
+    batch->waiting = false;
     batch->follows = false;
 }
 
-/* Header and index of a first sample. */
-static void begin(struct batch *batch, struct connection *connection, uint32_t index)
+/* Header and fixed fields. After a gap the base is the count itself: how far the handle has moved meanwhile need not
+ * fit. */
+static void begin(struct batch *batch, struct connection *connection, uint32_t index, uint32_t time)
 {
-    uint8_t raw[HR_AT_BATCH_DEVICE_TIME];
-    if (batch->begun) /* for another sample than the one that came */
-        connection_take_back(connection, HR_INDEX_BATCH);
+    struct batch_frame *frame = &batch->frames[batch->making];
+    uint8_t *raw = frame->bytes + HR_RAW_AT;
+    builder_begin(&frame->builder, frame->bytes);
     connection_header(connection, raw, HR_INDEX_BATCH);
     put_u32(raw + HR_AT_BATCH_FIRST_INDEX, index);
-    builder_begin(&batch->builder, batch->frames[batch->making]);
-    builder_append(&batch->builder, raw, sizeof raw);
-    batch->begun = true;
-}
-
-/* The fixed fields behind them. After a gap the base is the count itself: how far the handle has moved meanwhile need
- * not fit. */
-static void begin_samples(struct batch *batch, uint32_t time)
-{
-    uint8_t raw[HR_BYTES_BATCH - HR_AT_BATCH_DEVICE_TIME];
-    put_u32(raw, time);
-    put_u32(raw + HR_AT_BATCH_BASE_COUNT - HR_AT_BATCH_DEVICE_TIME, (uint32_t)batch->count);
-    raw[HR_AT_BATCH_LAYOUT - HR_AT_BATCH_DEVICE_TIME] = batch->layout;
-    builder_append(&batch->builder, raw, sizeof raw);
-}
-
-bool batch_prepare(struct batch *batch, struct connection *connection)
-{
-    if (batch->begun || !batch->follows)
-        return false;
-    begin(batch, connection, batch->next);
-    return true;
+    put_u32(raw + HR_AT_BATCH_DEVICE_TIME, time);
+    put_u32(raw + HR_AT_BATCH_BASE_COUNT, (uint32_t)batch->count);
+    raw[HR_AT_BATCH_LAYOUT] = batch->layout;
+    frame->laid = HR_RAW_AT + HR_BYTES_BATCH;
 }
 
 /* Whether the sample may be appended as a difference from the last one. */
@@ -71,8 +52,7 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
 {
     const uint32_t index = sample->sample_index;
     const int32_t most = batch->layout == WIDE ? INT16_MAX : INT8_MAX;
-    const bool following = follows(batch, index);
-    if (!following)
+    if (!follows(batch, index))
         batch->count = sample->count;
     /* The counter may wrap between two samples. */
     const int32_t moved = signed_32((uint32_t)sample->count - (uint32_t)batch->count);
@@ -80,20 +60,17 @@ bool batch_push(struct batch *batch, struct connection *connection, const struct
         batch->follows = false;
         return false;
     }
-    if (batch->samples == 0) {
-        if (!batch->begun || !following)
-            begin(batch, connection, index);
-        begin_samples(batch, time);
-    }
-    uint8_t bytes[MOST_SAMPLE_BYTES];
-    uint8_t *at = bytes;
+    if (batch->samples == 0)
+        begin(batch, connection, index, time);
+    struct batch_frame *frame = &batch->frames[batch->making];
+    uint8_t *at = frame->bytes + frame->laid;
     *at++ = (uint8_t)((uint32_t)moved & 0xFFu);
     if (batch->layout == WIDE)
         *at++ = (uint8_t)((uint32_t)moved >> 8 & 0xFFu);
     put_u16(at, (uint16_t)sample->current_commanded);
     if (batch->layout != NO_MEASUREMENT)
         put_u16(at + 2, (uint16_t)sample->current_measured);
-    builder_append(&batch->builder, bytes, sample_bytes[batch->layout]);
+    frame->laid = (uint16_t)(frame->laid + sample_bytes[batch->layout]);
     batch->samples++;
     batch->count = sample->count;
     batch->next = index + 1u;
@@ -111,12 +88,35 @@ void batch_finish(struct batch *batch)
     if (batch->samples == 0)
         return;
     batch->samples = 0;
-    batch->begun = false;
-    batch->ready = (uint16_t)builder_finish(&batch->builder);
+    batch->waiting = true;
     batch->making ^= 1u;
 }
 
-const uint8_t *batch_frame(const struct batch *batch)
+static void pack(struct batch_frame *frame, size_t count)
 {
-    return batch->frames[batch->making ^ 1u];
+    struct builder *builder = &frame->builder;
+    builder_append(builder, builder->bytes + builder->end, count);
+}
+
+bool batch_pack(struct batch *batch, size_t most)
+{
+    const bool making = batch->samples > 0;
+    if (!batch->waiting && !making)
+        return false;
+    struct batch_frame *frame = &batch->frames[batch->waiting ? batch->making ^ 1u : batch->making];
+    if (frame->laid - frame->builder.end < most)
+        return false;
+    pack(frame, most);
+    return true;
+}
+
+const uint8_t *batch_take(struct batch *batch, size_t *count)
+{
+    if (!batch->waiting)
+        return NULL;
+    struct batch_frame *frame = &batch->frames[batch->making ^ 1u];
+    batch->waiting = false;
+    pack(frame, frame->laid - frame->builder.end);
+    *count = builder_finish(&frame->builder);
+    return frame->bytes;
 }

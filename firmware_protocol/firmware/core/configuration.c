@@ -59,34 +59,41 @@ void configuration_initial(const struct board *board, struct candidate *candidat
     }
 }
 
-static size_t index_of(uint16_t id)
+/* Entries rise by id, so the next one is behind the last one; a block that is out of order is searched whole. */
+static size_t index_of(uint16_t id, size_t from)
 {
-    size_t index = 0;
+    size_t index = hr_parameters[from].id <= id ? from : 0;
     while (index < HR_PARAMETERS && hr_parameters[index].id != id)
         index++;
     return index;
 }
 
-/* Read the entries into `values`, and note which were `given`. */
-static struct refusal read_entries(const uint8_t *block, size_t count, uint32_t *values, bool *given)
+void configuration_begin(const struct configuration *configuration, struct candidate *candidate)
 {
-    int32_t previous = -1;
-    for (size_t at = 0; at < count; at += HR_PARAMETER_BYTES) {
-        const uint16_t id = get_u16(block + at);
-        const uint32_t value = get_u32(block + at + 2);
-        const size_t index = index_of(id);
-        if (index == HR_PARAMETERS)
-            return refused(HR_STATUS_UNKNOWN_PARAMETER, id);
-        if (id <= previous)
-            return refused(HR_STATUS_BAD_ORDER, id);
-        if (!is_in_table_range(&hr_parameters[index], value))
-            return refused(HR_STATUS_OUT_OF_RANGE, id);
-        previous = id;
-        /* One zero only: -0.0 would be another block with the same meaning. */
-        const bool negative_zero = hr_parameters[index].kind == HR_FLOAT && value == NEGATIVE_ZERO;
-        values[index] = negative_zero ? 0 : value;
-        given[index] = true;
-    }
+    memcpy(candidate->values, configuration->values, sizeof candidate->values);
+    memset(candidate->given, 0, sizeof candidate->given);
+    candidate->homes = false;
+    candidate->previous = -1;
+    candidate->index = 0;
+}
+
+struct refusal configuration_take(struct candidate *candidate, const uint8_t *entry)
+{
+    const uint16_t id = get_u16(entry);
+    const uint32_t value = get_u32(entry + 2);
+    const size_t index = index_of(id, candidate->index);
+    if (index == HR_PARAMETERS)
+        return refused(HR_STATUS_UNKNOWN_PARAMETER, id);
+    if (id <= candidate->previous)
+        return refused(HR_STATUS_BAD_ORDER, id);
+    if (!is_in_table_range(&hr_parameters[index], value))
+        return refused(HR_STATUS_OUT_OF_RANGE, id);
+    candidate->previous = id;
+    candidate->index = index;
+    /* One zero only: -0.0 would be another block with the same meaning. */
+    const bool negative_zero = hr_parameters[index].kind == HR_FLOAT && value == NEGATIVE_ZERO;
+    candidate->values[index] = negative_zero ? 0 : value;
+    candidate->given[index] = true;
     return ACCEPTED;
 }
 
@@ -120,35 +127,50 @@ static size_t first_not_live(const bool *given)
     return index;
 }
 
-struct refusal configuration_read(const struct configuration *configuration, const struct board *board, bool armed,
+struct refusal configuration_check(struct candidate *candidate, const struct board *board, bool armed)
+{
+    const size_t grave = first_not_live(candidate->given);
+    if (grave < HR_PARAMETERS && !candidate->given[HR_PARAMETER_VERIFIED])
+        candidate->values[HR_PARAMETER_VERIFIED] = 0; /* unless the block says it again */
+    candidate->homes = candidate->given[HR_PARAMETER_REFERENCE_COUNT];
+    const struct refusal refusal = check_board(board, candidate->values, candidate->given);
+    if (refusal.status != HR_STATUS_OK)
+        return refusal;
+    if (armed && grave < HR_PARAMETERS)
+        return refused(HR_STATUS_NOT_LIVE, hr_parameters[grave].id);
+    return check_together(candidate->values);
+}
+
+struct refusal configuration_read(const struct configuration *configuration, const struct board *board,
                                   const uint8_t *block, size_t count, struct candidate *candidate)
 {
-    bool given[HR_PARAMETERS] = {false};
+    configuration_begin(configuration, candidate);
     if (count % HR_PARAMETER_BYTES != 0)
         return refused(HR_STATUS_BAD_LENGTH, 0);
-    memcpy(candidate->values, configuration->values, sizeof candidate->values);
-    struct refusal refusal = read_entries(block, count, candidate->values, given);
-    const size_t grave = first_not_live(given);
-    if (grave < HR_PARAMETERS && !given[HR_PARAMETER_VERIFIED])
-        candidate->values[HR_PARAMETER_VERIFIED] = 0; /* unless the block says it again */
-    if (refusal.status == HR_STATUS_OK)
-        refusal = check_board(board, candidate->values, given);
-    if (refusal.status == HR_STATUS_OK && armed && grave < HR_PARAMETERS)
-        refusal = refused(HR_STATUS_NOT_LIVE, hr_parameters[grave].id);
-    if (refusal.status == HR_STATUS_OK)
-        refusal = check_together(candidate->values);
-    candidate->homes = given[HR_PARAMETER_REFERENCE_COUNT];
-    return refusal;
+    for (size_t at = 0; at < count; at += HR_PARAMETER_BYTES) {
+        const struct refusal refusal = configuration_take(candidate, block + at);
+        if (refusal.status != HR_STATUS_OK)
+            return refusal;
+    }
+    return configuration_check(candidate, board, false);
+}
+
+void configuration_entry(const uint32_t *values, size_t index, uint8_t *entry)
+{
+    put_u16(entry, hr_parameters[index].id);
+    put_u32(entry + 2, values[index]);
+}
+
+void configuration_put(struct configuration *configuration, const struct candidate *candidate, size_t index)
+{
+    configuration->values[index] = candidate->values[index];
+    configuration_entry(candidate->values, index, configuration->block + index * HR_PARAMETER_BYTES);
 }
 
 void configuration_put_in_force(struct configuration *configuration, const struct candidate *candidate)
 {
-    memcpy(configuration->values, candidate->values, sizeof configuration->values);
-    for (size_t i = 0; i < HR_PARAMETERS; i++) {
-        uint8_t *entry = configuration->block + i * HR_PARAMETER_BYTES;
-        put_u16(entry, hr_parameters[i].id);
-        put_u32(entry + 2, candidate->values[i]);
-    }
+    for (size_t i = 0; i < HR_PARAMETERS; i++)
+        configuration_put(configuration, candidate, i);
     configuration->crc = crc_of(configuration->block, sizeof configuration->block);
     configuration->homed = configuration->homed || candidate->homes;
 }

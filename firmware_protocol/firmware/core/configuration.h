@@ -26,16 +26,30 @@ struct refusal {
 /* A set under way: what a block would make of the parameters in force. */
 struct candidate {
     uint32_t values[HR_PARAMETERS];
-    bool homes; /* the block sets reference_count */
+    bool given[HR_PARAMETERS]; /* by the block */
+    bool homes;                /* it sets reference_count */
+    int32_t previous;          /* id of its last entry, -1 before the first */
+    size_t index;              /* of that parameter */
 };
 
 /* What the device starts with: the table's values, inside this board's ranges. */
 void configuration_initial(const struct board *board, struct candidate *candidate);
 
-/* Read a block on top of the parameters in force and check it, all of it. An armed device takes live parameters alone;
- * any other block that does not repeat `verified` clears it. */
-struct refusal configuration_read(const struct configuration *configuration, const struct board *board, bool armed,
+/* Read a block on top of the parameters in force and check it, all of it. A block with other parameters than live ones
+ * that does not repeat `verified` clears it. */
+struct refusal configuration_read(const struct configuration *configuration, const struct board *board,
                                   const uint8_t *block, size_t count, struct candidate *candidate);
+
+/* The same piece by piece: begin, take each entry, check all. An armed device takes live parameters alone. */
+void configuration_begin(const struct configuration *configuration, struct candidate *candidate);
+struct refusal configuration_take(struct candidate *candidate, const uint8_t *entry);
+struct refusal configuration_check(struct candidate *candidate, const struct board *board, bool armed);
+
+/* Write the entry of a parameter, by its index. */
+void configuration_entry(const uint32_t *values, size_t index, uint8_t *entry);
+
+/* Put one parameter in force; the CRC is left to the caller. */
+void configuration_put(struct configuration *configuration, const struct candidate *candidate, size_t index);
 
 void configuration_put_in_force(struct configuration *configuration, const struct candidate *candidate);
 

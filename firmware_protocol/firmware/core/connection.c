@@ -175,11 +175,6 @@ uint8_t *connection_begin(struct connection *connection, struct packet *packet, 
     return raw;
 }
 
-void connection_take_back(struct connection *connection, enum hr_index index)
-{
-    connection->to_send[index]--;
-}
-
 void connection_skip(struct connection *connection, enum hr_index index)
 {
     connection->to_send[index]++;

@@ -52,9 +52,6 @@ void connection_header(struct connection *connection, uint8_t *raw, enum hr_inde
 /* Begin a frame of ours: its header, and `bytes` in all with the fields that the caller fills in. */
 uint8_t *connection_begin(struct connection *connection, struct packet *packet, enum hr_index index, size_t bytes);
 
-/* Our newest frame of a type will not be sent: the next one gets its sequence. */
-void connection_take_back(struct connection *connection, enum hr_index index);
-
 /* Count a frame of a stream that was not sent, so that the host sees the loss. */
 void connection_skip(struct connection *connection, enum hr_index index);
 

@@ -31,6 +31,7 @@ void device_restart(struct device *device)
     assembler_reset(&device->assembler);
     faults_reset(&device->faults);
     device->remembered.there = false;
+    device->live_change.step = LIVE_NOTHING;
     device->configuration.homed = false;
     device->sample_index = 0;
     device->time = device->hal->time(device->hal->context);
@@ -59,6 +60,7 @@ void device_begin_session(struct device *device)
     device->supervised = false;
     batch_forget(&device->batch);
     device->state_left = 0;
+    device->state_wanted = false;
     if (device->renderer.there)
         renderer_reset(&device->renderer);
     device->worst_execution_time = 0;
@@ -274,8 +276,10 @@ static uint16_t saturated(uint32_t number)
     return (uint16_t)(number < UINT16_MAX ? number : UINT16_MAX);
 }
 
-static void make_state(struct device *device, const struct fault_entry *tick)
+/* Of the newest tick; it is sent in pieces. */
+static void make_state(struct device *device)
 {
+    const struct fault_entry *tick = &device->tick.entry;
     struct packet *packet = &device->state_packet;
     uint8_t *raw = connection_begin(&device->connection, packet, HR_INDEX_STATE, HR_BYTES_STATE);
     put_u16(raw + HR_AT_STATE_COMMAND_SEQUENCE, device->command_sequence);
@@ -296,6 +300,9 @@ static void make_state(struct device *device, const struct fault_entry *tick)
     put_u32(raw + HR_AT_STATE_SYNC_TIME, (uint32_t)device->hal->sync_time(device->hal->context));
     builder_begin(&device->state_builder, packet->bytes);
     device->state_left = packet->count;
+    device->state_wanted = false;
+    device->limits_acted = 0;
+    device->fault_told = device->faults.latched;
 }
 
 /* Whether a STATE is due in a device that nobody has armed. */
@@ -318,10 +325,10 @@ static bool state_is_due(struct device *device)
 
 static void send_batch(struct device *device)
 {
-    struct batch *batch = &device->batch;
-    if (batch->ready > 0)
-        device->hal->link_write(device->hal->context, batch_frame(batch), batch->ready);
-    batch->ready = 0;
+    size_t count;
+    const uint8_t *frame = batch_take(&device->batch, &count);
+    if (frame != NULL)
+        device->hal->link_write(device->hal->context, frame, count);
 }
 
 /* Let the frame that is being made wait to be sent; there is room for one that waits. */
@@ -348,7 +355,7 @@ static void send_state(struct device *device, size_t most)
 
 bool device_is_sending(const struct device *device)
 {
-    return device->batch.ready > 0 || device->state_left > 0;
+    return device->batch.waiting || device->state_left > 0 || device->state_wanted;
 }
 
 void device_flush(struct device *device)
@@ -356,17 +363,27 @@ void device_flush(struct device *device)
     send_batch(device);
     if (device->state_left > 0)
         send_state(device, device->state_left);
+    if (device->state_wanted) {
+        make_state(device);
+        send_state(device, device->state_left);
+    }
 }
 
-/* Send a piece of what waits, or begin what comes next; false when there is nothing to do. */
+/* Pack or send a piece of what waits; false when there is nothing worth a look. */
 static bool send_some(struct device *device)
 {
-    if (device->batch.ready > 0)
+    if (batch_pack(&device->batch, HR_BYTES_A_POLL))
+        return true;
+    if (device->state_every == 1u && device_is_sending(device))
+        device_flush(device); /* no law runs here: the host waits for it */
+    else if (device->batch.waiting)
         send_batch(device);
     else if (device->state_left > 0)
-        send_state(device, device->state_every > 1u ? HR_STATE_BYTES_A_POLL : device->state_left);
+        send_state(device, HR_BYTES_A_POLL);
+    else if (device->state_wanted)
+        make_state(device);
     else
-        return device->tick.supervised && batch_prepare(&device->batch, &device->connection);
+        return false;
     return true;
 }
 
@@ -392,7 +409,7 @@ static void tell_batch(struct device *device)
         finish_batch(device);
 }
 
-/* BATCH and STATE, which then wait. */
+/* The ring, BATCH, and whether STATE is due; what is to be sent waits. */
 static void tell(struct device *device)
 {
     const struct fault_entry *entry = &device->tick.entry;
@@ -401,13 +418,8 @@ static void tell(struct device *device)
     device->limits_acted |= entry->limits;
     if (device->renderer.there)
         tell_batch(device);
-    if (!state_is_due(device))
-        return;
-    if (device->state_left > 0)
-        send_state(device, device->state_left);
-    make_state(device, entry);
-    device->limits_acted = 0;
-    device->fault_told = device->faults.latched;
+    if (state_is_due(device))
+        device->state_wanted = true;
 }
 
 void device_tell(struct device *device)
@@ -472,8 +484,10 @@ void device_send(struct device *device, struct packet *packet)
 static void begin_supervision(struct device *device)
 {
     device->supervised = true;
-    if (device->renderer.there)
-        renderer_reset(&device->renderer);
+    if (!device->renderer.there)
+        return;
+    renderer_reset(&device->renderer);
+    prepare_batch(device);
 }
 
 static void take_command(struct device *device, const uint8_t *raw)
@@ -516,6 +530,11 @@ bool device_is_preparing(const struct device *device)
     return device->renderer.there && !device->renderer.ready;
 }
 
+bool device_is_changing(const struct device *device)
+{
+    return device->live_change.step != LIVE_NOTHING;
+}
+
 static size_t take_bytes(struct device *device)
 {
     uint8_t bytes[HR_POLL_BYTES];
@@ -534,7 +553,13 @@ static size_t take_bytes(struct device *device)
 
 size_t device_poll(struct device *device)
 {
-    const size_t count = send_some(device) ? 0 : take_bytes(device);
+    size_t count = 0;
+    if (!send_some(device)) {
+        if (device_is_changing(device))
+            live_change_continue(device);
+        else
+            count = take_bytes(device);
+    }
     if (device_is_preparing(device))
         renderer_prepare(&device->renderer, HR_POLL_COSINES);
     return count;

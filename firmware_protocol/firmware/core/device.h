@@ -17,14 +17,14 @@
 #include "faults.h"
 #include "hal.h"
 #include "limits.h"
+#include "live_change.h"
 #include "monitor.h"
 #include "renderer.h"
 #include "thermal.h"
 #include "watchdog.h"
 
 /* What one device_poll does at most: neither a flood of bytes nor an excitation can starve the tick. */
-/* Of STATE, taken into its frame by one device_poll beside a law: the tick comes first. */
-#define HR_STATE_BYTES_A_POLL 16u
+#define HR_BYTES_A_POLL 16u /* of BATCH, and of STATE beside a law, packed into a frame */
 #define HR_POLL_BYTES_RUNNING 8u /* taken in one while the law runs here */
 #define HR_POLL_BYTES 64u
 #define HR_POLL_COSINES 32u
@@ -82,11 +82,13 @@ struct device {
     struct renderer renderer;
     struct batch batch;
     struct builder state_builder; /* of a STATE that waits to be sent */
+    bool state_wanted;            /* one is due that has not been made */
     size_t state_left;            /* bytes of it that the builder has not seen; 0: none waits */
 
     struct connection connection;
     struct assembler assembler;
     struct configuration configuration;
+    struct live_change live_change;
     struct remembered remembered;
     struct faults faults;
     struct packet state_packet;
@@ -118,11 +120,13 @@ void device_flush(struct device *device);
 /* Ticks passed that could not be worked on. */
 void device_missed(struct device *device, uint32_t ticks);
 
-/* Send a piece of what waits, or take what the host has sent and answer; work on an excitation that is not ready. Returns the number of bytes taken. */
+/* Send a piece of what waits, or do a piece of a change, or take what the host has sent and answer; and work on an
+ * excitation that is not ready. Returns the number of bytes taken. */
 size_t device_poll(struct device *device);
 
-/* Whether device_poll has something to do even when no byte comes. */
+/* Whether device_poll has something to do even when no byte comes: an excitation to work out, parameters to change. */
 bool device_is_preparing(const struct device *device);
+bool device_is_changing(const struct device *device);
 
 /* The port has found a fault (enum hr_fault): zero effort from here on, FAULT latched. */
 void device_fault(struct device *device, uint8_t fault);

@@ -7,6 +7,9 @@
 /* Answer a request, or its refusal. */
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict);
 
+/* Answer a change of an armed device that is done. */
+void answer_live_change(struct device *device);
+
 /* Run under other parameters from the next tick on, or return false and go on as before. */
 bool device_apply(struct device *device, const struct candidate *candidate);
 

@@ -10,12 +10,16 @@ static inline uint32_t crc_step(uint32_t crc, uint8_t byte)
     return crc >> 8 ^ hr_crc_table[(crc ^ byte) & 0xFFu];
 }
 
-uint32_t crc_of(const uint8_t *bytes, size_t count)
+uint32_t crc_more(uint32_t crc, const uint8_t *bytes, size_t count)
 {
-    uint32_t crc = UINT32_MAX;
     for (size_t i = 0; i < count; i++)
         crc = crc_step(crc, bytes[i]);
-    return ~crc;
+    return crc;
+}
+
+uint32_t crc_of(const uint8_t *bytes, size_t count)
+{
+    return ~crc_more(UINT32_MAX, bytes, count);
 }
 
 /* ------------------------------------------------------------------ to send */

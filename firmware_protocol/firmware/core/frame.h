@@ -55,4 +55,7 @@ const uint8_t *splitter_raw(const struct splitter *splitter);
 
 uint32_t crc_of(const uint8_t *bytes, size_t count);
 
+/* The same in pieces: from UINT32_MAX on, and inverted at the end. */
+uint32_t crc_more(uint32_t crc, const uint8_t *bytes, size_t count);
+
 #endif

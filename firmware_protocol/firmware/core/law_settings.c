@@ -70,13 +70,27 @@ static void read_estimator(const uint32_t *values, law_parameters *law)
     law->kalman.gain_acceleration = real(values, HR_PARAMETER_KALMAN_ACCELERATION);
 }
 
-static void read_float_wall(const uint32_t *values, law_float_wall *wall)
+static void read_live_float(const uint32_t *values, law_float_wall *wall)
 {
     wall->surface_whole = whole(values, HR_PARAMETER_FLOAT_SURFACE);
     wall->surface_fraction = real(values, HR_PARAMETER_FLOAT_SURFACE_FRACTION);
-    wall->side = (float)whole(values, HR_PARAMETER_WALL_SIDE);
     wall->stiffness = real(values, HR_PARAMETER_FLOAT_STIFFNESS);
     wall->damping = real(values, HR_PARAMETER_FLOAT_DAMPING);
+}
+
+static void read_live_fixed(const uint32_t *values, law_fixed_wall *wall)
+{
+    wall->surface = whole(values, HR_PARAMETER_FIXED_SURFACE);
+    wall->stiffness = whole(values, HR_PARAMETER_FIXED_STIFFNESS);
+    wall->damping = whole(values, HR_PARAMETER_FIXED_DAMPING);
+    wall->shift = whole(values, HR_PARAMETER_FIXED_SHIFT);
+    wall->constant = wide(values, HR_PARAMETER_FIXED_CONSTANT_HIGH, HR_PARAMETER_FIXED_CONSTANT_LOW);
+}
+
+static void read_float_wall(const uint32_t *values, law_float_wall *wall)
+{
+    read_live_float(values, wall);
+    wall->side = (float)whole(values, HR_PARAMETER_WALL_SIDE);
     wall->constant = real(values, HR_PARAMETER_FLOAT_CONSTANT);
     wall->trial_slew = real(values, HR_PARAMETER_FLOAT_TRIAL_SLEW);
     wall->homing_slew = real(values, HR_PARAMETER_FLOAT_HOMING_SLEW);
@@ -90,13 +104,9 @@ static void read_float_wall(const uint32_t *values, law_float_wall *wall)
 
 static void read_fixed_wall(const uint32_t *values, int32_t sense, law_fixed_wall *wall)
 {
+    read_live_fixed(values, wall);
     wall->side = whole(values, HR_PARAMETER_WALL_SIDE);
     wall->direction = wall->side * sense;
-    wall->surface = whole(values, HR_PARAMETER_FIXED_SURFACE);
-    wall->stiffness = whole(values, HR_PARAMETER_FIXED_STIFFNESS);
-    wall->damping = whole(values, HR_PARAMETER_FIXED_DAMPING);
-    wall->shift = whole(values, HR_PARAMETER_FIXED_SHIFT);
-    wall->constant = wide(values, HR_PARAMETER_FIXED_CONSTANT_HIGH, HR_PARAMETER_FIXED_CONSTANT_LOW);
     wall->trial_slew = whole(values, HR_PARAMETER_FIXED_TRIAL_SLEW);
     wall->homing_slew = whole(values, HR_PARAMETER_FIXED_HOMING_SLEW);
     wall->speed_limit = whole(values, HR_PARAMETER_FIXED_SPEED_LIMIT);
@@ -162,9 +172,21 @@ static struct refusal inconsistent(enum hr_parameter_index index)
     return refusal;
 }
 
-struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law)
+static struct refusal judged(law_verdict verdict, const law_parameters *law)
 {
     const struct refusal accepted = {HR_STATUS_OK, 0};
+    return verdict == LAW_GOOD ? accepted : inconsistent(subject(verdict, law));
+}
+
+struct refusal law_settings_read_wall(const uint32_t *values, law_parameters *law)
+{
+    read_live_float(values, &law->wall);
+    read_live_fixed(values, &law->fixed_wall);
+    return judged(law_check_wall(law), law);
+}
+
+struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law)
+{
     const bool shakes = values[HR_PARAMETER_EXCITATION_LINES] > 0;
     if (shakes && values[HR_PARAMETER_EXCITATION_PERIOD] > board->excitation_length)
         return inconsistent(HR_PARAMETER_EXCITATION_PERIOD);
@@ -186,6 +208,5 @@ struct refusal law_settings_read(const uint32_t *values, const struct board *boa
     read_float_wall(values, &law->wall);
     read_fixed_wall(values, law->sense, &law->fixed_wall);
     read_excitation(values, &law->excitation);
-    const law_verdict verdict = law_check(law);
-    return verdict == LAW_GOOD ? accepted : inconsistent(subject(verdict, law));
+    return judged(law_check(law), law);
 }

@@ -19,4 +19,7 @@ enum law_choice {
  * the objection is about. */
 struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law);
 
+/* Read another wall, what is live alone, into a law that has passed, and check that. */
+struct refusal law_settings_read_wall(const uint32_t *values, law_parameters *law);
+
 #endif

@@ -273,6 +273,8 @@ void host_receive(struct host *host, const uint8_t *bytes, size_t count)
     size_t taken = 0;
     while (taken < count)
         taken += host_poll(host, bytes + taken, count - taken);
+    while (device_is_changing(&host->device))
+        device_poll(&host->device);
 }
 
 size_t host_take(struct host *host, uint8_t *into, size_t capacity)

@@ -115,6 +115,14 @@ static int good_fixed_wall(const law_fixed_wall *w, int32_t sense, int64_t excit
     return room >= size(w->constant);
 }
 
+law_verdict law_check_wall(const law_parameters *p)
+{
+    const int good = p->arithmetic == LAW_FLOAT
+                         ? good_float_wall(&p->wall)
+                         : good_fixed_wall(&p->fixed_wall, p->sense, most_excitation(&p->excitation));
+    return good ? LAW_GOOD : LAW_BAD_WALL;
+}
+
 law_verdict law_check(const law_parameters *p)
 {
     if (!good_choices(p))
@@ -127,8 +135,5 @@ law_verdict law_check(const law_parameters *p)
         return LAW_BAD_FILTER;
     if (!good_excitation(&p->excitation))
         return LAW_BAD_EXCITATION;
-    if (p->arithmetic == LAW_FLOAT ? !good_float_wall(&p->wall)
-                                   : !good_fixed_wall(&p->fixed_wall, p->sense, most_excitation(&p->excitation)))
-        return LAW_BAD_WALL;
-    return LAW_GOOD;
+    return law_check_wall(p);
 }

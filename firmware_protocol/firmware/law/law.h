@@ -282,6 +282,9 @@ typedef enum {
 
 law_verdict law_check(const law_parameters *p);
 
+/* The same of the wall alone, when nothing else has changed since. */
+law_verdict law_check_wall(const law_parameters *p);
+
 /* A law that has seen nothing. The parameters must have passed law_check. `table` is what law_excitation_continue has
  * completed; it must live as long, and may be NULL when there are no lines. */
 void law_reset(law_state *s, const law_parameters *p, const int16_t *table);

@@ -12,8 +12,8 @@ from rig.firmware.build import BuildResult
 
 BOOT2_BYTES = 256
 FLASH, RAM, STACK = 0x1000_0000, 0x2000_0000, 0x2004_0000
-FLASH_BUDGET = 64 * 1024
-RAM_BUDGET = 252 * 1024
+FLASH_BUDGET = 80 * 1024
+RAM_BUDGET = 260 * 1024
 RUNS_FROM_FLASH = {"boot2", "start"}
 NM = "arm-none-eabi-nm"
 

@@ -44,10 +44,10 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
     assert np.all(np.abs(passed - counted) < 0.2e-6)
 
 
-# Share of the period that the worst tick may take, and what it took when this was last measured.
+# Share of the period that the worst tick may take: a little above what it took when PICO.md was written.
 @pytest.mark.parametrize(
     ("position_rate", "velocity_rate", "share"),
-    [(20_000, 2_000, 0.40), (20_000, 20_000, 0.40), (50_000, 5_000, 0.95), (50_000, 50_000, 0.95)],
+    [(20_000, 2_000, 0.29), (20_000, 20_000, 0.32), (50_000, 5_000, 0.70), (50_000, 50_000, 0.77)],
 )
 def test_the_worst_tick_with_the_law_on_the_device(
     powered: Powered, position_rate: int, velocity_rate: int, share: float
@@ -70,7 +70,7 @@ def test_the_worst_tick_with_the_law_on_the_device(
         f"{position_rate} Hz, {velocity_rate} Hz: worst {worst}, median {int(np.median(ticks.cycles))} of {period:.0f}"
     )
     assert worst <= share * period
-    assert np.max(np.abs(np.diff(ticks.at) - period)) < 0.1 * period
+    assert np.max(np.abs(np.diff(ticks.at) - period)) <= JITTER
     counts, indices = session.counts()
     assert np.max(counts) > 0, "the handle was in the wall"
     assert len(indices) > 0.06 * position_rate

@@ -28,8 +28,10 @@ static void work_on(const uint8_t *request)
     host_set_world(&host, get_u64(request + AT_TIME), signed_32(get_u32(request + AT_COUNT)),
                    get_u64(request + AT_EDGE_TIME), signed_16(get_u16(request + AT_MEASURED)), request[1]);
     host_receive(&host, request + AT_BYTES, request[0]);
-    if (request[AT_TICKS])
+    if (request[AT_TICKS]) {
         host_tick(&host);
+        host_poll(&host, request, 0); /* what a board does between two ticks, bytes or not */
+    }
 }
 
 static size_t fill_reply(void)

@@ -1,0 +1,45 @@
+/* Parameters that change while the device is armed, a piece in each device_poll: all at once would take longer than a
+ * tick may wait. */
+#ifndef HR_LIVE_CHANGE_H
+#define HR_LIVE_CHANGE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "../law/law.h"
+#include "configuration.h"
+
+enum live_step {
+    LIVE_NOTHING, /* none is under way */
+    LIVE_SUM,     /* the block is checked */
+    LIVE_ENTRIES, /* and read */
+    LIVE_CHECK,
+    LIVE_LAW, /* as its parameters will be */
+    LIVE_CRC,
+    LIVE_WALL,   /* the tick from which on the law has them */
+    LIVE_VALUES, /* and then whoever asks */
+    LIVE_ANSWER,
+};
+
+struct live_change {
+    uint8_t step; /* enum live_step */
+    uint8_t session;
+    uint16_t nonce;
+    uint16_t at; /* bytes of the block, or parameters, that are done in this step */
+    uint32_t crc;
+    uint32_t sample_index; /* first tick that sees it */
+    struct refusal refusal;
+    law_parameters law;
+    struct candidate candidate;
+};
+
+struct device;
+
+/* Begin, on the request of a nonce, with the block in the assembler. */
+void live_change_begin(struct device *device, uint16_t nonce, uint8_t session);
+
+/* Do a piece of it; the last is the answer. */
+void live_change_continue(struct device *device);
+
+#endif

@@ -1,0 +1,16 @@
+"""Whether this machine can make the firmware's library, for tests that need it."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig.errors import ConfigError
+from sim_backend import firmware_library
+
+
+def need_compiler() -> None:
+    """Skip without a C compiler."""
+    try:
+        firmware_library.compiler()
+    except ConfigError:
+        pytest.skip("no C compiler is installed (package gcc)")

@@ -1,0 +1,87 @@
+"""The whole tick of a device that runs its law, on Cortex-M0+, M4F and M7: what it costs, within asserted budgets.
+
+Sample, limits, law, current, BATCH and the fault ring, with STATE made between ticks; the hardware's functions are
+those of the host port, which cost next to nothing. Cycles are the estimate of `tests.firmware.cortex`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig import config
+from tests.firmware import cortex
+from tests.firmware.cortex_library import CortexLibrary, build
+from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
+from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of
+from tests.firmware.supervised import Board
+from tests.firmware.test_core_law import told_to_run
+
+SCHEMES = {
+    "20k/2k": DUAL,
+    "20k/20k": UNIFORM,
+    "50k/5k": {"controller.position_rate": 50_000, "controller.velocity_rate": 5_000},
+}
+FIXED_LAW = ("fdm-butterworth-fixed", {}, FIXED)
+FLOAT_LAWS = {
+    "butterworth": ("fdm-butterworth", {}, FLOAT),
+    "foaw-end": ("foaw-end", {}, FLOAT),
+    "levant": ("levant", {}, FLOAT),
+    "kalman": ("kalman", {"gain": "steady"}, FLOAT),
+}
+OPTIONS = ("-flto", "-fira-region=one")
+# Cycles of the worst tick, and of the longest device_poll: what was measured with gcc 12.2, and a tenth more.
+BUDGETS = {
+    ("M0+", "fixed", "20k/2k"): 3_000,
+    ("M0+", "fixed", "20k/20k"): 3_000,
+    ("M0+", "fixed", "50k/5k"): 3_000,
+    ("M4F", "fixed", "20k/2k"): 1_700,
+    ("M4F", "fixed", "50k/5k"): 1_700,
+    ("M4F", "butterworth", "20k/20k"): 1_700,
+    ("M4F", "foaw-end", "20k/20k"): 5_000,
+    ("M4F", "levant", "20k/20k"): 1_800,
+    ("M4F", "kalman", "50k/5k"): 1_700,
+    ("M7", "fixed", "50k/5k"): 1_700,
+    ("M7", "kalman", "20k/20k"): 1_700,
+}
+MEMORY_BYTES = 16_000  # one device, without its excitation
+
+
+@pytest.fixture(scope="module", params=cortex.CORES)
+def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> cortex.Image:
+    pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
+    core = cortex.CORES[request.param]
+    return build(core, tmp_path_factory.mktemp("cortex"), *OPTIONS)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_tick_stays_within_its_budget(image: cortex.Image) -> None:
+    laws = {"fixed": FIXED_LAW, **FLOAT_LAWS}
+    for (core, law, scheme), budget in BUDGETS.items():
+        if core != image.core.name:
+            continue
+        name, settings, arithmetic = laws[law]
+        experiment = experiment_of(name, settings, SCHEMES[scheme], SHORT)
+        p = parameters_of(controller_of(experiment), arithmetic)
+        p.home_minimum, p.home_maximum, p.home_target = -100, 100, -20 << 24
+        p.settle_ticks, p.trial_ticks, p.release_ticks = 5, 150, 40
+        p.fixed_wall.speed_limit, p.wall.speed_limit = 2**31 - 1, 1e9
+        counts = p.sense * np.concatenate(
+            [np.full(30, -20), np.arange(-20, 40), np.arange(40, -20, -1), np.full(60, 9)]
+        )
+        library = CortexLibrary(image)
+        board = Board(library, config.rig_model(experiment))
+        board.begin(**told_to_run(p, position_rate=int(experiment.controller.position_rate)))
+        board.run(counts.tolist())
+        assert board.core.status.fault == 0
+        currents = [sample.commanded for sample in board.fed]
+        assert max(map(abs, currents)) > 100, "it must hit"
+        assert currents[-1] == 0, "and be done"
+        worst, poll = max(library.cycles), max(library.polls)
+        rate = 0.4 * image.core.clock_hz / worst
+        print(
+            f"{core} {law} {scheme}: {np.median(library.cycles):.0f} cycles, {worst} at most; poll {poll}; "
+            f"40 % of the period at {rate / 1000:.1f} kHz"
+        )
+        assert worst <= budget, (core, law, scheme)
