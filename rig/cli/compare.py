@@ -65,6 +65,7 @@ def run(
 
     with output.compiling():
         from rig.experiments import compare as comparing  # noqa: PLC0415
+        from rig.experiments.plan import STANDS_FOR_DEVICE  # noqa: PLC0415
 
         changed = config.override(experiment, changes)
         comparison = comparing.compare(changed, entries(changed, schemes))
@@ -81,6 +82,8 @@ def run(
         f"mean over {len(comparison.outcomes[0].impacts)} encoder offsets"
     )
     _print_table(comparison)
+    if changed.controller.loop == "device":
+        click.echo(f"  {STANDS_FOR_DEVICE}")
     if picture is not None:
         output.print_pairs([("picture", picture)])
 
