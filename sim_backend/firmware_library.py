@@ -105,6 +105,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_sample": (None, [_P]),
     "host_tell": (None, [_P]),
     "host_tick": (None, [_P]),
+    "host_tick_alone": (None, [_P]),
     "host_missed": (None, [_P, _U32]),
     "host_fault": (None, [_P, _U8]),
     "host_receive": (None, [_P, ctypes.c_char_p, _N]),

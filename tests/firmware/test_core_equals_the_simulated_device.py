@@ -470,12 +470,13 @@ def test_an_armed_device_takes_and_refuses_the_same_blocks(library: ctypes.CDLL,
         for lie in (0, 1):
             nonce = pair.next_nonce()
             pair.send(m.SetBegin(nonce, len(block), block_crc(block) ^ lie))
-            pair.send(m.SetCommit(nonce))  # which comes too early, unless there is nothing to wait for
             for offset in range(0, len(block), 46):
                 pair.send(m.SetChunk(nonce, offset, block[offset : offset + 46]))
             for _ in range(2):
                 pair.send(m.SetCommit(nonce))
             pair.tick()
+    pair.send(m.SetBegin(pair.next_nonce(), 6, 0))
+    pair.send(m.SetCommit(pair.nonce))  # bytes are missing
     pair.ask_everything()
 
 

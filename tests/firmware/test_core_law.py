@@ -699,6 +699,21 @@ def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -
     assert answers[0].crc == answers[1].crc  # type: ignore[attr-defined]
 
 
+def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push()))
+    board.nonce += 1
+    *messages, commit = set_parameters(encode_block({"fixed_surface": 95 * 256}), board.nonce)
+    for message in messages:
+        assert board.ask(message).status == Status.OK
+    question = m.GetParameters(board.nonce + 1, 0)
+    data = board.host.send(commit) + board.host.send(question)
+    assert library.host_poll(board.core.address, data, len(data)) == len(data)
+    ack, page = board.take(board.core.take())
+    assert isinstance(ack, m.Ack)
+    assert isinstance(page, m.Parameters)
+    assert (ack.status, ack.crc) == (Status.OK, page.crc)
+
+
 def test_a_reset_forgets_a_change(library: ctypes.CDLL) -> None:
     board = Slow(library).begin(**told_to_run(push()))
     board.run([0] * 5)
