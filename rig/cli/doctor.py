@@ -26,7 +26,7 @@ _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "problem": ("no", 
 @click.command()
 @options.experiment_options
 @click.option(
-    "--url", help="Device to examine: serial:///dev/ttyACM0, usb://2e8a:000a. [machine and ports only]"
+    "--url", help="Device to examine: serial:///dev/ttyACM0, usb://1209:0001. [machine and ports only]"
 )
 @click.option("--realtime", is_flag=True, help="Examine a simulated rig, as a process behind a port.")
 @click.option(

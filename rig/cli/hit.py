@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @options.experiment_options
 @click.option(
     "--url",
-    help="Device: serial:///dev/ttyACM0, usb://2e8a:000a, sim://. [simulates the rig in this process]",
+    help="Device: serial:///dev/ttyACM0, usb://1209:0001, sim://. [simulates the rig in this process]",
 )
 @click.option(
     "--realtime", is_flag=True, help="In real time; a simulated rig then runs as a process of its own."
