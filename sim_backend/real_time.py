@@ -30,9 +30,7 @@ CATCH_UP_TICKS = 4  # late ticks that are run at once, each with its STATE
 LONGEST_PAUSE_S = 1.0
 READ_BYTES = 4096
 SLICE_NS = 250_000  # a process that is woken more often does little else
-LONGEST_STEP_NS = (
-    8_000_000  # of one look at the host, by which the pace is counted: twice this is below a lifetime
-)
+LONGEST_STEP_NS = 8_000_000  # between two looks at the host that counts: twice this is below a lifetime
 BURST_BYTES = 4096  # said in one go
 
 _UNIT_NS = 1e9 / UNITS_PER_SECOND
@@ -136,9 +134,7 @@ class FirmwareTime:
                 sleep_until(deadline_ns)
             now_ns = time.monotonic_ns()
             late = now_ns - deadline_ns > SLICE_NS
-            if (
-                late
-            ):  # what has come was for ticks that should have passed: the watchdog must hear of it first
+            if late:  # the watchdog must hear first of what came for ticks that should have passed
                 self._hear(received)
             self._pass(now_ns)
             if not late:

@@ -23,8 +23,8 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
     """Change the wall of the loop that runs in real time: stiffness, damping, position, pull, damping_on.
 
     The change passes the checks of a plan first. The loop takes it over when the handle is outside the wall, all
-    of it in one tick. A law on the device changes stiffness, damping and position only. Example: rig set
-    stiffness=400 damping=0.5
+    of it in one tick. A law on the device changes stiffness, damping and position only.
+    Example: rig set stiffness=400 damping=0.5
     """
     values = options.key_values(changes)
     with output.compiling():

@@ -310,13 +310,15 @@ def heartbeat(x: Experiment) -> Iterator[Problem]:
 
 
 def device_loop(x: Experiment) -> Iterator[Problem]:
-    """A law on the device has the device's beat."""
-    if x.controller.loop == "device" and x.host.pacing == "host":
+    """A law on the device has the device's beat, and no late tick of this computer can hold it up."""
+    if x.controller.loop != "device":
+        return
+    why = 'where the device runs the law (controller.loop = "device")'
+    if x.host.pacing == "host":
+        yield _problem(x, "host.pacing", f'must be "device" {why}', "leave it out")
+    if x.host.overrun == "stop":
         yield _problem(
-            x,
-            "host.pacing",
-            'must be "device" where the device runs the law (controller.loop = "device")',
-            "leave it out",
+            x, "host.overrun", f'must be "skip" {why}', "leave it out: the device counts its own ticks"
         )
 
 

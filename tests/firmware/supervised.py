@@ -177,9 +177,13 @@ class Board(Supervisor):
         self.library.host_set_world(
             self.core.address, status.due + self.late, self.count, 0, self.measured, self.inputs
         )
-        self.library.host_tick(self.core.address)
+        self.strike()
         self.fed.append(Sample(self.core.status.sample_index, self.count, status.current, self.measured))
         self.take(self.core.take())
+
+    def strike(self) -> None:
+        """Run the core's tick, and what the main loop does behind it."""
+        self.library.host_tick(self.core.address)
 
     def run(self, counts: Iterable[int]) -> None:
         """Supervise through these counts."""

@@ -208,3 +208,40 @@ def test_two_boards_batch_for_themselves(library: ctypes.CDLL) -> None:
         assert all(fed[sample.index] == sample for sample in board.samples)
     assert isinstance(first.frames[0].message, m.Batch)
     assert first.core.status.state == second.core.status.state == State.RUNNING
+
+
+class Busy(Board):
+    """A board whose main loop gets to so many device_polls behind a tick."""
+
+    polls = 0
+
+    def strike(self) -> None:
+        self.library.host_tick_alone(self.core.address)
+        for _ in range(self.polls):
+            self.library.host_poll(self.core.address, b"", 0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2),
+    st.integers(1, 76),
+    st.sampled_from([0, 1]),
+    st.lists(st.integers(0, 6), min_size=20, max_size=150),
+)
+@example(0, 45, 1, [1] * 150)
+@example(0, 45, 0, [0] * 150)
+def test_however_little_time_there_is_between_ticks_each_frame_leaves_whole(
+    library: ctypes.CDLL, layout: int, most: int, law: int, script: list[int]
+) -> None:
+    board = Busy(library).begin(**told_to_run(push(), batch_layout=layout, batch_samples=most, law=law))
+    board.host.statistics.lost = 0
+    for board.count, board.polls in enumerate(script):
+        board.supervise()
+    board.polls = 60
+    board.supervise()
+    board.command(Mode.STOP)
+    fed = {sample.index: told(sample, layout) for sample in board.fed}
+    if law:
+        assert board.samples == list(fed.values())
+    assert board.states[-1].sample_index <= board.fed[-1].index
+    assert all(state.count == fed[state.sample_index].count for state in board.states)

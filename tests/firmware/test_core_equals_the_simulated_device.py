@@ -455,6 +455,31 @@ def test_every_range_ends_at_the_same_value(library: ctypes.CDLL, model: RigMode
             pair.send(message)
 
 
+@pytest.mark.parametrize("state", [State.ARMED, State.RUNNING], ids=lambda state: state.name)
+def test_an_armed_device_takes_and_refuses_the_same_blocks(library: ctypes.CDLL, state: State) -> None:
+    """Live ones and others, broken in each way that a block can be; longer than one piece of a change."""
+    pair = Pair(library, rig_of())
+    pair.bring_to(state)
+    live = encode_block(
+        {"stiffness": 3.0, "damping": 1.0, "wall_position": -0.5, "fixed_shift": 7, "fixed_surface": 1}
+    )
+    broken = [b"", live, live[:7], live[6:] + live[:6], live + live[-6:], b"\xff\xff" + live[2:6], live * 2,
+              live[:6] + encode_block({"ramp_us": 3}), live + encode_block({"fixed_constant_low": 9}),
+              live[:12] + b"\x06\0\0\0\xc0\x7f", live * 5]  # fmt: skip
+    for block in broken:
+        for lie in (0, 1):
+            nonce = pair.next_nonce()
+            pair.send(m.SetBegin(nonce, len(block), block_crc(block) ^ lie))
+            for offset in range(0, len(block), 46):
+                pair.send(m.SetChunk(nonce, offset, block[offset : offset + 46]))
+            for _ in range(2):
+                pair.send(m.SetCommit(nonce))
+            pair.tick()
+    pair.send(m.SetBegin(pair.next_nonce(), 6, 0))
+    pair.send(m.SetCommit(pair.nonce))  # bytes are missing
+    pair.ask_everything()
+
+
 def _bits(ctype: str, value: Value) -> int:
     code = "<f" if ctype == "f32" else "<q"
     return int.from_bytes(struct.pack(code, value)[:4], "little")

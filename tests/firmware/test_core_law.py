@@ -264,6 +264,19 @@ def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL)
     assert board.arm().status == Status.OK
 
 
+@pytest.mark.parametrize("name", [name for name, _ in Parameters().excitation._fields_])
+def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.CDLL, name: str) -> None:
+    board = Board(library)
+    p = shaking()
+    board.prepare(**told_to_run(p))
+    while board.arm().status == Status.NOT_READY:
+        board.tick()
+    board.disarm()
+    setattr(p.excitation, name, getattr(p.excitation, name) + 1)
+    board.prepare(**told_to_run(p))
+    assert board.arm().status == Status.NOT_READY
+
+
 def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CDLL) -> None:
     board = Board(library)
     library.host_set_excitation(board.core.address, 699)
@@ -684,6 +697,21 @@ def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -
     answers = board.take(board.core.receive(board.host.send(m.GetParameters(board.nonce, 0))))
     assert [type(answer) for answer in answers] == [m.Ack, m.Parameters]
     assert answers[0].crc == answers[1].crc  # type: ignore[attr-defined]
+
+
+def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**told_to_run(push()))
+    board.nonce += 1
+    *messages, commit = set_parameters(encode_block({"fixed_surface": 95 * 256}), board.nonce)
+    for message in messages:
+        assert board.ask(message).status == Status.OK
+    question = m.GetParameters(board.nonce + 1, 0)
+    data = board.host.send(commit) + board.host.send(question)
+    assert library.host_poll(board.core.address, data, len(data)) == len(data)
+    ack, page = board.take(board.core.take())
+    assert isinstance(ack, m.Ack)
+    assert isinstance(page, m.Parameters)
+    assert (ack.status, ack.crc) == (Status.OK, page.crc)
 
 
 def test_a_reset_forgets_a_change(library: ctypes.CDLL) -> None:

@@ -29,7 +29,7 @@ UDEV = "/lib/systemd/systemd-udevd"
 TOOLS = {EMULATOR: "qemu-system-x86", BUSYBOX: "busybox-static", UDEV: "udev"}
 MEMORY_MB = 3072
 PROCESSORS = 2
-WATCHDOG_S = 240.0
+WATCHDOG_S = 480.0
 INIT = Path(__file__).with_name("init.sh")
 KERNEL_LINE = (
     "console=ttyS0 quiet loglevel=4 panic=-1 nokaslr mitigations=off clocksource=hpet random.trust_cpu=on"

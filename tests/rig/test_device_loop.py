@@ -72,9 +72,12 @@ def test_arithmetic_follows_the_estimator_unless_it_is_said(estimator, arithmeti
     assert device_law.arithmetic_of(x.controller) == expected
 
 
-def test_a_beat_of_the_host_is_refused():
-    with pytest.raises(ConfigError, match=r'host.pacing = "host": must be "device"'):
-        config.override(ON_DEVICE, {"host.pacing": "host"})
+@pytest.mark.parametrize(
+    ("key", "value", "instead"), [("pacing", "host", "device"), ("overrun", "stop", "skip")]
+)
+def test_a_beat_of_the_host_is_refused(key, value, instead):
+    with pytest.raises(ConfigError, match=rf'host.{key} = "{value}": must be "{instead}"'):
+        config.override(ON_DEVICE, {f"host.{key}": value})
 
 
 # ---------------------------------------------------------------------- real time

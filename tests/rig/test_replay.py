@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from dataclasses import replace
 
@@ -27,7 +26,7 @@ from rig.recording.capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
 from rig.ring import Ring
 from rig.sample import Phase, RowFlag
-from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 
@@ -297,24 +296,20 @@ def test_changes_that_cannot_be_meant_are_refused(finished):
 
 def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_tick(tmp_path, monkeypatch):
     """Two sets while the handle approaches: the loop takes each between two ticks, and the trailer keeps them."""
-    link, rings = new_link(), []
+    rings = []
     allocate = Ring.allocate
     monkeypatch.setattr(
         Ring, "allocate", lambda *given, **options: rings.append(allocate(*given, **options)) or rings[-1]
     )
     base = controller.for_experiment(SHORT, current_quantum_a=0.001)
-    tick, count = link._tick, itertools.count()
 
-    def posting():
-        number = next(count)
-        if rings and number in (60, 64):
-            values = np.concatenate([[0.0], base.law.parameters])
-            values[1] *= 0.5 if number == 60 else 0.25
-            rings[0].post(values)
-        tick()
+    def posting(share):
+        values = np.concatenate([[0.0], base.law.parameters])
+        values[1] *= share
+        return lambda device: rings[0].post(values)
 
-    monkeypatch.setattr(link, "_tick", posting)
-    recording = recorded(tmp_path, link=link)
+    happenings = Faults(device=(Happening(60, posting(0.5)), Happening(64, posting(0.25))))
+    recording = recorded(tmp_path, faults=happenings)
     sets = recording.trailer["parameter_sets"]
     assert [one["number"] for one in sets] == [1, 2]
     in_force = recording.rows["parameter_set"]

@@ -135,6 +135,24 @@ def test_a_compiler_that_fails_is_quoted(
     assert not list(tmp_path.glob("firmware-*"))
 
 
+def test_a_source_that_calls_what_there_is_not_is_an_error_of_the_compiler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "lacking.c"
+    source.write_text("int there_is_none(void);\nint lacking(void) { return there_is_none(); }\n")
+    monkeypatch.setattr(firmware_library, "sources", lambda: [source])
+    with pytest.raises(ConfigError, match="there_is_none"):
+        firmware_library.compiled(tmp_path)
+
+
+def test_a_library_that_does_not_open_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "firmware.so"
+    path.write_bytes(b"not a library")
+    monkeypatch.setattr(firmware_library, "compiled", lambda directory: path)
+    with pytest.raises(ConfigError, match=r"firmware\.so"):
+        firmware_library.library.__wrapped__()
+
+
 def test_a_compiler_is_named_with_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
     found = firmware_library.compiler()
     monkeypatch.setenv("CC", f"{found[0]} -m64")

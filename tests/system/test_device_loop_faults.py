@@ -33,7 +33,7 @@ from sim_backend.link import MemoryLink
 
 RATE = 5000
 START = -0.015
-EVERY = 3  # of the frames: each kind strikes others
+EVERY = 4  # of the frames: each kind strikes others
 SHORT = config.override(
     presets.load("koul-compliant"),
     {

@@ -484,10 +484,8 @@ void device_send(struct device *device, struct packet *packet)
 static void begin_supervision(struct device *device)
 {
     device->supervised = true;
-    if (!device->renderer.there)
-        return;
-    renderer_reset(&device->renderer);
-    prepare_batch(device);
+    if (device->renderer.there)
+        renderer_reset(&device->renderer);
 }
 
 static void take_command(struct device *device, const uint8_t *raw)

@@ -242,11 +242,16 @@ void host_tell(struct host *host)
     be_idle(host);
 }
 
-void host_tick(struct host *host)
+void host_tick_alone(struct host *host)
 {
     host->driving = true;
     device_tick(&host->device);
     host->driving = false;
+}
+
+void host_tick(struct host *host)
+{
+    host_tick_alone(host);
     device_flush(&host->device);
     be_idle(host);
 }

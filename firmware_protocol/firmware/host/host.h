@@ -96,6 +96,7 @@ int16_t host_drive(struct host *host);
 void host_sample(struct host *host);
 void host_tell(struct host *host);
 void host_tick(struct host *host);
+void host_tick_alone(struct host *host); /* what is to be sent waits for host_poll, as on a board */
 void host_missed(struct host *host, uint32_t ticks);
 void host_fault(struct host *host, uint8_t fault);
 

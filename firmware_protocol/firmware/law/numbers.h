@@ -105,9 +105,9 @@ static inline int64_t law_part(int64_t value, uint32_t share)
 {
     const int64_t whole = value >> 15;
     const uint32_t rest = (uint32_t)((uint64_t)value & 0x7FFF), low = (uint32_t)((uint64_t)whole & UINT32_MAX);
-    const int32_t high = (int32_t)(whole >> 32); /* 17 bits and a sign */
+    const int32_t high = (int32_t)(whole >> 32); /* 16 bits and a sign: with the share, 32 bits */
     const uint32_t a = (low & 0xFFFF) * share + (rest * share >> 15), b = (low >> 16) * share;
-    return (int64_t)((uint64_t)((int64_t)high * (int32_t)share) << 32) + (int64_t)((uint64_t)b << 16) + a;
+    return (int64_t)((uint64_t)(uint32_t)(high * (int32_t)share) << 32) + (int64_t)((uint64_t)b << 16) + a;
 }
 
 /* Nearest value that fits a two's complement word of 2 to 32 bits. */

@@ -39,6 +39,7 @@ static void send_state(struct device *d)
     at = put(put(put(put(at, d->command_sequence, 2), 0, 2), d->sample, 4), units, 4);
     at = put(put(put(put(at, (uint32_t)count, 4), units, 4), (uint16_t)d->current, 2), (uint16_t)d->current, 2);
     at = put(put(put(put(put(put(at, 0, 2), 0, 2), 0, 2), 0, 2), STATE_RUNNING, 1), 0, 1);
+    put(put(at, 0, 1), 0, 4); /* no law, no sync */
     int size = seal(frame, STATE_TYPE, d->session, d->sequence, STATE_PAYLOAD);
     d->sequence = (d->sequence + 1) & 0xFFFF;
     if (write(d->descriptor, frame, size) != size)

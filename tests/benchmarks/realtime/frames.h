@@ -13,7 +13,7 @@
 #define HEADER 6
 #define CRC 4
 #define COMMAND_PAYLOAD 10
-#define STATE_PAYLOAD 34
+#define STATE_PAYLOAD 39
 #define ROOM 64
 #define MODE_STOP 2
 

@@ -27,7 +27,8 @@ int64_t near_read(int64_t handle, int64_t address, int64_t size)
     int32_t count = (int32_t)(near->index / 64 % 512) - 256;
     at = put(put(put(put(at, 0, 2), 0, 2), (uint64_t)near->index, 4), units, 4);
     at = put(put(put(put(at, (uint32_t)count, 4), units, 4), 0, 2), 0, 2);
-    put(put(put(put(put(put(at, 0, 2), 0, 2), 0, 2), 0, 2), STATE_RUNNING, 1), 0, 1);
+    at = put(put(put(put(put(put(at, 0, 2), 0, 2), 0, 2), 0, 2), STATE_RUNNING, 1), 0, 1);
+    put(put(at, 0, 1), 0, 4); /* no law, no sync */
     return seal(frame, STATE_TYPE, (int)near->session, (int)(near->index & 0xFFFF), STATE_PAYLOAD);
 }
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rig.excitation_table import PHASES, ExcitationTable
 from rig.sample import Phase
-from tests.firmware.law.law_cortex import CORES, Simulator, build
+from tests.firmware.law.law_cases import shaken
+from tests.firmware.law.law_cortex import CORES, PARAMETERS, TABLE, WORK, Simulator, build
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
-from tests.firmware.law.law_library import inputs
+from tests.firmware.law.law_library import Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
 
 SCHEMES = {"dual": DUAL, "uniform": UNIFORM}
@@ -49,6 +51,7 @@ BUDGETS = {
 }
 IMAGE_BYTES = 23_000
 STACK_BYTES = 512
+COSINE_CYCLES = 86  # of one line at one tick, when the excitation is worked out
 
 
 @pytest.fixture(scope="module", params=CORES)
@@ -87,3 +90,22 @@ def test_every_tick_has_the_bits_of_the_host_within_its_budget(law, image, hits)
         )
         assert spent.max() <= BUDGETS[image.core.name][name], name
         assert simulator.stack <= STACK_BYTES, name
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_an_excitation_is_ready_in_seconds(image):
+    """250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases."""
+    for phases in PHASES:
+        excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
+        simulator = Simulator(image)
+        simulator.uc.mem_write(PARAMETERS, bytes(shaken(FIXED, excitation)))
+        simulator.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
+        cosines = 2 * excitation.lines
+        simulator.call("law_excitation_continue", WORK, cosines)
+        table = np.frombuffer(bytes(simulator.uc.mem_read(TABLE, 4)), np.int16)
+        assert (table == excitation.table[:2]).all()
+        each = simulator.cycles / cosines
+        seconds = each * excitation.lines * excitation.period / image.core.clock_hz
+        print(f"{image.core.name} {phases}: {each:.0f} cycles a cosine, {seconds:.1f} s of work")
+        assert each <= COSINE_CYCLES

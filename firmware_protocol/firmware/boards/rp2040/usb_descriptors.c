@@ -102,7 +102,7 @@ static const char *const texts[] = {
     [TEXT_MAKER] = "haptic-rig",
     [TEXT_NAME] = "haptic rig on RP2040",
     [TEXT_RIG] = "haptic rig bytes",
-    [TEXT_PORT] = "haptic rig serial port",
+    [TEXT_PORT] = "haptic rig bytes, a serial port", /* 31 letters: a whole packet, which an empty one ends */
 };
 #define TEXTS (sizeof texts / sizeof *texts)
 #define SERIAL_DIGITS 16u
