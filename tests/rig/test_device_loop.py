@@ -24,7 +24,7 @@ from tests.rig.test_doctor_gate import link
 RIGID = presets.load("koul-rigid")
 ON_DEVICE = config.override(RIGID, {"controller.loop": "device"})
 HOLDS = config.override(ON_DEVICE, {"wall.stiffness": 150.0, "wall.damping": 0.1})  # in every hand
-EXAMPLE = Path(__file__).parents[2] / "examples" / "pico.toml"
+EXAMPLE = Path(__file__).parents[2] / "firmware_protocol/firmware/boards/rp2040/example.toml"
 SHAKEN = config.shaken(
     config.override(
         ON_DEVICE,

@@ -19,7 +19,7 @@ from rig.sample import Phase
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "pico.toml"
+EXAMPLE = Path(__file__).parents[2] / "firmware_protocol/firmware/boards/rp2040/example.toml"
 SHORT = {
     "trial.duration_s": 0.3,
     "trial.release_s": 0.02,
