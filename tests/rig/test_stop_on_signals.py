@@ -18,6 +18,8 @@ from rig.ring import Ring
 def handlers() -> Iterator[None]:
     """As they are in a program of its own."""
     before = {number: signal.getsignal(number) for number in STOPPING}
+    for number in STOPPING:  # which a shell may have told this process to ignore
+        signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     for number, handler in before.items():
