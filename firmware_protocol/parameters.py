@@ -193,6 +193,17 @@ PARAMETERS: tuple[Parameter, ...] = (
         20_000,
         "cap on the lifetime of a COMMAND that supervises a law on the device",
     ),
+    Parameter(
+        22,
+        "encoder_sign",
+        "i8",
+        "",
+        -1,
+        1,
+        1,
+        "-1: counts fall while the position rises; a device has one of them, and takes no other",
+        excluded=(0,),
+    ),
     *LAW_PARAMETERS,
 )
 

@@ -114,6 +114,7 @@ def describe(
         position_rate_maximum=rate_maximum,
         ranges={
             "motion": (motion, motion),
+            "encoder_sign": (model.encoder.sign, model.encoder.sign),
             "current_limit": (0, peak),
             "continuous_current": (0, peak),
             **(narrower or {}),

@@ -182,6 +182,7 @@ def device_parameters(
     )
     values: dict[str, Value] = {
         "motion": 0 if rig.motion == "rotary" else 1,
+        "encoder_sign": rig.encoder.sign,
         "position_rate": rates.position_rate,
         "velocity_divider": rates.position_rate // rates.velocity_rate,
         "stiffness": wall.stiffness,

@@ -70,7 +70,14 @@ class Core:
             Mechanics(**asdict(board.moved_mechanics(model))),
         )
         library.host_setup(self.address, ctypes.byref(setup))
-        for narrow in ("motion", "position_rate", "current_limit", "continuous_current", "law"):
+        for narrow in (
+            "motion",
+            "encoder_sign",
+            "position_rate",
+            "current_limit",
+            "continuous_current",
+            "law",
+        ):
             info = self.dictionary.parameter(narrow)
             assert info is not None
             bounds = [_bits(narrow, bound) for bound in (info.minimum, info.maximum)]

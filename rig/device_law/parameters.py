@@ -26,6 +26,7 @@ FIXED_ESTIMATOR = "fdm-butterworth-fixed"  # the only one in integers
 SETPOINT_BITS = 24
 MOST_TICKS = 2**32 - 1
 I32 = (-(2**31), 2**31 - 1)
+MOST_PERIODS_A_TICK = 8
 MOST_EXCITATION = 2.0**15  # quanta: what a table without fractional bits can hold
 
 # What decides a value that does not fit, by the beginning of its name: the longest that matches.
@@ -75,6 +76,7 @@ def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
     """
     c, law = _plain(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
+    _check_work(c)
     values: Values = {parameter.name: parameter.default for parameter in LAW_PARAMETERS}
     values |= {
         "law": ARITHMETICS.index(arithmetic),
@@ -175,6 +177,18 @@ def _check_arithmetic(c: Control, controller: Controller, arithmetic: Arithmetic
             "extrapolate",
             "the law in integers holds the velocity",
             'choose controller.prediction = "hold", or controller.arithmetic = "float32"',
+        )
+
+
+def _check_work(c: Control) -> None:
+    """A filter that was not asked for some periods makes them up in one tick: not too many for a board."""
+    if c["slow_multiple"] > MOST_PERIODS_A_TICK:
+        raise refusal(
+            "controller.slow_velocity_rate",
+            round(1.0 / (c["tick_s"] * c["velocity_divider"] * c["slow_multiple"])),
+            f"{c['slow_multiple']} velocity periods would be made up in one tick, and a board has time for "
+            f"{MOST_PERIODS_A_TICK}",
+            "choose it no lower than that share of controller.velocity_rate",
         )
 
 

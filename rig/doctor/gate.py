@@ -9,8 +9,9 @@ Refused is, on a real device,
   those that may hold it (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
 
 A law that the device runs itself answers within the tick: what delays it is the device's own execution time, which is
-less than a tick or the device says so (missed ticks). Its wall is judged without delay, and what a whole tick would
-make of it is said. The link only has to bring a word within the lifetime of that loop, which is longer.
+less than a tick or the device says so (missed ticks), and the amplifier's input, such as the period of a pulse width.
+Its wall is judged without delay, and what a whole tick would make of it is said. The link only has to bring a word
+within the lifetime of that loop, which is longer.
 
 Linear theory leaves out Coulomb friction, which holds walls that it calls unstable; the gate does not count on it. That
 the wall is passive is not asked, but said. A simulated device is never refused.
@@ -268,7 +269,7 @@ def _on_homing(radius: Mapping[str, float], delay: int) -> list[str]:
 
 
 def _on_execution(experiment: Experiment) -> list[str]:
-    """What a whole tick of delay, more than a device that keeps its ticks can have, would make of the wall."""
+    """What a whole tick of delay would make of the wall: some two thirds of one is the device's at its highest rate."""
     wall = experiment.wall
     says = "the law runs on the device, within the tick"
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)

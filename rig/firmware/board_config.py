@@ -57,6 +57,7 @@ def configure(
         narrower={
             "law": (0, board.law_maximum),
             "excitation_period": (2, max(2, board.excitation_ticks)),
+            **({} if board.excitation_ticks else {"excitation_lines": (0, 0)}),
         },
     )
     record = Record(facts, dictionaries.encode(dictionary))

@@ -191,7 +191,10 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
         f"{name} is {theirs:g} there and {wanted:g} here"
         for name, theirs, wanted in (
             ("current quantum (A)", dictionary.current_quantum_a, ours.current_quantum_a),
-            *((name, _most(dictionary, name), _most(ours, name)) for name in ("motion", "current_limit")),
+            *(
+                (name, _most(dictionary, name), _most(ours, name))
+                for name in ("motion", "encoder_sign", "current_limit")
+            ),
         )
         if theirs != wanted
     ]

@@ -72,6 +72,7 @@ def test_the_constant_in_c_is_the_rig(model, tmp_path):
     narrower = {PARAMETERS[int(i)].name: (int(low), int(high)) for i, low, high in map(str.split, said[2:-1])}
     peak = peak_current(model)
     assert narrower["motion"] == (1, 1)
+    assert narrower["encoder_sign"] == (model.encoder.sign % 2**32,) * 2
     assert narrower["current_limit"] == narrower["continuous_current"] == (0, peak)
     assert narrower["position_rate"][1] == board.rate_maximum
     assert list(narrower) == sorted(narrower, key=[p.name for p in PARAMETERS].index)
@@ -233,3 +234,15 @@ def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name):
     assert len(whole.data) - len(image) < 256
     assert whole.address + len(whole.data) <= board.flash.origin + board.flash.bytes
     assert info(str(made.uf2)).firmware == made.firmware
+
+
+@pytest.mark.parametrize(
+    "chosen", [{"pwm_frequency": 3100, "set_point": "offset"}, {"pwm_frequency": 125_000}]
+)
+def test_the_ends_of_what_the_amplifier_may_be_are_built(tmp_path, chosen):
+    """At the slowest pulse width a period just fits the 16 bits of its counter; slower is refused by name."""
+    cross.need_compiler()
+    model = config.rig_model(presets.load("koul-rigid"))
+    assert build(BuildRequest(model=model, board="rp2040", output=tmp_path, settings=chosen)).uf2.is_file()
+    with pytest.raises(ConfigError, match="pwm_frequency"):
+        boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})

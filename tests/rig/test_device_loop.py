@@ -80,6 +80,22 @@ def test_a_beat_of_the_host_is_refused(key, value, instead):
         config.override(ON_DEVICE, {f"host.{key}": value})
 
 
+def test_what_one_tick_would_have_to_make_up_is_bounded():
+    """At 20k/2k a handle sampled ten times as rarely asks ten filter steps of one tick; five are taken."""
+
+    def told(slow_velocity_rate):
+        x = config.override(
+            ON_DEVICE,
+            {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1},
+        )
+        return controller.device_parameters(x, current_quantum_a=0.001, reference_count=0, verified=True)
+
+    assert told(400)["slow_multiple"] == 5
+    with pytest.raises(PlanError, match=r"slow_velocity_rate = 200 .* 10 velocity periods") as refused:
+        told(200)
+    assert "loop" in refused.value.remedy
+
+
 # ---------------------------------------------------------------------- real time
 
 

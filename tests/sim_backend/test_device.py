@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -102,6 +104,16 @@ def test_parameters_of_the_other_motion_are_refused() -> None:
     host.identify()
     ack = host.configure(**RUN_PARAMETERS, motion=1)
     assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["motion"].id)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_host_that_believes_in_the_other_sign_of_the_encoder_is_refused(sign: Literal[-1, 1]) -> None:
+    rig = rotary_rig()
+    host = host_of(replace(rig, encoder=replace(rig.encoder, sign=sign)))
+    host.identify()
+    assert host.configure(**RUN_PARAMETERS, encoder_sign=sign).status == Status.OK
+    ack = host.configure(**RUN_PARAMETERS, encoder_sign=-sign)
+    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["encoder_sign"].id)
 
 
 def test_a_default_rate_above_the_maximum_is_refused_at_once() -> None:

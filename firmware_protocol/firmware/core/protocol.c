@@ -45,6 +45,7 @@ const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
     {19, HR_FLOAT, 0, 0, 0x3E000000u, 0x46000000u, 0x41000000u, 0x00000000u}, /* thermal_time_constant */
     {20, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* hold_to_run */
     {21, HR_UNSIGNED, 0, 0, 0x00000064u, 0x000186A0u, 0x00004E20u, 0x00000000u}, /* supervise_lifetime_us */
+    {22, HR_SIGNED, 1, 0, 0xFFFFFFFFu, 0x00000001u, 0x00000001u, 0x00000000u}, /* encoder_sign */
     {32, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* law */
     {33, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* batch_layout */
     {34, HR_UNSIGNED, 0, 0, 0x00000001u, 0x0000004Cu, 0x0000002Du, 0x00000000u}, /* batch_samples */

@@ -11,6 +11,10 @@
 #error "pwm_pin must be an even pin of slices 0 to 5: 0 to 10 or 16 to 26"
 #endif
 
+#if CLOCK_HZ / BOARD_PWM_FREQUENCY > 65535
+#error "pwm_frequency is too low: its period does not fit the 16 bits of a slice at this clock"
+#endif
+
 #define SLICE (BOARD_PWM_PIN / 2u % 8u)
 #define PERIOD (CLOCK_HZ / BOARD_PWM_FREQUENCY) /* cycles: the steps of the set-point */
 
