@@ -75,7 +75,8 @@ class Fault(Described):
     TICK_OVERRUN = (
         6,
         "the device did not finish a tick within its period",
-        "lower position_rate; then clear the fault",
+        "lower position_rate, or take a law in integers (estimator fdm-butterworth-fixed), which is faster than "
+        "float32 on a board without floating point; then clear the fault",
     )
     EMERGENCY_STOP = (
         7,

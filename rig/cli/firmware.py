@@ -137,7 +137,10 @@ def flash(image: Path, drive: Path | None, as_json: bool) -> None:
     if as_json:
         output.print_json({**asdict(done), "image": str(done.image), "drive": str(done.drive)})
         return
-    click.echo(f"{done.board} at {done.drive} runs {done.firmware}, for the rig {done.rig}")
+    click.echo(
+        f"the drive at {done.drive} took the image: {done.board}, {done.firmware}, for the rig {done.rig}. "
+        "Check that it runs: rig firmware info URL"
+    )
     click.echo("next: rig devices lists it; then rig firmware selftest URL")
 
 

@@ -194,28 +194,42 @@ def _check_board(image: Path, record: Record, drive: Drive) -> None:
 
 
 def _copy(content: bytes, drive: Drive, name: str, told: Told) -> None:
-    """Write the file; the board may vanish before the system is done with it, which is success."""
+    """Write the file; the board may vanish once it has every byte, before the system is done: that is success."""
+    at = 0
     try:
         with (drive.path / name).open("wb", buffering=0) as file:
-            for at in range(0, len(content), _CHUNK):
-                file.write(content[at : at + _CHUNK])
+            while at < len(content):
+                at += file.write(content[at : at + _CHUNK])
                 told("writing", at / len(content))
-            told("writing", 1.0)
             with suppress(OSError):
                 os.fsync(file.fileno())
     except OSError as error:
-        if not (drive.path / INFO_FILE).exists():
+        gone = not _is_there(drive)
+        if gone and at == len(content):
             return
+        if gone:
+            raise LinkLostError(
+                f"the board at {drive.path} went away in mid-copy, after {at} of {len(content)} bytes",
+                remedy=HOLD,
+            ) from None
         raise LinkLostError(
             f"the image cannot be written to {drive.path}: {error.strerror or error}",
             remedy="check that the drive is mounted for you to write, and not full, and unplug and try again",
         ) from None
 
 
+def _is_there(drive: Drive) -> bool:
+    """Whether the drive still shows its file; a stale mount, which gives an error, is one that is gone."""
+    try:
+        return (drive.path / INFO_FILE).exists()
+    except OSError:
+        return False
+
+
 def _wait_until_gone(drive: Drive, told: Told) -> None:
     """Wait for the board to restart: nothing else says that it has taken the image."""
     deadline = time.monotonic() + VANISH_S
-    while (drive.path / INFO_FILE).exists():
+    while _is_there(drive):
         left = deadline - time.monotonic()
         if left <= 0.0:
             raise LinkLostError(

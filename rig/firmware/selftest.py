@@ -413,7 +413,8 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
         device.disarm(clear_fault=True)
     finally:
         device.configure(before)
-    return judge_stream(said, experiment.controller.position_rate * request.seconds, device.dictionary)
+    rate = experiment.controller.position_rate
+    return judge_stream(said, rate * request.seconds, rate, device.dictionary)
 
 
 def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:

@@ -8,10 +8,11 @@ from firmware_protocol.packing import unpack_batch_samples
 from rig.firmware.check import Check
 
 STREAM_SHARE = 0.9  # of the ticks must be told: the rest is beginning and end
+LOAD_LIMIT = 0.8  # of a period: a tick that takes longer leaves nothing for what the check does not run
 
 
-def judge_stream(said: list[m.Message], ticks: float, dictionary: Dictionary) -> Check:
-    """Judge what a supervised device has said while it was to run so many ticks without a current."""
+def judge_stream(said: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
+    """Judge what a supervised device has said while it was to run so many ticks, at a rate (Hz), without a current."""
     batches = [message for message in said if isinstance(message, m.Batch)]
     states = {message.sample_index: message for message in said if isinstance(message, m.State)}
     rows, gaps = _rows(batches)
@@ -27,10 +28,17 @@ def judge_stream(said: list[m.Message], ticks: float, dictionary: Dictionary) ->
             "stream", "failed", f"BATCH and STATE tell different counts in {len(differ)} ticks", remedy
         )
     text = f"{len(rows)} samples in {len(batches)} frames, {gaps} gaps"
+    worst = max((state.execution_time for state in states.values()), default=0)
+    load = worst * dictionary.time_unit_ns * 1e-9 * rate
+    of_what = "homing only, as nothing moves: no contact, no release"
+    timed = f"the longest tick took {100 * load:.2g} % of a period ({of_what})"
     if gaps or len(rows) < STREAM_SHARE * ticks:
         slower = "take a lower rate, a faster link, or free the computer: rig doctor says what it can do"
         return Check("stream", "failed", f"{text}, where {ticks:.0f} ticks passed", slower)
-    return Check("stream", "ok", f"{text}; no current")
+    if load > LOAD_LIMIT:
+        slower = "take a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
+        return Check("stream", "failed", f"{text}; {timed}", slower)
+    return Check("stream", "ok", f"{text}; no current; {timed}")
 
 
 def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:

@@ -1,7 +1,10 @@
 """Flashing by copying to the drive of a boot ROM; the drive is a directory here."""
 
+import errno
+
 import pytest
 
+import rig.cli
 from firmware_protocol import dictionary as dictionaries
 from rig.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.firmware import flash as flashing
@@ -106,3 +109,45 @@ def test_a_drive_that_takes_nothing_is_told(image, drive):
     (drive / "a.uf2").mkdir()
     with pytest.raises(LinkLostError, match="cannot be written"):
         flash(image)
+
+
+def test_a_board_that_goes_away_in_mid_copy_is_told(image, drive, monkeypatch):
+    monkeypatch.setattr(flashing, "_CHUNK", 64)
+
+    def told(_what, _share):
+        (drive / "INFO_UF2.TXT").unlink()
+        raise OSError(errno.EIO, "input/output error")
+
+    with pytest.raises(LinkLostError, match=r"in mid-copy, after 64 of \d+ bytes.*hold BOOTSEL"):
+        flash(image, told=told)
+
+
+def test_a_sync_that_fails_after_the_last_byte_is_fine(image, drive, monkeypatch):
+    def fsync(_descriptor):
+        (drive / "INFO_UF2.TXT").unlink()
+        raise OSError(errno.EIO, "input/output error")
+
+    monkeypatch.setattr(flashing.os, "fsync", fsync)
+    assert flash(image).bytes == image.stat().st_size
+
+
+def test_a_stale_mount_is_a_drive_that_is_gone(image, drive, monkeypatch):
+    honest = flashing.Path.exists
+
+    def stale(path, **named):
+        if path.name == flashing.INFO_FILE:
+            raise OSError(errno.EIO, "input/output error")
+        return honest(path, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(flashing.Path, "exists", stale)
+        done = flash(image, drive)
+    assert done.drive == drive
+
+
+def test_the_command_says_what_it_knows_and_how_to_check(image, drive, monkeypatch, capfd):
+    monkeypatch.setattr(flashing, "_is_there", lambda _drive: False)
+    assert rig.cli.run(["firmware", "flash", str(image)]) == 0
+    said = capfd.readouterr().out
+    assert "took the image" in said
+    assert "rig firmware info URL" in said

@@ -137,6 +137,15 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
     ],
 )
 def test_the_samples_of_a_law_on_the_device_are_judged(said, ticks, outcome, text):
-    check = judge_stream(said, ticks, DICTIONARY)
+    check = judge_stream(said, ticks, 1_000, DICTIONARY)
     assert check.outcome == outcome
     assert text in check.text
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(0.79, "ok"), (0.81, "failed")])
+def test_a_law_that_leaves_too_little_of_a_period_is_found(share, outcome):
+    period = 1e9 / DICTIONARY.time_unit_ns / 1_000
+    worst = state(0, count=103, execution_time=round(share * period))
+    check = judge_stream([*WHOLE, worst, state(7)], 4, 1_000, DICTIONARY)
+    assert check.outcome == outcome
+    assert f"{100 * share:.0f} % of a period (homing only" in check.text

@@ -115,7 +115,7 @@ def test_what_was_built_for_a_pico_is_flashed_to_a_pico(run, tmp_path, monkeypat
     monkeypatch.setattr(flashing, "_wait_until_gone", lambda *_arguments: None)
     code, out, err = run("firmware", "flash", made.uf2, "--drive", drive)
     assert code == 0, err
-    assert f"rp2040 at {drive} runs {made.firmware}" in out
+    assert f"the drive at {drive} took the image: rp2040, {made.firmware}" in out
     assert (drive / made.uf2.name).read_bytes() == made.uf2.read_bytes()
 
 
