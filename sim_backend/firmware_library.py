@@ -72,7 +72,10 @@ class Status(ctypes.Structure):
     _fields_ = [
         ("time", ctypes.c_uint64),
         ("due", ctypes.c_uint64),
-        *((name, ctypes.c_uint32) for name in ("sample_index", "rate", "cuts", "feeds", "dropped")),
+        *(
+            (name, ctypes.c_uint32)
+            for name in ("sample_index", "rate", "cuts", "feeds", "dropped", "frames_driven")
+        ),
         ("current", ctypes.c_int32),
         *((name, ctypes.c_uint8) for name in ("state", "session", "fault", "enabled")),
         ("counters", Counters),

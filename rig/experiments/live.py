@@ -16,6 +16,7 @@ from typing import Any
 
 from rig import config, controller, device_law, running
 from rig.config import Experiment
+from rig.device_law.walls import BILATERAL
 from rig.doctor.gate import check_change
 from rig.errors import ConfigError, PlanError, RigError
 from rig.experiments.plan import Outcome, make_plan
@@ -86,7 +87,8 @@ def change_wall(
     ConfigError
         No loop runs, a key that may not change, or a value out of its range.
     PlanError
-        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`), or a law on the device.
+        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`), or a law on the device; or a
+        bilateral wall.
     RigError
         The loop ended, another version started it, or it says too little about itself.
     """
@@ -151,6 +153,7 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
                 remedy="change it from there",
             )
         running_now = config.experiment_from_mapping(info["experiment"], "the running experiment")
+        _check_sides(running_now)
         experiment = config.override(running_now, changes, "the change")
         if info.get("gate"):
             check_change(experiment, info["gate"])
@@ -168,6 +171,15 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
         if number:
             return number, experiment
     raise RigError("others keep changing the same wall", remedy="let one of them do it")
+
+
+def _check_sides(experiment: Experiment) -> None:
+    """Refuse a wall whose spring acts on both sides: no place is free of it, and each change would be a jump."""
+    if experiment.wall.law in BILATERAL:
+        raise PlanError(
+            f"the spring of a {experiment.wall.law} wall acts on both sides: it does not change while it runs",
+            remedy="end the run and start it with the other wall",
+        )
 
 
 def _info_with(

@@ -245,3 +245,19 @@ def test_however_little_time_there_is_between_ticks_each_frame_leaves_whole(
         assert board.samples == list(fed.values())
     assert board.states[-1].sample_index <= board.fed[-1].index
     assert all(state.count == fed[state.sample_index].count for state in board.states)
+
+
+@pytest.mark.parametrize("end", ["stop", "disarm"])
+def test_the_current_is_gone_before_what_waits_is_packed_and_sent(library: ctypes.CDLL, end: str) -> None:
+    board = board_of(library)
+    board.run([120] * 60)
+    before = board.core.status
+    assert before.current != 0
+    sent = len(board.samples)
+    if end == "stop":
+        board.command(Mode.STOP)
+    else:
+        assert board.disarm().status == 0
+    after = board.core.status
+    assert len(board.samples) > sent
+    assert (after.current, after.frames_driven) == (0, before.frames_driven)

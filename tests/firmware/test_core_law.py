@@ -601,6 +601,15 @@ def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> No
         assert (bytes(law_of(board)) == before) == (status is not Status.OK)
 
 
+def test_a_bilateral_wall_does_not_change_while_it_runs(library: ctypes.CDLL) -> None:
+    """Its spring acts on both sides: no place is free of it."""
+    board = Board(library).begin(**told_to_run(push(), bilateral=1))
+    for count in (50, 100, 101):
+        board.run([count] * 3)
+        assert board.configure(fixed_surface=150 * 256).status == Status.INSIDE_WALL
+        assert board.configure(fixed_stiffness=0).status == Status.INSIDE_WALL
+
+
 def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: ctypes.CDLL) -> None:
     board = Board(library).begin(**told_to_run(push()))
     board.run([0] * 5)

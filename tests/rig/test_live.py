@@ -158,6 +158,16 @@ def test_what_must_not_be_changed_is_refused_and_nothing_is_posted(
     assert ring.info_and_word() == before
 
 
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_a_bilateral_wall_is_not_changed_while_it_runs(loop: str) -> None:
+    """Its spring acts on both sides: no place is free of it."""
+    experiment = override(EXPERIMENT, {"wall.law": "bilateral", "controller.loop": loop})
+    ring = Ring.allocate(1, info=info_of(experiment))
+    with pytest.raises(PlanError, match="both sides"):
+        live._post(ring, {"wall.stiffness": 100.0})
+    assert ring.writer().posted == 0
+
+
 @pytest.mark.parametrize(
     ("info", "said"),
     [

@@ -219,9 +219,9 @@ static struct refusal disarm(struct device *device)
         refusal.detail = (uint16_t)present;
         return refusal;
     }
+    device_switch_off(device); /* first: what is packed and sent takes its time */
     device_end_supervision(device);
     faults_clear(&device->faults);
-    device_switch_off(device);
     return refusal;
 }
 

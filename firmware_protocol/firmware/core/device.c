@@ -488,6 +488,14 @@ static void begin_supervision(struct device *device)
         renderer_reset(&device->renderer);
 }
 
+/* The current first: what is packed and sent takes its time. */
+static void stop(struct device *device)
+{
+    device_cut(device);
+    watchdog_idle(&device->watchdog, device->time);
+    device_end_supervision(device);
+}
+
 static void take_command(struct device *device, const uint8_t *raw)
 {
     const uint8_t mode = raw[HR_AT_COMMAND_MODE];
@@ -499,15 +507,14 @@ static void take_command(struct device *device, const uint8_t *raw)
     device->command_sequence = get_u16(raw + HR_AT_HEADER_SEQUENCE);
     device->command_age = 0;
     device->commanded = true;
+    if (mode == HR_MODE_STOP) {
+        stop(device);
+        return;
+    }
     if (mode != HR_MODE_SUPERVISE)
         device_end_supervision(device);
     else if (!device->supervised)
         begin_supervision(device);
-    if (mode == HR_MODE_STOP) {
-        watchdog_idle(&device->watchdog, device->time);
-        device_cut(device);
-        return;
-    }
     const uint32_t cap_us = device->supervised ? device->supervise_lifetime_us : device->command_lifetime_us;
     const uint32_t lifetime_us = wanted_us < cap_us ? wanted_us : cap_us;
     const int16_t current = device->supervised ? 0 : signed_16(get_u16(raw + HR_AT_COMMAND_CURRENT));

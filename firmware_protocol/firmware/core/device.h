@@ -128,6 +128,9 @@ size_t device_poll(struct device *device);
 bool device_is_preparing(const struct device *device);
 bool device_is_changing(const struct device *device);
 
+/* Whether it drives the motor. A session may last longer: a fault leaves it open until DISARM. */
+bool device_is_armed(const struct device *device);
+
 /* The port has found a fault (enum hr_fault): zero effort from here on, FAULT latched. */
 void device_fault(struct device *device, uint8_t fault);
 

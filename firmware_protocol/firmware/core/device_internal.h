@@ -13,9 +13,6 @@ void answer_live_change(struct device *device);
 /* Run under other parameters from the next tick on, or return false and go on as before. */
 bool device_apply(struct device *device, const struct candidate *candidate);
 
-/* Whether it drives the motor. */
-bool device_is_armed(const struct device *device);
-
 /* Forget what belongs to the last session: a new one begins. */
 void device_begin_session(struct device *device);
 

@@ -39,7 +39,7 @@ struct hal {
     bool (*set_rate)(void *context, uint32_t rate);
 
     /* Bytes of the host: those that are there, at most `capacity`; and a whole frame to it, taken or dropped in one:
-     * returns which. */
+     * returns which. The core does not look at that; a port that wants to know counts what it drops. */
     size_t (*link_read)(void *context, uint8_t *into, size_t capacity);
     bool (*link_write)(void *context, const uint8_t *frame, size_t count);
 

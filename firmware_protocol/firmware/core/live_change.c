@@ -77,8 +77,8 @@ static void sum_up(struct live_change *change)
     }
 }
 
-/* A wall changes in free space alone: a jump of stiffness under a pressed hand would be a jump of effort. A fault may
- * have come since the request, and then nothing changes any more. */
+/* A wall changes in free space alone: a jump of stiffness under a pressed hand would be a jump of effort. A bilateral
+ * wall leaves no space free. A fault may have come since the request, and then nothing changes any more. */
 static void change_wall(struct device *device)
 {
     struct live_change *change = &device->live_change;
@@ -87,7 +87,7 @@ static void change_wall(struct device *device)
         change->refusal.status = HR_STATUS_BAD_STATE;
         change->refusal.detail = device->connection.state;
     } else if (renderer->there
-               && (law_inside(&renderer->parameters, device->count) || law_inside(&change->law, device->count))) {
+               && !(law_is_free(&renderer->parameters, device->count) && law_is_free(&change->law, device->count))) {
         change->refusal.status = HR_STATUS_INSIDE_WALL;
     } else if (renderer->there) {
         renderer_change(renderer, &change->law);

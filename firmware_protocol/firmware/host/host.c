@@ -87,6 +87,7 @@ static bool hal_link_write(void *context, const uint8_t *frame, size_t count)
         host->dropped++;
         return false;
     }
+    host->frames_driven += host->current != 0 ? 1u : 0u;
     memcpy(host->output + host->output_count, frame, count);
     host->output_count += count;
     return true;
@@ -307,6 +308,7 @@ void host_status(const struct host *host, struct host_status *status)
     status->cuts = host->cuts;
     status->feeds = host->feeds;
     status->dropped = host->dropped;
+    status->frames_driven = host->frames_driven;
     status->current = host->current;
     status->state = device->connection.state;
     status->session = device->connection.session;

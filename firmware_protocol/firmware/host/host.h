@@ -44,6 +44,7 @@ struct host {
     size_t output_count;
     size_t output_room; /* bytes that the output holds, HR_HOST_OUTPUT_BYTES at most */
     uint32_t dropped;   /* frames that it had no room for */
+    uint32_t frames_driven; /* that left while a current was set */
 };
 
 struct host_setup {
@@ -64,6 +65,7 @@ struct host_status {
     uint32_t cuts;
     uint32_t feeds;
     uint32_t dropped;
+    uint32_t frames_driven;
     int32_t current;
     uint8_t state;
     uint8_t session;

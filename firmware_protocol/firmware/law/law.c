@@ -32,6 +32,11 @@ int law_inside(const law_parameters *p, int32_t count)
     return p->arithmetic == LAW_FLOAT ? law_float_depth(p, travel) > 0.0f : law_fixed_depth(p, travel) > 0;
 }
 
+int law_is_free(const law_parameters *p, int32_t count)
+{
+    return !p->bilateral && !law_inside(p, count);
+}
+
 law_output law_tick(law_state *s, const law_parameters *p, const law_input *in)
 {
     law_output out;

@@ -131,7 +131,7 @@ typedef struct {
     int32_t home_stiffness; /* quanta per LSB of depth * 2^home_shift */
     int32_t home_damping;   /* quanta per LSB of velocity * 2^home_shift */
     int32_t home_shift;
-    int32_t reserved; /* 0 */
+    int32_t reserved; /* 0: fills the last eight bytes, everywhere alike */
 } law_fixed_wall;
 
 /* The wall in float32. The surface is a whole count and a fraction: differences of counts are exact, so that the
@@ -259,7 +259,6 @@ typedef struct {
 
 typedef struct {
     int32_t count;          /* of the encoder, may wrap */
-    uint32_t edge_age;      /* of the last encoder edge at the sample (1/16 us); no estimator here asks for it */
     uint32_t elapsed_ticks; /* since the previous call, 1 when none was missed */
 } law_input;
 
@@ -294,5 +293,9 @@ law_output law_tick(law_state *s, const law_parameters *p, const law_input *in);
 
 /* Whether a handle at this count is inside the wall. */
 int law_inside(const law_parameters *p, int32_t count);
+
+/* Whether the wall gives no effort at this count and may become another one, or come to be: not inside, and nowhere
+ * when it is bilateral, for its spring acts on both sides. */
+int law_is_free(const law_parameters *p, int32_t count);
 
 #endif

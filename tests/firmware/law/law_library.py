@@ -103,10 +103,10 @@ State = _structure(
     (Memory, "of"),
     (ExcitationState, "excitation"),
 )
-Input = _structure("Input", (i32, "count"), (u32, "edge_age elapsed_ticks"))
+Input = _structure("Input", (i32, "count"), (u32, "elapsed_ticks"))
 Output = _structure("Output", (i32, "current"), (u32, "flags phase"))
 
-INPUTS = np.dtype([("count", "<i4"), ("edge_age", "<u4"), ("elapsed_ticks", "<u4")])
+INPUTS = np.dtype([("count", "<i4"), ("elapsed_ticks", "<u4")])
 # what the driver leaves of a tick
 TICKS = np.dtype(
     [
@@ -170,7 +170,7 @@ class LawLibrary:
         self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1
     ) -> ct.Structure:
         """One tick."""
-        sample = Input(count, 0, elapsed)
+        sample = Input(count, elapsed)
         return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
 
     def run(

@@ -411,6 +411,22 @@ def test_a_probe_of_serial_ports_does_not_take_the_link_from_a_session(host: Hos
     assert host.firmware_reads() == b"\0AT\r\n"
 
 
+def test_neither_pipe_takes_the_link_of_an_armed_device(host: Host) -> None:
+    for mine, other in ((PORT, RIG), (RIG, PORT)):
+        host.later(2_000_000)
+        assert host.give(mine, b"armed")
+        host.firmware_reads()
+        host.command("h", number=1)
+        host.later(2_000_000)
+        assert host.give(other, b"another")
+        assert host.firmware_reads() == b""
+        assert host.firmware_writes(b"still here\0")
+        assert frames_of(b"".join(host.fetch_all(mine))) == [b"still here\0"]
+        host.command("h", number=0)
+        assert host.give(other, b"another")
+        assert host.firmware_reads() == b"\0another"
+
+
 def test_a_frame_of_which_half_has_left_is_ended(host: Host) -> None:
     assert host.firmware_writes(bytes([9] * 200) + b"\0")
     host.interrupt()

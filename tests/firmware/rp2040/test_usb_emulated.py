@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from rig.presets import load
 from rig.recording.reader import open_recording
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
+from tests.firmware.rp2040.session import Session
 from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
 from tests.firmware.rp2040.usb_link import EmulatedUsb
 from tests.firmware.test_core_law import push, told_to_run
@@ -75,6 +76,20 @@ def test_it_enumerates_and_says_which_build_it_is(pico: emulator.Pico, built: Bu
 @pytest.mark.parametrize("pipe", [RIG, PORT])
 def test_it_answers_on_the_pipe_that_asked(pico: emulator.Pico, pipe: int) -> None:
     line = UsbLine(pico, pipe)
+    line.send(Connection(Role.HOST).send(IDENTIFY))
+    assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+
+
+def test_after_a_fault_on_the_serial_line_it_answers_by_usb(powered: Callable[..., Session]) -> None:
+    session = powered()
+    session.configure(position_rate=5_000)
+    session.arm()
+    session.host.command(0)
+    line = UsbLine(session.pico)
+    line.send(Connection(Role.HOST).send(IDENTIFY))
+    assert line.run(5_000.0) == b"", "an armed device keeps its link"
+    session.listen(0.05)
+    assert session.host.states[-1].state == State.FAULT
     line.send(Connection(Role.HOST).send(IDENTIFY))
     assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
 

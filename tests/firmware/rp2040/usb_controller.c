@@ -391,6 +391,9 @@ int main(void)
         case 'g': /* what the firmware reads */
             length = usb_read(data, number);
             break;
+        case 'h': /* an armed device keeps its link, or does no longer */
+            usb_hold(number != 0);
+            break;
         case 'u':
             answer = usb_is_up() ? DONE : NOBODY;
             break;

@@ -28,18 +28,24 @@ __attribute__((weak)) bool usb_write(const uint8_t *frame, size_t count)
     return false;
 }
 
+__attribute__((weak)) void usb_hold(bool held)
+{
+    (void)held;
+}
+
 void link_start(uint64_t serial)
 {
     uart_start();
     usb_start(serial);
 }
 
-size_t link_read(uint8_t *into, size_t capacity, bool in_session)
+size_t link_read(uint8_t *into, size_t capacity, bool armed)
 {
+    usb_hold(armed);
     const size_t room = capacity < BYTES_AT_ONCE ? capacity : BYTES_AT_ONCE;
     for (unsigned i = 0; i < 2u; i++) {
         const size_t count = by_usb ? usb_read(into, room) : uart_read(into, room);
-        if (count > 0 || in_session)
+        if (count > 0 || armed)
             return count;
         by_usb = !by_usb; /* nobody there: ask the other, and come back unless it speaks */
     }

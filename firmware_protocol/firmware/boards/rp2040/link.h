@@ -1,4 +1,4 @@
-/* The link is UART0 or USB: the one that spoke last. While a session runs it stays the one that began it. */
+/* The link is UART0 or USB: the one that spoke last. While the device is armed it stays the one that armed it. */
 #ifndef RP2040_LINK_H
 #define RP2040_LINK_H
 
@@ -8,7 +8,7 @@
 
 void link_start(uint64_t serial);
 
-size_t link_read(uint8_t *into, size_t capacity, bool in_session);
+size_t link_read(uint8_t *into, size_t capacity, bool armed);
 
 /* Take a whole frame or nothing. `lasts`: its bytes stay where they are until the next tick. */
 bool link_write(const uint8_t *frame, size_t count, bool lasts);

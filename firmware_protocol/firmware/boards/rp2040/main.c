@@ -74,7 +74,7 @@ static bool hal_set_rate(void *context, uint32_t rate)
 static size_t hal_link_read(void *context, uint8_t *into, size_t capacity)
 {
     (void)context;
-    return link_read(into, capacity, device.connection.session != 0);
+    return link_read(into, capacity, device_is_armed(&device));
 }
 
 /* What lies in the device itself (BATCH) stays there for a tick at least; other frames are on the stack. */

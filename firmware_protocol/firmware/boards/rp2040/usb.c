@@ -15,7 +15,8 @@
 #define FRAME_US 998u
 
 /* How long the vendor interface must be silent before the serial port may become the link: what probes serial ports
- * (ModemManager does) must not take it from a running session. The other way round it is taken at once. */
+ * (ModemManager does) must not take it from a running session. The other way round it is taken at once;
+ * and in neither way while the device is armed. */
 #define SILENCE_US 1000000u
 
 enum pipe { PIPE_RIG, PIPE_SERIAL, PIPES };
@@ -32,6 +33,7 @@ static struct {
     bool ended_full;                          /* the last packet was full: the host expects more, if only an empty one */
     bool frames;                              /* the host has begun one since the last reset */
     uint32_t frame_began;                     /* µs */
+    volatile bool held; /* an armed device keeps its link */
     volatile bool configured;
     volatile bool suspended;
     volatile bool starved; /* an out buffer waits until there is room in the ring */
@@ -106,6 +108,8 @@ static bool takes_over(enum pipe pipe)
         usb.heard = now;
     if (pipe == usb.active)
         return true;
+    if (usb.held)
+        return false;
     if (pipe == PIPE_SERIAL && now - usb.heard < SILENCE_US)
         return false;
     flush();
@@ -270,6 +274,7 @@ static void begin(uint64_t serial)
     usb.frame_cut = false;
     usb.ended_full = false;
     usb.frames = false;
+    usb.held = false;
     usb.configured = false;
     usb.suspended = false;
     usb.starved = false;
@@ -304,6 +309,11 @@ size_t usb_read(uint8_t *into, size_t capacity)
     if (count > 0 && usb.starved)
         usb_pend();
     return count;
+}
+
+void usb_hold(bool held)
+{
+    usb.held = held;
 }
 
 bool usb_write(const uint8_t *frame_bytes, size_t count)

@@ -1,5 +1,6 @@
 /* A full-speed USB device that carries the bytes of the protocol, twice over: a vendor interface with a bulk pipe each
- * way (usb://), and a serial port (/dev/ttyACM0, COM3). Whichever spoke last is the link.
+ * way (usb://), and a serial port (/dev/ttyACM0, COM3). Whichever spoke last is the link, unless usb_hold says
+ * otherwise.
  *
  * Everything of the controller happens in usb_interrupt, which must have the lowest priority there is and may be
  * interrupted by the tick at any moment; the functions beside it touch nothing but two rings. None waits. */
@@ -15,6 +16,10 @@ void usb_start(uint64_t serial);
 
 /* The bytes of the host, at most `capacity`; from the main loop. */
 size_t usb_read(uint8_t *into, size_t capacity);
+
+/* Whether the link stays with the interface that has it, because the device is armed: what comes on the other one is
+ * dropped meanwhile. From the main loop. */
+void usb_hold(bool held);
 
 /* A whole frame or nothing: false when nobody is connected or the host has not fetched the last 32 KB. From the tick or
  * the main loop, of which one must not interrupt the other. Whole words (a frame at an address divisible by four)
