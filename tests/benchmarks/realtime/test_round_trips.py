@@ -35,7 +35,7 @@ import serial
 
 from firmware_protocol import messages as m
 from firmware_protocol.framing import FrameSplitter
-from firmware_protocol.packing import unpack
+from firmware_protocol.packing import encoded_bytes, unpack
 from rig import ring as words
 from rig import system
 from rig.clock import MonotonicClock
@@ -63,7 +63,7 @@ RATE = 20_000  # a period shorter than SHORTEST_WAIT_NS, so that both wait for t
 ROUNDS, SECONDS = (15, 0.5) if FULL else (5, 0.12)
 TRIES = 3
 RING_ROWS = round(SECONDS * 200_000)
-STATE_FRAME_BYTES = 46
+STATE_FRAME_BYTES = encoded_bytes(m.State)
 WAIT_S = 10.0
 LEAST_OF_C = 0.85
 
