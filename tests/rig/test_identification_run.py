@@ -25,6 +25,7 @@ from rig.motions import nudging, tracing
 from rig.recording.reader import open_recording
 from rig.sample import Phase
 from sim_backend.device import SimulatedDevice
+from sim_backend.hardware import Hardware
 from sim_backend.link import MemoryLink
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import run_trial
@@ -205,11 +206,12 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
 
 def test_pushes_of_a_wrong_sign_move_as_little(tmp_path, monkeypatch):
     """Motor or encoder the other way round: a few hundred counts at most, then a refusal with a remedy."""
-    wrong = replace(config.rig_model(CHAWDA), encoder=replace(CHAWDA.rig.encoder, sign=-1))
+    believed = config.rig_model(CHAWDA)
+    device = SimulatedDevice(believed)  # as it was built for this rig, whose encoder is wired the other way
+    wired = replace(believed, encoder=replace(believed.encoder, sign=-1))
+    device.hardware = Hardware(wired, 1000, seed=0, initial_position=None)
     monkeypatch.setattr(
-        identifying.devices,
-        "open_device",
-        lambda url, model: FramedDevice(MemoryLink(SimulatedDevice(wrong))),
+        identifying.devices, "open_device", lambda url, model: FramedDevice(MemoryLink(device))
     )
     with pytest.raises(IdentificationError, match="other way round") as caught:
         identified(CHAWDA, tmp_path)
