@@ -188,8 +188,10 @@ class Status(Described):
 
 
 class Input(DescribedFlag):
-    """Digital inputs as STATE reports them; 1 means active."""
+    """Pins as STATE reports them; 1 means active. The last two are the device's own outputs."""
 
     EMERGENCY_STOP = 1, "the wired emergency stop is pressed", "release it when the rig is safe"
     HOLD_TO_RUN = 2, "the hold-to-run switch is held", ""
     SYNC = 4, "the sync input is high", ""
+    SYNC_TRIAL = 8, "the sync output of the trial was high up to the sample", ""
+    SYNC_INSIDE = 16, "the sync output of the wall was high up to the sample", ""

@@ -212,6 +212,7 @@ _CODES: dict[str, type[IntEnum] | type[IntFlag]] = {
     "STATUS": Status,
     "INPUT": Input,
     "MODE": m.Mode,
+    "SYNC": m.Sync,
     "DISARM": m.DisarmFlag,
 }
 

@@ -2,9 +2,10 @@
 
 numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
 another file leaves the caller's old machine code in force, which for a control law is silently wrong. So
-the cache directory carries a hash of every Python file of the three packages, of numba's and numpy's
+the cache directory carries a hash of the Python files of the three packages, of numba's and numpy's
 version and of the CPU; any edit opens a new, empty directory, and directories unused for a month are
-removed.
+removed. Only the layers at the top, in which no kernel lives and which nothing below may import, are left
+out of the hash: whoever edits a command does not wait for the compiler.
 
 `import firmware_protocol` does not load this module; whoever imports it pays for numba.
 """
@@ -29,11 +30,12 @@ import numpy
 F = TypeVar("F", bound=Callable[..., Any])
 
 PACKAGES = ("firmware_protocol", "rig", "sim_backend")
+WITHOUT_KERNELS = ("cli", "report", "plots", "reproduce", "session")  # of rig, from the top down
 UNUSED_DAYS = 30.0
 
 
-def source_files(packages: Iterable[str] = PACKAGES) -> list[Path]:
-    """Every Python file of the packages, found without importing them, in a fixed order."""
+def source_files(packages: Iterable[str] = PACKAGES, *, without: Iterable[str] = ()) -> list[Path]:
+    """Every Python file of the packages, found without importing them, in a fixed order; `without` some folders."""
     files: list[Path] = []
     for name in packages:
         try:
@@ -43,7 +45,8 @@ def source_files(packages: Iterable[str] = PACKAGES) -> list[Path]:
         if spec is None or not spec.submodule_search_locations:
             continue
         for root in spec.submodule_search_locations:
-            files += sorted(Path(root).rglob("*.py"))
+            above = {Path(root) / folder for folder in without}
+            files += [file for file in sorted(Path(root).rglob("*.py")) if not above & set(file.parents)]
     return files
 
 
@@ -92,7 +95,7 @@ def _forget_unused(root: Path, current: Path) -> None:
 
 def _open_cache() -> Path:
     root = cache_root()
-    directory = root / f"kernels-{cache_key(source_files())}"
+    directory = root / f"kernels-{cache_key(source_files(without=WITHOUT_KERNELS))}"
     try:
         fresh = not directory.exists()
         directory.mkdir(exist_ok=True)

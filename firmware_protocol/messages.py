@@ -52,6 +52,19 @@ class Mode(IntEnum):
     STOP = 2  # zero current now, without a ramp; the device stays armed
 
 
+class Sync(IntFlag):
+    """Pins of the sync output, for an oscilloscope and for other recorders.
+
+    `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device puts them out when the command's
+    current comes in force, and takes them low when the command's lifetime is over, at STOP, at a fault and outside a
+    session. Under SUPERVISE its own law drives them.
+    """
+
+    TICK = 1  # while the device works on a tick; its own, ignored in a COMMAND
+    TRIAL = 2  # the trial runs
+    INSIDE = 4  # the handle is inside its wall
+
+
 class DisarmFlag(IntFlag):
     """Flags of DISARM."""
 
@@ -241,7 +254,9 @@ class Command(Message):
         int, Wire("u32", "µs", "the effort ramps to zero unless another COMMAND comes within this time")
     ]
     mode: Annotated[int, Wire("u8", "", "Mode")]
-    flags: Annotated[int, Wire("u8", "", "reserved, 0")]
+    flags: Annotated[
+        int, Wire("u8", "", "Sync: TRIAL and INSIDE as the sync outputs shall show them; all other bits 0")
+    ]
     current: Annotated[int, Wire("i16", "quantum", "motor current")]
 
 

@@ -14,10 +14,12 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig import device_law, estimators, friction, laws
-from rig.config import Experiment, motor_push
+from rig.config import Experiment, motor_push, verdict_limits
 from rig.errors import PlanError
 from rig.laws import Law
 from rig.step import CONTROL, Controller, new_memory
+from rig.swings import SWINGS
+from rig.watch import TRAVEL, TRAVEL_COUNTS
 
 LIFETIME_PERIODS = 5
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
@@ -42,6 +44,21 @@ def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
     return math.floor(
         experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
     )
+
+
+def swing_limit(experiment: Experiment) -> int:
+    """Swings of the effort in a row that end a trial (`rig.watch`); 0: any number."""
+    if experiment.trial.kind == "excitation":  # which swings the effort itself
+        return 0
+    limits = experiment.rig.limits
+    if limits.swings is not None:
+        return limits.swings
+    return SWINGS if limits.human and experiment.trial.kind == "human" else 0
+
+
+def energy_limit(experiment: Experiment) -> float:
+    """Energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it is told to."""
+    return 0.0 if experiment.trial.kind == "excitation" else experiment.rig.limits.energy or 0.0
 
 
 def for_experiment(
@@ -103,8 +120,12 @@ def for_experiment(
         "settle_ticks": _ticks(homing.settle_s, tick_s),
         "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
         "constant_effort": motor_push(experiment),
-        "trial_ticks": _ticks(trial.duration_s, tick_s),
+        "trial_ticks": _ticks(trial.baseline_s + trial.duration_s, tick_s),
         "release_ticks": max(1, _ticks(trial.release_s, tick_s)),
+        "energy_limit": energy_limit(experiment),
+        "swing_limit": swing_limit(experiment),
+        "swing_ticks": _ticks(limits.swing_s, tick_s),
+        "swing_travel": max(TRAVEL * verdict_limits(experiment).moved, TRAVEL_COUNTS * abs(delta)),
     }
     for name, value in values.items():
         control[name] = value

@@ -144,6 +144,10 @@ class ToolchainError(RigError):
 
 
 class StoppedError(RigError):
-    """A person stopped the run; the effort is zero and the recording closed."""
+    """A person stopped the run; the effort is zero and the recording closed.
+
+    `signal` is the number of the signal that did it; None for `rig stop`, or a program that fell silent.
+    """
 
     exit_code = 130
+    signal: int | None = None

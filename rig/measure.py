@@ -57,6 +57,10 @@ NUMBERS = np.dtype(
         ("slew_bound_ticks", "<i8"),
         ("overruled_ticks", "<i8"),
         ("inside_ticks_in_tail", "<i8"),
+        # how long the stay in the wall was that ended in the tail, once and for good; 0 without one, or a short one
+        ("stay_ticks", "<i8"),
+        ("heard_in_stay", "<f8"),  # in the tail, up to a period of the high pass before the end of that stay
+        ("moved_in_stay", "<f8"),
         ("tail_begins_s", "<f8"),  # NaN for a trial too short to be measured
         (
             "settling_in_tail_s",
@@ -80,6 +84,8 @@ UNITS = {
     "peak_effort": "effort",
     "tail_begins_s": "s",
     "settling_in_tail_s": "s",
+    "heard_in_stay": "effort",
+    "moved_in_stay": "position",
 }
 
 SETTINGS = np.dtype(
@@ -163,13 +169,18 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
     contact, was_inside = -1, False
-    exits = exits_in_tail = inside_in_tail = 0
+    exits = exits_in_tail = inside_in_tail = entries_in_tail = entered = stay = 0
     deepest, strongest = penetration[0], 0.0
     for k in range(ticks):
         inside, in_tail = penetration[k] > 0.0, k >= begin
         left = was_inside and not inside
         if inside and contact < 0:
             contact = k
+        if inside and not was_inside:
+            entered = k
+            entries_in_tail += in_tail
+        if left:
+            stay = k - entered
         exits += left
         exits_in_tail += left and in_tail
         inside_in_tail += inside and in_tail
@@ -177,6 +188,8 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
         deepest = max(deepest, penetration[k])
         strongest = max(strongest, abs(effort[k]))
     n["exits"], n["exits_in_tail"], n["inside_ticks_in_tail"] = exits, exits_in_tail, inside_in_tail
+    once = exits_in_tail == 1 and entries_in_tail == 0
+    n["stay_ticks"] = stay if once and stay * s["tick_s"] * s["highpass_hz"] >= 1.0 else 0
     n["contact_s"] = contact * s["tick_s"] if contact >= 0 else math.nan
     n["peak_penetration"], n["peak_effort"] = deepest, strongest
 
@@ -272,6 +285,10 @@ def _ripple_and_swing(
     begin = max(0, ticks - s["tail_ticks"])
     first = max(0, begin - s["lead_ticks"])
     half = begin + (ticks - begin) // 2
+    calm = 0  # end of what is looked at of a stay: what follows belongs to leaving
+    if n["stay_ticks"] > 0:
+        calm = begin + n["inside_ticks_in_tail"] - int(np.rint(1.0 / (s["highpass_hz"] * s["tick_s"])))
+    n["heard_in_stay"] = n["moved_in_stay"] = 0.0
     b0, b1, b2, a1, a2 = sections[_HIGHPASS]
     e1 = e2 = p1 = p2 = 0.0  # state of the two filters
     power = power_of_half = 0.0
@@ -287,6 +304,9 @@ def _ripple_and_swing(
             power_of_half, power = power, 0.0
         power += ripple * ripple
         lowest, highest = min(lowest, swing), max(highest, swing)
+        if k == calm - 1:
+            n["heard_in_stay"] = math.sqrt((power_of_half + power) / (calm - begin))
+            n["moved_in_stay"] = max(0.0, highest - lowest - s["resolution"])
     n["heard"] = math.sqrt((power_of_half + power) / (ticks - begin))
     n["growth"] = 0.0
     if power_of_half > 0.0:
@@ -409,7 +429,8 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
     n["peak_penetration"] = n["resting_penetration"] = n["peak_effort"] = 0.0
     n["saturated_fraction"] = n["saturated_fraction_in_tail"] = n["late_fraction"] = 0.0
     n["ticks"] = ticks
-    n["slew_bound_ticks"] = n["overruled_ticks"] = n["inside_ticks_in_tail"] = 0
+    n["slew_bound_ticks"] = n["overruled_ticks"] = n["inside_ticks_in_tail"] = n["stay_ticks"] = 0
+    n["heard_in_stay"] = n["moved_in_stay"] = 0.0
     n["tail_begins_s"], n["settling_in_tail_s"] = math.nan, 0.0
 
 

@@ -219,6 +219,7 @@ class Reach:
     target: float  # where the intended position ends, inside the wall (rad or m)
     pace: float  # at which the hand goes along with the homing servo (rad/s or m/s)
     wait_s: float  # from the arrival at the start to the beginning of the reach
+    free_s: float = 0.0  # the last part of that, in which the handle only has to stay off the wall
     seed: int  # of the tremor's phases
 
 

@@ -1,6 +1,6 @@
 """One block of memory between the loop, the recorder and whoever supervises them.
 
-Layout (version 2), every part at a multiple of 64 bytes::
+Layout (version 3), every part at a multiple of 64 bytes::
 
     control words   `WORDS` int64                                 what they say stands below
     info            2 × `INFO_BYTES`; one is UTF-8 JSON, the other is free
@@ -43,7 +43,7 @@ from rig.sample import ROW
 if TYPE_CHECKING:
     from rig.mailbox import Mailbox
 
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 WORDS = 64
 INFO_BYTES = 65536
 MAILBOX_BYTES = 2048  # rig.mailbox needs less, and must not be loaded to find the rows
@@ -84,6 +84,7 @@ STALE = 26  # ticks of a host-paced loop without a fresh sample
 OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
 EXCHANGES = 28  # clock exchanges completed
 PARAMETER_SET = 29  # number of the parameter set in force
+CLOCK = 30  # loop        stamps of the last two clock exchanges, 8 words (`Ring.clock_exchange`)
 CREATOR = 63  # creator     its process, as it calls itself
 
 _INFO_AT = WORDS * 8
@@ -150,8 +151,8 @@ class Ring:
         return ring
 
     @classmethod
-    def attach(cls, path: str) -> Ring:
-        """Open the ring of another process by its ``/proc/PID/fd/N``.
+    def attach(cls, path: str, *, writable: bool = True) -> Ring:
+        """Open the ring of another process by its ``/proc/PID/fd/N``; not writable, it can only be looked at.
 
         Raises
         ------
@@ -160,7 +161,7 @@ class Ring:
         RigError
             It is no such block, not yet complete, or of a version that keeps its words elsewhere.
         """
-        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        descriptor = os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
         try:
             if (
                 os.readlink(path) != LINK
@@ -170,7 +171,7 @@ class Ring:
             size = os.fstat(descriptor).st_size
             if size < _INFO_AT:
                 raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
-            ring = cls(_mapped(descriptor, size), descriptor)
+            ring = cls(_mapped(descriptor, size, writable=writable), descriptor)
         except BaseException:
             os.close(descriptor)
             raise
@@ -235,6 +236,16 @@ class Ring:
         Never torn, but nothing may be concluded from it about other memory that is being written.
         """
         return int(self.words[word])
+
+    def clock_exchange(self) -> tuple[int, tuple[int, ...] | None]:
+        """How many clock exchanges there were, and the four stamps of the last (`rig.clock_fit.EXCHANGE`, ns).
+
+        None before the first, and when the loop was about to overwrite them.
+        """
+        done = self.get(EXCHANGES)
+        place = CLOCK + 4 * ((done - 1) % 2)
+        stamps = tuple(self.get(place + i) for i in range(4))
+        return done, stamps if done > 0 and self.get(EXCHANGES) == done else None
 
     def ask_to_stop(self) -> None:
         """Set the stop word, unless it is set. Without compiled code, as `peek`: nothing else is published by it."""
@@ -370,6 +381,7 @@ def _memfd() -> int:
         return os.memfd_create(NAME, flags)
 
 
-def _mapped(descriptor: int, size: int) -> NDArray[np.uint8]:
+def _mapped(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
     """The file as an array, which owns the mapping: it is unmapped with the last view of it."""
-    return np.frombuffer(mmap.mmap(descriptor, size), np.uint8)
+    access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
+    return np.frombuffer(mmap.mmap(descriptor, size, access=access), np.uint8)

@@ -116,9 +116,7 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
     """
     asked: list[tuple[RunningLoop, Ring]] = []
     try:
-        for owner, path in _memories():
-            if pid is not None and owner != pid:
-                continue
+        for owner, path in _memories(pid):
             with suppress(OSError, RigError):
                 ring = Ring.attach(path)
                 ran = not ring.peek(LOOP_DONE)  # it may end before anybody looks again
@@ -134,6 +132,36 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
     finally:
         for _, ring in asked:
             ring.close()
+
+
+def memory_of(pid: int) -> Ring | None:
+    """The newest loop of a process that still runs, to look at only; None when it runs none. The caller closes it.
+
+    For whoever may see how a run goes but not what it is: nothing of its info is read.
+    """
+    newest: Ring | None = None
+    for _, path in _memories(pid):
+        with suppress(OSError, RigError):
+            ring = Ring.attach(path, writable=False)
+            if ring.peek(VERSION) != LAYOUT_VERSION or ring.peek(LOOP_DONE):
+                ring.close()
+            elif newest is None or newest.peek(CREATED) < ring.peek(CREATED):
+                if newest is not None:
+                    newest.close()
+                newest = ring
+            else:
+                ring.close()
+    return newest
+
+
+def ask_to_stop(pid: int) -> int:
+    """Set the stop word of a process's loops and return at once: how many were asked. Nothing of theirs is read."""
+    asked = 0
+    for _, path in _memories(pid):
+        with suppress(OSError, RigError), Ring.attach(path) as ring:
+            ring.ask_to_stop()
+            asked += not ring.peek(LOOP_DONE)
+    return asked
 
 
 def hidden() -> list[int]:
@@ -196,10 +224,10 @@ def opened(loop: RunningLoop) -> Iterator[Ring]:
         yield ring
 
 
-def _memories() -> Iterator[tuple[int, str]]:
+def _memories(pid: int | None = None) -> Iterator[tuple[int, str]]:
     """Process and path of each ring, once, under the process that made it; what vanishes meanwhile is left out."""
     known: set[tuple[int, int]] = set()
-    for directory in _PROC.iterdir():
+    for directory in _PROC.iterdir() if pid is None else (_PROC / str(pid),):
         if not directory.name.isdecimal():
             continue
         with suppress(OSError):  # the process ended, or is somebody else's

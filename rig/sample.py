@@ -4,8 +4,8 @@ One row a tick. The table gives the dtype of the ring, the schema of the files, 
 column exists in one place only. Measured, estimated, wanted, sent and applied are different columns.
 
 Where the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, some
-5 ms old at most: what only a STATE tells (commands, limits, fault, state, inputs, missed ticks, execution time) is as
-old as that.
+5 ms old at most: what only a STATE tells (commands, limits, fault, state, inputs, sync time, missed ticks, execution
+time) is as old as that.
 
 Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and
 resolved by `unit_of`; counts and times are 64-bit integers.
@@ -73,6 +73,8 @@ class RowFlag(IntFlag):
     NONFINITE = 128  # the law gave a value that is not finite: effort zero, run ended
     OUT_OF_WINDOW = 256  # position left the window or speed exceeded its limit: effort zero, run ended
     HOMING_FAILED = 512  # the start was not reached in time: effort zero, run ended
+    ENERGY = 1024  # the motor gave more energy than it may: effort zero, run ended
+    VIOLENT = 2048  # the effort swung to and fro between nothing and its limit: effort zero, run ended
 
 
 COLUMNS: tuple[Column, ...] = (
@@ -136,7 +138,19 @@ COLUMNS: tuple[Column, ...] = (
     ),
     Column("fault", "<i8", "1", "fault code of the device (firmware_protocol.faults.Fault)"),
     Column("device_state", "<i8", "1", "state of the device (firmware_protocol.connection.State)"),
-    Column("inputs", "<i8", "1", "digital inputs of the device, among them emergency stop and hold-to-run"),
+    Column(
+        "inputs",
+        "<i8",
+        "1",
+        "pins of the device (firmware_protocol.faults.Input): emergency stop, hold-to-run, sync input, and what the "
+        "sync outputs showed in the device's tick that ended with the sample",
+    ),
+    Column(
+        "sync_time",
+        "<i8",
+        "ns",
+        "device clock at the newest rising edge of the sync input that was told, on the scale of device_time; 0: none",
+    ),
     Column("missed_ticks", "<i8", "1", "device ticks missed since arming"),
     Column("execution_time", "<i8", "ns", "worst execution time of a device tick since arming"),
     Column("flags", "<i8", "1", "what the loop noticed (rig.sample.RowFlag)"),

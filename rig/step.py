@@ -2,7 +2,7 @@
 
 The order of one tick is normative:
 
-1. the count becomes a position;
+1. the count becomes a position, and the watch looks at what the last effort did on the way to it (`rig.watch`);
 2. penetration = side · (position − wall), inside iff above zero, no half-count correction;
 3. when the sample index enters a new velocity period, the estimator runs, with the number of velocity periods
    since its last run (also outside the wall: resetting it there changes the first peak by a fifth);
@@ -32,7 +32,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol.kernel import kernel
-from rig import estimators, guard, laws, sources
+from rig import estimators, guard, laws, sources, watch
 from rig.errors import ConfigError
 from rig.estimators.estimator import WINDOW, Prepared
 from rig.estimators.fdm import count_difference
@@ -69,6 +69,10 @@ CONTROL = np.dtype(
         ("constant_effort", "<f8"),
         ("trial_ticks", "<i8"),
         ("release_ticks", "<i8"),
+        ("energy_limit", "<f8"),  # that the motor may give in a trial (J); 0: any
+        ("swing_limit", "<i8"),  # swings of effort in a row that end the run; 0: any
+        ("swing_ticks", "<i8"),  # within which the next one is in a row
+        ("swing_travel", "<f8"),  # of the handle, below which a swing is none
     ],
     align=True,
 )
@@ -90,6 +94,12 @@ MEMORY = np.dtype(
         ("velocity_ticks", "<i8"),  # ticks since the last velocity sample
         ("window", "<i8"),  # velocity periods that the estimate spans
         ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
+        ("energy", "<f8"),  # that the motor has given in the trial (J)
+        ("swings", "<i8"),  # of the effort, in a row
+        ("swing_age", "<i8"),  # ticks since the last one
+        ("swing_armed", "<i8"),  # 1: the effort has been next to nothing since then
+        ("swing_lowest", "<f8"),  # position since then
+        ("swing_highest", "<f8"),
         # what the row shows of this tick
         ("position", "<f8"),
         ("penetration", "<f8"),
@@ -113,8 +123,13 @@ TRIAL, RELEASE, DONE = int(Phase.TRIAL), int(Phase.RELEASE), int(Phase.DONE)
 INSIDE, VELOCITY_UPDATED = int(RowFlag.INSIDE), int(RowFlag.VELOCITY_UPDATED)
 SATURATED, SLEW_BOUND, CLAMPED = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND), int(RowFlag.CLAMPED)
 NONFINITE, OUT_OF_WINDOW = int(RowFlag.NONFINITE), int(RowFlag.OUT_OF_WINDOW)
-HOMING_FAILED = int(RowFlag.HOMING_FAILED)
-ENDS_RUN = NONFINITE | OUT_OF_WINDOW | HOMING_FAILED
+HOMING_FAILED, ENERGY, VIOLENT = (
+    int(RowFlag.HOMING_FAILED),
+    int(RowFlag.ENERGY),
+    int(RowFlag.VIOLENT),
+)
+THROWN_OUT = OUT_OF_WINDOW | ENERGY | VIOLENT  # after contact that is what the wall did
+ENDS_RUN = NONFINITE | HOMING_FAILED | THROWN_OUT
 
 Record = NDArray[np.void]
 Floats = NDArray[np.float64]
@@ -176,7 +191,8 @@ class Controller:
         """Inverse of `as_mapping`; `law` stands in for one that no table knows.
 
         Raises `rig.errors.ConfigError` when estimator or law are not to be found here, or when the mapping
-        has other fields than `CONTROL` and `MEMORY`: a field left at zero would be another controller.
+        has other fields than `CONTROL` and `MEMORY`: a field left at zero would be another controller. Only what
+        watches, which earlier versions did not have, may be left out: it did not act then.
         """
         estimator, wall = mapping["estimator"], mapping["law"]
         return cls(
@@ -197,6 +213,7 @@ class Controller:
 
 
 def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
+    values = {name: _SINCE[name] for name in dtype.names or () if name in _SINCE} | dict(values)
     differing = set(dtype.names or ()) ^ set(values)
     if differing:
         raise ConfigError(
@@ -207,6 +224,12 @@ def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     for name, value in values.items():
         record[name] = value
     return record
+
+
+# What a controller saved by an earlier version does not have: none of it acted then.
+_SINCE = {"energy_limit": 0.0, "swing_limit": 0, "swing_ticks": 0, "swing_travel": 0.0} | dict.fromkeys(
+    ("energy", "swings", "swing_age", "swing_armed", "swing_lowest", "swing_highest"), 0
+)
 
 
 @kernel(types.void(MEMORY_TYPE, types.int64), inline=True)
@@ -263,6 +286,41 @@ def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
     if phase == RELEASE and m["phase_ticks"] < c["release_ticks"]:
         return float(total * (1.0 - m["phase_ticks"] / c["release_ticks"]))
     return 0.0
+
+
+@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.float64, types.int64), inline=True)
+def _watched(control: Any, memory: Any, position: float, penetration: float, elapsed_ticks: int) -> None:
+    """Flag what the effort of the last tick has done; `memory` still has the position that it began at."""
+    c, m = control[0], memory[0]
+    if m["phase"] not in (TRIAL, RELEASE):
+        return
+    m["energy"] = watch.energy_given(
+        m["energy"], m["effort_sent"], position - m["position"], penetration <= 0.0
+    )
+    if c["energy_limit"] > 0.0 and m["energy"] > c["energy_limit"]:
+        m["flags"] |= ENERGY
+    if c["swing_limit"] == 0:
+        return
+    if m["phase"] == TRIAL and m["phase_ticks"] == 0:
+        m["swing_lowest"] = m["swing_highest"] = m["position"]
+    m["swing_lowest"] = min(m["swing_lowest"], position)
+    m["swing_highest"] = max(m["swing_highest"], position)
+    m["swing_age"] += elapsed_ticks
+    swung = watch.swung(
+        -c["wall_side"] * m["effort_sent"],
+        c["effort_limit"],
+        m["swing_lowest"],
+        m["swing_highest"],
+        c["swing_travel"],
+    )
+    if swung < 0:
+        m["swing_armed"] = 1
+    elif swung > 0 and m["swing_armed"] == 1:
+        m["swings"] = 1 + (m["swings"] if m["swing_age"] <= c["swing_ticks"] else 0)
+        m["swing_age"] = m["swing_armed"] = 0
+        m["swing_lowest"] = m["swing_highest"] = position
+        if m["swings"] >= c["swing_limit"]:
+            m["flags"] |= VIOLENT
 
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
@@ -358,8 +416,10 @@ def step(
     c, m = control[0], memory[0]
     m["flags"] = 0
     m["index"] += elapsed_ticks
-    m["position"] = c["resolution"] * count_difference(count, c["reference_count"])
-    m["penetration"] = c["wall_side"] * (m["position"] - c["wall_position"])
+    position = c["resolution"] * count_difference(count, c["reference_count"])
+    m["penetration"] = c["wall_side"] * (position - c["wall_position"])
+    _watched(control, memory, position, m["penetration"], elapsed_ticks)
+    m["position"] = position
     if m["penetration"] > 0.0:
         m["flags"] |= INSIDE
 

@@ -10,11 +10,16 @@ sampled; the tail is its last `tail_s`.
 
 A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
 
-*Invalid* is a trial that says nothing: no contact, a gap, too many late ticks, a binding slew limit,
-a device that overruled the law, or
-saturation without motion. *Unstable*: the wall was left in the tail, or the ripple grows, or the motor
-saturates while a threshold is exceeded. *Limit cycle*: not unstable, but felt, heard or moved. *Stable*:
-none of them.
+*Invalid* is a trial that says nothing: no contact, contact in the baseline, a gap, too many late ticks, a binding slew
+limit, a device that overruled the law, or saturation without motion. *Unstable*: the wall was left in the tail, or the
+ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not unstable, but felt, heard or
+moved. *Stable*: none of them.
+
+A person may leave the wall too early, by themselves. What tells that from a wall that throws them out is what came
+before, and what follows: a wall that throws beats or rings first, and a hand that pushes comes back. So where a person
+hits, a tail in which the wall was left once and not touched again is invalid if the stay before lasted a period of the
+high pass (a bounce is shorter) and was neither heard nor moved above the thresholds in the tail until such a period
+before its end. Whatever bounces, or buzzed before it left, stays unstable; so does a hand that comes back: stay out.
 
 A velocity from counts has a floor: one toggling count of size Δ at f Hz is a square wave whose fundamental
 reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
@@ -74,6 +79,8 @@ class Limits:
     growth: float  # rms of the second half of the tail over the first
     late_fraction: float
     saturated_fraction: float
+    baseline_s: float = 0.0  # at the start of the trial, in which the wall must not be touched
+    may_leave: bool = False  # a person hits, whose hand may leave the wall by itself
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,11 +196,13 @@ class Finding(IntFlag):
     FELT = 8192
     HEARD = 16384
     MOVED = 32768
+    TOUCHED_EARLY = 65536  # in the baseline
+    LEFT = 131072  # a person's hand left the calm wall in the tail, and stayed away
 
 
 EXCEEDED = Finding.FELT | Finding.HEARD | Finding.MOVED
 UNSTABLE = Finding.EXITS | Finding.GROWS | Finding.SATURATES
-INVALID = Finding(Finding.EXITS - 1)  # all before
+INVALID = Finding(Finding.EXITS - 1) | Finding.TOUCHED_EARLY | Finding.LEFT  # all before, and the last two
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Finding.FELT, Finding.HEARD, EXCEEDED), strict=True))
@@ -252,6 +261,7 @@ def findings(numbers: Numbers, limits: Limits) -> Any:
     exits = n["exits_in_tail"] > 0
     saturates = n["saturated_fraction_in_tail"] > limits.saturated_fraction
     measured = n["tail_begins_s"] >= 0.0
+    calm = (n["heard_in_stay"] <= limits.heard_effort) & (n["moved_in_stay"] <= limits.moved)
     found = (
         (Finding.NEVER_TOUCHED, touched ^ True),
         (Finding.GONE, touched & (stayed ^ True)),
@@ -268,6 +278,8 @@ def findings(numbers: Numbers, limits: Limits) -> Any:
         (Finding.FELT, felt),
         (Finding.HEARD, heard),
         (Finding.MOVED, moved),
+        (Finding.TOUCHED_EARLY, touched & (n["contact_s"] < limits.baseline_s)),
+        (Finding.LEFT, (n["stay_ticks"] > 0) & calm & limits.may_leave),
     )
     bits = sum(finding.value * condition for finding, condition in found)
     return Finding.TOO_SHORT.value * (measured ^ True) + measured * bits
@@ -298,8 +310,9 @@ class Measured:
     limits
         Those that it was measured with.
     thrown_out
-        Whether a guard ended the push because the handle left its window or went too fast, which the signals before
-        do not show. After contact that is unstable, without it invalid.
+        Whether a guard ended the push because the handle left its window or went too fast, or the motor gave too much
+        energy or beat (`rig.watch`), which the signals before do not show. After contact that is unstable, without it
+        invalid.
     """
 
     numbers: np.void
@@ -329,7 +342,8 @@ class Measured:
         Notes
         -----
         A wall fails whose trial is unstable, or exceeds the criterion's own threshold, or touched the wall and was out
-        of it for the whole tail: against a push that lasts, only a wall that gives energy throws a handle that far. A
+        of it for the whole tail or left it there: against a push that lasts, as it does in a map, only a wall that
+        gives energy throws a handle that far (a session asks nothing of a person's invalid trial). A
         trial that is still settling counts for what its tail shows: it has rung as long as the trial lasts. Every
         other invalid trial says nothing: never touched, touched only in the tail, too short, gaps, late ticks, a slew
         limit that bound or a device that overruled the law (then it was another wall), or a push that saturates the
@@ -338,7 +352,7 @@ class Measured:
         """
         if self.thrown_out:
             return False if self.numbers["contact_s"] >= 0.0 else None
-        if self.found & INVALID & ~(Finding.GONE | Finding.STILL_SETTLING):
+        if self.found & INVALID & ~(Finding.GONE | Finding.STILL_SETTLING | Finding.LEFT):
             return None
         return not self.found & (UNSTABLE | Finding.GONE | _EXCEEDED_BY[criterion])
 
@@ -399,4 +413,10 @@ _TEXTS: dict[Finding, Callable[[np.void, Limits], str]] = {
     Finding.FELT: lambda n, limits: f"felt {n['felt']:.3g} above {limits.felt_velocity:.3g}",
     Finding.HEARD: lambda n, limits: f"heard {n['heard']:.3g} above {limits.heard_effort:.3g}",
     Finding.MOVED: lambda n, limits: f"moved {n['moved']:.3g} above {limits.moved:.3g}",
+    Finding.LEFT: lambda _, __: (
+        "the hand left the calm wall before the end and did not come back: ask to stay in it"
+    ),
+    Finding.TOUCHED_EARLY: lambda n, limits: (
+        f"the wall was touched {n['contact_s']:.3g} s into the {limits.baseline_s:.3g} s of free space before the hit"
+    ),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
@@ -43,6 +44,12 @@ def describe(
     )
 
 
+@lru_cache(maxsize=16)
+def _packed(dictionary: dictionaries.Dictionary) -> bytes:
+    """Bytes of a dictionary; a device that starts again, or for every trial, has the same ones."""
+    return dictionaries.encode(dictionary)
+
+
 class Configuration:
     """Parameters in force, and how they change: all of a block between two ticks, or nothing.
 
@@ -69,7 +76,7 @@ class Configuration:
         self, dictionary: dictionaries.Dictionary, apply: Callable[[Mapping[str, Value]], None]
     ) -> None:
         self._dictionary = dictionary
-        self._packed = dictionaries.encode(dictionary)
+        self._packed = _packed(dictionary)
         self.hash = dictionaries.dictionary_hash(self._packed)
         self._apply = apply
         self._assembler = Assembler()

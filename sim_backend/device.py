@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Event, Received, Refused, State
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
-from firmware_protocol.messages import Message, Mode, Role
+from firmware_protocol.messages import Message, Mode, Role, Sync
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, ParameterError
 from firmware_protocol.replies import Replies
@@ -48,6 +48,11 @@ _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
 _RAMPING, _RELEASED = int(LimitFlag.RAMPING), int(LimitFlag.HOLD_TO_RUN_RELEASED)
 _EMERGENCY, _HELD, _SYNC = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN), int(Input.SYNC)
 _MODES = frozenset(int(mode) for mode in Mode)
+_SYNC_OF_COMMANDS = int(Sync.TRIAL | Sync.INSIDE)
+_SHOWN = tuple(  # `Sync` bits → `Input` bits
+    int(Input.SYNC_TRIAL if bits & Sync.TRIAL else 0) | int(Input.SYNC_INSIDE if bits & Sync.INSIDE else 0)
+    for bits in range(8)
+)
 
 
 class SimulatedDevice:
@@ -75,7 +80,9 @@ class SimulatedDevice:
     hardware
         The physics behind it; `hardware.external_effort` pushes the link.
     inputs
-        `Input` bits that are active.
+        `Input` bits of the switches and of the sync input that are active.
+    sync
+        What the sync outputs showed up to the last sample: `Sync` bits, without that of the tick.
     sample_index, time
         Number and device time (1/16 µs since boot) of the last sample.
     worst_execution_time
@@ -136,6 +143,7 @@ class SimulatedDevice:
         self._limits.flags = self._monitor.flags = self._acted = 0
         self._command_sequence = 0
         self._command_index: int | None = None
+        self._command_sync = self.sync = 0
         self.worst_execution_time = self.missed_ticks = 0
 
     # ------------------------------------------------------------------ time
@@ -175,6 +183,7 @@ class SimulatedDevice:
         """Let one period pass; return the STATE frame that is due then, or nothing."""
         connection, hardware, limits, monitor = self.connection, self.hardware, self._limits, self._monitor
         current = self._current() if self._armed else 0
+        self.sync = self._command_sync if self._armed and not self._watchdog.ramping else 0
         hardware.advance(current)
         count, measured = hardware.count, hardware.measured
         self.sample_index += 1
@@ -268,7 +277,7 @@ class SimulatedDevice:
             min(self.worst_execution_time, _U16),
             min(self.missed_ticks, _U16),
             self.connection.state,
-            self.inputs,
+            self.inputs | _SHOWN[self.sync],
             0,  # no law of its own
             self._sync_time & _U32,
         )
@@ -300,10 +309,12 @@ class SimulatedDevice:
         if command.mode == Mode.STOP:
             self._watchdog.idle(self.time)
             self._cut()
+            self._command_sync = 0
             return
         supervise = command.mode == Mode.SUPERVISE
         cap = self._supervise_lifetime if supervise else self._command_lifetime
         lifetime = min(command.lifetime_us * UNITS_PER_US, cap)
+        self._command_sync = 0 if supervise else command.flags & _SYNC_OF_COMMANDS
         self._watchdog.feed(self.time, 0 if supervise else command.current, lifetime, self._ramp)
 
     def _answer(self, event: Event) -> Message:
@@ -425,10 +436,14 @@ class SimulatedDevice:
         """Hold the hold-to-run switch, or let it go."""
         self.inputs = self.inputs | _HELD if held else self.inputs & ~_HELD
 
-    def sync_input(self, high: bool) -> None:
-        """Put a level on the sync input; the device keeps the time at which it rose."""
+    def sync_input(self, high: bool, at: int | None = None) -> None:
+        """Put a level on the sync input; the device keeps the time at which it rose.
+
+        `at` is when (device time, 1/16 µs since boot), which the next sample must not be before; unless given, the
+        last sample's time.
+        """
         if high and not self.inputs & _SYNC:
-            self._sync_time = self.time
+            self._sync_time = self.time if at is None else at
         self.inputs = self.inputs | _SYNC if high else self.inputs & ~_SYNC
 
     def inject_fault(self, fault: Fault) -> None:

@@ -70,12 +70,12 @@ class Core:
             Mechanics(**asdict(board.moved_mechanics(model))),
         )
         library.host_setup(self.address, ctypes.byref(setup))
-        for narrow in (
+        for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names
             "motion",
-            "encoder_sign",
             "position_rate",
             "current_limit",
             "continuous_current",
+            "encoder_sign",
             "law",
         ):
             info = self.dictionary.parameter(narrow)
@@ -291,10 +291,10 @@ class FirmwareDevice:
         """Hold the hold-to-run switch, or let it go."""
         self._input(Input.HOLD_TO_RUN, held)
 
-    def sync_input(self, high: bool) -> None:
-        """Put a level on the sync input; the device keeps the time at which it rose."""
+    def sync_input(self, high: bool, at: int | None = None) -> None:
+        """Put a level on the sync input; see `SimulatedDevice.sync_input`."""
         if high and not self.inputs & Input.SYNC:
-            self.core.library.host_set_sync_time(self.core.address, self.time)
+            self.core.library.host_set_sync_time(self.core.address, self.time if at is None else at)
         self._input(Input.SYNC, high)
 
     def fail_encoder(self) -> None:

@@ -21,14 +21,14 @@ from rig.devices.simulated import SimulatedHit
 from rig.errors import LawError
 from rig.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
 from rig.model import RigModel
-from rig.sample import RowFlag
-from rig.step import DONE, TRIAL, Controller
+from rig.sample import Phase, RowFlag
+from rig.step import DONE, THROWN_OUT, TRIAL, Controller
 from rig.verdict import Limits, Measured
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import RUN_TYPES, Trace, run_arguments, run_ticks
 
-_OUT_OF_WINDOW, _NONFINITE = int(RowFlag.OUT_OF_WINDOW), int(RowFlag.NONFINITE)
+_NONFINITE = int(RowFlag.NONFINITE)
 _FLOATS = types.float64[::1]
 
 # Rows of the derived signals.
@@ -117,7 +117,9 @@ class SimulatedRig:
                 f"is not finite, {ticks * plant.tick_s:.4g} s into the hit",
                 remedy="mend it, or check its settings",
             )
-        thrown_out = bool(ended & _OUT_OF_WINDOW)
+        # What trips in the release leaves the verdict of the push alone.
+        pushed = ticks > 1 and trace.phases[ticks - 2] == Phase.RELEASE
+        thrown_out = bool(ended & THROWN_OUT) and not pushed
         return SimulatedHit(
             Measured(recorded[0], self._limits, thrown_out),
             Measured(true[0], self._limits, thrown_out),

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import ctypes
 import errno
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,7 +29,13 @@ from sim_backend.channel import DeviceFault, Direction, Faults, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 
-OPTIONS: dict[str, type] = {
+
+def _times(text: str) -> tuple[float, ...]:
+    """Read ``0.5,0.75``."""
+    return tuple(float(part) for part in text.split(","))
+
+
+OPTIONS: dict[str, Callable[[str], Any]] = {
     "seed": int,
     "initial_position": float,
     "offset": float,
@@ -35,8 +43,10 @@ OPTIONS: dict[str, type] = {
     "position_rate_maximum": int,
     "clock_ppm": float,
     "firmware": int,
+    "sync": _times,
 }
 CLOCK_PPM_MAXIMUM = 1000.0
+SYNC_PULSE_S = 1e-3  # how long a pulse on the sync input lasts, unless the next one comes sooner
 BUFFER_BYTES = 1 << 16  # of input that nobody reads, as of a driver; what comes then is lost
 
 _TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
@@ -82,6 +92,10 @@ class Device(Protocol):
         """Press the emergency stop, or release it."""
         ...
 
+    def sync_input(self, high: bool, at: int | None = None) -> None:
+        """Put a level on the sync input, at a device time (1/16 µs since boot)."""
+        ...
+
     def inject_fault(self, fault: Fault) -> None:
         """Let the device find a fault."""
         ...
@@ -97,7 +111,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
     0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by
     which the device's clock runs fast; `firmware` = 1 for a device that is the firmware itself, compiled for this
-    machine, which can run the law.
+    machine, which can run the law; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after
+    power-up.
 
     Raises
     ------
@@ -110,13 +125,19 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
     if "offset" in options:
         model = _with_offset(url, model, options.pop("offset"))
     clock_ppm = options.pop("clock_ppm", 0.0)
+    sync_s = options.pop("sync", ())
     make = FirmwareDevice if options.pop("firmware", 0) else SimulatedDevice
-    return MemoryLink(make(model, **options), url=url, clock_ppm=clock_ppm)
+    return MemoryLink(make(model, **options), url=url, clock_ppm=clock_ppm, sync_s=sync_s)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
     options: dict[str, Any] = {}
     for name, text in url.options.items():
+        if name == "hand":
+            raise ConfigError(
+                f"{url.text}: nobody can lead a hand in virtual time",
+                remedy="run in real time, or leave hand out: then it plays its script",
+            )
         kind = OPTIONS.get(name)
         if kind is None:
             raise ConfigError(
@@ -125,7 +146,7 @@ def _parse(url: DeviceUrl) -> dict[str, Any]:
         try:
             options[name] = kind(text)
         except ValueError:
-            what = "a whole number" if kind is int else "a number"
+            what = {int: "a whole number", _times: "numbers with commas between them"}.get(kind, "a number")
             raise ConfigError(f"{url.text}: {name} = {text!r} is not {what}", remedy=f"give {what}") from None
     _check(url, options)
     return options
@@ -140,18 +161,28 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         "position_rate_maximum": lambda value: 50 <= value <= 50_000,
         "clock_ppm": lambda value: abs(value) <= CLOCK_PPM_MAXIMUM,
         "firmware": lambda value: value in (0, 1),
+        "sync": lambda times: all(0.0 < one < other < np.inf for one, other in pairwise((*times, 1e9))),
     }
     for name, value in options.items():
         if not allowed[name](value):
             raise ConfigError(
                 f"{url.text}: {name} = {value} is out of range",
                 remedy="offset lies in 0 … 1, rates in 50 … 50000 Hz, clock_ppm in ±1000, "
-                "firmware is 0 or 1, a seed is not negative",
+                "firmware is 0 or 1, a seed is not negative, the times of sync (s) rise from above 0",
             )
 
 
 def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
     return replace(model, encoder=replace(model.encoder, offset=offset))
+
+
+def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
+    """When the sync input rises and falls (ns on the device's scale)."""
+    levels: deque[tuple[int, bool]] = deque()
+    for start, following in pairwise((*starts_s, np.inf)):
+        end = start + min(SYNC_PULSE_S, 0.5 * (following - start))
+        levels += [(origin_ns + round(start * 1e9), True), (origin_ns + round(end * 1e9), False)]
+    return levels
 
 
 class MemoryLink:
@@ -167,6 +198,8 @@ class MemoryLink:
         How it was named.
     clock_ppm
         By how much the device's clock, and its whole world with it, runs faster than the link's (1e-6).
+    sync_s
+        When pulses on the device's sync input begin (s of device time from now on), rising.
 
     Attributes
     ----------
@@ -188,6 +221,7 @@ class MemoryLink:
         *,
         url: DeviceUrl = _URL,
         clock_ppm: float = 0.0,
+        sync_s: Sequence[float] = (),
     ) -> None:
         self.url = url
         self.clock = VirtualClock()
@@ -197,6 +231,7 @@ class MemoryLink:
         self._happenings = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
         self._ticks = 0
         self._start_ns = device.elapsed_ns
+        self._levels = _pulses(sync_s, self._start_ns)
         self._pace = _BILLION + round(clock_ppm * 1000)  # device nanoseconds in a second of the link
         self._arrived = bytearray()
         self._failure: BaseException | None = None
@@ -287,7 +322,8 @@ class MemoryLink:
         """
         device = self.device
         most = self._until_something_happens()
-        said, ticks = device.run(self._start_ns + deadline_ns * self._pace // _BILLION, most)
+        until_ns = self._start_ns + deadline_ns * self._pace // _BILLION
+        said, ticks = device.run(min(until_ns, self._until_a_level_changes()), most)
         self._ticks += ticks
         if self.line is None:
             self._keep(said)
@@ -311,6 +347,15 @@ class MemoryLink:
         if self.line is not None:
             return 1  # whose frames may be due at any tick
         return self._happenings[0].tick - self._ticks if self._happenings else _LONG
+
+    def _until_a_level_changes(self) -> int:
+        """Put on the sync input what the next sample is to see; return until when that is all (ns of the device)."""
+        device = self.device
+        while self._levels and self._levels[0][0] <= device.next_tick_ns:
+            at_ns, high = self._levels.popleft()
+            since_boot_ns = at_ns - (device.elapsed_ns - device.time_ns)
+            device.sync_input(high, max(device.time, since_boot_ns * _UNITS // _UNITS_NS))
+        return self._levels[0][0] - 1 if self._levels else _LONG
 
     def _to_host(self, data: bytes) -> None:
         if self.line is not None:

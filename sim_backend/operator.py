@@ -77,13 +77,13 @@ def _written(
     homing_rate = np.where(left > 0.0, math.copysign(reach.pace, reach.start - position), 0.0)
     part, part_rate = _raised_cosine((t - begin_s) / operator.reach_s)
     part_rate = part_rate / operator.reach_s
-    tremor, tremor_rate = _tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
+    shake, shake_rate = tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
     swell = 1.0 + operator.press_modulation * np.sin(2.0 * math.pi * PRESS_HZ * (t - begin_s))
 
     travel = reach.target - reach.start
     rows = np.empty((len(t), INTENTIONS))
-    rows[:, 0] = reach.start + homing + travel * part + tremor * part
-    rows[:, 1] = homing_rate + travel * part_rate + tremor_rate * part + tremor * part_rate
+    rows[:, 0] = reach.start + homing + travel * part + shake * part
+    rows[:, 1] = homing_rate + travel * part_rate + shake_rate * part + shake * part_rate
     rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
     return Script(rows, again=lead)
 
@@ -94,8 +94,8 @@ def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
     return 0.5 - 0.5 * np.cos(math.pi * x), 0.5 * math.pi * np.sin(math.pi * x)
 
 
-def _tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
-    """Band-limited displacement: lines of equal size with random phases, and its rate."""
+def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
+    """Band-limited displacement of this rms: lines of equal size with random phases, and its rate."""
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))
     line = rms * math.sqrt(2.0 / len(omega))

@@ -21,10 +21,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from rig.devices.hand import SharedHand
 from rig.errors import ConfigError
 from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
+from sim_backend.led import Led
 from sim_backend.real_time import READ_BYTES, FirmwareTime, Port, RealTime, sleep_until
 
 POSITION_RATE_DEFAULT = 1_000
@@ -43,6 +45,7 @@ def serve(
     seed: int = 0,
     name: str | None = None,
     firmware: bool = False,
+    hand: str | Path | None = None,
     announce: Callable[[str], None] = print,
     stop_event: threading.Event | None = None,
     link_path: str | Path | None = None,
@@ -62,6 +65,9 @@ def serve(
         What the device calls itself; the model's name unless given.
     firmware
         The device is the firmware itself, compiled for this machine, which can run the law.
+    hand
+        File through which somebody leads the hand that holds the handle (`rig.devices.hand`); without one it plays its
+        script.
     announce
         Called once with the path of the port, when a host can open it.
     stop_event
@@ -78,7 +84,8 @@ def serve(
     Raises
     ------
     ConfigError
-        A rate that the port cannot carry, `link_path` exists and is no symbolic link, or the firmware cannot be made.
+        A rate that the port cannot carry, `link_path` exists and is no symbolic link, or the firmware cannot be made;
+        no such hand, or nobody who holds the handle.
     """
     maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
     if not 50 <= rate <= maximum:
@@ -92,7 +99,7 @@ def serve(
     pending = FIRMWARE_PENDING_BYTES if firmware else PENDING_BYTES
     with _Port(pending) as port:
         body = timed(model, port, stop, name=name, position_rate_default=rate, seed=seed)
-        with _linked(link_path, port.path), _signals(stop):
+        with _led(body, model, hand), _linked(link_path, port.path), _signals(stop):
             announce(str(link_path) if link_path is not None else port.path)
             body.run(duration_s)
 
@@ -108,6 +115,17 @@ def _timed_device(model: RigModel, port: Port, stop: threading.Event, **options:
 def _timed_firmware(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> FirmwareTime:
     options |= {"position_rate_maximum": FIRMWARE_RATE_MAXIMUM, "keep_truth": False}
     return FirmwareTime(FirmwareDevice(model, **options), port, stop)
+
+
+@contextlib.contextmanager
+def _led(body: RealTime | FirmwareTime, model: RigModel, hand: str | Path | None) -> Iterator[None]:
+    """Let somebody lead the hand, if a file says so."""
+    if hand is None:
+        yield
+        return
+    with SharedHand.open(hand) as shared:
+        body.device.hardware.lead(Led(model, shared.read))
+        yield
 
 
 class _Port:

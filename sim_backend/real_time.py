@@ -53,10 +53,10 @@ class Port(Protocol):
 
 
 class RealTime:
-    """Runs a device behind a port, tick by tick, until `stop` is set."""
+    """Runs a `device` behind a port, tick by tick, until `stop` is set."""
 
     def __init__(self, device: SimulatedDevice, port: Port, stop: threading.Event) -> None:
-        self._device = device
+        self.device = device
         self._port = port
         self._stop = stop
         self._origin_ns = 0
@@ -65,26 +65,26 @@ class RealTime:
         """Tick until told to stop."""
         start_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
-        self._origin_ns = start_ns - self._device.elapsed_ns
+        self._origin_ns = start_ns - self.device.elapsed_ns
         while not self._stop.is_set():
-            deadline_ns = self._origin_ns + self._device.next_tick_ns
+            deadline_ns = self._origin_ns + self.device.next_tick_ns
             if end_ns is not None and deadline_ns > end_ns:
                 return
             received, came_at = self._listen(deadline_ns)
             self._keep_up()
             self._tick()
             if received:
-                self._port.write(self._device.receive(received, received_at=came_at))
+                self._port.write(self.device.receive(received, received_at=came_at))
 
     def _listen(self, deadline_ns: int) -> tuple[bytes, int]:
         """Wait for the tick; return what the host sent meanwhile, and when it began to come (device time)."""
         received = b""
-        came_at = self._device.time
+        came_at = self.device.time
         while True:
             data = self._port.read(deadline_ns)
             if data and not received:
-                late_ns = time.monotonic_ns() - self._origin_ns - self._device.elapsed_ns
-                came_at = self._device.time + max(0, round(late_ns / _UNIT_NS))
+                late_ns = time.monotonic_ns() - self._origin_ns - self.device.elapsed_ns
+                came_at = self.device.time + max(0, round(late_ns / _UNIT_NS))
             received += data
             if time.monotonic_ns() >= deadline_ns or len(received) >= READ_BYTES:
                 break
@@ -93,7 +93,7 @@ class RealTime:
 
     def _keep_up(self) -> None:
         """Let the ticks pass that cannot be told any more, and count them."""
-        device = self._device
+        device = self.device
         late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
         if late_ns > LONGEST_PAUSE_S * 1e9:
             self._origin_ns += late_ns
@@ -104,24 +104,24 @@ class RealTime:
 
     def _tick(self) -> None:
         started_ns = time.perf_counter_ns()
-        state = self._device.tick()
+        state = self.device.tick()
         units = round((time.perf_counter_ns() - started_ns) / _UNIT_NS)
-        self._device.worst_execution_time = max(self._device.worst_execution_time, units)
+        self.device.worst_execution_time = max(self.device.worst_execution_time, units)
         self._port.write_if_free(state)
 
 
 class FirmwareTime:
-    """Runs the firmware behind a port until `stop` is set."""
+    """Runs the firmware, its `device`, behind a port until `stop` is set."""
 
     def __init__(self, device: FirmwareDevice, port: Port, stop: threading.Event) -> None:
-        self._device = device
+        self.device = device
         self._port = port
         self._stop = stop
         self._origin_ns = self._passed_ns = 0
 
     def run(self, duration_s: float | None) -> None:
         """Tick until told to stop."""
-        device, port = self._device, self._port
+        device, port = self.device, self._port
         start_ns = self._passed_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
         self._origin_ns = start_ns - device.elapsed_ns
@@ -142,11 +142,11 @@ class FirmwareTime:
 
     def _hear(self, received: bytes) -> None:
         if received:
-            self._port.write(self._device.receive(received, received_at=self._now()))
+            self._port.write(self.device.receive(received, received_at=self._now()))
 
     def _pass(self, now_ns: int) -> None:
         """Run the ticks that are due; of those that are late, as many as make it up at twice the pace."""
-        device = self._device
+        device = self.device
         if now_ns - self._origin_ns - device.next_tick_ns > LONGEST_PAUSE_S * 1e9:
             self._origin_ns = now_ns - device.next_tick_ns
         pace_ns = 2 * min(now_ns - self._passed_ns, LONGEST_STEP_NS)
@@ -158,7 +158,7 @@ class FirmwareTime:
 
     def _now(self) -> int:
         """Device time, not beyond the next tick (1/16 µs)."""
-        device = self._device
+        device = self.device
         since_ns = time.monotonic_ns() - self._origin_ns - device.elapsed_ns
         return min(device.time + max(0, round(since_ns / _UNIT_NS)), int(device.status.due))
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from importlib import import_module
-from typing import cast
 
 import click
 
+from rig.cli.lazy import LazyGroup
 from rig.errors import RigError
 
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
@@ -24,6 +23,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "impedance": (
         "rig.cli.impedance:impedance",
         "Measure the impedance of a rig and its walls: passive or not, and how faithful.",
+    ),
+    "session": (
+        "rig.cli.session:session",
+        "Run wall-hit experiments with people: protocol, sessions, analysis.",
     ),
     "reproduce": (
         "rig.cli.reproduce:reproduce",
@@ -39,6 +42,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "rig.cli.timing:timing",
         "Show where the time of each tick of a recording went, and its worst ticks.",
     ),
+    "lsl": ("rig.cli.lsl:lsl", "Stream the running loop by Lab Streaming Layer: samples and markers."),
     "export": ("rig.cli.export:export", "Write a recording as CSV, Parquet or MAT."),
     "theory": (
         "rig.cli.theory:theory",
@@ -67,27 +71,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
-class LazyGroup(click.Group):
-    """A group whose commands are named in `COMMANDS` and imported on use, so that ``rig --help`` is quick."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names, in the order of the table."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command."""
-        if cmd_name not in COMMANDS:
-            return None
-        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-        return cast("click.Command", getattr(import_module(module), attribute))
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
-
-
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="haptic-rig", prog_name="rig")
 def rig() -> None:
     """Run 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 
@@ -15,7 +15,45 @@ LINE_S = 10.0
 _MINUTE_S, _HOUR_S = 60, 3600
 
 
-class SweepBar:
+class _Bar:
+    """What both have in common: a bar with words beside it, gone when its block ends, or lines."""
+
+    def __init__(self, what: str, *, plain: bool = False) -> None:
+        self._what = what
+        self._plain = plain or sys.stderr is None or not sys.stderr.isatty()
+        self._bar: Any = None
+        self._task: Any = None
+        self._said_s = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def _show(self, fraction: float, text: str) -> None:
+        if self._plain:
+            now = time.monotonic()
+            if now - self._said_s >= LINE_S:
+                self._said_s = now
+                click.echo(f"{self._what}: {text}", err=True)
+            return
+        if self._bar is None:
+            if fraction >= 1.0:
+                return
+            from rich.console import Console  # noqa: PLC0415
+            from rich.progress import BarColumn, Progress, TextColumn  # noqa: PLC0415
+
+            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"))
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(self._what, total=1.0, text="")
+            self._bar.start()
+        self._bar.update(self._task, completed=fraction, text=text)
+
+
+class SweepBar(_Bar):
     """Shows one sweep while its block lasts; `watch` is for `rig.sweep.run`.
 
     Parameters
@@ -29,21 +67,9 @@ class SweepBar:
     """
 
     def __init__(self, what: str, *, unit: str = "tasks", plain: bool = False) -> None:
-        self._what = what
+        super().__init__(what, plain=plain)
         self._unit = unit
-        self._plain = plain or sys.stderr is None or not sys.stderr.isatty()
-        self._bar: Any = None
-        self._task: Any = None
-        self._said_s = time.monotonic()
         self._told_damage = False
-
-    def __enter__(self) -> SweepBar:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
 
     def watch(self, progress: Progress) -> None:
         """Show how far it is."""
@@ -52,30 +78,7 @@ class SweepBar:
             click.echo(
                 f"rig: {progress.damaged} damaged lines in the journal: their tasks run again", err=True
             )
-        if self._plain:
-            self._say(progress)
-        else:
-            self._draw(progress)
-
-    def _say(self, progress: Progress) -> None:
-        now = time.monotonic()
-        if now - self._said_s >= LINE_S:
-            self._said_s = now
-            click.echo(f"{self._what}: {self.text(progress)}", err=True)
-
-    def _draw(self, progress: Progress) -> None:
-        if self._bar is None:
-            if progress.done == progress.total:
-                return
-            from rich.console import Console  # noqa: PLC0415
-            from rich.progress import BarColumn, TextColumn  # noqa: PLC0415
-            from rich.progress import Progress as Bar  # noqa: PLC0415
-
-            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"))
-            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task(self._what, total=1.0, text="")
-            self._bar.start()
-        self._bar.update(self._task, completed=progress.fraction, text=self.text(progress))
+        self._show(progress.fraction, self.text(progress))
 
     def text(self, progress: Progress) -> str:
         """``120 of 510 tasks, 1,240 trials/s, 1 min 20 s left``."""
@@ -102,3 +105,11 @@ def _time(seconds: float) -> str:
     if whole < _HOUR_S:
         return f"{whole // 60} min {whole % 60} s"
     return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+class CountBar(_Bar):
+    """Shows how many of a known number are done while its block lasts; `watch` takes (done, total)."""
+
+    def watch(self, done: int, total: int) -> None:
+        """Show how far it is."""
+        self._show(done / total if total else 1.0, f"{done} of {total}")

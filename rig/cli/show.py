@@ -12,9 +12,10 @@ from rig.cli import options, output
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--marks", is_flag=True, help="Also list what happened when: trial, contacts, sync edges.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Also draw it into this PNG.")
 @options.json_option
-def show(recording: Path, plot: Path | None, as_json: bool) -> None:
+def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
     from rig.experiments.judgement import experiment_of, judge  # noqa: PLC0415
     from rig.recording.reader import open_recording  # noqa: PLC0415
@@ -26,8 +27,10 @@ def show(recording: Path, plot: Path | None, as_json: bool) -> None:
         from rig.plots.hit import draw_hit  # noqa: PLC0415
 
         draw_hit(recording, plot)
+    happened = _marks(opened) if marks else None
     if as_json:
-        output.print_json(_facts(opened, verdict, true))
+        told = {} if happened is None else {"marks": [mark.as_mapping() for mark in happened]}
+        output.print_json({**_facts(opened, verdict, true), **told})
         return
     click.echo(output.headline(experiment))
     header, trailer = opened.header, opened.trailer or {}
@@ -44,8 +47,30 @@ def show(recording: Path, plot: Path | None, as_json: bool) -> None:
     if trailer.get("error"):
         pairs.append(("error", trailer["error"]))
     output.print_pairs([*pairs, *output.verdict_pairs(experiment, verdict, true)])
+    if happened is not None:
+        click.echo("marks")
+        output.print_pairs(_mark_pairs(happened))
     click.echo("columns")
     output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.names])
+
+
+def _marks(opened: Any) -> list[Any]:
+    from rig.recording.marks import marks  # noqa: PLC0415
+
+    return marks(opened)
+
+
+def _mark_pairs(happened: list[Any]) -> list[tuple[str, str]]:
+    """Each mark with its seconds from the start of the trial, or from the first mark where there was no trial."""
+    pairs = []
+    for mark in happened:
+        start = next((one for one in happened if one.name == "trial"), happened[0])
+        host = "unknown" if mark.host_time is None else f"{mark.host_time} ns"
+        since_s = (mark.device_time - start.device_time) * 1e-9
+        pairs.append(
+            (mark.name, f"{since_s:+.6f} s   tick {mark.tick}, device {mark.device_time} ns, host {host}")
+        )
+    return pairs
 
 
 def _where(extra: dict[str, Any]) -> str:

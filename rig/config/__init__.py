@@ -4,7 +4,8 @@
 * `table`: the same as a table, from which messages, listings and the editors' schema are made;
 * `rules`: what ties keys together;
 * `files`: TOML and presets as raw tables;
-* `load`: the way from those to an `Experiment`;
+* `checked`: types and ranges of every key, for this and other kinds of files;
+* `load`: the way to an `Experiment`;
 * `derive`: what others make of it.
 
 pydantic is imported by the functions that validate, not by this import.

@@ -45,7 +45,8 @@ def _reach(x: Experiment) -> Reach:
         start=x.trial.start,
         target=x.wall.position + x.wall.side * depth,
         pace=x.homing.speed,
-        wait_s=x.homing.settle_s + x.operator.begin_s,
+        wait_s=x.homing.settle_s + x.operator.begin_s + x.trial.baseline_s,
+        free_s=x.trial.baseline_s,
         seed=x.trial.seed,
     )
 
@@ -126,6 +127,8 @@ def verdict_limits(experiment: Experiment) -> Limits:
         growth=given.growth_ratio,
         late_fraction=given.late_fraction,
         saturated_fraction=given.saturated_fraction,
+        baseline_s=experiment.trial.baseline_s,
+        may_leave=experiment.trial.kind == "human",
     )
 
 

@@ -16,13 +16,13 @@ Table = dict[str, Any]
 DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow
 
 
-def read_toml(path: Path) -> Table:
-    """Read a TOML file; `ConfigError` when it is missing, unreadable or not TOML."""
+def read_toml(path: Path, kind: str = "an experiment") -> Table:
+    """Read a TOML file of this kind; `ConfigError` when it is missing, unreadable or not TOML."""
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         nearby = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        remedy = did_you_mean(path.name, nearby, "give the path of an experiment file")
+        remedy = did_you_mean(path.name, nearby, f"give the path of {kind} file")
         raise ConfigError(f"{path}: no such file", remedy=remedy) from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", remedy="save it as UTF-8") from None
@@ -67,10 +67,12 @@ def preset_table(name: str) -> Table:
 
 def tidy(value: Any, depth: int = 0) -> Any:
     """Copy a table into plain dicts with text keys, cut off at `DEPTH`; other values pass as they are."""
-    if not isinstance(value, Mapping):
+    if not isinstance(value, Mapping | list | tuple):
         return value
     if depth == DEPTH:
         return "a table nested too deeply"
+    if isinstance(value, list | tuple):
+        return [tidy(inner, depth + 1) for inner in value]
     return {str(key): tidy(inner, depth + 1) for key, inner in value.items()}
 
 

@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields, is_dataclass
-from functools import cache
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rig.config.checked import Kind, plain, typed, value_at
 from rig.config.files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
 from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.rules import broken_rules
 from rig.config.sections import Experiment
-from rig.config.table import parameters, sections, shown
+from rig.config.table import parameters, shown
 from rig.errors import ConfigError
 from rig.operators import GRIPS
 from rig.sample import UNITS, Motion
-
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-    from pydantic_core import ErrorDetails
 
 DEFAULT_PRESET = "koul-compliant"
 DEFAULT_GRIP = "normal"
 LOOP = "controller.loop"
 FREE = "controller.parameters"  # the one table whose keys belong to somebody else: the estimator
 
-_WRITE = {
-    "number": "write a number, without quotes",
-    "whole number": "write a whole number, without quotes",
-    "true or false": "write true or false, without quotes",
-    "text": "write text in quotes",
-    "choice": "choose one of these, written exactly so",
-}
+EXPERIMENT = Kind(
+    Experiment,
+    "the experiment",
+    also=("preset",),
+    otherwise=f"start from a preset with preset = {shown(DEFAULT_PRESET)}",
+)
 
 
 def load_experiment(path: str | Path) -> Experiment:
@@ -98,7 +90,7 @@ def with_realtime(experiment: Experiment, changes: Mapping[str, Any] | None = No
 
 def as_mapping(experiment: Experiment) -> dict[str, Any]:
     """Return plain nested dicts for JSON; `experiment_from_mapping` makes an equal experiment of them."""
-    return _plain(experiment)  # type: ignore[no-any-return]
+    return plain(experiment)  # type: ignore[no-any-return]
 
 
 def _preset(name: Any, source: str) -> Table:
@@ -133,7 +125,8 @@ def _stack(base: Table, top: Table) -> Table:
 def _validated(table: Table, source: str) -> Experiment:
     table = _with_defaults(table)
     try:
-        experiment, problems = _typed(table)
+        checked = typed(EXPERIMENT, table, _motion(table))
+        experiment, problems = checked
         problems += _wrong_realtime(table.get("realtime", {}))
         if experiment is not None and not problems:
             problems = broken_rules(experiment)
@@ -152,121 +145,17 @@ def _with_defaults(table: Table) -> Table:
 
     The effort limit is the nominal effort, safe for people; the numbers of an operator are those of its grip.
     """
-    limits = _value_at(table, ("rig", "limits"))
+    limits = value_at(table, ("rig", "limits"))
     if isinstance(limits, dict) and "nominal_effort" in limits and "effort" not in limits:
         table = overlay(table, nest({"rig.limits.effort": limits["nominal_effort"]}))
     operator = table.get("operator")
     if isinstance(operator, dict):
         grip = operator.get("grip", DEFAULT_GRIP)
         known = GRIPS.get(grip) if isinstance(grip, str) else None
-        table = {**table, "operator": {**_plain(known or GRIPS[DEFAULT_GRIP]), **operator}}
+        table = {**table, "operator": {**plain(known or GRIPS[DEFAULT_GRIP]), **operator}}
     if isinstance(table.get("realtime"), dict):
         table = {**table, "realtime": dict(flatten(table["realtime"]))}
     return table
-
-
-def _typed(table: Table) -> tuple[Experiment | None, list[Problem]]:
-    """Check every key and value by itself."""
-    from pydantic import ValidationError  # noqa: PLC0415  (slow to import, and only needed here)
-
-    problems = list(_mistaken_choices(table))
-    # By way of JSON, because strict validation of Python objects accepts instances of the dataclasses only.
-    text = json.dumps(_jsonable(table))
-    try:
-        experiment = _adapter().validate_json(text)
-    except ValidationError as error:
-        motion = _motion(table)
-        found = [_problem_of(e, table, motion) for e in error.errors(include_url=False)]
-        return None, list(dict.fromkeys(found)) + problems
-    return experiment, problems
-
-
-@cache
-def _adapter() -> TypeAdapter[Experiment]:
-    from pydantic import TypeAdapter  # noqa: PLC0415
-
-    return TypeAdapter(Experiment)
-
-
-def _jsonable(value: Any) -> Any:
-    """Replace what JSON has no word for by what no key accepts."""
-    if isinstance(value, dict):
-        return {key: _jsonable(inner) for key, inner in value.items()}
-    if isinstance(value, int) and value.bit_length() > 1024:  # no float is that large
-        return math.inf
-    return value if value is None or isinstance(value, bool | int | float | str) else []
-
-
-def _problem_of(error: ErrorDetails, table: Table, motion: Motion | None) -> Problem:
-    """Say in our words what pydantic found at a place."""
-    path = [str(part) for part in error["loc"]]
-    if path[:1] == ["realtime"]:
-        path = path[:2]  # what follows names an arm of the union
-    if path[:2] == FREE.split("."):
-        path = path[:3]
-    key, section, leaf = ".".join(path), ".".join(path[:-1]), path[-1] if path else ""
-    value = _value_at(table, path)
-    if error["type"] == "unexpected_keyword_argument":
-        return Problem(key, "", "is not a known key", _known_instead(section, leaf))
-    parameter = parameters().get(key)
-    if section in (FREE, "realtime"):
-        must = (
-            "must be a finite number or text"
-            if section == FREE
-            else "must be a finite number, text, or true or false"
-        )
-        return Problem(key, shown(value), must, "write one of these")
-    if parameter is None or parameter.kind == "table":
-        return _wrong_section(error, key, value)
-    must = f"{parameter.expected(motion)} ({parameter.meaning})"
-    if error["type"] == "missing":
-        remedy = f"add {leaf} under [{section}], or start from a preset with preset = {shown(DEFAULT_PRESET)}"
-        return Problem(key, "", f"is missing: {must}", remedy)
-    return Problem(key, shown(value), f"must be {must}", _better(value, parameter.kind, parameter.choices))
-
-
-def _wrong_section(error: ErrorDetails, key: str, value: Any) -> Problem:
-    name = f"[{key}]" if key else "the experiment"
-    contents = ", ".join(sections().get(key, ())) or "numbers by name"
-    if error["type"] == "missing":
-        remedy = f"add it, or start from a preset with preset = {shown(DEFAULT_PRESET)}"
-        return Problem(name, "", f"is missing: a table with {contents}", remedy)
-    if error["type"] == "value_error":  # a dataclass that checks its own keys against each other
-        message = str(error["ctx"]["error"])
-        found = ", ".join(f"{k} = {shown(v)}" for k, v in value.items() if k in message) or "none of them"
-        return Problem(name, "", f"{message} (given: {found})", "change these keys together")
-    remedy = f"write {name} and its keys below it"
-    return Problem(key, shown(value), f"must be a table with {contents}", remedy)
-
-
-def _known_instead(section: str, leaf: str) -> str:
-    """Suggest what an unknown key may have meant: the nearest of its section, or the same name elsewhere."""
-    siblings = sections().get(section, ())
-    elsewhere = [key for key in parameters() if key.rpartition(".")[2] == leaf]
-    otherwise = (
-        f"did you mean {' or '.join(elsewhere)}?" if elsewhere else f"known here: {', '.join(siblings)}"
-    )
-    return did_you_mean(leaf, siblings, otherwise)
-
-
-def _better(value: Any, kind: str, choices: Iterable[int | str]) -> str:
-    """Say how to write a value right."""
-    if kind == "choice" and isinstance(value, str):
-        return did_you_mean(value, [c for c in choices if isinstance(c, str)], "choose one of these")
-    if kind == "whole number" and isinstance(value, float) and value.is_integer():
-        return f"write {int(value)}, without a decimal point"
-    if "number" in kind and isinstance(value, int | float) and not isinstance(value, bool):
-        return "choose a value in this range"
-    return _WRITE[kind]
-
-
-def _mistaken_choices(table: Table) -> Iterator[Problem]:
-    """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
-    for key, parameter in parameters().items():
-        value = _value_at(table, key.split("."))
-        if isinstance(value, bool | float) and value in parameter.choices:
-            must = f"must be {parameter.expected(None)} ({parameter.meaning})"
-            yield Problem(key, shown(value), must, _better(value, "choice", ()))
 
 
 def _wrong_realtime(changes: Any) -> Iterator[Problem]:
@@ -275,24 +164,10 @@ def _wrong_realtime(changes: Any) -> Iterator[Problem]:
         section, _, leaf = key.rpartition(".")
         if key not in parameters() and section != FREE:
             yield Problem(
-                f"realtime.{key}", shown(value), "is not a known key", _known_instead(section, leaf)
+                f"realtime.{key}", shown(value), "is not a known key", EXPERIMENT.known_instead(section, leaf)
             )
 
 
-def _value_at(table: Table, path: Iterable[str]) -> Any:
-    value: Any = table
-    for part in path:
-        value = value.get(part) if isinstance(value, dict) else None
-    return value
-
-
 def _motion(table: Table) -> Motion | None:
-    named = _value_at(table, ("rig", "motion"))
+    named = value_at(table, ("rig", "motion"))
     return named if isinstance(named, str) and named in UNITS["position"] else None  # type: ignore[return-value]
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        inner = ((item.name, getattr(value, item.name)) for item in fields(value))
-        return {name: _plain(v) for name, v in inner if v is not None}
-    return dict(value) if isinstance(value, Mapping) else value

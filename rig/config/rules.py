@@ -174,6 +174,17 @@ def approach(x: Experiment) -> Iterator[Problem]:
         )
 
 
+def baseline(x: Experiment) -> Iterator[Problem]:
+    """Free space can only be kept by a hand: a motor pushes at once, and an excitation begins inside."""
+    if x.trial.baseline_s > 0.0 and x.trial.kind != "human":
+        yield _problem(
+            x,
+            "trial.baseline_s",
+            f'must be 0 with trial.kind = "{x.trial.kind}", where nobody keeps the handle off the wall',
+            'leave it out, or set trial.kind = "human"',
+        )
+
+
 def rest(x: Experiment) -> Iterator[Problem]:
     """A push that rests less than a few counts deep tests the encoder, not the wall."""
     if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
@@ -331,6 +342,7 @@ RULES: tuple[Callable[[Experiment], Iterator[Problem]], ...] = (
     efforts,
     window,
     approach,
+    baseline,
     rest,
     press,
     reach,

@@ -20,6 +20,7 @@ from rig.model import Amplifier, Encoder, Mechanics, Operator, Simulation
 from rig.operators import GRIPS
 from rig.quantity import STRICT, Quantity
 from rig.sample import Motion
+from rig.swings import SWING_S, SWINGS
 
 Setting = bool | int | float | str
 
@@ -49,6 +50,26 @@ class Limits:
     position_maximum: Annotated[
         float, Quantity("position", "upper end of the window; leaving it ends the run")
     ]
+    energy: Annotated[
+        float | None,
+        Gt(0),
+        Quantity(
+            "J", "a motor that has given the handle more than this in a trial ends it; left out: no limit"
+        ),
+    ] = None
+    swings: Annotated[
+        int | None,
+        Ge(0),
+        Le(1000),
+        Quantity(
+            "",
+            "so many swings of the effort in a row, from nothing to its limit with the handle moving, end the run; 0: "
+            f"never; left out: {SWINGS} in a person's trial (human = true, trial.kind), else never",
+        ),
+    ] = None
+    swing_s: Annotated[
+        float, Gt(0), Le(1), Quantity("s", "a swing no later than this after the one before is in a row")
+    ] = SWING_S
     human: Annotated[
         bool, Quantity("", "a person holds the handle, so effort may not exceed nominal_effort")
     ] = True
@@ -210,8 +231,19 @@ class Trial:
     start: Annotated[
         float, Quantity("position", "where the handle is released, on the free side of the wall")
     ]
-    duration_s: Annotated[float, Gt(0), Le(3600), Quantity("s", "time from release to the end of the push")]
+    duration_s: Annotated[
+        float,
+        Gt(0),
+        Le(3600),
+        Quantity("s", "time from release, or from the end of the baseline, to the end of the push"),
+    ]
     release_s: Annotated[float, Gt(0), Le(60), Quantity("s", "ramp to zero effort afterwards")] = 0.1
+    baseline_s: Annotated[
+        float,
+        Ge(0),
+        Le(60),
+        Quantity("s", "free space before that, in which a person's handle must not touch the wall; 0: none"),
+    ] = 0.0
     repeats: Annotated[int, Ge(1), Le(100_000), Quantity("", "how often the trial runs")] = 1
     seed: Annotated[
         int, Ge(0), Le(2**63 - 1), Quantity("", "seed of everything random in the simulation")

@@ -1,6 +1,7 @@
 """The table of all parameters, read off the annotations of the sections: key, type, range, unit, meaning.
 
-Error messages, the listing of an experiment and the schema for editors are three views of this table.
+Error messages, the listing of an experiment and the schema for editors are three views of this table. Any dataclass
+whose fields have a `rig.quantity.Quantity` has such a table; that of the experiment is the usual one.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ class Parameter:
 
     key: str
     section: type  # the dataclass that has the field
-    kind: str  # "number", "whole number", "true or false", "text", "choice" or "table"
+    kind: str  # "number", "whole number", "true or false", "text", "choice", "table", or "list of …"
     choices: tuple[int | str, ...]
     bounds: tuple[str, ...]  # like "> 0"
     unit: str  # or quantity, see rig.sample.unit_of
     meaning: str
+    values: str = ""  # what may stand in a table, in words; empty when its keys' owner says so
 
     def unit_for(self, motion: Motion | None) -> str:
         """Unit for a rotary or linear rig, both when the motion is not known, nothing for a pure number."""
@@ -42,18 +44,22 @@ class Parameter:
 
     def expected(self, motion: Motion | None) -> str:
         """What a value must be, in words, with range and unit."""
-        match self.kind:
-            case "choice":
-                return "one of " + ", ".join(shown(choice) for choice in self.choices)
-            case "true or false":
-                return self.kind
-            case "text":
-                return "text, not empty" if self.bounds else "text"
-            case "table":
-                return "a table of numbers"
-        unit = self.unit_for(motion)
-        limits = " and ".join(self.bounds) or ("in" if unit else "")
-        return " ".join(word for word in ("a", self.kind, limits, unit) if word)
+        words = {
+            "choice": "one of " + ", ".join(shown(choice) for choice in self.choices),
+            "true or false": self.kind,
+            "text": "text, not empty" if self.bounds else "text",
+            "table": "a table of numbers",
+            "list of text": "a list of texts",
+        }
+        return words.get(self.kind) or self._numbers(self.unit_for(motion))
+
+    def _numbers(self, unit: str) -> str:
+        """A number, or a list of them, with its range."""
+        bounds = [bound for bound in self.bounds if bound != "not empty"]
+        limits = " and ".join(bounds) or ("in" if unit else "")
+        listed = self.kind.startswith("list of ")
+        text = " ".join(word for word in ("a", self.kind + "s" * listed, limits, unit) if word)
+        return f"{text}, at least one" if len(bounds) < len(self.bounds) else text
 
 
 class Described(NamedTuple):
@@ -67,19 +73,29 @@ class Described(NamedTuple):
 
 @cache
 def parameters() -> Mapping[str, Parameter]:
-    """Return every parameter by its dotted key, in the order of the sections, without `realtime`."""
-    table = {parameter.key: parameter for parameter in _walk(Experiment, "")}
-    del table["realtime"]
-    return table
+    """Return every parameter of an experiment by its dotted key, in the order of the sections, without `realtime`."""
+    return {key: parameter for key, parameter in parameters_of(Experiment).items() if key != "realtime"}
 
 
 @cache
+def parameters_of(root: type) -> Mapping[str, Parameter]:
+    """Return every parameter of a description by its dotted key; ``condition[].name`` is one in a list of tables."""
+    return {parameter.key: parameter for parameter in _walk(root, "")}
+
+
 def sections() -> Mapping[str, tuple[str, ...]]:
-    """Return the keys inside each table of a file, by the table's dotted name ("" for the top)."""
-    found: dict[str, tuple[str, ...]] = {"": ("preset", *(f.name for f in fields(Experiment)))}
-    for key in parameters():
+    """Return the keys inside each table of an experiment file, by the table's dotted name ("" for the top)."""
+    return sections_of(Experiment, ("preset",))
+
+
+@cache
+def sections_of(root: type, also: tuple[str, ...] = ()) -> Mapping[str, tuple[str, ...]]:
+    """Return the keys inside each table of a file, by the table's dotted name; `also` may stand at the top."""
+    found: dict[str, tuple[str, ...]] = {"": (*also, *(f.name for f in fields(root)))}
+    for key in parameters_of(root):
         while "." in key:
             key, _, leaf = key.rpartition(".")  # noqa: PLW2901
+            leaf = leaf.removesuffix("[]")
             if leaf not in found.get(key, ()):
                 found[key] = (*found.get(key, ()), leaf)
     return found
@@ -89,18 +105,29 @@ def _walk(section: type, prefix: str) -> Iterator[Parameter]:
     hints = get_type_hints(section, include_extras=True)
     for item in fields(section):
         hint, key = hints[item.name], prefix + item.name
-        if is_dataclass(hint):
-            yield from _walk(cast("type", hint), f"{key}.")
+        inner = _sole(hint)
+        if is_dataclass(inner):
+            yield from _walk(cast("type", inner), f"{key}.")
+        elif get_origin(inner) is tuple and is_dataclass(get_args(inner)[0]):
+            yield from _walk(get_args(inner)[0], f"{key}[].")
         else:
             yield _parameter(section, key, hint)
+
+
+def _sole(hint: Any) -> Any:
+    """The type itself of a field that may be left out."""
+    if get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    if get_origin(hint) is UnionType:
+        return next(arm for arm in get_args(hint) if arm is not NoneType)
+    return hint
 
 
 def _parameter(section: type, key: str, hint: Any) -> Parameter:
     if get_origin(hint) is not Annotated:
         raise TypeError(f"{section.__name__}: field {key} has no Quantity")
-    kind, *metadata = get_args(hint)
-    if get_origin(kind) is UnionType:
-        kind = next(arm for arm in get_args(kind) if arm is not NoneType)
+    _, *metadata = get_args(hint)
+    kind = _sole(hint)
     quantity = next(m for m in metadata if isinstance(m, Quantity))
     bounds = [
         f"{sign} {getattr(m, type(m).__name__.lower()):g}"
@@ -110,9 +137,25 @@ def _parameter(section: type, key: str, hint: Any) -> Parameter:
     ]
     bounds += ["not empty" for m in metadata if isinstance(m, MinLen)]
     is_choice = get_origin(kind) is Literal
-    name = "choice" if is_choice else _TYPES.get(kind, "table")
+    name, values = "choice" if is_choice else _TYPES.get(kind, "table"), ""
+    if get_origin(kind) is tuple:
+        name = f"list of {_TYPES[get_args(kind)[0]]}"
+    elif name == "table":
+        values = _in_words(get_args(kind)[1])
     choices = get_args(kind) if is_choice else ()
-    return Parameter(key, section, name, choices, tuple(bounds), quantity.unit, quantity.meaning)
+    return Parameter(key, section, name, choices, tuple(bounds), quantity.unit, quantity.meaning, values)
+
+
+def _in_words(values: Any) -> str:
+    """What may stand in a table whose values are of this type; empty for anything."""
+    arms = get_args(values) if get_origin(values) is UnionType else (values,)
+    words = [
+        word
+        for word, kinds in (("a finite number", (int, float)), ("text", (str,)), ("true or false", (bool,)))
+        if any(kind in arms for kind in kinds)
+    ]
+    last = (", or " if len(words) > 2 else " or ").join(words[-2:])
+    return ", ".join([*words[:-2], last])
 
 
 def describe(experiment: Experiment, under: str = "") -> tuple[Described, ...]:
@@ -146,23 +189,30 @@ def json_schema() -> dict[str, Any]:
 
     Nothing is required in it, because a file may start from a preset.
     """
-    from pydantic import TypeAdapter  # noqa: PLC0415  (slow to import, and only needed here)
-
     from rig.config.files import preset_names  # noqa: PLC0415
 
-    schema = TypeAdapter(Experiment).json_schema()
-    definitions: dict[str, Any] = schema["$defs"]
-    for parameter in parameters().values():
-        entry = definitions[parameter.section.__name__]["properties"][parameter.key.rpartition(".")[2]]
-        unit = parameter.unit_for(None)
-        entry["description"] = f"{parameter.meaning} [{unit}]" if unit else parameter.meaning
-    for definition in (schema, *definitions.values()):
+    schema = schema_of(Experiment)
+    for definition in (schema, *schema["$defs"].values()):
         definition.pop("required", None)
     schema["properties"]["preset"] = {
         "enum": list(preset_names()),
         "description": "what this file starts from",
     }
     schema["properties"]["realtime"] = {"type": "object", "description": "changes for a loop in real time"}
+    return schema
+
+
+def schema_of(root: type) -> dict[str, Any]:
+    """JSON schema of a description, with the meaning and the unit of each key."""
+    from pydantic import TypeAdapter  # noqa: PLC0415  (slow to import, and only needed here)
+
+    schema = TypeAdapter(root).json_schema()
+    definitions: dict[str, Any] = schema["$defs"]
+    for parameter in parameters_of(root).values():
+        owner = schema if parameter.section is root else definitions[parameter.section.__name__]
+        entry = owner["properties"][parameter.key.rpartition(".")[2]]
+        unit = parameter.unit_for(None)
+        entry["description"] = f"{parameter.meaning} [{unit}]" if unit else parameter.meaning
     return schema
 
 
@@ -174,6 +224,8 @@ def shown(value: Any) -> str:
         return '"' + value.replace("\n", "\\n")[:60] + '"'
     if isinstance(value, dict):
         return "a table"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(shown, value[:5]))}{', …' if len(value) > 5 else ''}]"[:60]
     if isinstance(value, int) and value.bit_length() > 64:
         return "a number of more than 64 bits"
     return repr(value)[:60]

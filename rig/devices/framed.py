@@ -39,6 +39,10 @@ FAULT_LOG_S = 2.0
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
 
+# Dictionaries that this process has read, by their hash: a device that is opened again says only the hash.
+DICTIONARIES_KEPT = 16
+_dictionaries: dict[int, dictionaries.Dictionary] = {}
+
 
 @dataclass(frozen=True, slots=True)
 class Echo:
@@ -78,6 +82,7 @@ class FramedDevice:
         self._dictionary: dictionaries.Dictionary | None = None
         self._dictionary_hash = 0
         self._crc: int | None = None  # of the parameters in force; None: not ours, or not known
+        self._known: dict[str, Value] = {}  # the last values that were seen in force
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self._session = 0  # used last
         self._said_ns = self._heard_ns = (
@@ -94,7 +99,7 @@ class FramedDevice:
         return self._dictionary
 
     def identify(self) -> dictionaries.Dictionary:
-        """Read the device's dictionary.
+        """Read the device's dictionary, or only its hash, where that names one that this process has read before.
 
         Raises
         ------
@@ -107,6 +112,8 @@ class FramedDevice:
         while not reader.complete:
             reply = self._ask(m.Identify(self._next_nonce(), reader.offset), m.Identity)
             self._dictionary_hash = reply.dictionary_hash
+            if reply.dictionary_hash in _dictionaries:
+                return _dictionaries[reply.dictionary_hash]
             with self._understood():
                 reader.add(
                     total=reply.total, fingerprint=reply.dictionary_hash, offset=reply.offset, data=reply.data
@@ -114,7 +121,11 @@ class FramedDevice:
         with self._understood():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
                 raise RemoteProtocolError("the dictionary does not have the hash that the device announced")
-            return dictionaries.decode(reader.content)
+            read = dictionaries.decode(reader.content)
+        while len(_dictionaries) >= DICTIONARIES_KEPT:
+            _dictionaries.pop(next(iter(_dictionaries)), None)
+        _dictionaries[self._dictionary_hash] = read
+        return read
 
     @property
     def dictionary_hash(self) -> int:
@@ -125,7 +136,11 @@ class FramedDevice:
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
-        """Put parameters in force, all of them or none, and read back what is in force.
+        """Put parameters in force, all of them or none, and say what is in force now.
+
+        The device's answer has the CRC of every parameter in force. Where it is the one of the values that must be in
+        force now, they are known; otherwise (another host was there, or the device holds values of its own) they are
+        read, page by page.
 
         Raises
         ------
@@ -141,16 +156,26 @@ class FramedDevice:
             except DeviceRefusedError:
                 self._crc = before
                 raise
-        block = self._read_parameters()
+        block = self._expected_block(values)
+        if block is None or block_crc(block) != ack.crc:
+            block = self._read_parameters()
         with self._understood():
             in_force = decode_block(block)
-        self._crc = block_crc(block)
-        if ack.crc != self._crc:
+        if block_crc(block) != ack.crc:
             raise DeviceRefusedError(
                 "the parameters in force are not those that were sent",
                 remedy="report it: the device is inconsistent",
             )
-        return Echo(in_force, self._crc, ack.sample_index)
+        self._crc, self._known = ack.crc, in_force
+        return Echo(dict(in_force), ack.crc, ack.sample_index)
+
+    def _expected_block(self, values: Mapping[str, Value]) -> bytes | None:
+        """Every parameter as it must be in force after `values`, if the others are still what we know."""
+        known = self._known or {info.name: info.default for info in self.dictionary.parameters}
+        try:
+            return encode_block({**known, "verified": 0, **values})
+        except ParameterError:  # a device that has parameters of its own
+            return None
 
     def _make_configurable(self) -> None:
         """Bring a faulty, restarted or still armed device (a host died) into a state that takes parameters."""

@@ -11,16 +11,20 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from rig import devices
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl
 from rig.errors import ConfigError, DeviceNotFoundError
 from rig.model import RigModel
 from rig.scheduling import obtained
+
+if TYPE_CHECKING:
+    from rig.devices.framed import FramedDevice
 
 SERVERS = {"sim": "sim_backend.pty:serve"}
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
@@ -84,13 +88,15 @@ def _die_with_parent() -> None:
 def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "try") -> Iterator[str]:
     """Start a device process and yield the URL of its port; the process ends with the context.
 
-    A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. `realtime` as in
+    A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. ``hand=PATH`` lets
+    somebody lead the hand that holds the handle, through a file that exists (`rig.devices.hand`). `realtime` as in
     `serve`.
 
     Raises
     ------
     ConfigError
-        A scheme that cannot be served, an unknown name, or another option: those belong to virtual time.
+        A scheme that cannot be served, an unknown name, no such hand, nobody who holds the handle, or another option:
+        those belong to virtual time.
     DeviceNotFoundError
         The process does not come up.
     """
@@ -98,6 +104,8 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
     _check_served(parsed.scheme)
     options = _served_options(parsed)
     described = simulated_model(parsed, model)
+    if "hand" in options:
+        _check_led(options["hand"], described)
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(
@@ -118,10 +126,43 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
             process.join(STOP_TIMEOUT_S)
 
 
+@contextmanager
+def opened(
+    url: str, model: RigModel | None, *, in_real_time: bool, seed: int = 0, realtime: str = "try"
+) -> Iterator[FramedDevice]:
+    """Open a device; in real time a simulated one becomes a process of its own, which ends with the context.
+
+    Parameters
+    ----------
+    url
+        Of the device; where the law runs on it, as `rig.devices.url_for` says.
+    model
+        What is simulated; None for a real device.
+    in_real_time
+        Whether a simulated device follows the clock on the wall. A real one always does.
+    seed
+        Of the simulation.
+    realtime
+        ``host.realtime`` of the experiment: with "off" the process asks for no scheduling, either.
+
+    Raises
+    ------
+    RigError
+        As `serve_locally` and `rig.devices.open_device`.
+    """
+    with ExitStack() as stack:
+        if in_real_time and url.startswith("sim:"):
+            assert model is not None
+            wanted = "off" if realtime == "off" else "try"
+            url = stack.enter_context(serve_locally(url, model, seed=seed, realtime=wanted))
+            model = None
+        yield stack.enter_context(devices.open_device(url, model))
+
+
 def _served_options(url: DeviceUrl) -> dict[str, Any]:
     """Options of a URL that mean something in real time."""
     options = dict(url.options)
-    firmware = options.pop("firmware", "0")
+    firmware, hand = options.pop("firmware", "0"), options.pop("hand", None)
     if options:
         raise ConfigError(
             f"{url.text}: {next(iter(options))} has no effect in real time",
@@ -131,7 +172,18 @@ def _served_options(url: DeviceUrl) -> dict[str, Any]:
         raise ConfigError(
             f"{url.text}: firmware = {firmware} is neither 0 nor 1", remedy="give 1, or leave it out"
         )
-    return {"firmware": True} if firmware == "1" else {}
+    return ({"firmware": True} if firmware == "1" else {}) | ({} if hand is None else {"hand": hand})
+
+
+def _check_led(path: str, model: RigModel | None) -> None:
+    """Say here what the process could only die of."""
+    from rig.devices.hand import SharedHand  # noqa: PLC0415
+
+    SharedHand.open(path).close()
+    if model is None or model.operator is None:
+        raise ConfigError(
+            f"{path} leads a hand, and nobody holds the handle", remedy='set trial.kind = "human"'
+        )
 
 
 def _announced(receiver: Any, url: str) -> str:

@@ -109,7 +109,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
         except BaseException:
             _release(device, pipes, detached)
             raise
-        return UsbLink(url, bus, transfers, lambda: _release(device, pipes, detached))
+        number = _text(device, "serial") or None
+        return UsbLink(url, bus, transfers, lambda: _release(device, pipes, detached), number)
     except BaseException:
         bus.close()
         raise
@@ -310,8 +311,16 @@ class Transfers(Protocol):
 class UsbLink:
     """`rig.devices.device.Link` over the bulk pipes of an interface."""
 
-    def __init__(self, url: DeviceUrl, bus: Bus, transfers: Transfers, release: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        url: DeviceUrl,
+        bus: Bus,
+        transfers: Transfers,
+        release: Callable[[], None],
+        serial_number: str | None = None,
+    ) -> None:
         self.url = url
+        self.serial_number = serial_number
         self.clock: Clock = MonotonicClock()
         self.bytes_per_second: float | None = None  # packets are the limit, not bytes
         self._bus: Bus | None = bus

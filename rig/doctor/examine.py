@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from firmware_protocol.messages import MAJOR, MINOR
 from rig import config, devices
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
-from rig.devices.local import serve_locally
+from rig.devices.local import opened
 from rig.doctor.finding import Finding, Outcome
 from rig.doctor.gate import Gate, Reason, gate
 from rig.doctor.in_effect import in_effect
@@ -163,14 +163,13 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
     """Open the device; a simulated one in real time becomes a process of its own."""
     loop = question.changes.get("controller.loop", question.experiment.controller.loop)
     url = devices.url_for(question.url or "sim://", loop)
-    with ExitStack() as stack:
-        if url.startswith("sim:") and question.realtime:
-            experiment = config.with_realtime(question.experiment, question.changes)
-            realtime = "off" if experiment.host.realtime == "off" else "try"
-            model, seed = config.rig_model(experiment), experiment.trial.seed
-            url = stack.enter_context(serve_locally(url, model, seed=seed, realtime=realtime))
-        model = config.rig_model(config.override(question.experiment, question.changes))
-        yield stack.enter_context(devices.open_device(url, model if url.startswith("sim:") else None))
+    simulated = url.startswith("sim:")
+    changed = config.with_realtime if simulated and question.realtime else config.override
+    experiment = changed(question.experiment, question.changes)
+    model = config.rig_model(experiment) if simulated else None
+    seed, realtime = experiment.trial.seed, experiment.host.realtime
+    with opened(url, model, in_real_time=question.realtime, seed=seed, realtime=realtime) as device:
+        yield device
 
 
 def _with_device(question: Question, device: FramedDevice, seen: Examination, told: Told) -> Examination:

@@ -20,7 +20,7 @@ the wall is passive is not asked, but said. A simulated device is never refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -119,15 +119,9 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     rate, wall = experiment.controller.position_rate, experiment.wall
     on_the_device = experiment.controller.loop == "device"
     delay = loop_delay_ticks(experiment, measurement, rate)
-    travel_s = measurement.travel.almost_all
-    lifetime_s = (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
-    reasons: list[Reason] = []
+    travel_s, lifetime_s = measurement.travel.almost_all, _lifetime_s(experiment)
+    reasons = _of_the_link(experiment, measurement)
     notes: list[str] = []
-    if travel_s > LIFETIME_SHARE * lifetime_s:
-        ticks = measurement.delay_ticks(rate, experiment.host.pacing)
-        reasons.append(_too_slow(travel_s, lifetime_s, ticks, on_the_device))
-    if measurement.loss_share > LOST_SHARE:
-        reasons.append(_too_many_lost(measurement))
     if measurement.travel.p999.high is None and not measurement.virtual:
         notes.append(
             f"{measurement.travel.number} exchanges bound p{100 * measurement.travel.bounded:.5g} only (p99.9 needs "
@@ -168,6 +162,38 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         passive_stiffness=passive,
         simulated=measurement.simulated,
     )
+
+
+def refused_among(
+    experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
+) -> tuple[float, ...]:
+    """Which of these stiffnesses `gate` refuses, at the experiment's damping; the same answer in far less time."""
+    walls = tuple(stiffnesses)
+    if _of_the_link(experiment, measurement):
+        return walls
+    rate, damping = experiment.controller.position_rate, experiment.wall.damping
+    try:
+        loops = LateLoops.of(experiment, loop_delay_ticks(experiment, measurement, rate))
+    except ConfigError:
+        return ()
+    return tuple(k for k in walls if _hands_that_swing(loops.radius(k, damping), k))
+
+
+def _of_the_link(experiment: Experiment, measurement: LinkMeasurement) -> list[Reason]:
+    """What speaks against any wall on this link."""
+    travel_s, lifetime_s = measurement.travel.almost_all, _lifetime_s(experiment)
+    reasons = []
+    if travel_s > LIFETIME_SHARE * lifetime_s:
+        ticks = measurement.delay_ticks(experiment.controller.position_rate, experiment.host.pacing)
+        reasons.append(_too_slow(travel_s, lifetime_s, ticks, experiment.controller.loop == "device"))
+    if measurement.loss_share > LOST_SHARE:
+        reasons.append(_too_many_lost(measurement))
+    return reasons
+
+
+def _lifetime_s(experiment: Experiment) -> float:
+    on_the_device = experiment.controller.loop == "device"
+    return (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
 
 
 def _limits(loops: LateLoops, damping: float) -> dict[str, float]:

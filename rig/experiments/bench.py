@@ -39,7 +39,7 @@ class Bench:
     def __init__(self, experiment: Experiment, backend: str = "sim") -> None:
         trial, homing = experiment.trial, experiment.homing
         tick_s = 1.0 / experiment.controller.position_rate
-        longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.duration_s + 2 * tick_s
+        longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
         # The push is all that is judged: the ramp down after it costs time and shows nothing.
         experiment = replace(experiment, trial=replace(trial, release_s=tick_s))
         self._wall = experiment.wall

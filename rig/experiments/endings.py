@@ -22,7 +22,8 @@ from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd
 
 # Reason → error, what happened, what to do. In braces: url, why (errno), cause_of_loss and loss_remedy
-# (`rig.devices.failures`), fault, fault_remedy, cause (an exception), position and velocity of the last row.
+# (`rig.devices.failures`), fault, fault_remedy, cause (an exception), position and velocity of the last row, and what
+# `rig.loop.run.LoopEnd` says was watched.
 ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
     EndReason.STOPPED: (StoppedError, "stopped; the effort is zero", ""),
@@ -74,6 +75,18 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "{velocity}; the effort went to zero",
         "check the wall, the signs of motor and encoder, and rig.limits",
     ),
+    EndReason.ENERGY: (
+        GuardError,
+        "the motor gave the handle {energy} J, more than the {energy_limit} J of rig.limits.energy; the effort went to "
+        "zero",
+        "take a softer or more damped wall, or raise rig.limits.energy if no hand is in danger",
+    ),
+    EndReason.VIOLENT: (
+        GuardError,
+        "the wall beat the handle: {swings} swings in a row between no effort and its limit, each within {swing_s} s, "
+        "and rig.limits.swings allows fewer; the effort went to zero",
+        "take a softer or more damped wall; rig.limits.swings = 0 never stops one",
+    ),
     EndReason.HOMING_FAILED: (
         GuardError,
         "the start was not reached in time; the effort went to zero",
@@ -113,6 +126,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
         "cause": repr(end.error),
         "position": f"{rows['position'][-1]:.4g}" if len(rows) else "?",
         "velocity": f"{rows['velocity'][-1]:.4g}" if len(rows) else "?",
+        **{name: f"{value:.4g}" for name, value in end.watched.items()},
     }
     error = kind(message.format(**words), remedy=remedy.format(**words))
     if isinstance(error, LinkLostError):

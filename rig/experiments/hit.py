@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rig import config, device_law, devices
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
-from rig.devices.local import serve_locally
+from rig.devices.local import opened
 from rig.doctor.in_effect import in_effect
 from rig.errors import ConfigError, PlanError
 from rig.experiments.judgement import as_trailer, judge
@@ -47,6 +47,8 @@ class HitRequest:
         zero now.
     output
         Directory of the recordings.
+    name
+        Of the recording, without its suffix, where the caller has names of its own; else rig, time and repeat.
     law
         A law of the caller's own instead of the named one, or what makes one for the device's current quantum (A).
     device
@@ -67,6 +69,7 @@ class HitRequest:
     realtime: bool = False
     verified: bool = False
     output: Path = Path("recordings")
+    name: str | None = None
     law: Law | Callable[[float], Law] | None = None
     device: FramedDevice | None = None
     reference_count: int | None = None
@@ -143,21 +146,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         Whatever ended a trial early (see `rig.experiments.trial.run_trial`); the effort is zero.
     """
     with _opened(request) as device:
-        experiment = _experiment_for(request, device)
-        config.check_plugins(experiment, experiment.rig.name)
-        _refuse(make_plan(experiment).checks)
-        law = request.law
-        if law is not None and not isinstance(law, Law):
-            law = law(device.dictionary.current_quantum_a)
-        _refuse(device_checks(experiment, device.dictionary, law))
-        _refuse(
-            link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
-        )
-        _check_same_rig(experiment, device)
-        _check_verified(request, device)
-        _check_person(experiment, device)
-        if law is not None:
-            experiment = replace(experiment, wall=replace(experiment.wall, law=law.name))
+        experiment, law = vetted(request, device)
         gate = _gate(request, device, experiment)
         with plain_errors("make", request.output):
             request.output.mkdir(parents=True, exist_ok=True)
@@ -175,12 +164,38 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                 device,
                 replace(
                     trial,
-                    recording=_free_name(request.output, f"{stem}-{repeat + 1}"),
+                    recording=_free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
                     progress=watch(repeat, experiment) if watch else None,
                     extra={"repeat": repeat + 1, **({} if gate is None else {"gate": gate.as_mapping()})},
                 ),
                 gate,
             )
+
+
+def vetted(request: HitRequest, device: FramedDevice) -> tuple[Experiment, Law | None]:
+    """The experiment as it would run on an open device, and its law. The link is not measured, and nothing moves.
+
+    Raises
+    ------
+    PlanError
+        Something that must not run.
+    ConfigError
+        Another rig than the one in the experiment, or a real one that nobody vouches for.
+    """
+    experiment = in_effect(request.experiment, device, request.changes)
+    config.check_plugins(experiment, experiment.rig.name)
+    _refuse(make_plan(experiment).checks)
+    law = request.law
+    if law is not None and not isinstance(law, Law):
+        law = law(device.dictionary.current_quantum_a)
+    _refuse(device_checks(experiment, device.dictionary, law))
+    _refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    _check_same_rig(experiment, device)
+    _check_verified(request, device)
+    _check_person(experiment, device)
+    if law is not None:
+        experiment = replace(experiment, wall=replace(experiment.wall, law=law.name))
+    return experiment, law
 
 
 def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
@@ -225,33 +240,16 @@ def _opened(request: HitRequest) -> Iterator[FramedDevice]:
         return
     loop = request.changes.get("controller.loop", request.experiment.controller.loop)
     url = devices.url_for(request.url or "sim://", loop)
-    if not url.startswith("sim:"):
-        with devices.open_device(url) as device:
-            yield device
-        return
-    if request.realtime:
-        experiment = config.with_realtime(request.experiment, request.changes)
-    else:
-        experiment = config.override(request.experiment, request.changes)
-    model = config.rig_model(experiment)
-    if request.realtime:
-        with (
-            serve_locally(
-                url,
-                model,
-                seed=request.experiment.trial.seed,
-                realtime="off" if experiment.host.realtime == "off" else "try",
-            ) as port,
-            devices.open_device(port) as device,
-        ):
-            yield device
-    else:
-        with devices.open_device(url, model) as device:
-            yield device
-
-
-def _experiment_for(request: HitRequest, device: FramedDevice) -> Experiment:
-    return in_effect(request.experiment, device, request.changes)
+    changed = config.with_realtime if request.realtime else config.override
+    simulated = changed(request.experiment, request.changes) if url.startswith("sim:") else None
+    with opened(
+        url,
+        None if simulated is None else config.rig_model(simulated),
+        in_real_time=request.realtime,
+        seed=request.experiment.trial.seed,
+        realtime="try" if simulated is None else simulated.host.realtime,
+    ) as device:
+        yield device
 
 
 def _reference_count(request: HitRequest, device: FramedDevice) -> int:

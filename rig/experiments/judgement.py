@@ -9,9 +9,14 @@ from rig import verdict
 from rig.config import Experiment, experiment_from_mapping, verdict_limits
 from rig.recording.data import Recording
 from rig.sample import Phase
-from rig.verdict import Kind, Verdict
+from rig.verdict import Kind, Measured, Verdict
 
 FINISHED = "finished"  # what the trailer of a whole run says
+THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
+    "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
+    "energy": "the wall gave the hand more energy than rig.limits.energy",
+    "violent": "the wall beat: the effort swung between nothing and its limit",
+}
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 
 
@@ -42,6 +47,19 @@ def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
     return verdict.overruled(recorded, *early), None if true is None else verdict.overruled(true, *early)
 
 
+def measure(recording: Recording) -> tuple[Measured, Measured | None]:
+    """Measure a recording, and its truth if it has one: what `judge` goes by, and what each criterion says."""
+    experiment = experiment_of(recording)
+    limits, wall = verdict_limits(experiment), experiment.wall
+    tick_s, thrown_out = 1.0 / experiment.controller.position_rate, ended_early(recording) is not None
+    signals = verdict.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
+    recorded = verdict.measured(signals, limits, thrown_out=thrown_out)
+    if not recording.has_truth:
+        return recorded, None
+    true = verdict.true_signals(recording.rows, tick_s, wall.position, wall.side)
+    return recorded, verdict.measured(true, limits, thrown_out=thrown_out)
+
+
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
@@ -49,10 +67,10 @@ def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     if reason == FINISHED or (phases == Phase.RELEASE).any():
         return None
     fault = ((recording.trailer or {}).get("fault") or {}).get("name", "")
-    thrown = reason == "out_of_window" or fault in THROWN_OUT
+    thrown = THREW_OUT["out_of_window"] if fault in THROWN_OUT else THREW_OUT.get(reason)
     touched = bool((recording.rows["penetration"][phases == Phase.TRIAL] > 0.0).any())
     if thrown and touched:
-        return Kind.UNSTABLE, "the wall threw the handle out of its window or beyond the speed limit"
+        return Kind.UNSTABLE, thrown
     return Kind.INVALID, f"the run ended early: {reason.replace('_', ' ')}"
 
 

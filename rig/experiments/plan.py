@@ -16,7 +16,7 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig import controller, device_law
-from rig.config import Experiment, push_at_rest, rig_model
+from rig.config import Experiment, motor_push, push_at_rest, rig_model
 from rig.laws import Law
 from rig.sample import unit_of
 
@@ -99,7 +99,7 @@ def make_plan(experiment: Experiment) -> Plan:
         from rig.experiments.shaking_plan import shaking_plan  # noqa: PLC0415  (it needs the linear theory)
 
         return shaking_plan(experiment)
-    checks = (*_wall_checks(experiment), *_heat_checks(experiment))
+    checks = (*_wall_checks(experiment), *_watch_checks(experiment), *_heat_checks(experiment))
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks)
 
 
@@ -290,10 +290,53 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
             f"to {t.start:g} {position} at {h.speed:g} {velocity}, at most {h.effort:g} {effort}",
             h.timeout_s,
         ),
+        *_baseline_step(x),
         Step("push", f"{_push_text(x)} into a wall of {wall} at {w.position:g} {position}", t.duration_s),
         Step("release", "ramp the effort to zero", t.release_s),
         Step("judge", f"on the last {x.verdict.tail_s:g} s of the push; disarm and seal the recording", 0.0),
     )
+
+
+def _baseline_step(x: Experiment) -> tuple[Step, ...]:
+    if x.trial.baseline_s == 0.0:
+        return ()
+    return (Step("wait", "off the wall, for a baseline of free space", x.trial.baseline_s),)
+
+
+def _watch_checks(x: Experiment) -> list[Check]:
+    """What ends a trial for what the motor does to the handle (`rig.watch`)."""
+    energy, swings = controller.energy_limit(x), controller.swing_limit(x)
+    checks = []
+    if energy > 0.0 and x.wall.stiffness > 0.0:
+        hit = predict_impact(x)
+        work = abs(motor_push(x)) * (abs(x.wall.position - x.trial.start) + hit.peak_penetration)
+        leak = x.wall.stiffness * x.rig.encoder.resolution**2
+        checks.append(
+            Check(
+                "energy",
+                Outcome.OK if work <= energy else Outcome.REFUSED,
+                f"the push gives up to {work:.2g} J, a count left and entered again {leak:.2g} J; limit {energy:g}",
+                "raise rig.limits.energy, push less or start closer",
+            )
+        )
+    if swings > 0:
+        within = f"each within {x.rig.limits.swing_s:g} s"
+        checks.append(
+            Check(
+                "violence", Outcome.OK, f"{swings} full swings of the effort in a row, {within}, end the run"
+            )
+        )
+    return checks
+
+
+def _saturating(x: Experiment) -> str:
+    """What to say of a hit whose spring asks for more than the limit at its deepest."""
+    if (
+        x.trial.kind == "human"
+        and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
+    ):
+        return "expected for a moment at impact, and a verdict looks at the end; to avoid it push less or start closer"
+    return "the hit will saturate; push less or start closer"
 
 
 def _wall_checks(x: Experiment) -> list[Check]:
@@ -329,7 +372,7 @@ def _wall_checks(x: Experiment) -> list[Check]:
             "peak effort",
             Outcome.OK if hit.peak_effort <= limits.effort else Outcome.WARNING,
             f"spring up to {hit.peak_effort:.3g} {effort}, limit {limits.effort:g}",
-            "the hit will saturate; push less or start closer",
+            _saturating(x),
         ),
     ]
     rest = push_at_rest(x) / x.wall.stiffness

@@ -37,6 +37,7 @@ from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
 from rig.recording.seal import seal, with_truth
 from rig.ring import Ring
+from rig.sample import Phase
 from rig.scheduling import Realtime, obtained
 from rig.step import Controller
 
@@ -88,6 +89,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     LinkLostError, DeviceFaultError, GuardError, LawError, StoppedError
         The run ended early. The effort is zero, the recording is closed, and its path stands in the error's
         `recording`.
+    Exception
+        What the caller's progress raised; it ends the run in the same way, and carries `recording`, too.
     """
     experiment = request.experiment
     quantum = device.dictionary.current_quantum_a
@@ -112,25 +115,50 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         header = _header(device, request, controller, echo, realtime, fit_if_possible(exchanges[0]))
         with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
             try:
+                if request.progress is not None:  # a STOP that came while the link was measured
+                    request.progress(0, Phase.WAIT)
                 loop = _arm(device, request, controller, parameters, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
                 raise
+            watch = _Watch(loop, request.progress)
             try:
                 loop.start()
-                loop.wait(request.progress)
+                loop.wait(watch if request.progress is not None else None)
             finally:
                 _bring_to_rest(device, loop)
             end = loop.end()
-            error = _conclude(device, loop, end, recorder, realtime, exchanges)
+            error = _conclude(device, loop, end, recorder, realtime, exchanges, watch.stopped)
         path = _seal(request, device.link.truth(), error)
-    if error is None and signals.seen:
+    if error is None and (signals.seen or watch.stopped):
         error = StoppedError("stopped after the trial had finished; the effort is zero")
-    if error is not None:
-        error.recording = path
+        if watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
+            error = watch.stopped
+    if isinstance(error, StoppedError) and signals.seen:
+        error.signal = signals.seen[0]
+    if isinstance(error, RigError):
         error.messages = (*device.link.messages, *realtime.messages, *loop.messages())
+    if error is not None:
+        vars(error)["recording"] = path  # a caller's own exception carries it as ours do
         raise error from end.error
     return TrialEnd(path, end.reason, end.counters, (*realtime.messages, *loop.messages()))
+
+
+class _Watch:
+    """The caller's progress; when it raises, the loop stops as by its stop word, and all is recorded."""
+
+    def __init__(self, loop: LoopThread, progress: Progress | None) -> None:
+        self._loop, self._progress = loop, progress
+        self.stopped: Exception | None = None
+
+    def __call__(self, ticks: int, phase: int) -> None:
+        if self._progress is None or self.stopped is not None:
+            return
+        try:
+            self._progress(ticks, phase)
+        except Exception as error:  # whatever broke there, the handle has moved
+            self._loop.stop()
+            self.stopped = error
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
@@ -229,7 +257,7 @@ def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
     device.stop()
 
 
-def _seal(request: TrialRequest, truth: NDArray[np.void] | None, error: RigError | None) -> Path:
+def _seal(request: TrialRequest, truth: NDArray[np.void] | None, error: Exception | None) -> Path:
     """Seal the capture, with what the caller's judge says of it. A failure here never hides the `error` of the run."""
     if not request.sealed:
         return request.recording
@@ -254,8 +282,12 @@ def _conclude(
     recorder: Recorder,
     realtime: Realtime,
     exchanges: list[NDArray[np.void]],
-) -> RigError | None:
-    """Hear the device's side, disarm it, close the recording; return the error that the ending means, if any."""
+    stopped: Exception | None,
+) -> Exception | None:
+    """Hear the device's side, disarm it, close the recording; return the error that the ending means, if any.
+
+    `stopped` is why the caller's progress ended the run, if it did.
+    """
     rows = loop.ring.last_rows(BLACK_BOX_ROWS)
     exchanges.append(as_exchanges(loop.exchanges()))
     fault: FaultReport | None = None
@@ -268,7 +300,9 @@ def _conclude(
         device.disarm(clear_fault=True)
         # At rest nothing delays an answer: with those before the run these hold the line that the run's scatter about.
         exchanges.append(device.exchange_clock())
-    error = error_of(end, device.link.url.text, fault, rows)
+    error: Exception | None = error_of(end, device.link.url.text, fault, rows)
+    if stopped is not None and end.reason == EndReason.STOPPED:
+        error = stopped
     recorder.finish(_trailer(loop, end, fault, error, realtime, np.concatenate(exchanges)))
     return error
 
@@ -320,16 +354,17 @@ def _trailer(
     loop: LoopThread,
     end: LoopEnd,
     fault: FaultReport | None,
-    error: RigError | None,
+    error: Exception | None,
     realtime: Realtime,
     exchanges: NDArray[np.void],
 ) -> dict[str, Any]:
     clock = fit_if_possible(exchanges)
     return {
         "reason": end.reason.name.lower(),
-        "error": None if error is None else str(error),
+        "error": None if error is None else str(error) if isinstance(error, RigError) else repr(error),
         "fault": None if fault is None else asdict(fault),
         "counters": end.counters,
+        "watched": end.watched,
         "parameter_sets": loop.parameter_sets(),
         "exchanges": [list(stamps) for stamps in exchanges.tolist()],
         "clock": None if clock is None else clock.as_mapping(),

@@ -10,8 +10,8 @@ them.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,17 +21,17 @@ import numpy as np
 from rig import config, devices, sweep
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
-from rig.devices.local import serve_locally
+from rig.devices.local import opened
 from rig.errors import DeviceFaultError, GuardError, PlanError, RigError, StoppedError
 from rig.experiments.hit import HitRequest, hit
-from rig.experiments.judgement import THROWN_OUT, ended_early, experiment_of
+from rig.experiments.judgement import THREW_OUT, THROWN_OUT, ended_early, measure
 from rig.experiments.ladder import Outcomes, Search
 from rig.experiments.plan import Outcome, device_checks, link_checks, make_plan
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.sample import Phase
-from rig.verdict import Kind, Measured, decide, measured, recorded_signals, true_signals
+from rig.verdict import Kind, Measured, decide
 
 ATTEMPTS = 3  # at a hit that says nothing
 CALM_S = 0.5  # pause between hits, whatever the motor's heat
@@ -136,20 +136,16 @@ class _Bench:
     thrown_out: bool = False
 
 
-@contextmanager
-def _opened(plan: MapPlan, session: Session) -> Iterator[FramedDevice]:
+def _opened(plan: MapPlan, session: Session) -> AbstractContextManager[FramedDevice]:
     """Open the device of a session."""
-    model = config.rig_model(plan.experiment)
-    url = devices.url_for(session.url, plan.experiment.controller.loop)
-    if session.realtime and url.startswith("sim:"):
-        with (
-            serve_locally(url, model, seed=plan.experiment.trial.seed) as port,
-            devices.open_device(port) as device,
-        ):
-            yield device
-    else:
-        with devices.open_device(url, model) as device:
-            yield device
+    experiment = plan.experiment
+    return opened(
+        devices.url_for(session.url, experiment.controller.loop),
+        config.rig_model(experiment),
+        in_real_time=session.realtime,
+        seed=experiment.trial.seed,
+        realtime=experiment.host.realtime,
+    )
 
 
 def _climb(bench: _Bench, experiment: Experiment, search: Search, first: Next) -> list[dict[str, Any]]:
@@ -217,7 +213,7 @@ def _row(bench: _Bench, experiment: Experiment, asked: Next) -> dict[str, Any]:
         if not session.agrees(asked):
             raise StoppedError("ended between two hits; the effort is zero")
         recording, path = _recorded_hit(bench, experiment, asked.stiffness)
-        recorded, true = _measured(recording)
+        recorded, true = measure(recording)
         session.tells(asked, recorded)
         session.pause(CALM_S + _cooling_of(recording, experiment))
         if recorded.passes("any") is not None:
@@ -264,7 +260,7 @@ def _thrown_out(recording: Recording) -> bool:
         return early[0] is Kind.UNSTABLE
     trailer = recording.trailer or {}
     fault = (trailer.get("fault") or {}).get("name")
-    return trailer.get("reason") == "out_of_window" or fault in THROWN_OUT
+    return trailer.get("reason") in THREW_OUT or fault in THROWN_OUT
 
 
 def _changes(experiment: Experiment, stiffness: float) -> Mapping[str, Any]:
@@ -277,19 +273,6 @@ def _changes(experiment: Experiment, stiffness: float) -> Mapping[str, Any]:
         "wall.damping": experiment.wall.damping,
         "trial.repeats": 1,
     }
-
-
-def _measured(recording: Recording) -> tuple[Measured, Measured | None]:
-    """Measure a recording, and its truth if it has one."""
-    experiment = experiment_of(recording)
-    limits, wall = config.verdict_limits(experiment), experiment.wall
-    tick_s, thrown_out = 1.0 / experiment.controller.position_rate, ended_early(recording) is not None
-    signals = recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
-    recorded = measured(signals, limits, thrown_out=thrown_out)
-    if not recording.has_truth:
-        return recorded, None
-    true = true_signals(recording.rows, tick_s, wall.position, wall.side)
-    return recorded, measured(true, limits, thrown_out=thrown_out)
 
 
 def _cooling_of(recording: Recording, experiment: Experiment) -> float:

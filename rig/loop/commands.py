@@ -10,24 +10,44 @@ from numba import types
 from firmware_protocol import codec
 from firmware_protocol.codec import COMMAND
 from firmware_protocol.kernel import kernel
-from firmware_protocol.messages import Mode
+from firmware_protocol.messages import Mode, Sync
 from rig.loop.layout import BYTES, INTS, PROGRESS_TYPE, SETTINGS_TYPE
 from rig.plugs import TRANSFER
+from rig.sample import Phase, RowFlag
+from rig.step import MEMORY_TYPE
 
 MODE_CURRENT, MODE_SUPERVISE, MODE_STOP = int(Mode.CURRENT), int(Mode.SUPERVISE), int(Mode.STOP)
+NO_SYNC = 0
+_TRIAL, _INSIDE = int(Sync.TRIAL), int(Sync.INSIDE)
+_PHASE_TRIAL, _FLAG_INSIDE = int(Phase.TRIAL), int(RowFlag.INSIDE)
+
+
+@kernel(types.int64(MEMORY_TYPE), inline=True)
+def sync_of(memory: Any) -> int:
+    """What the sync outputs shall show of the tick that `rig.step` left in its memory (`Sync`)."""
+    bits = NO_SYNC
+    if memory[0]["phase"] == _PHASE_TRIAL:
+        bits |= _TRIAL
+    if memory[0]["flags"] & _FLAG_INSIDE:
+        bits |= _INSIDE
+    return bits
 
 
 @kernel(
-    types.int64(TRANSFER, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, INTS, BYTES, types.int64, types.int64)
-)
+    types.int64(
+        TRANSFER, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, INTS, BYTES, types.int64, types.int64, types.int64
+    )
+)  # fmt: skip
 def send_command(
-    write: Any, link: int, settings: Any, progress: Any, command: Any, transmit: Any, mode: int, current: int
-) -> int:
+    write: Any, link: int, settings: Any, progress: Any, command: Any, transmit: Any, mode: int, current: int,
+    sync: int,
+) -> int:  # fmt: skip
     """Send one COMMAND: 1 when the link took it whole, 0 when not, negative errno when the link is broken."""
     p = progress[0]
     command[COMMAND.state_sequence] = p["answers"]
     command[COMMAND.lifetime_us] = settings[0]["lifetime_us"]
     command[COMMAND.mode] = mode
+    command[COMMAND.flags] = sync
     command[COMMAND.current] = current
     size = codec.encode_command(settings[0]["session"], p["sequence"], command, transmit)
     p["sequence"] = (p["sequence"] + 1) % 65536

@@ -11,9 +11,11 @@ from rig import ring
 from rig.loop.layout import SETTINGS_TYPE, WORD, EndReason
 from rig.plugs import NOW
 from rig.step import DONE, MEMORY_TYPE
+from rig.step import ENERGY as FLAG_ENERGY
 from rig.step import HOMING_FAILED as FLAG_HOMING
 from rig.step import NONFINITE as FLAG_NONFINITE
 from rig.step import OUT_OF_WINDOW as FLAG_WINDOW
+from rig.step import VIOLENT as FLAG_VIOLENT
 from rig.system import woken_by_signal
 from rig.words import load_word, store_word
 
@@ -22,6 +24,7 @@ FINISHED, STOPPED, HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED
 CLOSED, SILENT, FAULT = (int(EndReason[n]) for n in ("LINK_CLOSED", "LINK_SILENT", "DEVICE_FAULT"))
 OVERRUN, DEVICE_ENDED = int(EndReason.OVERRUN), int(EndReason.DEVICE_ENDED)
 _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED"))
+_ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
 
 
 @kernel(types.int64(NOW, types.int64, SETTINGS_TYPE, types.uintp))
@@ -39,13 +42,22 @@ def told_to_end(now: Any, clock: int, settings: Any, words: int) -> int:
 
 @kernel(types.int64(MEMORY_TYPE))
 def ended_by_law(memory: Any) -> int:
-    """Reason to end that `rig.step` left in its memory, or 0."""
+    """Reason to end that `rig.step` left in its memory, or 0.
+
+    With the law on the device this is the host's own step on the samples of a BATCH, and the device knows nothing of
+    energy or violence: it drives on until our STOP is there. That is the rest of the batch (at most 5 ms, see
+    `rig.device_law.batch`), the way of its bytes, and the way of the STOP.
+    """
     flags = memory[0]["flags"]
     reason = 0
     if flags & FLAG_NONFINITE:
         reason = _NONFINITE
     elif flags & FLAG_WINDOW:
         reason = _WINDOW
+    elif flags & FLAG_ENERGY:
+        reason = _ENERGY
+    elif flags & FLAG_VIOLENT:
+        reason = _VIOLENT
     elif flags & FLAG_HOMING:
         reason = _HOMING
     elif memory[0]["phase"] == DONE:

@@ -76,5 +76,7 @@ def take_time(
     exchanges[place, 1] = device_ns(times[TIME.device_received], device_tick_ps)
     exchanges[place, 2] = device_ns(times[TIME.device_sent], device_tick_ps)
     exchanges[place, 3] = p["read_at"]
+    for i in range(4):  # for whoever looks at the ring: the other half is left alone meanwhile
+        store_word(words + WORD * (ring.CLOCK + 4 * (done % 2) + i), exchanges[place, i])
     store_word(words + WORD * ring.EXCHANGES, done + 1)
     return 1

@@ -23,7 +23,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.kernel import kernel
 from rig import ring
 from rig.devices.framed import STOP_FRAMES
-from rig.loop.commands import MODE_CURRENT, MODE_STOP, send_command
+from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
 from rig.loop.ending import CLOSED, FAULT, OVERRUN, SILENT, STOPPED, ended_by_law, told_to_end
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
@@ -204,14 +204,14 @@ def run(
             return STOPPED
         computed_ns = now(clock)
         flag_timing(settings, memory, progress, elapsed, words)
-        mode = MODE_CURRENT
+        mode, sync = MODE_CURRENT, sync_of(memory)
         reason = _outcome(state, settings, memory, progress)
         if reason != 0:
-            mode = MODE_STOP
+            mode, sync = MODE_STOP, NO_SYNC
             current = 0
             m["effort_sent"] = 0.0
             m["current_sent"] = 0
-        taken = send_command(write, link, settings, progress, command, transmit, mode, current)
+        taken = send_command(write, link, settings, progress, command, transmit, mode, current, sync)
         sent_ns = now(clock)
         add(words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
         leave_row(
@@ -237,6 +237,6 @@ def run(
             store_word(words + WORD * ring.END_ERRNO, -taken)
             reason = CLOSED
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
-        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0)
+        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0, NO_SYNC)
     store_word(words + WORD * ring.END_REASON, reason)
     return int(reason)

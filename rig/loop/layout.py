@@ -33,6 +33,8 @@ class EndReason(IntEnum):
     OVERRUN = 11  # a tick came more than one period late, and the settings say that this ends the run
     STUCK = 12  # told to stop, it did not return: law or estimator never came back (set by the caller)
     DEVICE_ENDED = 13  # the law on the device ended the run, the host's, in other arithmetic, did not
+    ENERGY = 14  # the motor gave more energy to the handle than it may
+    VIOLENT = 15  # the effort swung to and fro between nothing and its limit
 
 
 SETTINGS = np.dtype(
@@ -81,6 +83,8 @@ PROGRESS = np.dtype(
         ("parameter_set", "<i8"),  # in force
         ("waiting_set", "<i8"),  # taken from the mailbox, not yet in force; 0 for none
         ("sets", "<i8"),  # parameter sets that came in force during the run
+        ("sync_told", "<i8"),  # time of the newest edge of the sync input as STATE told it (32 bits)
+        ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
     ],
     align=True,
 )

@@ -19,6 +19,7 @@ from rig.words import load_word, store_word
 
 DRIFT_PPM = 100  # the host's grid may stretch by this much against the device's: two ordinary crystals
 ROOM_POLL_NS = 50_000
+YOUNGER = 1 << 24  # ticks of the device's clock by which an edge may be younger than its sample: a second
 FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 
@@ -60,6 +61,22 @@ def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
     return int(ticks * settings[0]["device_tick_ps"] // 1000)
 
 
+@kernel(types.int64(PROGRESS_TYPE, INTS))
+def sync_time(progress: Any, state: Any) -> int:
+    """Device time of the newest rising edge of the sync input, extended to 64 bits (device ticks); 0 for none.
+
+    A STATE may tell an edge that is younger than its sample, since it is made after that. An edge is dated when it is
+    told first: its 32 bits stay the same while the clock wraps.
+    """
+    p = progress[0]
+    told = state[STATE.sync_time]
+    if told != p["sync_told"]:
+        p["sync_told"] = told
+        age = (p["device_time"] + YOUNGER - told) % WRAP - YOUNGER
+        p["sync_time"] = 0 if told == 0 else p["device_time"] - age
+    return int(p["sync_time"])
+
+
 @kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
 def show_law(rows: Any, slot: int, memory: Any) -> None:
     """Put what `step` left in its memory into a row: all that a replay computes anew."""
@@ -90,6 +107,7 @@ def leave_row(
 
     The effort in force follows from the current in force.
     """
+    edge = sync_time(progress, state)  # also in a row that is lost
     slot = room(words, len(rows), settings[0]["wait_for_room"])
     if slot < 0:
         return
@@ -115,6 +133,7 @@ def leave_row(
     r["device_state"] = state[STATE.state]
     r["inputs"] = state[STATE.inputs]
     r["missed_ticks"] = state[STATE.missed_ticks]
+    r["sync_time"] = device_ns(edge, s["device_tick_ps"])
     r["execution_time"] = state[STATE.execution_time] * s["device_tick_ps"] // 1000
     show_law(rows, slot, memory)
     r["received_at"] = received_ns

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,11 +64,18 @@ class LoopSettings:
 
 @dataclass(frozen=True, slots=True)
 class LoopEnd:
-    """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters."""
+    """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
+
+    `watched` is what `rig.watch` saw, beside what it allows: energy given in the trial and its limit (J), swings in a
+    row at the end, and the time within which they are in a row (s).
+    """
 
     reason: EndReason
     error: BaseException | None
     counters: dict[str, int]
+    watched: dict[str, float] = field(
+        default_factory=lambda: dict.fromkeys(("energy", "energy_limit", "swings", "swing_s"), 0.0)
+    )
 
 
 COUNTERS = {
@@ -189,7 +196,14 @@ class LoopThread:
         reason = EndReason.STUCK if stuck else EndReason(self.ring.get(words.END_REASON))
         failure = self._error or self._link.failure()
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
-        return LoopEnd(reason, failure, counters)
+        c, m = self._controller.control[0], self._controller.memory[0]
+        watched = {
+            "energy": float(m["energy"]),
+            "energy_limit": float(c["energy_limit"]),
+            "swings": float(m["swings"]),
+            "swing_s": float(c["swing_ticks"] * c["tick_s"]),
+        }
+        return LoopEnd(reason, failure, counters, watched)
 
     @property
     def fault(self) -> int:

@@ -23,7 +23,7 @@ from rig import ring
 from rig.devices.framed import STOP_FRAMES
 from rig.loop.agreement import compare, settle
 from rig.loop.batches import ahead, has_room, take_frames
-from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, send_command
+from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, NO_SYNC, send_command
 from rig.loop.ending import (
     CLOSED,
     DEVICE_ENDED,
@@ -93,7 +93,7 @@ def _say(
     v, s = supervision[0], settings[0]
     time_ns = now(clock)
     if time_ns >= v["next_command"]:
-        taken = send_command(write, link, settings, progress, command, transmit, MODE_SUPERVISE, 0)
+        taken = send_command(write, link, settings, progress, command, transmit, MODE_SUPERVISE, 0, NO_SYNC)
         add(words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
         v["next_command"] = time_ns + s["supervise_every_ns"]
         if taken >= 0:
@@ -357,7 +357,7 @@ def run(
         return STOPPED
     v["stop_sequence"] = p["sequence"]
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
-        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0)
+        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0, NO_SYNC)
     # What the device had told before it stopped, unless the row of the end is there.
     until_ns = now(clock) + REST_NS
     listening = not last_row and reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -54,14 +55,18 @@ def lighten(axes: Any) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG; the same picture gives the same bytes.
+    """Write a PNG, or an SVG where the name ends so; the same picture gives the same bytes.
 
     `RecordingError` when it cannot be written, or has the name of a recording: those are never overwritten.
     """
     if path.suffix in RECORDINGS:
         raise RecordingError(f"{path} is no name for a picture: recordings have it", remedy="say .png")
     try:
-        figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
+        if path.suffix == ".svg":
+            with rc_context({"svg.hashsalt": "haptic-rig", "svg.fonttype": "none"}):
+                figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
+        else:
+            figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
     except OSError as error:
         raise RecordingError(
             f"cannot write the picture {path}: {error.strerror or error}",

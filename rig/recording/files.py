@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -49,6 +50,23 @@ def sync_directory(directory: Path) -> None:
             os.close(descriptor)
 
 
+def make_directories(directory: Path) -> None:
+    """Make a directory, and those above it that are missing; the name of each survives a power cut.
+
+    Raises `RecordingError` when the disk refuses.
+    """
+    missing: list[Path] = []
+    there = directory
+    with plain_errors("make", directory):
+        while not there.is_dir() and there != there.parent:
+            missing.append(there)
+            there = there.parent
+        sync_directory(there.parent)  # it may be the last thing that a process made before it died
+        for one in reversed(missing):
+            one.mkdir(exist_ok=True)
+            sync_directory(one.parent)
+
+
 def refuse_existing(path: Path) -> None:
     """Raise `RecordingError` when something of that name exists."""
     if path.exists():
@@ -80,5 +98,24 @@ def whole_file(
             os.replace(draft, path)
         except BaseException:
             draft.unlink(missing_ok=True)
+            raise
+        sync_directory(path.parent)
+
+
+@contextmanager
+def whole_directory(path: Path) -> Iterator[Path]:
+    """Yield a draft to fill; it gets the name `path` only when the block ends without an exception.
+
+    Raises `RecordingError` when something of that name exists, or when the disk refuses.
+    """
+    refuse_existing(path)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    with plain_errors("write", path):
+        try:
+            draft.mkdir(parents=True)
+            yield draft
+            os.replace(draft, path)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
             raise
         sync_directory(path.parent)

@@ -11,6 +11,7 @@ import re
 import subprocess
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -173,6 +174,16 @@ def git_revision(directory: Path) -> dict[str, Any] | None:
         return None
     revision = done.stdout.strip()
     return {"revision": revision.removesuffix("-dirty"), "dirty": revision.endswith("-dirty")}
+
+
+@cache
+def checkout() -> dict[str, str]:
+    """The commit of the checkout that this program runs from, and whether its files were edited; empty elsewhere."""
+    sources = Path(__file__).parents[2]
+    found = git_revision(sources) if (sources / ".git").exists() else None
+    if found is None:
+        return {}
+    return {"commit": found["revision"][:12] + (" with changes" if found["dirty"] else "")}
 
 
 def _field(dtype: np.dtype[np.void], name: str) -> tuple[np.dtype[Any], int]:

@@ -23,6 +23,7 @@ from rig.recording.data import Recording
 from rig.recording.files import whole_file
 from rig.recording.header import dtype_of, make_schema
 from rig.recording.ledger import with_ledger
+from rig.recording.marks import with_sync_edges
 from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.reader import open_recording
 from rig.sample import TRUTH_COLUMNS
@@ -39,7 +40,7 @@ def seal(
     extra_trailer: Mapping[str, Any] | None = None,
     keep_capture: bool = False,
 ) -> Path:
-    """Turn a capture into Parquet beside it, with its latency ledger filled in, and remove the capture.
+    """Turn a capture into Parquet beside it, latency ledger and sync edges filled in, and remove the capture.
 
     Without pyarrow the capture is kept (and takes up ledger, truth and the longer trailer, unless it is damaged
     or was cut off), and a warning is logged.
@@ -72,7 +73,7 @@ def seal(
             f"{capture} is no capture: it has the name of a sealed recording", remedy="name a .rigcap"
         )
     opened = open_recording(capture)
-    recording = with_ledger(opened)
+    recording = with_sync_edges(with_ledger(opened))
     sealed = recording if truth is None else with_truth(recording, truth)
     if extra_trailer:
         sealed = replace(sealed, trailer={**(sealed.trailer or {}), **plain(extra_trailer)})

@@ -18,13 +18,14 @@ from typing import Any
 
 from rig.errors import ConfigError
 from rig.search.ascending import Ascending
+from rig.search.catching import Catching
 from rig.search.grid import Grid
 from rig.search.interleaved import Interleaved
 from rig.search.psi import Psi
 from rig.search.rule import Answer, Estimate, Probe, Rule
 from rig.search.staircase import Staircase
 
-__all__ = ["RULES", "Answer", "Estimate", "Probe", "Rule", "make"]
+__all__ = ["RULES", "Answer", "Catching", "Estimate", "Probe", "Rule", "make"]
 
 RULES: dict[str, Callable[..., Rule]] = {
     "ascending": Ascending,

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rig.search.psychometric import share_stable
-from rig.search.rule import Answer, Estimate, Rule
+from rig.search.rule import Answer, Rule
+
+Making = Callable[
+    ..., Rule
+]  # makes a rule from `seed=`, like `functools.partial(rig.search.make, "psi", levels=…)`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,17 +51,36 @@ def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[
 class Performance:
     """What a rule made of an observer over many sessions; stiffnesses in the units of the levels.
 
-    `bias` and `scatter` (standard deviation) are of the estimate against the stiffness that the rule aims at (K50 for
-    the ascending rule, which aims at none); `covered` is the share of 95 % intervals that hold it.
+    Attributes
+    ----------
+    bias, scatter
+        Mean and standard deviation of the estimate less the stiffness that the rule aims at (K50 for the ascending
+        rule, which aims at none); NaN where no session gave an estimate.
+    hits
+        Mean of the verdicts that a session cost.
+    covered
+        Share of 95 % intervals that hold the stiffness aimed at.
+    width
+        Median width of the intervals.
+    above, below
+        Share of sessions that put the limit above the levels, and below them.
     """
 
     rule: str
     observer: Observer
+    sessions: int
     bias: float
     scatter: float
     hits: float
     covered: float
-    censored: float
+    width: float
+    above: float
+    below: float
+
+    @property
+    def censored(self) -> float:
+        """Share of sessions that put the limit beyond the levels."""
+        return self.above + self.below
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values."""
@@ -64,28 +88,57 @@ class Performance:
 
 
 def study(
-    rules: Mapping[str, Rule], observers: Sequence[Observer], sessions: int, seed: int = 0
+    rules: Mapping[str, Making],
+    observers: Sequence[Observer],
+    sessions: int,
+    *,
+    seed: int = 0,
+    off_lattice: float = 0.0,
 ) -> list[Performance]:
-    """Let every observer go through every rule so often."""
+    """Let every observer go through every rule so often; see `performance`."""
     return [
-        _performance(name, rule, observer, sessions, seed)
+        performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)
         for observer in observers
-        for name, rule in rules.items()
+        for name, make in rules.items()
     ]
 
 
-def _performance(name: str, rule: Rule, observer: Observer, sessions: int, seed: int) -> Performance:
-    seeds = np.random.SeedSequence(seed).generate_state(sessions, np.uint64).tolist()
-    found: list[Estimate] = [rule.estimate(run(rule, observer, one)) for one in seeds]
-    truth = [observer.level_of(one.share if np.isfinite(one.share) else 0.5) for one in found]
-    errors = np.array([one.value for one in found]) - truth
-    inside = [one.low <= true <= one.high for one, true in zip(found, truth, strict=True)]
+def performance(
+    name: str, make: Making, observer: Observer, sessions: int, *, seed: int = 0, off_lattice: float = 0.0
+) -> Performance:
+    """What one rule makes of one observer.
+
+    Parameters
+    ----------
+    name
+        Of the rule, for the result.
+    make
+        Makes the rule of one session from `seed=`.
+    seed
+        Of all sessions; each has one of its own for rule and observer.
+    off_lattice
+        Half a range about K50 from which each session draws the observer's own: half a step of the levels, so that it
+        does not matter where K50 lies between two of them.
+    """
+    errors, found = [], []
+    for one in np.random.SeedSequence(seed).generate_state(sessions, np.uint64).tolist():
+        drawn = np.random.default_rng([one, 1]).uniform(-off_lattice, off_lattice)
+        person = replace(observer, threshold=observer.threshold + drawn)
+        rule = make(seed=one)
+        estimate = rule.estimate(run(rule, person, one))
+        truth = person.level_of(estimate.share if math.isfinite(estimate.share) else 0.5)
+        found.append(estimate)
+        errors.append((estimate.value - truth, estimate.low <= truth <= estimate.high))
+    off = np.array([error for error, _ in errors if math.isfinite(error)])
     return Performance(
         rule=name,
         observer=observer,
-        bias=float(np.nanmean(errors)),
-        scatter=float(np.nanstd(errors)),
+        sessions=sessions,
+        bias=float(off.mean()) if len(off) else math.nan,
+        scatter=float(off.std()) if len(off) else math.nan,
         hits=float(np.mean([one.hits for one in found])),
-        covered=float(np.mean(inside)),
-        censored=float(np.mean([one.censored != "" for one in found])),
+        covered=float(np.mean([inside for _, inside in errors])),
+        width=float(np.median([one.high - one.low for one in found])),
+        above=float(np.mean([one.censored == "above" for one in found])),
+        below=float(np.mean([one.censored == "below" for one in found])),
     )

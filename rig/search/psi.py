@@ -7,7 +7,6 @@ is computed, and the level with the least expected entropy is asked next.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -71,23 +70,19 @@ class Psi:
         return (estimate.high - estimate.low) / 2.0 <= self.enough * estimate.value
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
-        """Posterior mean and interval of K50."""
+        """Posterior median and interval of K50."""
         return posterior_estimate(tuple(self.levels), answers)
 
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[Answer]) -> Estimate:
-    """K50 after any answers on these levels: posterior mean, interval, and whether it lies beyond them."""
-    verdicts = told(answers)
-    grid = psychometric.of_levels(levels)
-    posterior = grid.posterior(verdicts)
-    low, high = grid.quantiles(posterior, 0.5, (0.025, 0.975))
-    stable = [verdict for _, verdict in verdicts]
+    """K50 after any answers on these levels, see `rig.search.psychometric.locate`."""
+    found = psychometric.locate(levels, told(answers))
     return Estimate(
-        value=grid.mean(posterior) if verdicts else math.nan,
-        low=float(low),
-        high=float(high),
+        value=found.value,
+        low=found.low,
+        high=found.high,
         share=0.5,
-        censored="above" if verdicts and all(stable) else "below" if verdicts and not any(stable) else "",
+        censored=found.censored,
         hits=len(answers),
     )
 

@@ -130,4 +130,5 @@ class Staircase:
         if walk.pressed >= EDGE_VERDICTS:
             censored = "above" if walk.direction > 0 else "below"
             value = self.levels[-1] if walk.direction > 0 else self.levels[0]
+        low, high = psychometric.opened(censored, value, low, high)
         return Estimate(value=value, low=low, high=high, share=self.share, censored=censored, hits=hits)

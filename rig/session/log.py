@@ -5,21 +5,25 @@ A line (`rig.recording.lines`) holds an event::
     {"n": number from 0, "after": CRC of the line before (0 for the first), "at": seconds since 1970, "kind": …, …}
 
 Nothing is ever changed or taken out: a correction is an event of its own. The chain of CRCs shows a line that somebody
-removed or replaced. What a dying process left of its last line is cut off; a damaged line before that is refused,
-because what follows was decided on it.
+removed or replaced. What a dying process left of its last line is cut off, and how much it was is told. A damaged line
+is refused, because what follows was decided on it; the last one can be set aside (`set_damaged_line_aside`).
 """
 
 from __future__ import annotations
 
 import json
+import math
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
 from rig.errors import RecordingError
+from rig.recording.files import plain_errors, whole_file
 from rig.recording.lines import LineFile, line_of, object_of
 
 RESERVED = ("n", "after", "at", "kind")
@@ -35,6 +39,23 @@ class Event:
     content: Mapping[str, Any] = field(default_factory=dict)
 
 
+class DamagedLineError(RecordingError):
+    """A line of a log is damaged: `events` are those before it; `last` when none comes after it, at `place`."""
+
+    def __init__(self, path: Path, events: Sequence[Event], place: int, *, last: bool) -> None:
+        where = f"{path}, line {len(events) + 1}"
+        if last:
+            super().__init__(
+                f"{where}, the last one: damaged",
+                remedy="rig session show prints the lines before it; rig session resume --drop-damaged-line sets it "
+                "aside and goes on from there, or restore the file from a copy",
+            )
+        else:
+            remedy = "restore the file from a copy; what follows was decided on that line"
+            super().__init__(f"{where}: damaged", remedy=remedy)
+        self.events, self.place, self.last = tuple(events), place, last
+
+
 class SessionLog:
     """An open log; one process at a time.
 
@@ -43,12 +64,14 @@ class SessionLog:
     path
         Of the file, made when it is not there.
     clock
-        Time of day (s since 1970), for `Event.at`. Nothing is decided by it.
+        Time of day (s since 1970), for `Event.at`.
 
     Attributes
     ----------
     events
         All so far, oldest first.
+    torn
+        Bytes of a last line that a dying process had not finished, and that were cut off.
 
     Raises
     ------
@@ -59,9 +82,11 @@ class SessionLog:
     def __init__(self, path: Path, *, clock: Callable[[], float] = time.time) -> None:
         self.path = path
         self._clock = clock
+        self._broken = False  # what is in the file may be more than `events`: nothing may follow it
         self._file = LineFile(path, remedy="end the session that runs there, or wait for it")
         try:
             self.events, self._last, self._end = _read(path, self._file.lines())
+            self.torn = max(0, path.stat().st_size - self._end)
             self._file.truncate(self._end)
             if not self.events:
                 self._file.sync_name()
@@ -72,35 +97,71 @@ class SessionLog:
     def append(self, kind: str, **content: Any) -> Event:
         """Write an event and bring it to disk; only then may anything follow from it.
 
-        Raises `RecordingError` when the disk refuses: then it did not happen.
+        Raises
+        ------
+        RecordingError
+            The disk refuses: then it did not happen, unless the log says so when it is opened again. Or an earlier
+            append failed, and what it left could not be cut off: opening the log anew does that.
+        ValueError
+            A name that is the log's own, or a number that JSON does not have (`without_nan`).
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
             raise ValueError(f"{', '.join(taken)} of an event is the log's own")
         event = Event(len(self.events), self._clock(), kind, content)
-        line = line_of(
-            json.dumps({"n": event.number, "after": self._last, "at": event.at, "kind": kind, **content})
-        )
+        line = self._line_of(event)
+        if self._broken:
+            raise RecordingError(
+                f"cannot write {self.path}: an earlier write failed, and nothing may follow what it left",
+                remedy="see to the disk; `rig session resume` opens it anew",
+            )
+        self._broken = True  # until all below is done, whatever interrupts it
         try:
             self._file.append(line)
             self._file.sync(at_once=True)
         except BaseException:
-            self._file.truncate(self._end)  # what part of it was written must not stand before the next one
+            with suppress(RecordingError):
+                self._file.truncate(
+                    self._end
+                )  # what part of it was written must not stand before the next one
+                self._broken = False
             raise
         self._end += len(line)
         self.events.append(event)
         self._last = zlib.crc32(line)
+        self._broken = False
         return event
+
+    def _line_of(self, event: Event) -> bytes:
+        said = {"n": event.number, "after": self._last, "at": event.at, "kind": event.kind, **event.content}
+        try:
+            return line_of(json.dumps(said, allow_nan=False))
+        except ValueError:
+            unfit = [
+                name for name, value in said.items() if json.dumps(value) != json.dumps(without_nan(value))
+            ]
+            raise ValueError(
+                f"an event {event.kind!r} with a number that is none: {', '.join(unfit)}"
+            ) from None
 
     def close(self) -> None:
         """Let others have it. What was appended is on disk already."""
-        self._file.close()
+        self._file.close(sync=not self._broken)
 
     def __enter__(self) -> SessionLog:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def without_nan(value: Any) -> Any:
+    """A value as the log takes it: a number that is none, or not finite, is null, at any depth."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: without_nan(one) for name, one in value.items()}
+    return [without_nan(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def read(path: Path) -> list[Event]:
@@ -118,16 +179,53 @@ def read(path: Path) -> list[Event]:
     return _read(path, lines())[0]
 
 
+def set_damaged_line_aside(path: Path) -> Path | None:
+    """Take a damaged last line out of a log, and keep its bytes in a file beside; returns that, None without damage.
+
+    Raises
+    ------
+    RecordingError
+        The damage is elsewhere, another process has the log open, or the disk refuses.
+    """
+    file = LineFile(path, remedy="end the session that runs there, or wait for it")
+    try:
+        try:
+            _read(path, file.lines())
+        except DamagedLineError as error:
+            if not error.last:
+                raise
+            beside = next(name for name in _beside(path) if not name.exists())
+            with plain_errors("read", path):
+                damaged = path.read_bytes()[error.place :]
+            with whole_file(beside) as kept:
+                kept.write(damaged)
+            file.truncate(error.place)
+            return beside
+        return None
+    finally:
+        file.close()
+
+
+def set_aside(path: Path) -> list[Path]:
+    """Files beside a log with lines that were taken out of it, oldest first."""
+    return list(takewhile(Path.exists, _beside(path)))
+
+
+def _beside(path: Path) -> Iterator[Path]:
+    return (path.with_name(f"{path.name}.damaged-{number}") for number in count(1))
+
+
 def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], int, int]:
     """Events, CRC of the last line, and where the good part ends."""
     events: list[Event] = []
     last = end = 0
     for place, line in lines:
         found = object_of(line)
-        if found is None or (found.get("n"), found.get("after")) != (len(events), last):
+        if found is None:
+            raise DamagedLineError(path, events, place, last=next(lines, None) is None)
+        if (found.get("n"), found.get("after")) != (len(events), last):
             raise RecordingError(
-                f"{path}, line {len(events) + 1}: "
-                + ("damaged" if found is None else "a line before it was removed or changed"),
+                f"{path}, line {len(events) + 1}: a line before it was removed or changed",
                 remedy="restore the file from a copy; what follows was decided on that line",
             )
         content = {name: value for name, value in found.items() if name not in RESERVED}

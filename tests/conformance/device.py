@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault, LimitFlag, Status
+from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, unpack_fault_entries
 from firmware_protocol.parameters import BY_NAME, block_crc, decode_block, encode_block
@@ -44,6 +44,7 @@ def check_device(make_device_connection: MakeLink, *, starts_in_boot: bool = Tru
         _wants_to_be_verified_again,
         _stops_at_once,
         _ramps_down_when_the_host_falls_silent,
+        _shows_on_its_pins_what_commands_say,
         _answers_what_it_does_not_know,
         _survives_noise,
         _executes_once,
@@ -171,6 +172,37 @@ def _ramps_down_when_the_host_falls_silent(host: Host) -> None:
     assert log.total >= len(unpack_fault_entries(log.data)) > 0
     assert host.disarm(clear_fault=True).status == Status.OK
     assert host.connection.state is State.CONFIGURED
+
+
+def _shows_on_its_pins_what_commands_say(host: Host) -> None:
+    """With the command's current, and never longer than the command lives."""
+    host.begin(_unused_session())
+    trial, inside, both = int(m.Sync.TRIAL), int(m.Sync.INSIDE), int(m.Sync.TRIAL | m.Sync.INSIDE)
+    _shows(host, trial, Input.SYNC_TRIAL)
+    _shows(host, both, Input.SYNC_TRIAL | Input.SYNC_INSIDE)
+    _shows(host, 0xFF & ~trial, Input.SYNC_INSIDE)
+    _shows(host, 0xFF, 0, m.Mode.STOP)
+    _shows(host, trial, Input.SYNC_TRIAL)
+    _shows(host, 0xFF, 0, m.Mode.SUPERVISE)  # no law runs here
+    _shows(host, inside, Input.SYNC_INSIDE)
+    while host.states[-1].state == State.RUNNING and not host.states[-1].limits & LimitFlag.RAMPING:
+        assert host.states[-1].inputs & Input.SYNC_INSIDE
+        host.next_state()
+    assert not host.next_state().inputs & Input.SYNC_INSIDE
+    host.disarm(clear_fault=True)
+
+
+def _shows(host: Host, flags: int, wanted: int, mode: int = m.Mode.CURRENT) -> None:
+    """Command until the pins are as wanted; what stalls for longer than a command lives begins anew."""
+    for _ in range(40):
+        host.command(0, mode=mode, flags=flags)
+        state = host.next_state()
+        if state.inputs & (Input.SYNC_TRIAL | Input.SYNC_INSIDE) == wanted:
+            return
+        if state.fault == Fault.LINK_LOST:
+            host.disarm(clear_fault=True)
+            host.begin(_unused_session())
+    raise AssertionError(f"the sync outputs never showed {wanted}")
 
 
 def _answers_what_it_does_not_know(host: Host) -> None:

@@ -123,12 +123,14 @@ class Host:
         ack = self.arm(session, ack.crc)
         assert ack.status == 0, ack
 
-    def command(self, current: int = 0, *, lifetime_us: int = 20_000, mode: int = m.Mode.CURRENT) -> None:
+    def command(
+        self, current: int = 0, *, lifetime_us: int = 20_000, mode: int = m.Mode.CURRENT, flags: int = 0
+    ) -> None:
         """Send a COMMAND that answers the newest STATE; a fault of the device does not deter this host."""
         if self.connection.state is State.FAULT:
             self.believe(State.RUNNING)
         answers = self.sequences[-1] if self.sequences else 0
-        self.send(m.Command(answers, lifetime_us, int(mode), 0, current))
+        self.send(m.Command(answers, lifetime_us, int(mode), flags, current))
 
     def next_state(self) -> m.State:
         """Wait for a STATE and return the newest."""

@@ -143,10 +143,10 @@ class Pair:
         assert self.c.state is state
 
     def command(
-        self, current: int, lifetime_us: int = 20_000, mode: int = Mode.CURRENT, skip: int = 0
+        self, current: int, lifetime_us: int = 20_000, mode: int = Mode.CURRENT, skip: int = 0, flags: int = 0
     ) -> None:
         self.sequence = (self.sequence + skip) & 0xFFFF
-        self.send(m.Command(0, lifetime_us, int(mode), 0, current), sequence=self.sequence)
+        self.send(m.Command(0, lifetime_us, int(mode), flags, current), sequence=self.sequence)
         self.sequence = (self.sequence + 1) & 0xFFFF
 
     def ask_everything(self) -> None:
@@ -186,9 +186,11 @@ class Step:
     def _tick(self, pair: Pair, ticks: int) -> None:
         pair.tick(ticks)
 
-    def _drive(self, pair: Pair, ticks: int, current: int, lifetime_us: int, mode: int, skip: int) -> None:
+    def _drive(
+        self, pair: Pair, ticks: int, current: int, lifetime_us: int, mode: int, skip: int, flags: int
+    ) -> None:
         for _ in range(ticks):
-            pair.command(current, lifetime_us, mode, skip)
+            pair.command(current, lifetime_us, mode, skip, flags)
             pair.tick()
 
     def _configure(self, pair: Pair, values: dict[str, Value]) -> None:
@@ -260,6 +262,7 @@ host_messages = st.sampled_from(HOST_MESSAGES).flatmap(messages_of)
 currents = st.sampled_from([0, 1, 60, 300, 501, 5_000, 32_767]).flatmap(
     lambda size: st.sampled_from([size, -size])
 )
+sync_flags = st.sampled_from([0, 2, 4, 6, 0xFF])
 CHOICES: dict[str, list[Value]] = {
     "current_limit": [0, 100, 3_000, 10_000],
     "continuous_current": [0, 50, 200, 10_000],
@@ -283,7 +286,7 @@ any_step = st.one_of(
     steps("tick", st.integers(1, 40)),
     steps(
         "drive", st.integers(1, 40), currents, st.sampled_from(LIFETIMES_US),
-        st.sampled_from([0, 0, 0, 0, 1, 2, 9]), st.sampled_from([0, 0, 0, 1, 0x7FFE, 0x8000, 0xFFFF]),
+        st.sampled_from([0, 0, 0, 0, 1, 2, 9]), st.sampled_from([0, 0, 0, 1, 0x7FFE, 0x8000, 0xFFFF]), sync_flags,
     ),
     steps("run", u8, run_values),
     steps("configure", parameter_sets()),
@@ -306,7 +309,7 @@ any_step = st.one_of(
 run_step = st.one_of(
     steps("tick", st.integers(1, 400)),
     steps("drive", st.integers(1, 400), currents, st.sampled_from(LIFETIMES_US), st.sampled_from([0, 0, 0, 1, 2]),
-          st.sampled_from([0, 0, 0, 1, 0xFFFF])),
+          st.sampled_from([0, 0, 0, 1, 0xFFFF]), sync_flags),
     steps("push", st.sampled_from([0.0, 0.02, -0.5, 3.0])),
     steps("hold", st.booleans()),
 )  # fmt: skip
@@ -334,7 +337,7 @@ def random_step(rng: random.Random) -> Step:
     current = choose([1, -1]) * choose([0, 1, 60, 300, 501, 5_000, 32_767])
     mode, skip = choose([0, 0, 0, 0, 1, 2, 9]), choose([0, 0, 0, 1, 0x8000])
     kinds: list[tuple[int, str, tuple[Any, ...]]] = [
-        (14, "drive", (draw(60), current, choose(LIFETIMES_US), mode, skip)),
+        (14, "drive", (draw(60), current, choose(LIFETIMES_US), mode, skip, choose([0, 2, 4, 6, 0xFF]))),
         (8, "tick", (draw(40),)),
         (10, "run", (draw(4), values)),
         (6, "disarm", (choose([0, clear, clear, clear]),)),
@@ -393,7 +396,7 @@ def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> No
 @given(run_values, st.lists(run_step, max_size=12), st.sampled_from([1, -1]))
 @example(
     {"position_rate": 2_000, "current_limit": 10_000, "speed_limit": 1_000},
-    [Step("drive", (400, 300, 3_000, 0, 0))],
+    [Step("drive", (400, 300, 3_000, 0, 0, 6))],
     1,
 )
 def test_under_any_limits_both_run_alike(
@@ -422,6 +425,7 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
 @settings(max_examples=200, deadline=None)
 @example([(10, b"\1\0\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(11, b"\0\1\0\0"), (10, b"\1\0\0\0")], False, 0)
+@example([(18, (30_000).to_bytes(4, "little")), (22, b"\xff" * 4)], True, 0)
 @given(
     st.lists(st.tuples(st.integers(0, 25), st.binary(min_size=4, max_size=4)), max_size=6),
     st.booleans(),
@@ -556,7 +560,7 @@ def test_the_fault_log_survives_its_clear_and_the_next_run(library: ctypes.CDLL)
     pair = Pair(library, rig_of())
     for session, ticks in pairwise([1, 300, 20, 700]):
         pair.begin(session % 255)
-        Step("drive", (ticks, 60, 20_000, 0, 0)).act(pair)
+        Step("drive", (ticks, 60, 20_000, 0, 0, 0)).act(pair)
         Step("fault", (Fault.BATCH_OVERFLOW,)).act(pair)
         pair.tick(3)
         pair.ask_everything()

@@ -24,7 +24,7 @@ from tests.firmware.law.law_rigs import DUAL, SHORT, START, UNIFORM, controller_
 from tests.firmware.law.law_wire import live_values, wire_values
 from tests.firmware.supervised import RATE, Board, Rig, Sample
 
-TRIAL, INSIDE = 2, 4  # enum hal_sync
+TRIAL, INSIDE = 2, 4  # enum hr_sync
 U32 = 2**32 - 1
 MOST_TICKS = 10_000
 OWN: dict[str, dict[str, float | str]] = {"kalman": {"gain": "steady"}}

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol import kernel as module
-from firmware_protocol.kernel import cache_key, kernel, source_files
+from firmware_protocol.kernel import WITHOUT_KERNELS, cache_key, kernel, source_files
 
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="without the compiler nothing is cached")
 
@@ -159,6 +159,12 @@ def test_the_key_covers_every_python_file_of_the_three_packages():
     }
     assert all(path.suffix == ".py" for path in source_files())
     assert source_files(["no_such_package"]) == []
+
+
+def test_what_is_left_out_of_the_key_holds_no_kernel():
+    left_out = set(source_files(["rig"])) - set(source_files(["rig"], without=WITHOUT_KERNELS))
+    assert {"cli", "session", "plots"} <= {path.parent.name for path in left_out}
+    assert not [path for path in left_out if "firmware_protocol.kernel import kernel" in path.read_text()]
 
 
 def test_any_change_of_names_or_contents_changes_the_key(tmp_path):

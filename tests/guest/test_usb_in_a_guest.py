@@ -60,8 +60,7 @@ def opened(bare):
     assert device is not None
     usb.util.claim_interface(device, 0)
     yield device
-    for address in (ENDPOINT_IN, ENDPOINT_OUT):
-        bare.bus.silence(address, False)
+    bare.bus.heal()
     usb.util.dispose_resources(device)
 
 
@@ -163,8 +162,7 @@ def test_unplugged_in_a_blocked_read_and_after_it_and_found_again():
 def link(bare, request):
     made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare?transfers={request.param}")
     yield made
-    for address in (ENDPOINT_IN, ENDPOINT_OUT):
-        bare.bus.silence(address, False)
+    bare.bus.heal()
     made.close()
 
 
@@ -177,16 +175,19 @@ def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link, bare):
     assert link.read(20.0) == b"and back"
 
 
+# A fault that strikes in the instant in which libusb withdraws the transfer, because its time is over, is told as a
+# time-out; the plain link's writes have 5 ms. What is broken stays broken, as a bad cable does, until it has been told.
+OFTEN = 100
 READS = {
     "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
-    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
-    "noise": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EPROTO), BrokenLineError),
+    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW, times=OFTEN), OverflowedError),
+    "noise": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EPROTO, times=OFTEN), BrokenLineError),
 }
 WRITES = {
     "stall": (lambda bus: bus.halt(ENDPOINT_OUT), StalledError),
     "silence": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
-    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 5), CutShortError),
-    "noise": (lambda bus: bus.fail_next(ENDPOINT_OUT, -errno.EPROTO), BrokenLineError),
+    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 5, times=OFTEN), CutShortError),
+    "noise": (lambda bus: bus.fail_next(ENDPOINT_OUT, -errno.EPROTO, times=OFTEN), BrokenLineError),
 }
 
 
@@ -269,14 +270,11 @@ def test_a_whole_hit(tmp_path):
         assert ended.error is not None or made.far_end.left().strongest > 0
 
 
+# One from each side of the kernel; all kinds end a hit in tests/system/usb, and have their names above, in this kernel.
 STRIKES = {
     "unplug": (lambda bus: bus.unplug(), UnpluggedError),
     "stall": (lambda bus: bus.halt(ENDPOINT_IN), StalledError),
-    "silence": (lambda bus: bus.silence(ENDPOINT_IN), LinkLostError),
     "a device that reads nothing": (lambda bus: bus.silence(ENDPOINT_OUT), BlockedError),
-    "overflow": (lambda bus: bus.fail_next(ENDPOINT_IN, -errno.EOVERFLOW), OverflowedError),
-    "a short packet": (lambda bus: bus.fail_next(ENDPOINT_IN, 0, 7), LinkLostError),
-    "a short write": (lambda bus: bus.fail_next(ENDPOINT_OUT, 0, 7), CutShortError),
 }
 
 

@@ -62,7 +62,8 @@ class _Endpoint:
     waiting: deque[_Transfer] = field(default_factory=deque)
     halted: bool = False
     silent: bool = False
-    fault: tuple[int, int] | None = None  # status and length of the answer to the next transfer
+    fault: tuple[int, int] = (0, 0)  # status and length of the answer to the next transfers
+    faults_left: int = 0
 
     @property
     def direction_in(self) -> bool:
@@ -136,10 +137,16 @@ class Bus:
         with self._changed(address) as endpoint:
             endpoint.silent = silent
 
-    def fail_next(self, address: int, status: int, length: int = 0) -> None:
-        """Answer the next transfer with a status (0 or a negative errno of the kernel) after `length` bytes."""
+    def fail_next(self, address: int, status: int, length: int = 0, *, times: int = 1) -> None:
+        """Answer the next transfers with a status (0 or a negative errno of the kernel) after `length` bytes."""
         with self._changed(address) as endpoint:
-            endpoint.fault = (status, length)
+            endpoint.fault, endpoint.faults_left = (status, length), times
+
+    def heal(self) -> None:
+        """Take back silence and faults that have not struck yet; a halt is the host's to clear."""
+        for address in self._endpoints:
+            with self._changed(address) as endpoint:
+                endpoint.silent, endpoint.faults_left = False, 0
 
     @contextlib.contextmanager
     def _changed(self, address: int) -> Iterator[_Endpoint]:
@@ -248,9 +255,9 @@ class Bus:
             transfer = endpoint.waiting[0]
             if endpoint.halted:
                 status, data, length = -errno.EPIPE, b"", 0
-            elif endpoint.fault is not None:
+            elif endpoint.faults_left:
                 status, length = endpoint.fault
-                endpoint.fault = None
+                endpoint.faults_left -= 1
                 length = min(length, transfer.length)
                 data = bytes(length) if endpoint.direction_in else b""
             elif endpoint.direction_in:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-from types import ModuleType
+from contextlib import contextmanager
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -14,6 +15,7 @@ from rig import config, devices, presets
 from rig.devices import local
 from rig.devices.device import DeviceUrl
 from rig.errors import ConfigError, DeviceNotFoundError
+from rig.experiments import zwidth_rig
 from sim_backend.link import MemoryLink
 from tests.conformance.firmware import need_compiler
 from tests.conformance.rigs import rotary_rig
@@ -181,6 +183,44 @@ def test_a_device_process_answers_by_name_and_ends_with_its_context():
     assert not multiprocessing.active_children()
     with pytest.raises(DeviceNotFoundError):
         rig.devices.open_device(url)
+
+
+@pytest.fixture
+def served(monkeypatch):
+    """What device processes were asked for; each is a simulation in this process."""
+    asked = []
+
+    @contextmanager
+    def serve_locally(url, model, **options):
+        asked.append({"url": url, **options})
+        yield "sim://koul-compliant"
+
+    monkeypatch.setattr(local, "serve_locally", serve_locally)
+    return asked
+
+
+@pytest.mark.parametrize(("wanted", "asked"), [("off", "off"), ("try", "try"), ("enforce", "try")])
+def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(served, wanted, asked):
+    with local.opened("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
+        assert device.dictionary.device == "koul-compliant"
+    assert served == [{"url": "sim://", "seed": 3, "realtime": asked}]
+
+
+def test_nothing_is_served_in_virtual_time_and_nothing_that_is_real(served):
+    with local.opened("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
+        assert device.dictionary.device == "chawda-linear"
+    with pytest.raises(DeviceNotFoundError), local.opened("serial:///dev/none", None, in_real_time=True):
+        pass
+    assert served == []
+
+
+def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_says_off(served, tmp_path):
+    experiment = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
+    plan = SimpleNamespace(experiment=experiment)
+    session = zwidth_rig.Session(url="sim://", recordings=tmp_path, agrees=lambda hit: True, realtime=True)
+    with zwidth_rig._opened(plan, session):
+        pass
+    assert served[0]["realtime"] == "off"
 
 
 def test_a_device_process_is_the_firmware_when_the_url_says_so():

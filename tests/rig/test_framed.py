@@ -17,6 +17,7 @@ from firmware_protocol.connection import RETRY_AFTER_S, State
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, type_id_of, unpack
+from rig.devices import framed
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, READY_S, STOP_FRAMES, FramedDevice
 from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
@@ -24,7 +25,7 @@ from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.host import RUN_PARAMETERS
-from tests.conformance.rigs import rotary_rig
+from tests.conformance.rigs import linear_rig, rotary_rig
 
 
 class Wire:
@@ -63,6 +64,8 @@ def decoded(frame):
 
 
 def make(*, faults=None, **options):
+    """A device, what goes over its wire, and a host that has never met one."""
+    framed._dictionaries.clear()
     simulated = SimulatedDevice(rotary_rig(), **options)
     wire = Wire(MemoryLink(simulated, faults))
     return simulated, wire, FramedDevice(wire)
@@ -284,6 +287,48 @@ def test_the_echo_is_what_the_device_has_in_force():
     echo = device.configure(RUN_PARAMETERS)
     assert {name: echo.values[name] for name in RUN_PARAMETERS} == RUN_PARAMETERS
     assert set(echo.values) == {info.name for info in device.dictionary.parameters}
+
+
+def pages(wire):
+    """Questions for a page of the parameters in force."""
+    return sum(isinstance(message, m.GetParameters) for message in wire.messages())
+
+
+def test_what_the_fingerprint_proves_is_not_read_page_by_page():
+    simulated, wire, device = make()
+    echo = device.configure(RUN_PARAMETERS)
+    assert pages(wire) == 0
+    assert FramedDevice(MemoryLink(simulated)).in_force() == echo.values
+    part = device.configure({"ramp_us": 5_000})
+    assert pages(wire) == 0
+    assert part.values == {**echo.values, "ramp_us": 5_000, "verified": 0}
+    assert FramedDevice(MemoryLink(simulated)).in_force() == part.values
+
+
+def test_what_the_fingerprint_does_not_prove_is_read():
+    simulated, _, stranger = make()
+    stranger.configure({**RUN_PARAMETERS, "slew_limit": 77})
+    wire = Wire(MemoryLink(simulated))
+    heir = FramedDevice(wire)
+    values = {name: value for name, value in RUN_PARAMETERS.items() if name != "slew_limit"}
+    echo = heir.configure(values)
+    assert pages(wire) > 10
+    assert echo.values["slew_limit"] == 77
+    assert echo.values == heir.in_force()
+
+
+def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash():
+    simulated, wire, device = make()
+    known = device.dictionary
+    read = len(wire.sent)
+    assert read > 10
+    wire = Wire(MemoryLink(simulated))
+    again = FramedDevice(wire)
+    assert again.dictionary == known
+    assert again.dictionary_hash == device.dictionary_hash
+    assert len(wire.sent) == 1
+    other = SimulatedDevice(linear_rig())
+    assert FramedDevice(MemoryLink(other)).dictionary != known
 
 
 @pytest.mark.parametrize(

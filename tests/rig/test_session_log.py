@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import multiprocessing
 import os
 import signal
+import sys
+from contextlib import suppress
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.errors import RecordingError
-from rig.recording import lines
-from rig.session.log import SessionLog, read
+from rig.recording import files, lines
+from rig.session import log as log_module
+from rig.session.log import (
+    DamagedLineError,
+    SessionLog,
+    read,
+    set_aside,
+    set_damaged_line_aside,
+    without_nan,
+)
 
 SAID = [
     ("trial", {"k": 40.0}),
@@ -53,6 +64,46 @@ def test_torn_at_every_byte_it_goes_on_as_if_nothing_had_happened(tmp_path):
         assert survived == (SAID if length == len(whole) else SAID[:-1])
         written(path, SAID[len(survived) :])
         assert path.read_bytes() == whole
+
+
+def test_how_much_of_a_torn_line_was_dropped_is_told(tmp_path):
+    path = written(tmp_path / "log")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-7])
+    start = whole.rindex(b"\n", 0, -1) + 1
+    with SessionLog(path) as log:
+        assert log.torn == len(whole) - 7 - start
+    with SessionLog(path) as log:
+        assert log.torn == 0
+
+
+def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path):
+    path = written(tmp_path / "log")
+    whole = path.read_bytes()
+    start = whole.rindex(b"\n", 0, -1) + 1
+    damaged = whole[start : start + 20] + b"?" + whole[start + 21 :]
+    path.write_bytes(whole[:start] + damaged)
+    with pytest.raises(DamagedLineError, match="line 4, the last one: damaged") as caught:
+        read(path)
+    assert [(event.kind, dict(event.content)) for event in caught.value.events] == SAID[:-1]
+    kept = set_damaged_line_aside(path)
+    assert kept.read_bytes() == damaged
+    assert told(path) == SAID[:-1]
+    assert set_damaged_line_aside(path) is None
+    path.write_bytes(path.read_bytes() + b"00000000 {}\n")  # another time, another file
+    assert set_damaged_line_aside(path) != kept
+    assert len(set_aside(path)) == 2
+    assert kept.read_bytes() == damaged
+
+
+def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path):
+    path = written(tmp_path / "log")
+    changed = path.read_bytes().replace(b"stable", b"stabel")
+    path.write_bytes(changed)
+    with pytest.raises(DamagedLineError, match="line 2: damaged") as caught:
+        set_damaged_line_aside(path)
+    assert "what follows was decided on that line" in caught.value.remedy
+    assert (path.read_bytes(), set_aside(path)) == (changed, [])
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -137,6 +188,96 @@ def test_on_a_full_disk_it_says_so_and_what_was_said_before_is_good(tmp_path, mo
     assert told(written(path, (SAID * 4)[done:])) == SAID * 4
 
 
+class Failing(io.FileIO):
+    """A file of which `fails` says what is refused."""
+
+    fails: set[str]
+
+    def write(self, data):
+        if "write" not in self.fails:
+            return super().write(data)
+        super().write(data[: len(data) // 2])
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def truncate(self, size=None):
+        if "truncate" in self.fails:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return super().truncate(size)
+
+
+@pytest.mark.parametrize("other", ["truncate", "nothing"])
+@pytest.mark.parametrize("first", ["write", "sync"])
+def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(tmp_path, monkeypatch, first, other):
+    """What cannot be cut off stays the last line until somebody opens the log again."""
+    path, fsync = written(tmp_path / "log"), os.fsync
+
+    def sync(descriptor):
+        if "sync" in file.fails:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        fsync(descriptor)
+
+    file = type("File", (Failing,), {"fails": set()})
+    monkeypatch.setattr(lines, "FileIO", file)
+    monkeypatch.setattr(lines.os, "fsync", sync)
+    with SessionLog(path, clock=lambda: 12.5) as log:
+        file.fails.update({first, other})
+        with pytest.raises(RecordingError, match="Input/output error"):
+            log.append("lost", text="x" * 40)
+        file.fails.clear()
+        if other == "truncate":
+            with pytest.raises(RecordingError, match="failed") as refused:
+                log.append("stopped")
+            assert "resume" in refused.value.remedy
+        else:
+            log.append("stopped")
+    before = told(path)
+    assert before[:4] == SAID
+    assert [kind for kind, _ in before[4:]] == (
+        ["stopped"] if other == "nothing" else ["lost"] if first == "sync" else []
+    )
+    assert told(written(path, [("resumed", {})])) == [*before, ("resumed", {})]
+
+
+@pytest.mark.parametrize("place", range(60))
+def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path, place):
+    """Ctrl-C comes between any two lines of the program; whoever then says why it stops must not damage the log."""
+    path, left = written(tmp_path / "log"), place
+    traced = [module.__file__ for module in (log_module, lines, files)]
+    with SessionLog(path, clock=lambda: 12.5) as log:
+
+        def trace(frame, event, argument):
+            nonlocal left
+            if event == "line":
+                if left == 0:
+                    left = -1
+                    raise KeyboardInterrupt
+                left -= 1
+            return trace
+
+        def tracing(frame, event, argument):
+            return trace if frame.f_code.co_filename in traced else None
+
+        before = sys.gettrace()
+        sys.settrace(tracing)
+        try:
+            log.append("asked", text="x" * 40)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(before)
+        with suppress(RecordingError):
+            log.append("stopped")
+    found = told(path)
+    assert found[:4] == SAID
+    assert [kind for kind, _ in found[4:]] in (["asked"], ["stopped"], ["asked", "stopped"], [])
+    assert told(written(path, [("resumed", {})])) == [*found, ("resumed", {})]
+    if left >= 0:
+        assert [kind for kind, _ in found[4:]] == [
+            "asked",
+            "stopped",
+        ]  # there was nothing to interrupt any more
+
+
 def _append_for_ever(path):
     with SessionLog(path) as log:
         while True:
@@ -174,6 +315,18 @@ def test_an_event_is_on_the_disk_before_append_returns(tmp_path, monkeypatch):
 def test_the_logs_own_words_are_not_the_callers(tmp_path):
     with SessionLog(tmp_path / "log") as log, pytest.raises(ValueError, match="after"):
         log.append("x", after=1)
+
+
+@pytest.mark.parametrize("value", [float("nan"), [1.0, {"x": float("inf")}]])
+def test_a_number_that_is_none_is_refused_by_name_and_leaves_no_line(tmp_path, value):
+    with SessionLog(tmp_path / "log") as log:
+        with pytest.raises(ValueError, match=r"'trial'.*: felt"):
+            log.append("trial", heard=1.0, felt=value)
+        log.append("trial", felt=without_nan(value))
+    assert json.loads((tmp_path / "log").read_text()[9:], parse_constant=pytest.fail)["felt"] in (
+        None,
+        [1.0, {"x": None}],
+    )
 
 
 def test_no_log_is_said_plainly(tmp_path):

@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig import sweep
-from rig.cli.progress import SweepBar
+from rig.cli.progress import CountBar, SweepBar
 from rig.errors import ConfigError, RecordingError, StoppedError
 from rig.recording import lines
 from rig.sweep import Progress, SweepStoppedError, Task, TaskError, executors
@@ -375,6 +375,8 @@ def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
     sweep_work.GATES["slow may end"].set()
 
 
+# Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
     journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
     main = threading.main_thread().ident
@@ -545,3 +547,15 @@ def test_the_bar_tells_of_a_stop_of_missing_workers_and_of_damage(capsys):
     for _ in range(2):
         bar.watch(Progress(total=9, weight_total=9.0, damaged=3))
     assert capsys.readouterr().err == "rig: 3 damaged lines in the journal: their tasks run again\n"
+
+
+def test_a_count_is_shown_by_the_same_bar(monkeypatch):
+    for plain in (False, True):
+        terminal = Terminal()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stderr", terminal)
+            patch.setattr("rig.cli.progress.LINE_S", 0.0)
+            with CountBar("reading", plain=plain) as bar:
+                bar.watch(3, 10)
+        assert "reading" in terminal.getvalue()
+        assert "3 of 10" in terminal.getvalue()

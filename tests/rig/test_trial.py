@@ -24,6 +24,7 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.kernel import kernel
 from rig import config, presets
 from rig.devices.framed import FaultReport, FramedDevice
+from rig.doctor.in_effect import in_effect
 from rig.errors import (
     ConfigError,
     DeviceFaultError,
@@ -203,6 +204,7 @@ def frame_fault(kind, frame, direction=Direction.TO_HOST):
 def frames_until_armed(tmp_path_factory):
     """Frames that the host has received when the loop begins."""
     counted = []
+    Bench(tmp_path_factory.mktemp("first"), Faults()).run()  # reads the dictionary: all others know it
     bench = Bench(tmp_path_factory.mktemp("counted"), Faults())
 
     def arm(original=bench.device.arm):
@@ -309,12 +311,34 @@ def test_a_judge_that_fails_leaves_the_capture(tmp_path):
 
 def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path):
     bench = Bench(tmp_path)
-    with pytest.raises(ZeroDivisionError), bench.device:
-        bench.run(LONG, progress=lambda ticks, phase: 1 // 0)
+    with pytest.raises(ZeroDivisionError) as caught, bench.device:
+        bench.run(LONG, progress=lambda ticks, phase: 1 // (ticks == 0), judge=judged)
     assert bench.at_rest()
-    recording = open_recording(tmp_path / "trial.rigcap")
-    assert recording.complete
-    assert "ZeroDivisionError" in recording.trailer["reason"]
+    assert caught.value.recording == tmp_path / "trial.parquet"
+    trailer = open_recording(caught.value.recording).trailer
+    assert trailer["reason"] == "stopped"
+    assert "ZeroDivisionError" in trailer["error"]
+    assert trailer["verdict"]["kind"] == "invalid"
+
+
+def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(tmp_path, monkeypatch):
+    """The watch is called once more while the loop ends by itself."""
+    bench = Bench(tmp_path)
+    wait = LoopThread.wait
+
+    def late(loop, progress=None):
+        wait(loop)
+        progress(1, Phase.DONE)
+
+    def broken(ticks, phase):
+        if ticks:
+            raise RigError("the console broke")
+
+    monkeypatch.setattr(LoopThread, "wait", late)
+    with pytest.raises(RigError, match="the console broke") as caught:
+        bench.run(progress=broken)
+    trailer = open_recording(caught.value.recording).trailer
+    assert trailer["reason"] == "finished"
 
 
 # ---------------------------------------------------------------------- interrupted
@@ -639,12 +663,12 @@ def port():
 def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port):
     preset = presets.load("koul-compliant")
     with rig.devices.open_device(port) as device:
-        chosen = hits._experiment_for(HitRequest(experiment=preset, url=port), device)
+        chosen = in_effect(preset, device, {})
         assert (chosen.controller.position_rate, chosen.controller.velocity_rate) == (800, 800)
         assert chosen.wall.stiffness == preset.realtime["wall.stiffness"]
         changes = {"controller.position_rate": 1000, "controller.velocity_rate": 500, "wall.stiffness": 77.0}
         changes["verdict.lowpass_hz"] = 200.0
-        chosen = hits._experiment_for(HitRequest(experiment=preset, url=port, changes=changes), device)
+        chosen = in_effect(preset, device, changes)
         assert (chosen.controller.position_rate, chosen.controller.velocity_rate) == (1000, 500)
         assert chosen.wall.stiffness == 77.0
 

@@ -132,6 +132,46 @@ def test_leaving_the_wall_at_the_very_start_of_the_tail_counts():
     assert judge(signals(position), LIMITS).exits_in_tail == 0  # it left before, and came back in the tail
 
 
+PERSON = replace(LIMITS, may_leave=True)
+
+
+def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
+    """A handle that rests in the wall, is pulled out from some time on, and stays 30 mrad away."""
+    return np.maximum(depth - speed * np.maximum(TIME - at, 0.0), -0.03)
+
+
+@pytest.mark.parametrize("at", [0.82, 0.9, 0.97])
+@pytest.mark.parametrize(("speed", "stiffness"), [(0.3, 200.0), (3.0, 200.0), (10.0, 800.0)])
+def test_a_person_who_leaves_a_calm_wall_says_nothing_of_it(at, speed, stiffness):
+    position = withdrawn(at, speed)
+    s = signals(position, effort=-stiffness * np.maximum(position, 0.0), resolution=DELTA)
+    verdict = judge(s, PERSON)
+    assert verdict.kind is Kind.INVALID
+    assert "left the calm wall" in " ".join(verdict.reasons)
+    assert judge(s, LIMITS).kind is Kind.UNSTABLE  # a motor does not let go
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        1e-3 + ripple(2e-3, 12.0),  # in and out, slowly
+        np.where((TIME > 0.9) & (TIME < 0.902), -1e-4, 1e-3),  # out and in again
+        np.where(
+            (TIME > 0.9) & (TIME < 0.92), 1e-3, np.where(TIME < 0.5, 1e-3, -1e-2)
+        ),  # a bounce in the tail
+        withdrawn(0.85) + np.where(TIME < 0.85, ripple(0.9e-3, 60.0), 0.0),  # it shook before
+    ],
+)
+def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position):
+    assert judge(signals(position), PERSON).kind is Kind.UNSTABLE
+
+
+def test_a_wall_that_buzzed_until_a_person_left_stays_unstable():
+    position = withdrawn(0.85)
+    effort = np.where(position > 0.0, -0.3 + ripple(0.2, 150.0), 0.0)
+    assert judge(signals(position, effort=effort), PERSON).kind is Kind.UNSTABLE
+
+
 def test_bouncing_before_the_tail_is_only_counted():
     bouncing = np.where(TIME < 0.5, 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME), 1e-3)
     verdict = judge(signals(bouncing), LIMITS)
@@ -486,6 +526,9 @@ def numbers_of_trials(draw) -> np.ndarray:
         "exits_in_tail": (0, 3),
         "contact_s": (math.nan, 0.02, 0.7),
         "inside_ticks_in_tail": (0, 8000),
+        "stay_ticks": (0, 9000),
+        "heard_in_stay": (0.0, 0.11),
+        "moved_in_stay": (0.0, 1.3e-3),
         "tail_begins_s": (0.6,),
         "settling_in_tail_s": (0.0, 0.1),
         "saturated_fraction_in_tail": (0.0, 0.01, 0.011),

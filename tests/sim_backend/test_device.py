@@ -184,6 +184,48 @@ def test_the_sync_input_is_shown_with_the_time_at_which_it_rose() -> None:
     assert (state.sync_time, state.inputs & Input.SYNC) == (rose, 0)
 
 
+def test_the_sync_input_may_rise_between_two_samples() -> None:
+    host = armed()
+    device = device_of(host)
+    device.sync_input(True, at=device.time + 77)
+    assert exchange(host, 0).sync_time == device.time + 77 - round(TICK_S * 16e6)
+
+
+PINS = Input.SYNC_TRIAL | Input.SYNC_INSIDE
+
+
+def test_the_sync_outputs_show_in_the_tick_of_a_command_what_it_says() -> None:
+    host = armed()
+    assert exchange(host, 50, flags=m.Sync.TRIAL).inputs & PINS == Input.SYNC_TRIAL
+    assert exchange(host, 50, flags=m.Sync.TRIAL | m.Sync.INSIDE).inputs & PINS == PINS
+    assert device_of(host).sync == m.Sync.TRIAL | m.Sync.INSIDE
+    assert exchange(host, 50).inputs & PINS == 0
+
+
+@pytest.mark.parametrize("end", ["stop", "silence", "fault", "disarm", "another session"])
+def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
+    host = armed()
+    assert exchange(host, 50, flags=int(m.Sync.TRIAL), lifetime_us=5_000).inputs & PINS
+    device = device_of(host)
+    if end == "stop":
+        host.command(50, mode=m.Mode.STOP, flags=0xFF)
+    elif end == "fault":
+        device.inject_fault(Fault.INTERNAL)
+    elif end in ("disarm", "another session"):
+        host.disarm()
+        if end == "another session":
+            host.arm(2, host.configure(**RUN_PARAMETERS).crc)
+    if end == "silence":
+        states = silence(host, 30)
+        low = next(i for i, state in enumerate(states) if not state.inputs & PINS)
+        assert low == 9  # 5 ms, less the tick that has passed
+        assert states[low].limits == LimitFlag.RAMPING
+        assert not any(state.inputs & PINS for state in states[low:])
+    else:
+        assert host.next_state().inputs & PINS == 0
+        assert device.sync == 0
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=20), st.booleans())
 def test_no_bytes_can_make_it_raise(pieces: list[bytes], run: bool) -> None:

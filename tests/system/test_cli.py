@@ -1,7 +1,6 @@
 """The commands as a person meets them: what they print, what they leave on disk, and how they refuse."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -226,6 +225,8 @@ REFUSED = [
 def test_what_cannot_be_meant_is_refused_in_words(run, tmp_path, arguments, code, words):
     got, _, err = run(*arguments, *(["--no-plot"] if arguments[0] == "hit" else []))
     assert got == code, err
+    if "no libusb" in err:
+        pytest.skip("libusb is not installed (package libusb-1.0-0)")
     assert words in err
     assert err.splitlines()[-1].startswith("rig: "), "whatever was said of compiling before"
     assert not list(tmp_path.rglob("*.rigcap"))
@@ -336,7 +337,7 @@ def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(tmp_path):
 
 
 HIDE_THE_SIMULATION = """
-import sys
+import json, sys
 class Hidden:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] == "sim_backend":
@@ -345,30 +346,15 @@ sys.meta_path.insert(0, Hidden())
 import rig.cli
 from rig import config, presets
 from rig.devices.local import serve_locally
-sys.exit(rig.cli.run(sys.argv[1:]))
+for arguments, code in json.loads(sys.argv[1]):
+    assert rig.cli.run(arguments) == code, arguments
 """
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code"), [(["--help"], 0), (["plan"], 0), (["devices"], 0), (["hit"], 3)]
-)
-def test_without_the_simulation_the_rest_still_works(arguments, code, tmp_path):
+def test_without_the_simulation_the_rest_still_works(recording, tmp_path):
+    runs = [(["--help"], 0), (["plan"], 0), (["devices"], 0), (["show", str(recording)], 0), (["hit"], 3)]
     done = subprocess.run(
-        [sys.executable, "-c", HIDE_THE_SIMULATION, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        cwd=tmp_path,
-        env={**os.environ},
-        check=False,
-    )
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def test_without_the_simulation_a_recording_still_shows(recording, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", HIDE_THE_SIMULATION, "show", recording],
+        [sys.executable, "-c", HIDE_THE_SIMULATION, json.dumps(runs)],
         capture_output=True,
         text=True,
         timeout=100,
@@ -376,6 +362,7 @@ def test_without_the_simulation_a_recording_still_shows(recording, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_importing_rig_or_the_protocol_loads_nothing_heavy():

@@ -120,10 +120,10 @@ def test_what_was_built_for_a_pico_is_flashed_to_a_pico(run, tmp_path, monkeypat
 
 
 def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run):
+    cross.need_compiler()
     code, _, err = run("firmware", "build", "--set", "enable_pin=2")
     assert code == 2
     assert "encoder_pin and enable_pin of board rp2040 both use pin 2" in err
-    cross.need_compiler()
     code, _, err = run("firmware", "build", "--set", "pwm_pin=13")
     assert code == 15
     assert "change the setting that it names" in err

@@ -105,6 +105,9 @@ class Clean:
     """An undisturbed run: its samples, and which of its frames belong to the session."""
 
     def __init__(self, directory: Path) -> None:
+        first = directory / "first"
+        first.mkdir()
+        Bench(first).run()  # reads the dictionary: all others know it
         bench = Bench(directory)
         sent: list[int] = []
         link_write = bench.link.write

@@ -160,6 +160,7 @@ def test_a_conversation_that_suffers_ends_with_the_same_wall_on_both_sides(
     kind: Kind, way: Direction
 ) -> None:
     """Each frame of it is struck once, words and answers; what is lost is said again."""
+    Session("fdm-butterworth-fixed", {})  # reads the dictionary: all others know it
     clean = Session("fdm-butterworth-fixed", {HOMING: 150.0})
     line = clean.link.line
     assert line is not None

@@ -1,8 +1,9 @@
 """What can break, breaks at every place of a short run; each time the effort ends at zero and the recording reads.
 
 In virtual time, over the real frames, with the shipped loop. A run of one homing, a push and a release is
-some forty ticks long; with identification and configuration it is about 130 frames each way, and each of
-them is struck once by each kind of fault.
+some forty ticks long; with configuration it is about 70 frames each way, and each of them is struck once by each kind
+of fault. The pages of the dictionary, which a device tells once, are all alike: the first, one in the middle and the
+last are struck.
 """
 
 import multiprocessing
@@ -20,6 +21,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.kernel import kernel
 from rig import config, presets
+from rig.devices import framed
 from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
 from rig.errors import (
     DeviceFaultError,
@@ -54,6 +56,12 @@ SHORT = config.override(
         "verdict.tail_s": 0.01,
     },
 )
+
+
+@pytest.fixture(autouse=True)
+def _nobody_asks_git(monkeypatch):
+    """Thousands of recordings, each of which would start a program."""
+    monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
 
 
 class Bench:
@@ -95,14 +103,28 @@ class Bench:
             assert recording.trailer["counters"]["ticks"] == len(recording.rows)
 
 
-@pytest.fixture(scope="module")
-def frames(tmp_path_factory):
-    """Frames of an undisturbed run, each way: which of them carry samples and commands."""
-    bench = Bench(tmp_path_factory.mktemp("clean")).run()
+def frames_of(directory):
+    """Frames of an undisturbed run, each way."""
+    bench = Bench(directory).run()
     assert bench.error is None
     sent = dict(bench.link.line.frames)
     bench.check_ended_safely()
-    assert all(40 < count <= 200 for count in sent.values())
+    return sent
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """The same for a host that has not met the device, and asks for its dictionary first."""
+    framed._dictionaries.clear()
+    return frames_of(tmp_path_factory.mktemp("first"))
+
+
+@pytest.fixture(scope="module")
+def frames(pages, tmp_path_factory):
+    """Frames of an undisturbed run, each way: which of them carry samples and commands."""
+    sent = frames_of(tmp_path_factory.mktemp("clean"))
+    assert all(40 < count <= 100 for count in sent.values())
+    assert all(pages[direction] > sent[direction] + 50 for direction in Direction)
     return sent
 
 
@@ -111,21 +133,7 @@ def frames(tmp_path_factory):
 def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
     kind, direction, frames, tmp_path
 ):
-    finished = 0
-    for frame in range(frames[direction]):
-        place = tmp_path / str(frame)
-        place.mkdir()
-        fault = FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
-        bench = Bench(place, Faults(frames=(fault,))).run()
-        assert bench.link.line.acted[kind] == 1, frame
-        assert bench.error is None or isinstance(
-            bench.error, LinkLostError | DeviceRefusedError | IncompatibleDeviceError
-        ), (frame, bench.error)
-        if bench.error is None:
-            finished += 1
-        else:
-            assert bench.error.remedy, bench.error
-        bench.check_ended_safely()
+    finished = sum(struck(kind, direction, frame, tmp_path) for frame in range(frames[direction]))
     if kind in (Kind.SILENCE, Kind.UNPLUG):
         last_words = (
             2 * STOP_FRAMES + 5 + EXCHANGES
@@ -135,6 +143,33 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
         )
     else:
         assert finished == frames[direction], "one bad frame is a counted loss, never the end of a run"
+
+
+@pytest.mark.parametrize("direction", Direction)
+@pytest.mark.parametrize("kind", Kind)
+def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anything_moves(
+    kind, direction, pages, frames, tmp_path, monkeypatch
+):
+    last = pages[direction] - frames[direction]
+    for page in (0, 1, last // 2, last - 1, last):
+        monkeypatch.setattr(framed, "_dictionaries", {})
+        finished = struck(kind, direction, page, tmp_path)
+        assert finished == (kind not in (Kind.SILENCE, Kind.UNPLUG)), page
+
+
+def struck(kind, direction, frame, directory) -> bool:
+    """Strike one frame of a run, check how it ended, and return whether it finished."""
+    place = directory / str(frame)
+    place.mkdir()
+    fault = FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
+    bench = Bench(place, Faults(frames=(fault,))).run()
+    assert bench.link.line.acted[kind] == 1, frame
+    assert bench.error is None or isinstance(
+        bench.error, LinkLostError | DeviceRefusedError | IncompatibleDeviceError
+    ), (frame, bench.error)
+    assert bench.error is None or bench.error.remedy, bench.error
+    bench.check_ended_safely()
+    return bench.error is None
 
 
 def sample_frame(frames) -> int:

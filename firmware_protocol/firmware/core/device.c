@@ -9,9 +9,19 @@
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
 
 
+#define COMMANDED_PINS (HR_SYNC_TRIAL | HR_SYNC_INSIDE)
+
 bool device_is_armed(const struct device *device)
 {
     return device->connection.state == HR_STATE_ARMED || device->connection.state == HR_STATE_RUNNING;
+}
+
+static void show_sync(struct device *device, unsigned bits)
+{
+    if (bits != device->sync) {
+        device->sync = (uint8_t)bits;
+        device->hal->sync(device->hal->context, (uint8_t)bits);
+    }
 }
 
 /* ------------------------------------------------------------------ start */
@@ -56,6 +66,7 @@ void device_begin_session(struct device *device)
     device->fault_told = HR_FAULT_NONE;
     device->state_due = 1;
     device->command_sequence = 0;
+    device->command_sync = 0;
     device->commanded = false;
     device->supervised = false;
     batch_forget(&device->batch);
@@ -136,6 +147,7 @@ void device_switch_off(struct device *device)
 {
     device_cut(device);
     device->hal->enable(device->hal->context, false);
+    show_sync(device, device->sync & HR_SYNC_TICK);
 }
 
 static void latch(struct device *device, uint32_t bits)
@@ -189,10 +201,27 @@ static int16_t next_current(struct device *device)
     return limits_apply(&device->limits, &device->thermal, wanted);
 }
 
+/* What the pins show of the trial: with the current that is in force from here on. */
+static unsigned sync_of(const struct device *device)
+{
+    const struct renderer *renderer = &device->renderer;
+    unsigned bits = 0;
+    if (!device_is_armed(device) || device->watchdog.ramping)
+        return bits;
+    if (!law_is_in_charge(device))
+        return device->command_sync;
+    if (renderer->phase == LAW_TRIAL)
+        bits |= HR_SYNC_TRIAL;
+    if (renderer->flags & LAW_INSIDE)
+        bits |= HR_SYNC_INSIDE;
+    return bits;
+}
+
 void device_drive(struct device *device)
 {
     device->driven = device_is_armed(device) ? next_current(device) : 0;
     device->hal->set_current(device->hal->context, device->driven);
+    show_sync(device, (device->sync & HR_SYNC_TICK) | sync_of(device));
 }
 
 /* ------------------------------------------------------------------ sampling */
@@ -247,6 +276,7 @@ void device_sample(struct device *device)
     step_index(device);
     tick->logged = device->faults.latched == HR_FAULT_NONE;
     tick->supervised = device_is_armed(device) && law_is_in_charge(device);
+    tick->sync = device->sync;
     tick->entry.sample_index = device->sample_index;
     tick->entry.count = device->count;
     tick->entry.current_commanded = device->driven;
@@ -276,6 +306,16 @@ static uint16_t saturated(uint32_t number)
     return (uint16_t)(number < UINT16_MAX ? number : UINT16_MAX);
 }
 
+static uint8_t pins(const struct device *device)
+{
+    unsigned bits = device->hal->inputs(device->hal->context);
+    if (device->tick.sync & HR_SYNC_TRIAL)
+        bits |= HR_INPUT_SYNC_TRIAL;
+    if (device->tick.sync & HR_SYNC_INSIDE)
+        bits |= HR_INPUT_SYNC_INSIDE;
+    return (uint8_t)bits;
+}
+
 /* Of the newest tick; it is sent in pieces. */
 static void make_state(struct device *device)
 {
@@ -295,7 +335,7 @@ static void make_state(struct device *device)
     put_u16(raw + HR_AT_STATE_EXECUTION_TIME, saturated(device->worst_execution_time));
     put_u16(raw + HR_AT_STATE_MISSED_TICKS, saturated(device->missed_ticks));
     raw[HR_AT_STATE_STATE] = device->connection.state;
-    raw[HR_AT_STATE_INPUTS] = device->hal->inputs(device->hal->context);
+    raw[HR_AT_STATE_INPUTS] = pins(device);
     raw[HR_AT_STATE_PHASE] = device->renderer.phase;
     put_u32(raw + HR_AT_STATE_SYNC_TIME, (uint32_t)device->hal->sync_time(device->hal->context));
     builder_begin(&device->state_builder, packet->bytes);
@@ -430,31 +470,16 @@ void device_tell(struct device *device)
 
 /* ------------------------------------------------------------------ the tick of a board */
 
-/* What the law is doing, for the pins. */
-static uint8_t sync_of(const struct device *device)
-{
-    const struct renderer *renderer = &device->renderer;
-    uint8_t bits = 0;
-    if (!device->tick.supervised)
-        return bits;
-    if (renderer->phase == LAW_TRIAL)
-        bits |= HAL_SYNC_TRIAL;
-    if (renderer->flags & LAW_INSIDE)
-        bits |= HAL_SYNC_INSIDE;
-    return bits;
-}
-
 void device_tick(struct device *device)
 {
     const struct hal *hal = device->hal;
     const uint64_t begun = hal->time(hal->context);
-    hal->sync(hal->context, (uint8_t)(HAL_SYNC_TICK | device->sync));
+    show_sync(device, device->sync | HR_SYNC_TICK);
     hal->feed_watchdog(hal->context);
     device_sample(device);
     device_drive(device);
     tell(device);
-    device->sync = sync_of(device);
-    hal->sync(hal->context, device->sync);
+    show_sync(device, device->sync & ~(unsigned)HR_SYNC_TICK);
     const uint64_t execution = hal->time(hal->context) - begun;
     if (execution > device->worst_execution_time)
         device->worst_execution_time = (uint32_t)execution;
@@ -492,6 +517,8 @@ static void begin_supervision(struct device *device)
 static void stop(struct device *device)
 {
     device_cut(device);
+    device->command_sync = 0;
+    show_sync(device, device->sync & HR_SYNC_TICK);
     watchdog_idle(&device->watchdog, device->time);
     device_end_supervision(device);
 }
@@ -518,6 +545,7 @@ static void take_command(struct device *device, const uint8_t *raw)
     const uint32_t cap_us = device->supervised ? device->supervise_lifetime_us : device->command_lifetime_us;
     const uint32_t lifetime_us = wanted_us < cap_us ? wanted_us : cap_us;
     const int16_t current = device->supervised ? 0 : signed_16(get_u16(raw + HR_AT_COMMAND_CURRENT));
+    device->command_sync = device->supervised ? 0 : raw[HR_AT_COMMAND_FLAGS] & COMMANDED_PINS;
     watchdog_feed(&device->watchdog, device->time, current, lifetime_us * HR_TIME_UNITS_PER_US, device->ramp);
 }
 

@@ -50,6 +50,7 @@ struct told_tick {
     struct fault_entry entry;
     bool logged;     /* into the fault ring: no fault was latched before it */
     bool supervised; /* the law on the device was to see it: into BATCH */
+    uint8_t sync;    /* what the pins showed up to the sample */
 };
 
 /* What a tick works with stands first: a small processor reaches near fields with one instruction. */
@@ -72,7 +73,8 @@ struct device {
     bool supervised;       /* by the command in force */
     bool needs_hold;
     uint8_t fault_told;    /* by the last STATE */
-    uint8_t sync;          /* bits of enum hal_sync since the last tick */
+    uint8_t sync;          /* what the pins show, bits of enum hr_sync */
+    uint8_t command_sync;  /* what the command in force wants of them */
     bool commanded;        /* in this session */
     uint16_t command_sequence;
     struct limits limits;

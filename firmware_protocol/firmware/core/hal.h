@@ -9,12 +9,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum hal_sync {
-    HAL_SYNC_TICK = 1,   /* high while a tick is worked on */
-    HAL_SYNC_TRIAL = 2,  /* during the trial of a law on the device */
-    HAL_SYNC_INSIDE = 4, /* while the handle is inside its wall */
-};
-
 struct hal {
     void *context;
 
@@ -46,7 +40,8 @@ struct hal {
     /* The hardware watchdog, of 50 ms at most: fed by the tick alone. */
     void (*feed_watchdog)(void *context);
 
-    /* Pins, bits of enum hal_sync: an oscilloscope shows rate, jitter and load, and what happens when. */
+    /* Pins, bits of enum hr_sync: an oscilloscope shows rate, jitter and load, and what happens when. Called when they
+     * change; low before. */
     void (*sync)(void *context, uint8_t bits);
 
     /* Device time of the last rising edge of the sync input; 0 before the first. */

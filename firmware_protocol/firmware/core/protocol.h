@@ -274,12 +274,20 @@ enum hr_input {
     HR_INPUT_EMERGENCY_STOP = 1,
     HR_INPUT_HOLD_TO_RUN = 2,
     HR_INPUT_SYNC = 4,
+    HR_INPUT_SYNC_TRIAL = 8,
+    HR_INPUT_SYNC_INSIDE = 16,
 };
 
 enum hr_mode {
     HR_MODE_CURRENT = 0,
     HR_MODE_SUPERVISE = 1,
     HR_MODE_STOP = 2,
+};
+
+enum hr_sync {
+    HR_SYNC_TICK = 1,
+    HR_SYNC_TRIAL = 2,
+    HR_SYNC_INSIDE = 4,
 };
 
 enum hr_disarm {

@@ -101,7 +101,7 @@ static void hal_feed_watchdog(void *context)
 static void hal_sync(void *context, uint8_t bits)
 {
     struct host *host = host_of(context);
-    host->syncs += bits & ~host->sync & HAL_SYNC_TICK ? 1u : 0u;
+    host->syncs += bits & ~host->sync & HR_SYNC_TICK ? 1u : 0u;
     host->sync = bits;
 }
 

@@ -32,7 +32,7 @@ struct host {
     /* What the device did to it. */
     int16_t current;
     bool enabled, driving;
-    uint8_t sync; /* bits of enum hal_sync */
+    uint8_t sync; /* bits of enum hr_sync */
     uint64_t sync_time;
     uint32_t cuts; /* times that the current was taken away between two ticks */
     uint32_t rate, feeds, syncs;

@@ -40,8 +40,8 @@ from tests.conformance.recording import example_header
 RATES = (1000, 2000, 5000, 10_000) if FULL else (1000, 10_000)
 SECONDS = 20.0 if FULL else 1.0
 RING_SECONDS = 5.0
-TRIES = 3
-LEAST_RUN = 0.98  # of the loop; the goal is all, but a virtual machine stands still at times
+TRIES = 5
+LEAST_RUN = 0.98  # of the share that cyclictest runs in its turn: a virtual machine stands still at times
 MOST_OF_PYTHON = 0.2  # the goal is 0.05
 
 pytestmark = pytest.mark.timeout(900)
@@ -129,12 +129,15 @@ def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) 
             mine = recorded_loop(near, rate, tmp_path / f"{time.monotonic_ns()}.rigcap")
             assert mine["rows lost"] == mine["gaps"] == 0, "the recorder lost rows"
             assert mine["after stop"] <= 2, "the loop ran on after its stop word"
-            if mine["run"] > LEAST_RUN * mine["due"]:
+            found, possible = {"rig": mine}, 1.0
+            if program is not None:
+                found["cyclictest"] = theirs = cyclictest_loop(program, rate, tmp_path)
+                possible = theirs["run"] / theirs["due"]
+            share_of_possible = mine["run"] / mine["due"] / possible
+            if share_of_possible > LEAST_RUN:
                 break
-        found = {"rig": mine, "plain Python": python_loop(rate)}
-        if program is not None:
-            found["cyclictest"] = cyclictest_loop(program, rate, tmp_path)
-        shares.append(mine["run"] / mine["due"])
+        found["plain Python"] = python_loop(rate)
+        shares.append(share_of_possible)
         of_python.append(found["plain Python"]["run"] / found["plain Python"]["due"])
         for name, one in found.items():
             times = [f"{one[key]:.0f}" for key in ("p99", "p99.9", "max")]

@@ -108,5 +108,5 @@ def test_flags_and_phases_are_the_hosts_numbers():
     header = SOURCES.joinpath("law.h").read_text()
     for enum in (Phase, RowFlag):
         for member in enum:
-            if member.name not in ("LATE", "GAP"):
+            if member.name not in ("LATE", "GAP", "ENERGY", "VIOLENT"):  # the host alone notices those
                 assert f"LAW_{member.name} = {int(member)}" in header

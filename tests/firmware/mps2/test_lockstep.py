@@ -16,6 +16,7 @@ from firmware_protocol.parameters import encode_block
 from firmware_protocol.transfer import set_parameters
 from rig import config, controller, device_law, presets
 from rig.config import Experiment
+from rig.devices import framed
 from rig.devices.framed import FramedDevice
 from rig.firmware.flash import read_image
 from tests.firmware import cross
@@ -51,6 +52,7 @@ def experiment_of(changes: dict[str, object]) -> Experiment:
 def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
     """Identify, configure, arm, supervise, change the wall once, stop and disarm; all in virtual time."""
     rig = Rig(partner, config.rig_model(experiment))
+    framed._dictionaries.clear()  # a host that has met neither: the same bytes for both
     device = FramedDevice(rig)
     quantum = device.dictionary.current_quantum_a
     told = {"current_quantum_a": quantum, "reference_count": 0}
@@ -97,8 +99,9 @@ def test_the_image_does_and_says_what_this_computer_does(case: str, tmp_path: Pa
             partner.close()
         traces.append(rig.trace)
         said.append(b"".join(rig.said))
-    assert traces[0].tobytes() == traces[1].tobytes()
-    assert said[0] == said[1]
+    # Not compared in the assertion: its picture of where they differ would take minutes.
+    same_trace, same_bytes = traces[0].tobytes() == traces[1].tobytes(), said[0] == said[1]
+    assert (same_trace, same_bytes) == (True, True)
     assert len(said[0]) > ticks * 4  # every tick is in a BATCH
     trace = traces[0]
     assert trace["count"].max() > 5, "it never met the wall"

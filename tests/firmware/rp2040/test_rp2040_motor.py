@@ -9,6 +9,7 @@ import pytest
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Input
+from firmware_protocol.messages import Sync
 from rig.config.derive import rig_model
 from rig.presets import load
 from sim_backend.plant import DiscretePlant, advance
@@ -35,6 +36,34 @@ def test_the_pins_show_magnitude_and_direction_of_the_current(powered: Powered, 
     session.host.command(quanta)
     direction = session.pico.ask("high", pin=emulator.PINS["pwm"] + 1, us=5 * PWM_PERIOD_US)
     assert direction["high"] == (pytest.approx(direction["time"]) if quanta < 0 else 0.0)
+
+
+def test_the_sync_outputs_show_what_a_command_says_as_long_as_it_lives(powered: Powered) -> None:
+    session = powered()
+    session.configure(position_rate=5_000)
+    session.arm()
+
+    def share_high(output: int) -> float:
+        seen = session.pico.ask("high", pin=emulator.PINS["sync_out"] + output, us=1_000)
+        return float(seen["high"] / seen["time"])
+
+    for flags, trial, inside in (
+        (Sync.TRIAL, 1.0, 0.0),
+        (Sync.TRIAL | Sync.INSIDE, 1.0, 1.0),
+        (0, 0.0, 0.0),
+        (0xFF, 1.0, 1.0),
+    ):
+        session.host.command(0, flags=int(flags))
+        session.listen(0.001)
+        assert (share_high(1), share_high(2)) == pytest.approx((trial, inside))
+        assert 0.0 < share_high(0) < 0.8, "the tick's own"
+        shown = session.host.states[-1].inputs
+        assert (bool(shown & Input.SYNC_TRIAL), bool(shown & Input.SYNC_INSIDE)) == (
+            trial == 1.0,
+            inside == 1.0,
+        )
+    session.listen(0.03)
+    assert (share_high(1), share_high(2)) == (0.0, 0.0)
 
 
 def test_the_monitor_reads_back_what_flows(powered: Powered) -> None:
@@ -72,7 +101,7 @@ def test_a_hit_with_the_law_on_the_device_and_every_count_is_the_truth(powered: 
     look = session.pico.look()
     state = session.host.next_state()
     assert (state.state, state.fault) == (State.RUNNING, 0)
-    assert state.inputs == Input.HOLD_TO_RUN
+    assert state.inputs & Input.HOLD_TO_RUN
     assert abs(state.count - look["truth"]) <= 1
     counts, indices = session.counts()
     start = int(np.argmin(counts))

@@ -11,7 +11,7 @@ void pins_start(void);
 /* Bits of enum hr_input. A wire that has come off says "stop" and "not held". */
 uint8_t pins_inputs(void);
 
-/* Show bits of enum hal_sync. */
+/* Show bits of enum hr_sync. */
 void pins_sync(uint8_t bits);
 
 /* Give a pin to a peripheral. */

@@ -1,0 +1,77 @@
+"""``rig lsl``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options
+
+if TYPE_CHECKING:
+    from rig.sample import Motion
+
+
+@click.command()
+@click.option("--pid", type=click.IntRange(1), help="Process whose loops to follow. [any of yours]")
+@click.option("--rate", type=float, help="Samples a second at most. [every tick]")
+@click.option("--name", default="haptic-rig", show_default=True, help="First word of the streams' names.")
+@click.option(
+    "--expect",
+    nargs=2,
+    type=(click.Choice(["rotary", "linear"]), float),
+    metavar="MOTION HZ",
+    help="Open the samples' stream before the first loop: its motion and position rate.",
+)
+@click.option("--blind", is_flag=True, help="No marker says anything of the wall.")
+@click.option("--once", is_flag=True, help="End with the first loop.")
+@click.option("--markers", is_flag=True, help="Also send markers from standard input, until that ends.")
+@options.json_option
+def lsl(
+    pid: int | None,
+    rate: float | None,
+    name: str,
+    expect: tuple[Motion, float] | None,
+    blind: bool,
+    once: bool,
+    markers: bool,
+    as_json: bool,
+) -> None:
+    """Stream the loops that run in real time by Lab Streaming Layer, until Ctrl-C.
+
+    Two streams: "NAME samples" has position, velocity, penetration, effort sent, effort applied and phase, each sample
+    at its own time on LSL's clock; "NAME markers" has JSON texts: phases, contacts, edges of the sync input, and what a
+    session says. A loop is only looked at: no receiver can slow it. The samples tell a stiffness to whoever plots
+    effort over penetration; --blind concerns the markers.
+
+    --markers reads lines like {"at": NS, "marker": {"mark": "stimulus"}}; at is on CLOCK_MONOTONIC, or left out.
+    --json prints a line for each stream and loop, the last with what was sent.
+    """
+    from rig.lsl.serve import serve  # noqa: PLC0415
+
+    def told(news: Mapping[str, Any]) -> None:
+        if as_json:
+            click.echo(json.dumps(dict(news)))
+        else:
+            click.echo("  ".join(f"{key} {value}" for key, value in news.items()), err=True)
+
+    served = serve(
+        pid,
+        rate=rate,
+        name=name,
+        blind=blind,
+        once=once,
+        markers=sys.stdin.fileno() if markers else None,
+        expected=expect,
+        told=told,
+    )
+    if as_json:
+        click.echo(json.dumps({"served": served.as_mapping()}))
+        return
+    click.echo(
+        f"{served.loops} loops, {served.samples} samples, {served.markers} markers sent; {served.lost} rows came "
+        "too late to be seen"
+    )

@@ -1,0 +1,80 @@
+"""How a rehearsal goes on, on standard error: on a terminal one line, written over; elsewhere a line for each event."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from rig.session.desk import View
+    from rig.session.log import Event
+
+_SURE = 2  # trials that are timed before the time that is left is told
+
+
+class Rehearsed:
+    """Tells of a rehearsal; `looks` is shown what a desk would show, `told` each event.
+
+    Parameters
+    ----------
+    quiet
+        Tell nothing.
+    clock
+        Time (s).
+    """
+
+    def __init__(self, *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
+        self._quiet = quiet
+        self._line = sys.stderr is not None and sys.stderr.isatty()
+        self._clock = clock
+        self._seen = 0  # the trial that this began with, which may have compiled the loop
+        self._first: tuple[int, float] | None = None  # the one after it, and when that was ready
+        self._said = False
+
+    def __enter__(self) -> Rehearsed:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._line and not self._quiet:
+            click.echo("\r\033[K", nl=False, err=True)
+
+    def told(self, event: Event) -> None:
+        """An event was written."""
+        from rig.session.telling import line_of_event  # noqa: PLC0415
+
+        if not self._line and not self._quiet:
+            click.echo(f"  {line_of_event(event)}", err=True)
+
+    def looks(self, view: View) -> None:
+        """There is something to see."""
+        if self._quiet or view.state != "ready":
+            return
+        left = self._left_s(view)
+        words = f"trial {view.trial} of about {view.trials}, "
+        words += "practice" if view.practice else f"block {view.block} of {view.blocks}"
+        if left is not None:
+            words += f", about {_rough(left)} left"
+        if self._line:
+            click.echo(f"\r\033[K{words}", nl=False, err=True)
+        elif left is not None and not self._said:
+            self._said = True
+            click.echo(f"  {words}", err=True)
+
+    def _left_s(self, view: View) -> float | None:
+        now = self._clock()
+        if self._seen == 0:
+            self._seen = view.trial
+        elif self._first is None and view.trial > self._seen:
+            self._first = view.trial, now
+        if self._first is None or view.trial < self._first[0] + _SURE:
+            return None
+        trial, began = self._first
+        return (now - began) / (view.trial - trial) * max(0, view.trials - view.trial + 1)
+
+
+def _rough(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"

@@ -1,0 +1,234 @@
+"""``rig session new``, ``check`` and ``schema``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options, output
+from rig.errors import PlanError
+from rig.sample import unit_of
+
+if TYPE_CHECKING:
+    from rig.session.expected import Range
+    from rig.session.plan import CellPlan, StudyPlan
+
+_MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
+MOST_ORDERS = 24  # participants whose order is printed; --json has all
+
+
+@click.command()
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option("--template", metavar="NAME", help="Which one; --list lists them. [first-steps]")
+@click.option("--list", "listed", is_flag=True, help="List the templates, and write nothing.")
+@options.json_option
+def new(file: Path | None, template: str | None, listed: bool, as_json: bool) -> None:
+    """Write a commented protocol into FILE, named after its template if not given. Nothing is overwritten.
+
+    Beside it goes the JSON schema by which editors complete and check it (taplo, Even Better TOML in VS Code).
+    """
+    from rig.session import template_files as templates  # noqa: PLC0415
+
+    if listed:
+        subjects = {name: templates.template_subject(name) for name in templates.template_names()}
+        if as_json:
+            output.print_json(subjects)
+        else:
+            output.print_pairs(list(subjects.items()))
+        return
+    name = template or templates.DEFAULT
+    path = file or Path(f"{name}.toml")
+    beside = templates.write_template(name, path)
+    if as_json:
+        output.print_json(
+            {"file": str(path), "template": name, "schema": None if beside is None else str(beside)}
+        )
+        return
+    click.echo(f"{path}: {templates.template_subject(name)}")
+    click.echo(f"  for editors: {beside or f'{templates.SCHEMA}, which was there and stays'}")
+    click.echo(f"  see what it will do: rig session check {path}")
+
+
+@click.command()
+@options.json_option
+def schema(as_json: bool) -> None:
+    """Print the JSON schema of protocol files, for editors that complete and check TOML (taplo, VS Code)."""
+    from rig.session.load import json_schema  # noqa: PLC0415
+
+    output.print_json(json_schema())
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "--participants",
+    type=click.IntRange(1, 10_000),
+    help="How many will come. [as FILE says]",
+)
+@click.option("--url", help="Check rate and link of this device too: sim://, serial:///dev/ttyACM0.")
+@click.option(
+    "--unblind",
+    is_flag=True,
+    help="Show the order of the searches too, though the operator is blinded: for who never sits at the console.",
+)
+@options.json_option
+def check(file: Path, participants: int | None, url: str | None, unblind: bool, as_json: bool) -> None:
+    """Say what the protocol FILE will do, and check it; nothing moves.
+
+    Trials, time, heat of the motor, the order of every participant, who sees what; and every wall that a rule may ask
+    for against the limits of the rig and against linear theory. Anybody may run it: where the operator is blinded, the
+    order is left out.
+
+    Exits with an error when something is refused.
+    """
+    from rig.session.load import load_protocol  # noqa: PLC0415
+
+    protocol = load_protocol(file)
+    with output.compiling():
+        from rig.session import check as checking  # noqa: PLC0415
+    plan = checking.check(protocol, file.parent, participants=participants, url=url)
+    if as_json:
+        shown = plan.as_mapping()
+        if plan.blinded and not unblind:
+            shown["orders"] = None
+        output.print_json(shown)
+    else:
+        _print(plan, unblind=unblind)
+    if not plan.ok:
+        refused = [one.name for one in plan.checks if one.outcome == "refused"]
+        raise PlanError(f"refused: {', '.join(refused)}", remedy="see the checks")
+
+
+def _print(plan: StudyPlan, *, unblind: bool) -> None:
+    from rig.session.disk import in_words  # noqa: PLC0415
+
+    who = "the participant hits" if plan.kind == "human" else "the motor hits"
+    click.echo(f"{plan.title}: on {plan.rig}, {who}; {plan.participants} participants")
+    practice = f", {plan.practice} of practice" if plan.practice else ""
+    output.print_pairs(
+        [
+            ("session", f"{plan.runs} searches in {plan.blocks} blocks"),
+            ("trials", f"{_number(plan.trials)}{practice}; repeated ones come on top"),
+            ("time", f"{_minutes(plan.session_s)} min"),
+            *((f"  {name}", f"{_minutes(part)} min") for name, part in plan.duration_s.items()),
+            ("one trial", _trial(plan)),
+            (
+                "on disk",
+                f"{in_words(plan.trial_bytes)} a trial, {in_words(plan.disk_bytes.likely)} a participant",
+            ),
+            ("a rehearsal", f"some {_minutes(plan.rehearsal_s)} min of computing, roughly"),
+            *(("hidden from", who) for who in plan.hidden),
+        ]
+    )
+    _print_cells(plan)
+    if plan.blinded and not unblind:
+        click.echo(
+            "\nThe order of the searches is not shown: the operator is blinded, and would know each wall's condition. "
+            "Who plans the study and never sits at the console sees it with --unblind."
+        )
+    else:
+        _print_orders(plan)
+    for one in plan.checks:
+        mark, colour = _MARKS[one.outcome]
+        remedy = "" if one.outcome == "ok" or not one.remedy else f": {one.remedy}"
+        click.echo(f"  {click.style(mark, fg=colour)} {one.name}: {one.text}{remedy}")
+
+
+def _print_cells(plan: StudyPlan) -> None:
+    stiffness, damping = unit_of("stiffness", plan.motion), unit_of("damping", plan.motion)
+    table = _table(
+        f"Searches: K in {stiffness}, B in {damping}. By linear theory, which knows no friction and no encoder: the "
+        "largest stable K of a free handle and of one in a hand, in brackets how many levels lie above",
+        left=("condition", "rule"),
+        right=("B", "levels", "free", "in hand", "limit expected", "trials"),
+    )
+    for cell in plan.cells:
+        table.add_row(*_cell(cell))
+    notes = {f"{cell.condition}: {cell.expected.note}" for cell in plan.cells if cell.expected.note}
+    _show(table)
+    for note in sorted(notes):
+        click.echo(f"  {note}")
+
+
+def _cell(cell: CellPlan) -> list[str]:
+    expected, levels = cell.expected, cell.levels
+    held = expected.in_hand
+    limit = expected.limit
+    return [
+        cell.condition,
+        cell.rule,
+        f"{cell.damping:g}",
+        f"{levels[0]:.4g} … {levels[-1]:.4g} ({len(levels)})",
+        "?" if expected.free is None else f"{expected.free:.4g} ({len(cell.unstable_free or ())})",
+        "?" if held is None else f"{held[0]:.4g} … {held[1]:.4g} ({len(cell.unstable_in_hand or ())})",
+        f"{limit.least:.4g} … {limit.most:.4g}",
+        _number(cell.trials.count),
+    ]
+
+
+def _print_orders(plan: StudyPlan) -> None:
+    shown = plan.orders[:MOST_ORDERS]
+    names = list(dict.fromkeys(name for order in shown for block in order for name in block))
+    letters = {name: _letters(place) for place, name in enumerate(names)}
+    table = _table("Order of the searches, block by block", left=("participant", "blocks"), right=())
+    for number, order in enumerate(shown, 1):
+        table.add_row(str(number), "   ".join(" ".join(letters[name] for name in block) for block in order))
+    _show(table)
+    for name, letter in letters.items():
+        click.echo(f"  {letter}: {name}")
+    if len(plan.orders) > len(shown):
+        click.echo(f"  … and {len(plan.orders) - len(shown)} more: --json has all")
+
+
+def _letters(place: int) -> str:
+    """A, B … Z, A1, B1 and on."""
+    return chr(ord("A") + place % 26) + (str(place // 26) if place >= 26 else "")
+
+
+def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Any:
+    from rich import box  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    click.echo(f"\n{title}")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in left:
+        table.add_column(name)
+    for name in right:
+        table.add_column(name, justify="right")
+    return table
+
+
+def _show(table: Any) -> None:
+    from rich.console import Console  # noqa: PLC0415
+
+    console = Console()
+    if not console.is_terminal:  # a file or a pipe has no width: nothing is folded
+        console = Console(width=200)
+    console.print(table)
+
+
+def _trial(plan: StudyPlan) -> str:
+    one = plan.trial
+    return (
+        f"{one.total:.1f} s: ready {one.ready:g}, homing {one.homing:.2g}, free space {one.baseline:g}, "
+        f"hit {one.hit + one.release:.2g}, verdict {one.verdict:g}"
+    )
+
+
+def _number(expected: Range) -> str:
+    if round(expected.least) == round(expected.most):
+        return f"{expected.likely:.0f}"
+    return f"{expected.likely:.0f} ({expected.least:.0f} … {expected.most:.0f})"
+
+
+def _minutes(seconds: Range) -> str:
+    low, likely, high = (value / 60.0 for value in seconds.values)
+    if high - low < 0.05 * high:
+        return _two_digits(likely)
+    return f"{_two_digits(likely)} ({_two_digits(low)} … {_two_digits(high)})"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"

@@ -1,0 +1,47 @@
+"""Pictures and page of a study, as `rig session analyse` writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.session.analysis import Analysis
+
+PICTURES = "pictures"
+
+
+def write_report(
+    found: Analysis, directory: Path, watch: Callable[[str, int, int], None]
+) -> tuple[dict[str, Path], Path | None, str]:
+    """Draw all pictures, and print the page where that is possible.
+
+    Returns
+    -------
+    tuple
+        Paths of the pictures by name; path of the page, None without jinja2; and then what to do about it.
+
+    Raises
+    ------
+    RecordingError
+        The disk refuses.
+    """
+    from rig.plots.session import draw_session  # noqa: PLC0415
+    from rig.recording.files import plain_errors  # noqa: PLC0415
+    from rig.report.session import write_session_report  # noqa: PLC0415
+    from rig.report.template import check_installed  # noqa: PLC0415
+
+    place = directory / PICTURES
+    with plain_errors("make", place):
+        place.mkdir(parents=True, exist_ok=True)
+    drawn = draw_session(found, place, watch=lambda done, total: watch("pictures drawn", done, total))
+    try:
+        check_installed()
+    except ConfigError as error:
+        return drawn, None, f"{error.message}: {error.remedy}"
+    pngs = {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"}
+    page, _ = write_session_report(found, pngs, directory)
+    return drawn, page, ""

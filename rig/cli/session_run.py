@@ -1,0 +1,349 @@
+"""``rig session run``, ``resume``, ``show`` and ``amend``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+from rig.cli import options, output
+from rig.cli.session_progress import Rehearsed
+from rig.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rig.session.console.pointer import HandKind
+    from rig.session.desk import Desk
+    from rig.session.hits import Bench
+    from rig.session.rehearsal import Person
+    from rig.session.run import DeskFor, SessionResult
+
+_VIRTUAL_S = 1e8  # since 1970: no participant sat then
+
+
+def _device_options(command: Any) -> Any:
+    """Options of a session's rig and console."""
+    for option in reversed(
+        [
+            click.option("--url", help="Device: serial:///dev/ttyACM0, usb://1209:0001. [simulates the rig]"),
+            click.option("--realtime", is_flag=True, help="A rehearsal in real time."),
+            click.option(
+                "--verified", is_flag=True, help="Signs of this real rig were checked; the handle is at zero."
+            ),
+            options.arm_anyway_option,
+            click.option(
+                "--hand",
+                type=click.Choice(["simulated", "mouse", "keyboard"]),
+                default="simulated",
+                show_default=True,
+                help="Who moves the handle of a simulated rig.",
+            ),
+            click.option("--plain", is_flag=True, help="One line for each change, instead of a full screen."),
+            click.option(
+                "--lsl",
+                is_flag=True,
+                help="Stream samples and markers by Lab Streaming Layer (haptic-rig[lsl]).",
+            ),
+            options.json_option,
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.argument("protocol", type=click.Path(path_type=Path))
+@click.argument("code")
+@click.option(
+    "--study",
+    type=click.Path(path_type=Path),
+    help="Directory of all participants. [sessions/TITLE, or rehearsals/TITLE]",
+)
+@click.option(
+    "--row",
+    type=click.IntRange(min=0),
+    help="Participant's row of the order, from 0. [the number in CODE, less one]",
+)
+@click.option("--rehearse", is_flag=True, help="With a simulated person, in virtual time.")
+@click.option(
+    "--threshold",
+    "thresholds",
+    multiple=True,
+    metavar="CONDITION=K",
+    help="Rehearsal: where half of this person's verdicts are stable. [judges as the program does]",
+)
+@click.option("--spread", type=float, help="Rehearsal: how gradually verdicts change over stiffness. [15]")
+@click.option("--slips", type=float, help="Rehearsal: share of wrong verdicts. [0]")
+@_device_options
+def run(
+    protocol: Path,
+    code: str,
+    study: Path | None,
+    row: int | None,
+    rehearse: bool,
+    thresholds: tuple[str, ...],
+    spread: float | None,
+    slips: float | None,
+    url: str | None,
+    realtime: bool,
+    verified: bool,
+    arm_anyway: bool,
+    hand: str,
+    plain: bool,
+    lsl: bool,
+    as_json: bool,
+) -> None:
+    """Run the session of participant CODE as PROTOCOL says.
+
+    With --rehearse a simulated person hits and judges, and time is virtual. Without --url the rig is simulated: in real
+    time, with the console, and the simulated hand, the mouse or the keyboard moves the handle.
+
+    Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
+    session resume` goes on.
+    """
+    with output.compiling():
+        from rig.session import rehearsal  # noqa: PLC0415
+        from rig.session import run as sessions  # noqa: PLC0415
+
+    if not rehearse and (thresholds or realtime or spread is not None or slips is not None):
+        raise ConfigError(
+            "--threshold, --spread, --slips and --realtime belong to a rehearsal",
+            remedy="add --rehearse; a person's session is in real time as it is",
+        )
+    if rehearse and (hand != "simulated" or plain):
+        raise ConfigError(
+            "--hand and --plain belong to a session with a person",
+            remedy="leave them out; a rehearsal has no console",
+        )
+    known = {name: value for name, value in (("spread", spread), ("slips", slips)) if value is not None}
+    person = rehearsal.Person(thresholds=_thresholds(thresholds), **known) if rehearse else None
+    bench = _bench(url, realtime or not rehearse, verified, arm_anyway)
+    with Rehearsed(quiet=as_json or person is None) as seen:
+        desk = _desk(person, seen, hand=hand, plain=plain)
+        result = sessions.run_session(
+            protocol,
+            code,
+            desk,
+            bench=bench,
+            study=study,
+            row=row,
+            person=person,
+            told=seen.told,
+            lsl=lsl,
+        )
+    _print(result, as_json=as_json)
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.option(
+    "--at",
+    type=click.Choice(["trial", "block"]),
+    default="trial",
+    show_default=True,
+    help="Go on with the next trial, or start the block over.",
+)
+@click.option(
+    "--other-device",
+    is_flag=True,
+    help="Go on though it is another device than before; the analysis tells it.",
+)
+@click.option(
+    "--drop-damaged-line",
+    is_flag=True,
+    help="Set a damaged last line of the log aside first; its bytes are kept beside it.",
+)
+@_device_options
+def resume(
+    directory: Path,
+    at: str,
+    other_device: bool,
+    drop_damaged_line: bool,
+    url: str | None,
+    realtime: bool,
+    verified: bool,
+    arm_anyway: bool,
+    hand: str,
+    plain: bool,
+    lsl: bool,
+    as_json: bool,
+) -> None:
+    """Go on with the session in DIRECTORY, whatever ended it: Ctrl-C, kill -9, a power cut, an unplugged rig.
+
+    It goes on where it took place: without --url on the device of the log. A real rig needs --verified again: somebody
+    has looked at its signs, and the handle is at zero.
+    """
+    with output.compiling():
+        from rig.session import run as sessions  # noqa: PLC0415
+        from rig.session.directory import LOG  # noqa: PLC0415
+        from rig.session.log import set_damaged_line_aside  # noqa: PLC0415
+
+    if drop_damaged_line and (directory / LOG).is_file():
+        kept = set_damaged_line_aside(directory / LOG)
+        found = "no line is damaged" if kept is None else f"the damaged line is in {kept} now"
+        click.echo(f"rig: {found}", err=True)
+    person, place = sessions.rehearsed(directory), sessions.took_place(directory)
+    bench = _bench(url or place.url, realtime or place.realtime or person is None, verified, arm_anyway)
+    with Rehearsed(quiet=as_json or person is None) as seen:
+        desk = _desk(person, seen, hand=hand, plain=plain)
+        result = sessions.resume_session(
+            directory, desk, bench=bench, at=at, told=seen.told, lsl=lsl, other_device=other_device
+        )
+    _print(result, as_json=as_json)
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.option("--log", "with_log", is_flag=True, help="List the events, numbered.")
+@click.option("--unblind", is_flag=True, help="Show conditions and walls too.")
+@options.json_option
+def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
+    """Say where the session in DIRECTORY stands; also while it runs."""
+    from rig.session.log import DamagedLineError  # noqa: PLC0415
+    from rig.session.run import session_state, summary  # noqa: PLC0415
+    from rig.session.state import State  # noqa: PLC0415
+    from rig.session.telling import line_of_event  # noqa: PLC0415
+
+    damage = None
+    try:
+        state, events = session_state(directory)
+    except DamagedLineError as error:
+        if not error.events:
+            raise
+        damage, events = error, list(error.events)
+        state = State.of(events)
+    result = summary(directory, state, events)
+    if as_json:
+        listed = [
+            {
+                "number": event.number,
+                "at": event.at,
+                "kind": event.kind,
+                **({"content": dict(event.content)} if unblind else {"text": line_of_event(event)}),
+            }
+            for event in events
+        ]
+        output.print_json({**result.as_mapping(), "events": listed})
+    else:
+        _print(result, as_json=False)
+    if with_log and not as_json:
+        date = ""
+        for event in events:
+            day, when = _when(event.at)
+            if day != date:
+                date = day
+                click.echo(f"  {day}")
+            text = json.dumps(dict(event.content), ensure_ascii=False) if unblind else line_of_event(event)
+            click.echo(f"  {event.number:>5}  {when}  {event.kind:<9} {text}")
+    if damage is not None:
+        raise damage
+
+
+def _when(at_s: float) -> tuple[str, str]:
+    """Date and time of day here; in virtual time, which begins at 0, the time since then."""
+    if at_s < _VIRTUAL_S:
+        whole = int(at_s)
+        return "in the simulation's time", f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+    when = datetime.fromtimestamp(at_s).astimezone()
+    return f"{when:%Y-%m-%d, UTC%z}", f"{when:%H:%M:%S}"
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path))
+@click.argument("said", nargs=-1, required=True, metavar="[EVENT] VALUE")
+@click.option("--trial", type=int, help="Correct this trial instead of EVENT.")
+@click.option("--why", required=True, help="Reason for the correction, kept with it.")
+@options.json_option
+def amend(directory: Path, said: tuple[str, ...], trial: int | None, why: str, as_json: bool) -> None:
+    """Correct the log in DIRECTORY: the verdict of a trial, whether a trial counts, a note, an answer.
+
+    With --trial N, VALUE is another verdict, or void: the trial does not count (counts takes that back). EVENT is a
+    number of `rig session show --log`. Nothing is erased: the correction is an event of its own.
+    """
+    from rig.session.directory import amend as amend_event  # noqa: PLC0415
+    from rig.session.directory import event_of_trial  # noqa: PLC0415
+
+    value = said[-1]
+    numbers = [int(text) for text in said[:-1] if text.isdecimal()]
+    if len(said) != (2 if trial is None else 1) or len(numbers) != len(said) - 1:
+        raise ConfigError(
+            f"{' '.join(said)!r} is no correction",
+            remedy="give --trial N VALUE, or EVENT VALUE: an event's number and what it reads instead, in quotes",
+        )
+    event = numbers[0] if trial is None else event_of_trial(directory, trial, value)
+    written = amend_event(directory, event, value, why)
+    if as_json:
+        output.print_json({"number": written.number, "corrects": event, "value": value, "why": why})
+    else:
+        about = f"event {event}" if trial is None else f"trial {trial}"
+        click.echo(f"{about} now reads {value!r}, by event {written.number}")
+
+
+def _desk(person: Person | None, seen: Rehearsed, *, hand: str, plain: bool) -> DeskFor:
+    """The console, or the simulated person whose progress is shown."""
+    from rig.session.run import rehearsal_desk  # noqa: PLC0415
+
+    return _console(hand=hand, plain=plain) if person is None else rehearsal_desk(person, looks=seen.looks)
+
+
+def _bench(url: str | None, realtime: bool, verified: bool, arm_anyway: bool) -> Bench:
+    from rig.session.hits import RigBench  # noqa: PLC0415
+
+    return RigBench(url=url, realtime=realtime, verified=verified, arm_anyway=arm_anyway)
+
+
+def _console(*, hand: str, plain: bool) -> DeskFor:
+    """The operator's terminal; refused where there is none. With --plain, keys may come from a script."""
+
+    def desk(*about: Any) -> Desk:  # only when somebody may sit there: what is wrong with a code comes first
+        if not plain and not sys.stdin.isatty():
+            raise ConfigError(
+                "a session with a person needs a terminal for its operator",
+                remedy="run it in one, or rehearse: --rehearse; with --plain, keys are read from standard input",
+            )
+        from rig.session.console.desk import at_console  # noqa: PLC0415
+
+        kind = None if hand == "simulated" else cast("HandKind", hand)
+        return at_console(hand=kind, plain=plain)(*about)
+
+    return desk
+
+
+def _thresholds(given: tuple[str, ...]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for text in given:
+        name, equals, value = text.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not name or not equals:
+            raise ConfigError(
+                f"--threshold {text}: write CONDITION=STIFFNESS", remedy="like --threshold dual=430"
+            )
+    return found
+
+
+def _print(result: SessionResult, *, as_json: bool) -> None:
+    if as_json:
+        output.print_json(result.as_mapping())
+        return
+    for message in result.messages:
+        click.echo(f"rig: {message}", err=True)
+    stands = result.ended or (f"left: {result.stopped}" if result.stopped else "goes on")
+    click.echo(f"session of {result.code}: {stands}")
+    output.print_pairs(
+        [
+            (
+                "trials",
+                f"{result.trials}, {result.counted} count, {result.invalid} invalid, {result.aborted} cut off",
+            ),
+            ("blocks", f"{result.blocks_done} of {result.blocks} done"),
+            ("directory", str(result.directory)),
+        ]
+    )
+    if result.ended is None:
+        click.echo(f"  go on with: {result.resume}")

@@ -1,0 +1,234 @@
+"""From nested tables to a checked dataclass, or to everything that is wrong with them: shared by all kinds of files.
+
+Types and ranges of every key and value are checked here, each by itself; rules that tie keys together are the business
+of each kind of file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from rig.config.files import Table
+from rig.config.problems import Problem, did_you_mean
+from rig.config.table import Parameter, parameters_of, sections_of, shown
+from rig.sample import Motion
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+    from pydantic_core import ErrorDetails
+
+T = TypeVar("T")
+
+_WRITE = {
+    "number": "write a number, without quotes",
+    "whole number": "write a whole number, without quotes",
+    "true or false": "write true or false, without quotes",
+    "text": "write text in quotes",
+    "choice": "choose one of these, written exactly so",
+    "list of number": "write numbers in brackets, like [0.0, 0.5]",
+    "list of text": 'write texts in brackets, like ["a", "b"]',
+}
+
+
+@dataclass(frozen=True)
+class Kind(Generic[T]):
+    """A kind of file.
+
+    Attributes
+    ----------
+    root
+        The dataclass that it describes; its fields are sections.
+    whole
+        What such a thing is called.
+    also
+        Keys that a file may have at the top beside the sections.
+    otherwise
+        What else to do where something is missing, as the end of a sentence; empty when there is nothing else.
+    """
+
+    root: type[T]
+    whole: str
+    also: tuple[str, ...] = ()
+    otherwise: str = ""
+
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Every key of such a file, by its dotted name."""
+        root: Any = self.root  # mypy finds type[T] not hashable
+        return parameters_of(root)
+
+    def sections(self) -> Mapping[str, tuple[str, ...]]:
+        """The keys inside each table."""
+        root: Any = self.root
+        return sections_of(root, self.also)
+
+    def known_instead(self, section: str, leaf: str) -> str:
+        """Suggest what an unknown key may have meant: the nearest of its section, or the same name elsewhere."""
+        siblings = self.sections().get(section, ())
+        elsewhere = [key.replace("[]", "") for key in self.parameters() if key.rpartition(".")[2] == leaf]
+        otherwise = (
+            f"did you mean {' or '.join(elsewhere)}?" if elsewhere else f"known here: {', '.join(siblings)}"
+        )
+        return did_you_mean(leaf, siblings, otherwise)
+
+
+def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
+    """Check every key and value by itself.
+
+    Parameters
+    ----------
+    kind
+        Of the file.
+    table
+        Plain nested tables (`rig.config.files.tidy`).
+    motion
+        Of the rig, for units in messages; None when it is not known.
+    """
+    from pydantic import ValidationError  # noqa: PLC0415  (slow to import, and only needed here)
+
+    problems = list(_mistaken_choices(kind, table))
+    # By way of JSON, because strict validation of Python objects accepts instances of the dataclasses only.
+    text = json.dumps(_jsonable(table))
+    try:
+        root: Any = kind.root
+        return _adapter(root).validate_json(text), problems
+    except ValidationError as error:
+        found = [_problem_of(e, kind, table, motion) for e in error.errors(include_url=False)]
+        return None, list(dict.fromkeys(found)) + problems
+
+
+def plain(value: Any) -> Any:
+    """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
+    if is_dataclass(value):
+        inner = ((item.name, getattr(value, item.name)) for item in fields(value))
+        return {name: plain(v) for name, v in inner if v is not None}
+    if isinstance(value, tuple):
+        return [plain(inner) for inner in value]
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+def value_at(table: Any, path: Iterable[str]) -> Any:
+    """What stands at a place, counting from 0 in lists; None where there is nothing."""
+    value: Any = table
+    for part in path:
+        if isinstance(value, list) and part.isdecimal():
+            value = value[int(part)] if int(part) < len(value) else None
+        else:
+            value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
+def place(path: Sequence[str]) -> str:
+    """Name a place for people: the second table of [[condition]] is ``condition 2``."""
+    text = ""
+    for part in path:
+        text += f" {int(part) + 1}" if part.isdecimal() else f".{part}"
+    return text.removeprefix(".")
+
+
+@cache
+def _adapter(root: type) -> TypeAdapter[Any]:
+    from pydantic import TypeAdapter  # noqa: PLC0415
+
+    return TypeAdapter(root)
+
+
+def _jsonable(value: Any) -> Any:
+    """Replace what JSON has no word for by what no key accepts."""
+    if isinstance(value, dict):
+        return {key: _jsonable(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_jsonable(inner) for inner in value]
+    if isinstance(value, int) and value.bit_length() > 1024:  # no float is that large
+        return math.inf
+    return value if value is None or isinstance(value, bool | int | float | str) else []
+
+
+def _problem_of(error: ErrorDetails, kind: Kind[Any], table: Table, motion: Motion | None) -> Problem:
+    """Say in our words what pydantic found at a place."""
+    path, pattern = _within_leaf([str(part) for part in error["loc"]], kind)
+    key, section, leaf = ".".join(pattern), ".".join(pattern[:-1]), path[-1] if path else ""
+    where, value = place(path), value_at(table, path)
+    if error["type"] == "unexpected_keyword_argument":
+        return Problem(where, "", "is not a known key", kind.known_instead(section, leaf))
+    owner = kind.parameters().get(section)
+    if owner is not None and owner.kind == "table":
+        return Problem(where, shown(value), f"must be {owner.values}", "write one of these")
+    parameter = kind.parameters().get(key)
+    if parameter is None or parameter.kind == "table":
+        return _wrong_section(error, kind, key, path, value)
+    must = f"{parameter.expected(motion)} ({parameter.meaning})"
+    if error["type"] == "missing":
+        above = f"[{place(path[:-1])}]"
+        remedy = f"add {leaf} under {above}" + (f", or {kind.otherwise}" if kind.otherwise else "")
+        return Problem(where, "", f"is missing: {must}", remedy)
+    return Problem(where, shown(value), f"must be {must}", better(value, parameter))
+
+
+def _within_leaf(path: list[str], kind: Kind[Any]) -> tuple[list[str], list[str]]:
+    """Cut off what follows a key (elements of a list, arms of a union); the path, and its name in the table."""
+    pattern: list[str] = []
+    for length, part in enumerate(path, start=1):
+        if part.isdecimal() and pattern and ".".join(pattern) not in kind.parameters():
+            pattern[-1] += "[]"
+            continue
+        pattern.append(part)
+        parameter = kind.parameters().get(".".join(pattern))
+        if parameter is not None:
+            end = length + 1 if parameter.kind == "table" else length
+            return path[:end], pattern + path[length:end]
+    return path, pattern
+
+
+def _wrong_section(
+    error: ErrorDetails, kind: Kind[Any], key: str, path: Sequence[str], value: Any
+) -> Problem:
+    name = f"[{place(path)}]" if key else kind.whole
+    contents = ", ".join(kind.sections().get(key, ())) or "numbers by name"
+    if error["type"] == "missing":
+        remedy = "add it" + (f", or {kind.otherwise}" if kind.otherwise else "")
+        listed = kind.sections().get(f"{key}[]")
+        what = (
+            f"one or more tables [[{key}]] with {', '.join(listed)}" if listed else f"a table with {contents}"
+        )
+        return Problem(name, "", f"is missing: {what}", remedy)
+    if error["type"] == "value_error":  # a dataclass that checks its own keys against each other
+        message = str(error["ctx"]["error"])
+        found = ", ".join(f"{k} = {shown(v)}" for k, v in value.items() if k in message) or "none of them"
+        return Problem(name, "", f"{message} (given: {found})", "change these keys together")
+    listed = kind.sections().get(f"{key}[]")
+    if listed:
+        must = f"must be one or more tables [[{key}]] with {', '.join(listed)}"
+        return Problem(place(path), shown(value), must, f"write [[{key}]] and its keys below it")
+    return Problem(
+        place(path) or kind.whole,
+        shown(value),
+        f"must be a table with {contents}",
+        f"write {name} and its keys below it",
+    )
+
+
+def better(value: Any, parameter: Parameter) -> str:
+    """Say how to write a value right."""
+    kind = parameter.kind
+    if kind == "choice" and isinstance(value, str):
+        known = [choice for choice in parameter.choices if isinstance(choice, str)]
+        return did_you_mean(value, known, "choose one of these")
+    if kind == "whole number" and isinstance(value, float) and value.is_integer():
+        return f"write {int(value)}, without a decimal point"
+    if "number" in kind and isinstance(value, int | float) and not isinstance(value, bool):
+        return _WRITE[kind] if kind.startswith("list") else "choose a value in this range"
+    return _WRITE[kind]
+
+
+def _mistaken_choices(kind: Kind[Any], table: Table) -> Iterator[Problem]:
+    """Find true or 1.0 where a choice is the whole number 1: equal in Python, but not in a file."""
+    for key, parameter in kind.parameters().items():
+        value = value_at(table, key.split("."))
+        if isinstance(value, bool | float) and value in parameter.choices:
+            must = f"must be {parameter.expected(None)} ({parameter.meaning})"
+            yield Problem(key, shown(value), must, better(value, parameter))

@@ -1,0 +1,176 @@
+"""Marks of a recording: what happened when, on the device's clock and on the host's.
+
+========  =============================================================================================
+homed     the first sample behind the homing
+trial     the first sample of the trial
+contact   the first sample inside the wall in the trial, and each first one after a sample outside
+release   the first sample of the release
+end       the last sample
+sync      a rising edge of the sync input; its `tick` is that of the first row that tells it
+trial_out, inside_out
+          a rising edge of a sync output: the tick of the device that put it out began then, or where samples are
+          missing before it, so much earlier at most. Only where the host ran the law: a law on the device sets them
+          in the tick of the sample itself, so that trial and contact are they
+========  =============================================================================================
+
+Device times are on the scale of the column device_time; host times come from the clock fit, and are None without one.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.faults import Input
+from rig.errors import RecordingError, RigError
+from rig.recording.canonical import plain
+from rig.recording.data import Recording
+from rig.recording.ledger import CLOCK_KEY, clock_of, period_ns_of
+from rig.sample import Phase, RowFlag
+from rig.timing import device_times
+
+EDGES_KEY = "sync_edges"  # of the trailer
+NEEDED = ("tick", "elapsed_ticks", "device_time", "host_time", "phase", "flags")
+OUTPUTS = {"trial_out": Input.SYNC_TRIAL, "inside_out": Input.SYNC_INSIDE}
+
+_log = logging.getLogger(__name__)
+_Ints = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Something that happened.
+
+    Attributes
+    ----------
+    name
+        See the module's text.
+    device_time
+        On the device's clock (ns).
+    host_time
+        On the host's clock, by the clock fit (ns); None without one.
+    tick
+        Number of the step of the law.
+    """
+
+    name: str
+    device_time: int
+    host_time: int | None
+    tick: int
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+def marks(recording: Recording) -> list[Mark]:
+    """Find what happened in a recording, in the order of the device's clock; of an older one what its columns tell.
+
+    Raises
+    ------
+    RecordingError
+        A column is missing without which there are no marks.
+    RigError
+        The clock of the trailer makes no sense.
+    """
+    missing = [name for name in NEEDED if name not in recording.names]
+    if missing:
+        raise RecordingError(
+            f"the recording has no column {missing[0]}, and so no marks",
+            remedy="it was made by something else than `rig`; record anew",
+        )
+    if not len(recording):
+        return []
+    found = [*_of_phases(recording.rows), *_of_edges(recording), *_of_outputs(recording)]
+    return _on_both_clocks(recording, sorted(found, key=lambda mark: (mark[1], mark[2])))
+
+
+def sync_edges(recording: Recording) -> list[Mark]:
+    """Rising edges of the sync input that a recording tells; none from one that has no such column."""
+    return _on_both_clocks(recording, _of_edges(recording))
+
+
+def with_sync_edges(recording: Recording) -> Recording:
+    """Return the recording with the rising edges of the sync input in its trailer.
+
+    Without a clock in the trailer, or without the column, it is returned as it is; so is one whose clock cannot be
+    understood, since a recording is kept whatever is wrong with its clock.
+    """
+    trailer = recording.trailer or {}
+    if CLOCK_KEY not in trailer or "sync_time" not in recording.names:
+        return recording
+    try:
+        edges = sync_edges(recording)
+    except RigError as error:
+        _log.warning("%s: no edges of the sync input: %s", recording.path, error)
+        return recording
+    listed = [{key: value for key, value in edge.as_mapping().items() if key != "name"} for edge in edges]
+    return replace(recording, trailer={**trailer, EDGES_KEY: plain(listed)})
+
+
+_Found = tuple[str, int, int]  # name, device time, tick
+
+
+def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
+    phase = rows["phase"]
+    trial = phase == Phase.TRIAL
+    homing = np.flatnonzero(phase == Phase.HOMING)
+    behind = np.flatnonzero(phase > Phase.HOMING)
+    inside = trial & ((rows["flags"] & int(RowFlag.INSIDE)) != 0)
+    places = {
+        "homed": behind[behind > homing[0]][:1] if len(homing) else homing,
+        "trial": np.flatnonzero(trial)[:1],
+        "contact": _rising(inside),
+        "release": np.flatnonzero(phase == Phase.RELEASE)[:1],
+        "end": [len(rows) - 1],
+    }
+    for name, found in places.items():
+        for place in found:
+            yield name, int(rows["device_time"][place]), int(rows["tick"][place])
+
+
+def _of_edges(recording: Recording) -> list[_Found]:
+    """An edge that the first row tells was before the recording."""
+    if "sync_time" not in recording.names or not len(recording):
+        return []
+    rows = recording.rows
+    told: _Ints = rows["sync_time"]
+    places = 1 + np.flatnonzero((told[1:] != told[:-1]) & (told[1:] != 0))
+    return [("sync", int(told[place]), int(rows["tick"][place])) for place in places]
+
+
+def _of_outputs(recording: Recording) -> Iterator[_Found]:
+    """A pin that a sample shows rose with the current that was in force up to it: a tick before."""
+    loop = str((recording.header.get("extra") or {}).get("loop", "host"))
+    if loop != "host" or "inputs" not in recording.names:
+        return
+    rows = recording.rows
+    period_ns = round(period_ns_of(recording))
+    for name, bit in OUTPUTS.items():
+        for place in _rising((rows["inputs"] & int(bit)) != 0):
+            yield name, int(rows["device_time"][place]) - period_ns, int(rows["tick"][place])
+
+
+def _rising(active: _Mask) -> _Ints:
+    """Places at which something begins, at the first row too."""
+    return np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
+
+
+def _on_both_clocks(recording: Recording, found: Iterable[_Found]) -> list[Mark]:
+    found = list(found)
+    fit = clock_of(recording)
+    if fit is None or not found:
+        return [Mark(name, device, None, tick) for name, device, tick in found]
+    rows = recording.rows
+    first: _Ints = rows["device_time"][:1]
+    shift = int(device_times(first, fit, int(rows["host_time"][0]))[0]) - int(first[0])
+    host = fit.host_of(np.array([device for _, device, _ in found], np.int64) + shift)
+    return [
+        Mark(name, device, int(time), tick) for (name, device, tick), time in zip(found, host, strict=True)
+    ]

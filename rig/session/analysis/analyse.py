@@ -1,0 +1,266 @@
+"""From sessions on disk to everything that can be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.session.analysis.agreement import Agreement, agreements
+from rig.session.analysis.effects import BlockRow, Slope, blocks, slopes
+from rig.session.analysis.kmax import (
+    Beyond,
+    Cell,
+    OfParticipant,
+    OverParticipants,
+    Paired,
+    observed,
+    of_participants,
+    over_participants,
+    paired,
+)
+from rig.session.analysis.mixed import Mixed, mixed
+from rig.session.analysis.people import answers_of, fates, participants_of
+from rig.session.analysis.psychometric import Psychometric, complete_runs, gathered, psychometrics
+from rig.session.analysis.rows import (
+    MEASURES,
+    AnswerRow,
+    Limit,
+    Measure,
+    ParticipantRow,
+    RunRow,
+    TrialRow,
+)
+from rig.session.analysis.study import Study, read_study
+from rig.session.analysis.trials import half_way, levels, runs_of, schemes_of, trials_of
+
+Watch = Callable[[str, int, int], None]
+_VAGUE = 0.4  # of the range of levels: an interval wider than that says little
+_JUDGES: dict[Measure, str] = {"rule": "followed", "K50 person": "person", "K50 automatic": "automatic"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How to analyse.
+
+    Attributes
+    ----------
+    measure
+        Which comes first in a report; all are computed.
+    hashes
+        Whether recordings are compared with the hashes in the logs.
+    seed
+        Of all bootstraps: the same gives the same intervals.
+    """
+
+    measure: Measure = "rule"
+    hashes: bool = True
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """What sessions say.
+
+    Attributes
+    ----------
+    study, options
+        What was analysed, and how.
+    schemes
+        What samples and estimates in each condition, in words.
+    trials, runs
+        The tables behind everything else.
+    participants, answers
+        Who took part, and what they answered.
+    of_participants, over_participants, paired
+        K_max, and differences of conditions, of all measures.
+    mixed
+        A mixed model for each measure that any run has.
+    agreements, psychometrics, slopes, blocks
+        See the modules of these names.
+    """
+
+    study: Study
+    options: Options
+    schemes: Mapping[str, str]
+    trials: tuple[TrialRow, ...]
+    runs: tuple[RunRow, ...]
+    participants: tuple[ParticipantRow, ...]
+    answers: tuple[AnswerRow, ...]
+    of_participants: tuple[OfParticipant, ...]
+    over_participants: tuple[OverParticipants, ...]
+    paired: tuple[Paired, ...]
+    mixed: tuple[Mixed, ...]
+    agreements: tuple[Agreement, ...]
+    psychometrics: tuple[Psychometric, ...]
+    slopes: tuple[Slope, ...]
+    blocks: tuple[BlockRow, ...]
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """What a reader must know: of the sessions, and of what was left out."""
+        left = [run for run in self.runs if run.state != "complete"]
+        told = []
+        for state in ("unfinished", "skipped"):
+            count = sum(run.state == state for run in left)
+            if count:
+                told.append(
+                    f"{_plural(count, 'run')} {_was(count)} {state}: in the table of runs, not in K_max"
+                )
+        noted = sum(run.note != "" and "rule" not in run.limits for run in self.runs)
+        if noted:
+            told.append(
+                f"of {_plural(noted, 'run')} trials were amended after the rule had followed them: no limit by the "
+                "rule, since its walk would have been another; K50 stands"
+            )
+        vague = sum(
+            one.measure != "rule"
+            and not one.above
+            and not one.below
+            and one.high - one.low > _VAGUE * self._range(one.condition)
+            for one in self.of_participants
+        )
+        if vague:
+            told.append(
+                f"{_plural(vague, 'K50')} {_is(vague)} hardly told by so few verdicts: the interval is wider than "
+                f"{100 * _VAGUE:.0f} % of the range that was searched"
+            )
+        alike = sum(one.alike for one in self.paired)
+        if alike:
+            told.append(
+                f"{_plural(alike, 'paired difference')} {_is(alike)} the same for all participants: no interval and no "
+                "p, since the levels are too coarse to show how much people differ"
+            )
+        mostly = [
+            f"{one.condition} at B = {one.damping:g} ({one.above + one.below} of {one.limits})"
+            for one in self.over_participants
+            if one.measure == self.options.measure and Beyond(one.limits, one.above, one.below).mostly
+        ]
+        if mostly:
+            told.append(
+                "most limits lie beyond the levels, so that their mean is a bound and no difference with it is tested: "
+                + ", ".join(mostly)
+            )
+        return (*self.study.messages, *told)
+
+    def _range(self, condition: str) -> float:
+        grid = levels(self.study.protocol, condition)
+        return grid[-1] - grid[0]
+
+    def counts(self) -> dict[str, int]:
+        """Trials by what became of them; "counted" ones told limits."""
+        return {"recorded": len(self.trials), **dict(sorted(fates(self.trials, self.runs).items()))}
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON; trials are in their table."""
+        study, protocol = self.study, self.study.protocol
+        return {
+            "title": protocol.study.title,
+            "rehearsed": study.rehearsed,
+            "messages": list(self.messages),
+            "units": {name: study.unit(name) for name in ("stiffness", "damping")},
+            "measure": self.options.measure,
+            "seed": self.options.seed,
+            "conditions": [
+                {"name": one.name, "scheme": self.schemes[one.name], "damping": list(one.damping)}
+                for one in protocol.condition
+            ],
+            "participants": [
+                {**asdict(one), "directory": str(session.directory)}
+                for one, session in zip(self.participants, study.sessions, strict=True)
+            ],
+            "answers": [asdict(one) for one in self.answers],
+            "trials": self.counts(),
+            "runs": [asdict(run) for run in self.runs],
+            "of_participants": [asdict(one) for one in self.of_participants],
+            "over_participants": [asdict(one) for one in self.over_participants],
+            "paired": [asdict(one) for one in self.paired],
+            "mixed": [asdict(one) for one in self.mixed],
+            "agreements": [asdict(one) for one in self.agreements],
+            "psychometrics": [asdict(one) for one in self.psychometrics],
+            "slopes": [asdict(one) for one in self.slopes],
+            "blocks": [asdict(one) for one in self.blocks],
+        }
+
+
+def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Watch | None = None) -> Analysis:
+    """Analyse the sessions of a study.
+
+    Parameters
+    ----------
+    paths
+        Directories of sessions or of studies.
+    options
+        How.
+    watch
+        Told of what is being done, how many steps of it are done, and of how many.
+
+    Raises
+    ------
+    RecordingError
+        No session there, or a damaged log.
+    ConfigError
+        Sessions that are not of one study, or that this version cannot read.
+    """
+    options = options or Options()
+    told = watch or (lambda _what, _done, _total: None)
+    study = read_study(
+        paths, hashes=options.hashes, watch=lambda done, total: told("sessions read", done, total)
+    )
+    trials = trials_of(study)
+    runs = runs_of(study, watch=lambda done, total: told("limits told", done, total))
+    told("intervals", 0, 4)
+    pooled = _pooled(study, runs)
+    each = of_participants(runs, pooled, options.seed)
+    told("intervals", 1, 4)
+    names = [condition.name for condition in study.protocol.condition]
+    known = [measure for measure in MEASURES if any(measure in run.limits for run in runs)]
+    models = tuple(mixed(observed(runs, measure, pooled), measure, names) for measure in known)
+    told("intervals", 2, 4)
+    functions = psychometrics(study, complete_runs(runs))
+    told("intervals", 3, 4)
+    found = Analysis(
+        study=study,
+        options=options,
+        schemes=schemes_of(study),
+        trials=trials,
+        runs=runs,
+        participants=participants_of(study, trials, runs),
+        answers=answers_of(study),
+        of_participants=each,
+        over_participants=over_participants(each, names),
+        paired=paired(each, names),
+        mixed=models,
+        agreements=agreements(trials),
+        psychometrics=functions,
+        slopes=slopes(runs, trials),
+        blocks=blocks(trials),
+    )
+    told("intervals", 4, 4)
+    return found
+
+
+def _pooled(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], Limit]:
+    """The stiffness that each measure aims at, from all verdicts of a participant's complete runs under a condition."""
+    complete = complete_runs(runs)
+    shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}
+    return {
+        (measure, code, cell): half_way(levels(study.protocol, cell[0]), verdicts, shares[cell[0], measure])
+        for measure, judge in _JUDGES.items()
+        for cell, each in gathered(study, judge, complete).items()
+        for code, verdicts in each.items()
+        if (cell[0], measure) in shares
+    }
+
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def _is(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+def _was(count: int) -> str:
+    return "was" if count == 1 else "were"

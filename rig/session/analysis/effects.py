@@ -1,0 +1,251 @@
+"""Order and fatigue: whether limits, verdicts and trials change as a session goes on.
+
+People tire and learn at their own pace, so each participant has a slope of their own, by least squares, and the
+interval is Student's over these slopes: it is for other people of the same kind. One slope for all, with an interval
+over trials, takes 150 trials of a person for 150 people; with slopes that differ by 0.003 and values by 0.5 its
+interval of 95 % held a true mean of zero in 44 % of simulated studies of eight, this one in 95 %.
+
+Nobody planned these slopes: they are there to be looked at, and p of those of one quantity are corrected for their
+number (Holm). Limits of a condition and damping where most are censored are left out: they are the end of the levels.
+
+What people and conditions differ in is taken out first, by a mean for each participant under each condition and damping
+where runs are repeated, else by one for each participant and one for each condition and damping.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.session.analysis.kmax import beyond_of, holm
+from rig.session.analysis.rows import MEASURES, Measure, RunRow, TrialRow
+from rig.session.analysis.study import VOIDED
+
+Floats = NDArray[np.float64]
+_ALIKE = 1e-9  # relative: differences that are rounding
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slope:
+    """How a quantity changes along another: mean over participants of their slopes, with an interval of 95 %.
+
+    Attributes
+    ----------
+    of, along
+        "limit", "response time" (its natural logarithm) or "said nothing" (0 or 1); against "order" (place in the
+        block), "block", "trial" (number in the session).
+    measure
+        Of a limit; empty for others.
+    count
+        Values.
+    participants
+        Who have a slope.
+    slope, low, high, p, holm
+        For each place, block or trial; NaN where `problem` says why. `holm` is p after Holm's correction for the slopes
+        of the same quantity: a limit by one measure, the response time, the share that said nothing.
+    """
+
+    of: str
+    along: str
+    measure: Measure | str
+    count: int
+    participants: int
+    slope: float
+    low: float
+    high: float
+    p: float
+    holm: float = math.nan
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockRow:
+    """A block of one participant.
+
+    Attributes
+    ----------
+    trials
+        Recorded, those that do not count included.
+    invalid, redone, aborted
+        Trials that said nothing; that somebody had repeated; that were cut off for safety.
+    unsure
+        Verdicts.
+    response_s
+        Median time to a verdict; None without one.
+    """
+
+    participant: str
+    block: int
+    trials: int
+    invalid: int
+    redone: int
+    aborted: int
+    unsure: int
+    response_s: float | None
+
+
+def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, ...]:
+    """All slopes: of limits by each measure, of the time to a verdict, and of the share of trials that say nothing."""
+    found: list[Slope] = []
+    places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
+        ("order", lambda run: float(run.order)),
+        ("block", lambda run: float(run.block)),
+        ("trial", lambda run: run.middle),
+    )
+    for measure in MEASURES:
+        counted = [run for run in runs if run.state == "complete" and measure in run.limits]
+        beyond = beyond_of((run.condition, run.damping, run.limits[measure]) for run in counted)
+        counted = [run for run in counted if not beyond[run.condition, run.damping].mostly]
+        limits = np.array([run.limits[measure].value for run in counted])
+        cells = [(run.participant, run.condition, run.damping) for run in counted]
+        family = []
+        for name, place in places:
+            at = np.array([place(run) for run in counted])
+            slope = _slope("limit", name, measure, at, limits, cells)
+            if beyond and not counted:
+                slope = replace(slope, problem="most limits lie beyond the levels")
+            family.append(slope)
+        found += _corrected(family)
+    kept = [trial for trial in trials if not trial.practice and trial.void not in VOIDED]
+    timed = [t for t in kept if t.by in ("person", "simulated") and t.took_s is not None and t.took_s > 0.0]
+    logs = [math.log(trial.took_s) for trial in timed if trial.took_s]
+    useless = [float(trial.void == "invalid") for trial in kept]
+    for what, of, values in (("response time", timed, logs), ("said nothing", kept, useless)):
+        at = np.array([float(trial.trial) for trial in of])
+        each = [(trial.participant, trial.condition, trial.damping) for trial in of]
+        found += _corrected([_slope(what, "trial", "", at, np.array(values), each)])
+    return tuple(found)
+
+
+def _corrected(family: Sequence[Slope]) -> list[Slope]:
+    return [replace(one, holm=p) for one, p in zip(family, holm([one.p for one in family]), strict=True)]
+
+
+def blocks(trials: Sequence[TrialRow]) -> tuple[BlockRow, ...]:
+    """What happened in each block, practice aside."""
+    groups: dict[tuple[str, int], list[TrialRow]] = {}
+    for trial in trials:
+        if not trial.practice:
+            groups.setdefault((trial.participant, trial.block), []).append(trial)
+    return tuple(_block(code, block, of) for (code, block), of in groups.items())
+
+
+def _block(code: str, block: int, of: Sequence[TrialRow]) -> BlockRow:
+    times = [t.took_s for t in of if t.by in ("person", "simulated") and t.took_s is not None]
+    return BlockRow(
+        participant=code,
+        block=block,
+        trials=len(of),
+        invalid=sum(trial.void == "invalid" for trial in of),
+        redone=sum(trial.void == "redone" for trial in of),
+        aborted=sum(trial.aborted != "" for trial in of),
+        unsure=sum(trial.verdict == "unsure" for trial in of),
+        response_s=median(times) if times else None,
+    )
+
+
+def _slope(
+    of: str,
+    along: str,
+    measure: Measure | str,
+    at: Floats,
+    values: Floats,
+    cells: Sequence[tuple[str, str, float]],
+) -> Slope:
+    each = within_slopes(at, values, cells)
+    found = _over(each, _shared(cells))
+    slope, low, high, p = (math.nan,) * 4 if isinstance(found, str) else found
+    return Slope(
+        of=of,
+        along=along,
+        measure=measure,
+        count=len(values),
+        participants=len(each),
+        slope=slope,
+        low=low,
+        high=high,
+        p=p,
+        problem=found if isinstance(found, str) else "",
+    )
+
+
+def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, float]]) -> dict[str, float]:
+    """Slope of values along places, one for each participant; those are left out whose places tell none.
+
+    Parameters
+    ----------
+    at, values
+        Of each value: where in the session it was, and the value.
+    cells
+        Participant, condition and damping of each.
+    """
+    if not cells:
+        return {}
+    keys: list[Sequence[object]] = [cells]
+    if _shared(cells):
+        keys = [[cell[0] for cell in cells], [cell[1:] for cell in cells]]
+    moved, changed = _less_means(at, keys), _less_means(values, keys)
+    changed[np.abs(changed) <= _ALIKE * np.abs(values).max()] = 0.0
+    codes = np.array([cell[0] for cell in cells])
+    found = {}
+    least = (_ALIKE * max(1.0, float(np.ptp(at)))) ** 2
+    for code in dict.fromkeys(cell[0] for cell in cells):
+        own = codes == code
+        square = float(moved[own] @ moved[own])
+        if square > least:
+            found[code] = float(moved[own] @ changed[own]) / square
+    return found
+
+
+def _over(each: Mapping[str, float], shared: bool) -> tuple[float, float, float, float] | str:
+    """Mean of the participants' slopes, interval of 95 % and p, by Student over participants; or why there is none.
+
+    Where all have the conditions' means in common, those are told from the same values and leave one slope fewer free:
+    of two conditions, each searched once, this is the two-sample test of a crossover.
+    """
+    from scipy import stats  # noqa: PLC0415
+
+    slopes = np.array(list(each.values()))
+    count, least = len(slopes), 3 if shared else 2
+    if count == 0:
+        return "it cannot be told from participants and conditions"
+    if count < least:
+        return (
+            f"it takes {least} participants, for the interval is over their slopes; "
+            f"{count} {'has' if count == 1 else 'have'} one"
+        )
+    if not np.any(slopes):
+        return "all values are alike within participants and conditions"
+    mean, free = float(slopes.mean()), count - least + 1
+    left = slopes - mean
+    if float(np.ptp(slopes)) <= _ALIKE * float(np.abs(slopes).max()):
+        return f"the slopes of all participants are alike ({mean:.3g}), which leaves nothing for an interval"
+    deviation = math.sqrt(float(left @ left) / free / count)
+    half = float(stats.t.ppf(0.975, free)) * deviation
+    return mean, mean - half, mean + half, float(2.0 * stats.t.sf(abs(mean) / deviation, free))
+
+
+def _shared(cells: Sequence[tuple[str, str, float]]) -> bool:
+    """Whether no participant has two values of one condition and damping, so that its mean must be everybody's."""
+    return len(set(cells)) == len(cells)
+
+
+def _less_means(values: Floats, keys: Sequence[Sequence[object]]) -> Floats:
+    """Values less what least squares gives to each key; of a single list of keys those are the means."""
+    if len(keys) == 1:
+        number = {key: place for place, key in enumerate(dict.fromkeys(keys[0]))}
+        of = np.array([number[key] for key in keys[0]])
+        return np.asarray(values - (np.bincount(of, values) / np.bincount(of))[of])
+    fixed = np.column_stack([_indicators(of) for of in keys])
+    return np.asarray(values - fixed @ np.linalg.lstsq(fixed, values, rcond=None)[0])
+
+
+def _indicators(keys: Sequence[object]) -> Floats:
+    values = list(dict.fromkeys(keys))
+    place = np.array([values.index(key) for key in keys])
+    return np.asarray(place[:, None] == np.arange(len(values)), dtype=np.float64)

@@ -1,0 +1,465 @@
+"""K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
+
+By the rule, a participant's K_max is the mean over repeats. With three or more of them its interval is Student's, from
+ten on a bootstrap over them (BCa, Efron 1987); the other one stands beside it. Of 1000 samples from a normal
+distribution, the intervals of 95 % of scipy's BCa held the mean in 74, 78, 83, 90 and 92 % with 3, 4, 5, 10 and 20
+values, Student's in 94 to 95 %. With two repeats, or when all came out alike, repeats say nothing of how sure one can
+be: the interval is then that of all verdicts together (the posterior of the stiffness), which is not told from the mean
+of the limits and need not hold it; that of a single run is its own. Values that are all alike have no interval and no p
+by Student's test either: the levels are too coarse to show by how much they differ. K50 is told from all verdicts
+together in any case (`Observed` says why), with their interval, which takes it to be one K50 in all repeats: of a
+person whose limit wanders from repeat to repeat it is too narrow.
+
+A limit beyond the levels is *censored*. It enters with the end of the levels and is counted, so a mean with censored
+limits is a bound, and differences are biased: usually towards zero, but unequal spread can make a difference out of
+nothing. Where most limits of a cell are censored, its mean is little more than the end of the levels, and scatters as
+little: it has no interval, and no difference with it has an interval or p.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+
+from rig.session.analysis.rows import MEASURES, Limit, Measure, Observed, RunRow
+
+LEAST_REPEATS = 3  # for an interval over them
+RESAMPLES = 9999
+
+ENOUGH_REPEATS = 10  # for a bootstrap
+_ALIKE = 1e-9  # relative: differences that are rounding
+
+IntervalOf = Literal["Student", "bootstrap", "run", "verdicts", "none"]
+Bound = Literal["", "least", "most", "unknown"]
+Cell = tuple[str, float]  # condition, damping
+
+
+@dataclass(frozen=True, slots=True)
+class Beyond:
+    """How many limits there are, and how many of them lie beyond the stiffest or the softest level."""
+
+    limits: int = 0
+    above: int = 0
+    below: int = 0
+
+    def __add__(self, other: Beyond) -> Beyond:
+        return Beyond(self.limits + other.limits, self.above + other.above, self.below + other.below)
+
+    @property
+    def count(self) -> int:
+        """Those that are censored."""
+        return self.above + self.below
+
+    @property
+    def mostly(self) -> bool:
+        """Whether most are, so that a mean of them is little more than the end of the levels."""
+        return 2 * self.count > self.limits
+
+
+NONE_BEYOND = Beyond()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfParticipant:
+    """K_max of one participant under one condition at one damping.
+
+    Attributes
+    ----------
+    repeats
+        Runs behind it; those that are not complete and those without the measure are left out.
+    mean, deviation
+        Over repeats; as K50, the median of the posterior, and no deviation (NaN).
+    low, high, interval
+        95 %, and what it is of: "Student" or "bootstrap" over repeats, the single "run", all "verdicts", or "none"
+        (NaN). That of all verdicts is of the stiffness that they tell, and need not hold the mean of the rule's limits.
+        Beyond the levels it is open: from zero, or to infinity.
+    student_low, student_high, bootstrap_low, bootstrap_high
+        Both intervals over repeats; NaN for one, for repeats that came out alike or of which most are censored, and for
+        K50. The bootstrap takes three.
+    limits, above, below
+        Values behind it, and how many of them lie beyond the stiffest or the softest level.
+    """
+
+    measure: Measure
+    participant: str
+    condition: str
+    damping: float
+    repeats: int
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    interval: IntervalOf
+    student_low: float
+    student_high: float
+    bootstrap_low: float
+    bootstrap_high: float
+    limits: int
+    above: int
+    below: int
+
+    @property
+    def beyond(self) -> Beyond:
+        """The last three."""
+        return Beyond(self.limits, self.above, self.below)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OverParticipants:
+    """K_max of a condition at one damping: mean over participants, each by the mean of the repeats.
+
+    `low` and `high` are Student's interval for other participants of the same kind; NaN for one, when all are alike,
+    and where most limits are censored. `above` and `below` count those of the `limits` that lie beyond the levels.
+    """
+
+    measure: Measure
+    condition: str
+    damping: float
+    participants: int
+    runs: int
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    limits: int
+    above: int
+    below: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Paired:
+    """Difference of two conditions within participants: Student's paired test of their means over repeats.
+
+    `damping` is None for the mean over the dampings that both have. `holm` is p after Holm's correction for all
+    differences of the same measure, whatever the damping. `beyond` counts the limits behind it, and `bound` says on
+    which side censored ones leave it open: the difference is at "least" or at "most" this, or "unknown" when they do
+    both. Interval and p are NaN for one participant, when all differ by the same (`alike`), and where most limits of a
+    cell are censored (`withheld`).
+    """
+
+    measure: Measure
+    condition: str
+    against: str
+    damping: float | None
+    participants: int
+    difference: float
+    low: float
+    high: float
+    p: float
+    holm: float
+    bound: Bound
+    beyond: Beyond
+    withheld: bool
+
+    @property
+    def alike(self) -> bool:
+        """Whether several participants differ by the same, so that the levels are too coarse to tell more."""
+        return self.participants > 1 and math.isnan(self.p) and not self.withheld
+
+
+Pooled = Mapping[tuple[Measure, str, Cell], Limit]  # by measure, participant and cell
+
+
+def beyond_of(limits: Iterable[tuple[str, float, Limit]]) -> dict[Cell, Beyond]:
+    """Count limits and censored ones of each condition and damping."""
+    found: dict[Cell, Beyond] = {}
+    for condition, damping, limit in limits:
+        one = Beyond(1, limit.censored == "above", limit.censored == "below")
+        found[condition, damping] = found.get((condition, damping), NONE_BEYOND) + one
+    return found
+
+
+def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bound:
+    """On which side a difference of two conditions is open, by the censored limits of the cells behind it."""
+    sides = {
+        name: sum((b for (of, _), b in beyond.items() if of == name), NONE_BEYOND)
+        for name in (condition, against)
+    }
+    more = sides[condition].above > 0 or sides[against].below > 0
+    less = sides[condition].below > 0 or sides[against].above > 0
+    return "unknown" if more and less else "least" if more else "most" if less else ""
+
+
+def observed(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
+    """What complete runs say by a measure.
+
+    Parameters
+    ----------
+    pooled
+        Limits from all verdicts of a participant under a condition at a damping.
+    """
+    counted = [run for run in runs if run.state == "complete" and measure in run.limits]
+    if measure == "rule":
+        return tuple(_observed(measure, [run], run.limits[measure]) for run in counted)
+    groups: dict[tuple[str, Cell], list[RunRow]] = {}
+    for run in counted:
+        groups.setdefault((run.participant, (run.condition, run.damping)), []).append(run)
+    return tuple(
+        _observed(measure, of, pooled[measure, code, cell])
+        for (code, cell), of in groups.items()
+        if (measure, code, cell) in pooled
+    )
+
+
+def _observed(measure: Measure, runs: Sequence[RunRow], limit: Limit) -> Observed:
+    return Observed(
+        measure=measure,
+        participant=runs[0].participant,
+        condition=runs[0].condition,
+        damping=runs[0].damping,
+        order=sum(run.order for run in runs) / len(runs),
+        block=sum(run.block for run in runs) / len(runs),
+        runs=len(runs),
+        limit=limit,
+    )
+
+
+def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
+    """K_max of each participant, by measure, condition and damping; `seed` is that of the bootstrap."""
+    found = []
+    for measure in MEASURES:
+        groups: dict[tuple[str, Cell], list[Observed]] = {}
+        for one in observed(runs, measure, pooled):
+            groups.setdefault((one.participant, (one.condition, one.damping)), []).append(one)
+        for (code, cell), of in groups.items():
+            limits = [one.limit for one in of]
+            values = np.array([limit.value for limit in limits])
+            beyond = next(iter(beyond_of((*cell, limit) for limit in limits).values()))
+            by_student, by_bootstrap = (math.nan, math.nan), (math.nan, math.nan)
+            if not beyond.mostly:
+                by_student, by_bootstrap = student(values), _bootstrap(values, seed)
+            low, high, interval = _interval(
+                limits, pooled.get((measure, code, cell)), by_student, by_bootstrap
+            )
+            found.append(
+                OfParticipant(
+                    measure=measure,
+                    participant=code,
+                    condition=cell[0],
+                    damping=cell[1],
+                    repeats=sum(one.runs for one in of),
+                    mean=float(values.mean()),
+                    deviation=_deviation(values),
+                    low=low,
+                    high=high,
+                    interval=interval if measure == "rule" else "verdicts",
+                    student_low=by_student[0],
+                    student_high=by_student[1],
+                    bootstrap_low=by_bootstrap[0],
+                    bootstrap_high=by_bootstrap[1],
+                    limits=beyond.limits,
+                    above=beyond.above,
+                    below=beyond.below,
+                )
+            )
+    return tuple(found)
+
+
+def over_participants(
+    each: Sequence[OfParticipant], conditions: Sequence[str]
+) -> tuple[OverParticipants, ...]:
+    """K_max over participants, by measure, then the conditions in this order, then damping."""
+    groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
+    for one in each:
+        groups.setdefault((one.measure, one.condition, one.damping), []).append(one)
+    found = []
+    places = {name: place for place, name in enumerate(conditions)}
+    ordered = sorted(groups, key=lambda key: (MEASURES.index(key[0]), places[key[1]], key[2]))
+    for measure, condition, damping in ordered:
+        of = groups[measure, condition, damping]
+        values = np.array([one.mean for one in of])
+        beyond = sum((one.beyond for one in of), NONE_BEYOND)
+        low, high = (math.nan, math.nan) if beyond.mostly else student(values)
+        found.append(
+            OverParticipants(
+                measure=measure,
+                condition=condition,
+                damping=damping,
+                participants=len(of),
+                runs=sum(one.repeats for one in of),
+                mean=float(values.mean()),
+                deviation=_deviation(values),
+                low=low,
+                high=high,
+                limits=beyond.limits,
+                above=beyond.above,
+                below=beyond.below,
+            )
+        )
+    return tuple(found)
+
+
+def paired(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
+    """Differences between all pairs of conditions, at each damping that both have and over all of them."""
+    return tuple(one for measure in MEASURES for one in _corrected(_paired(each, measure, conditions)))
+
+
+def _corrected(family: Sequence[Paired]) -> list[Paired]:
+    corrected = holm([one.p for one in family])
+    return [replace(one, holm=p) for one, p in zip(family, corrected, strict=True)]
+
+
+def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]) -> list[Paired]:
+    """Differences by one measure, not yet corrected."""
+    of = [one for one in each if one.measure == measure]
+    means = {(one.participant, one.condition, one.damping): one.mean for one in of}
+    beyond: dict[Cell, Beyond] = {}
+    for one in of:
+        cell = (one.condition, one.damping)
+        beyond[cell] = beyond.get(cell, NONE_BEYOND) + one.beyond
+    dampings: list[float | None] = [*sorted({one.damping for one in of})]
+    if len(dampings) > 1:
+        dampings.append(None)
+    found: list[Paired] = []
+    for damping in dampings:
+        for against, condition in combinations(conditions, 2):
+            differences = _differences(means, against, condition, damping)
+            if not len(differences):
+                continue
+            behind = _behind(beyond, against, condition, damping)
+            withheld = any(one.mostly for one in behind.values())
+            low, high = (math.nan, math.nan) if withheld else student(differences)
+            found.append(
+                Paired(
+                    measure=measure,
+                    condition=condition,
+                    against=against,
+                    damping=damping,
+                    participants=len(differences),
+                    difference=float(differences.mean()),
+                    low=low,
+                    high=high,
+                    p=math.nan if withheld else paired_p(differences),
+                    holm=math.nan,
+                    bound=bound_of(behind, condition, against),
+                    beyond=sum(behind.values(), NONE_BEYOND),
+                    withheld=withheld,
+                )
+            )
+    return found
+
+
+def _behind(
+    beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
+) -> dict[Cell, Beyond]:
+    """The cells that a difference is of, with their censored limits."""
+    both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
+    return {
+        (name, b): one
+        for (name, b), one in beyond.items()
+        if name in (against, condition) and b in both and damping in (None, b)
+    }
+
+
+def student(values: np.ndarray) -> tuple[float, float]:
+    """Student's interval of 95 % for a mean; NaN for fewer than two values, or when all are alike."""
+    from scipy import stats  # noqa: PLC0415
+
+    count = len(values)
+    if count < 2 or _alike(values):
+        return math.nan, math.nan
+    half = float(stats.t.ppf(0.975, count - 1)) * _deviation(values) / math.sqrt(count)
+    return float(values.mean()) - half, float(values.mean()) + half
+
+
+def paired_p(differences: np.ndarray) -> float:
+    """Two-sided p of Student's test that a mean difference is zero; NaN for fewer than two, or when all are alike."""
+    from scipy import stats  # noqa: PLC0415
+
+    count, deviation = len(differences), _deviation(differences)
+    if count < 2 or _alike(differences):
+        return math.nan
+    return float(2.0 * stats.t.sf(abs(differences.mean()) / (deviation / math.sqrt(count)), count - 1))
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Correct a family of p (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays, and counts for none."""
+    told = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
+    adjusted, largest = [math.nan] * len(p), 0.0
+    for rank, (value, place) in enumerate(told):
+        largest = max(largest, min(1.0, (len(told) - rank) * value))
+        adjusted[place] = largest
+    return adjusted
+
+
+def bootstrap(values: np.ndarray, seed: int = 0) -> tuple[float, float] | None:
+    """BCa interval of 95 % for a mean (scipy); percentiles where BCa has none, None where all values are alike."""
+    from scipy import stats  # noqa: PLC0415
+
+    if len(values) < 2 or np.ptp(values) == 0.0:
+        return None
+    for method in ("BCa", "percentile"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # degenerate: then it is NaN, and the next one is taken
+            interval = stats.bootstrap(
+                (values,),
+                np.mean,
+                n_resamples=RESAMPLES,
+                method=method,
+                random_state=np.random.default_rng(seed),
+            ).confidence_interval
+        if math.isfinite(interval.low) and math.isfinite(interval.high):
+            return float(interval.low), float(interval.high)
+    return None
+
+
+def _bootstrap(values: np.ndarray, seed: int) -> tuple[float, float]:
+    """The bootstrap's interval where it has one, else NaN."""
+    ends = bootstrap(values, seed) if len(values) >= LEAST_REPEATS else None
+    return (math.nan, math.nan) if ends is None else ends
+
+
+def _interval(
+    limits: Sequence[Limit],
+    pooled: Limit | None,
+    by_student: tuple[float, float],
+    by_bootstrap: tuple[float, float],
+) -> tuple[float, float, IntervalOf]:
+    if len(limits) >= ENOUGH_REPEATS and math.isfinite(by_bootstrap[0]):
+        return (*by_bootstrap, "bootstrap")
+    if len(limits) >= LEAST_REPEATS and math.isfinite(by_student[0]):
+        return (*by_student, "Student")
+    if len(limits) == 1 and (limits[0].censored or math.isfinite(limits[0].high - limits[0].low)):
+        return limits[0].low, limits[0].high, "run"
+    if pooled is not None:
+        return pooled.low, pooled.high, "verdicts"
+    return math.nan, math.nan, "none"
+
+
+def _differences(
+    means: Mapping[tuple[str, str, float], float], against: str, condition: str, damping: float | None
+) -> np.ndarray:
+    """Condition less the other, one value for each participant who has both (at every damping that both have)."""
+    participants = dict.fromkeys(code for code, _, _ in means)
+    of = {name: {value for _, other, value in means if other == name} for name in (against, condition)}
+    dampings = [damping] if damping is not None else sorted(of[against] & of[condition])
+    if damping is None and len(dampings) < 2:  # it stands under its damping
+        return np.array([])
+    values: list[Any] = []
+    for code in participants:
+        pairs = [(means.get((code, condition, b)), means.get((code, against, b))) for b in dampings]
+        told = [_less(one, other) for one, other in pairs if one is not None and other is not None]
+        if told and len(told) == len(pairs):
+            values.append(sum(told) / len(told))
+    return np.array(values)
+
+
+def _less(one: float, other: float) -> float:
+    """Difference of two means; none where it is rounding: the same limits may have been added in another order."""
+    return 0.0 if math.isclose(one, other, rel_tol=_ALIKE) else one - other
+
+
+def _alike(values: np.ndarray) -> bool:
+    return float(np.ptp(values)) <= _ALIKE * float(np.abs(values).max())
+
+
+def _deviation(values: np.ndarray) -> float:
+    if len(values) < 2:
+        return math.nan
+    return 0.0 if _alike(values) else float(values.std(ddof=1))

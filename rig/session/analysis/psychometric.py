@@ -1,0 +1,203 @@
+"""Psychometric functions: where verdicts change from stable to not, how gradually, and how often somebody slips.
+
+The posterior on the grid of `rig.search.psychometric`, of all verdicts of a participant's complete runs under a
+condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
+(`rig.session.analysis.trials.half_way`). The interval takes all repeats for those of one K50: somebody who wanders
+between them is known less well than it says, and Student's interval over the repeats' own limits tells that.
+
+Over participants K50 is the mean of their own, with Student's interval over them. Spread and slips there are of all
+verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one person
+are no independent draws from all people. Catch trials are left out, as they are in the searches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.search import psychometric as grids
+from rig.search.rule import told
+from rig.session.analysis.kmax import student
+from rig.session.analysis.rows import RunRow
+from rig.session.analysis.study import Study
+from rig.session.analysis.trials import answers, half_way, levels, with_asked
+
+Floats = NDArray[np.float64]
+Judge = Literal["person", "automatic"]
+
+LEAST_PEOPLE = 3  # for an interval over them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posterior:
+    """A parameter: posterior mean, of K50 the median, and interval of 95 % (NaN: none)."""
+
+    mean: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Psychometric:
+    """The function of one participant, or of all (`participant` is empty then).
+
+    Attributes
+    ----------
+    judge
+        Whose verdicts.
+    participants
+        How many are behind it.
+    threshold, spread
+        K50 and s, in the units of stiffness. Beyond the levels K50 is their end, see `rig.search.psychometric.Located`;
+        over participants the mean of theirs.
+    above, below
+        How many of the participants behind it have their K50 above or below the levels.
+    slips
+        λ, the share of verdicts turned round.
+    levels, verdicts, stable
+        Of each level that was judged: stiffness, verdicts, and how many of them were stable.
+    """
+
+    participant: str
+    condition: str
+    damping: float
+    judge: Judge
+    participants: int
+    threshold: Posterior
+    above: int
+    below: int
+    spread: Posterior
+    slips: Posterior
+    levels: tuple[float, ...]
+    verdicts: tuple[int, ...]
+    stable: tuple[int, ...]
+
+    @property
+    def bounded(self) -> bool:
+        """Whether every K50 behind it lies among the levels."""
+        return not self.above and not self.below
+
+    def share(self, stiffness: Floats) -> Floats:
+        """Share of stable verdicts along stiffness, at these parameters."""
+        return grids.share_stable(stiffness, self.threshold.mean, self.spread.mean, self.slips.mean)
+
+
+Verdicts = list[tuple[float, bool]]
+
+
+def psychometrics(study: Study, complete: Container[tuple[str, int]]) -> tuple[Psychometric, ...]:
+    """All functions: by judge, condition and damping, each participant and then all of them.
+
+    Parameters
+    ----------
+    complete
+        Participants and numbers of the runs that count, see `complete_runs`.
+    """
+    found: list[Psychometric] = []
+    judges: tuple[Judge, ...] = ("person", "automatic")
+    for judge in judges:
+        by_cell = gathered(study, judge, complete)
+        for condition in study.protocol.condition:
+            grid = levels(study.protocol, condition.name)
+            for damping in condition.damping:
+                verdicts = by_cell.get((condition.name, damping), {})
+                each = [fit(code, condition.name, damping, judge, grid, of) for code, of in verdicts.items()]
+                found += each
+                if len(each) > 1:
+                    found.append(together(each, grid, [one for of in verdicts.values() for one in of]))
+    return tuple(found)
+
+
+def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
+    """Participants and numbers of the runs that limits are made of."""
+    return {(run.participant, run.run) for run in runs if run.state == "complete"}
+
+
+def gathered(
+    study: Study, judge: str, complete: Container[tuple[str, int]]
+) -> dict[tuple[str, float], dict[str, Verdicts]]:
+    """Verdicts by condition and damping, and by participant.
+
+    Parameters
+    ----------
+    judge
+        See `rig.session.analysis.trials.answers`.
+    complete
+        Participants and numbers of the runs that count.
+    """
+    found: dict[tuple[str, float], dict[str, Verdicts]] = {}
+    for session in study.sessions:
+        for block in session.state.blocks:
+            for run in () if block.practice else block.runs:
+                counts = (session.code, run.number) in complete
+                verdicts = told(answers(session.state, run, judge)) if counts else []
+                if verdicts:
+                    cell = found.setdefault((run.condition, run.damping), {})
+                    cell.setdefault(session.code, []).extend(verdicts)
+    return found
+
+
+def fit(
+    participant: str,
+    condition: str,
+    damping: float,
+    judge: Judge,
+    levels: tuple[float, ...],
+    verdicts: Sequence[tuple[float, bool]],
+) -> Psychometric:
+    """The function that verdicts (stiffness, stable) of one participant on these levels show."""
+    grid = grids.of_levels(with_asked(levels, (level for level, _ in verdicts)))
+    posterior = grid.posterior(verdicts)
+    half = half_way(levels, verdicts)
+    by_level = {
+        level: [stable for _, stable in group]
+        for level, group in groupby(sorted(verdicts), key=lambda verdict: verdict[0])
+    }
+    return Psychometric(
+        participant=participant,
+        condition=condition,
+        damping=damping,
+        judge=judge,
+        participants=1,
+        threshold=Posterior(mean=half.value, low=half.low, high=half.high),
+        above=int(half.censored == "above"),
+        below=int(half.censored == "below"),
+        spread=_marginal(grid.spreads, posterior.sum(axis=(0, 2)), geometric=True),
+        slips=_marginal(np.array(grids.SLIPS), posterior.sum(axis=(0, 1))),
+        levels=tuple(by_level),
+        verdicts=tuple(len(stable) for stable in by_level.values()),
+        stable=tuple(sum(stable) for stable in by_level.values()),
+    )
+
+
+def together(
+    each: Sequence[Psychometric], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
+) -> Psychometric:
+    """The function of several participants under one condition, of whose verdicts these are all."""
+    own = np.array([one.threshold.mean for one in each])
+    low, high = student(own) if len(each) >= LEAST_PEOPLE else (math.nan, math.nan)
+    pooled = fit("", each[0].condition, each[0].damping, each[0].judge, levels, verdicts)
+    return replace(
+        pooled,
+        participants=len(each),
+        threshold=Posterior(mean=float(own.mean()), low=low, high=high),
+        above=sum(one.above for one in each),
+        below=sum(one.below for one in each),
+        spread=Posterior(mean=pooled.spread.mean, low=math.nan, high=math.nan),
+        slips=Posterior(mean=pooled.slips.mean, low=math.nan, high=math.nan),
+    )
+
+
+def _marginal(values: Floats, weights: Floats, *, geometric: bool = False) -> Posterior:
+    """Mean (of the logarithm, if geometric) and interval of a parameter that has few values, from value to value."""
+    share = weights / weights.sum()
+    below = np.cumsum(share)
+    low, high = (min(int(np.searchsorted(below, edge)), len(values) - 1) for edge in (0.025, 0.975))
+    mean = np.exp(share @ np.log(values)) if geometric else share @ values
+    return Posterior(mean=float(mean), low=float(values[low]), high=float(values[high]))

@@ -1,0 +1,376 @@
+"""The sessions of a study, read from disk: which there are, whether they belong together, what of them is missing.
+
+A session is its log. What cannot be meant as one study is refused (other conditions, another criterion, a rehearsal
+among real sessions, a participant twice); what a reader must know is said (a session that is not over, another version
+of the software, a recording that is gone).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any
+
+from rig.errors import ConfigError, RecordingError
+from rig.recording.files import plain_errors
+from rig.sample import unit_of
+from rig.session.log import Event, read
+from rig.session.place import device_words, differences
+from rig.session.protocol import Protocol
+from rig.session.state import State, Trial
+
+LOG = "session.log"
+PROTOCOL = "protocol.toml"
+# What two protocols of one study may differ in: it changes neither a verdict nor what is compared.
+_MAY_DIFFER = ("keys", "question", "rest", "stop", "practice")
+_MAY_DIFFER_IN_STUDY = ("title", "participants")
+_LISTED = 5  # names in a message
+
+VOIDED = ("redone", "restarted", "left out")  # why a trial does not count, when somebody decided that
+
+Watch = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """One participant's session.
+
+    Attributes
+    ----------
+    directory
+        Where it lies.
+    events
+        Of its log.
+    state
+        Their replay: what counts.
+    began
+        Content of the first event.
+    recordings
+        By trial: "ok", "missing", "changed", or "not checked"; trials without a recording are left out.
+    voided
+        By trial: why it does not count, one of `VOIDED`; "left out" is an amendment.
+    amended
+        Trials of which a verdict was amended.
+    """
+
+    directory: Path
+    events: Sequence[Event]
+    state: State
+    began: Mapping[str, Any]
+    recordings: Mapping[int, str]
+    voided: Mapping[int, str]
+    amended: frozenset[int]
+
+    @property
+    def code(self) -> str:
+        """The participant's code."""
+        return self.state.code
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that was planned was done."""
+        return self.state.ended == "complete"
+
+    @property
+    def began_at(self) -> float:
+        """When it began (s since 1970)."""
+        return self.events[0].at
+
+    def of_kind(self, kind: str) -> list[Event]:
+        """Events of one kind, as they were written."""
+        return [event for event in self.events if event.kind == kind]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Sessions under one protocol, in the order of the rows of the plan, and what must be said of them."""
+
+    sessions: tuple[Session, ...]
+    messages: tuple[str, ...] = field(default=())
+
+    @property
+    def protocol(self) -> Protocol:
+        """The protocol that they have in common."""
+        return self.sessions[0].state.protocol
+
+    @property
+    def motion(self) -> Any:
+        """Of the rig: rotary or linear."""
+        return self.sessions[0].state.experiment["rig"]["motion"]
+
+    @property
+    def rehearsed(self) -> bool:
+        """Whether the participants were simulated."""
+        return self.sessions[0].state.rehearsal is not None
+
+    def unit(self, quantity: str) -> str:
+        """SI unit of a quantity on this rig."""
+        return unit_of(quantity, self.motion)
+
+
+def read_study(paths: Iterable[Path], *, hashes: bool = True, watch: Watch | None = None) -> Study:
+    """Read sessions.
+
+    Parameters
+    ----------
+    paths
+        Directories of sessions, of studies (whose sessions lie directly in them), or logs.
+    hashes
+        Whether the recordings are compared with the hashes in the log.
+    watch
+        Called with the number of sessions read and of all.
+
+    Raises
+    ------
+    RecordingError
+        No session there, or a damaged log.
+    ConfigError
+        Sessions that are not of one study.
+    """
+    found = find_sessions(paths)
+    sessions = []
+    for number, directory in enumerate(found):
+        if watch is not None:
+            watch(number, len(found))
+        sessions.append(read_session(directory, hashes=hashes))
+    if watch is not None:
+        watch(len(found), len(found))
+    sessions, empty = _with_trials(sessions)
+    _refuse(sessions)
+    sessions.sort(key=lambda one: (one.state.row, one.code))
+    return Study(sessions=tuple(sessions), messages=(*empty, *_messages(sessions)))
+
+
+def _with_trials(sessions: list[Session]) -> tuple[list[Session], list[str]]:
+    """Those that have trials, if any has, and what to say of the others: one that was only begun decides nothing."""
+    empty = [session for session in sessions if not session.state.trials]
+    if not empty or len(empty) == len(sessions):
+        return sessions, []
+    told = f"left out, without a trial: {_names([str(session.directory) for session in empty])}"
+    return [session for session in sessions if session.state.trials], [told]
+
+
+def find_sessions(paths: Iterable[Path]) -> list[Path]:
+    """Directories of sessions at these places, each once."""
+    found: dict[Path, Path] = {}
+    for path in paths:
+        here = [path.parent] if path.name == LOG and path.is_file() else []
+        if path.is_dir():
+            here = [path] if (path / LOG).is_file() else sorted(log.parent for log in path.glob(f"*/{LOG}"))
+        if not here:
+            raise RecordingError(
+                f"there is no session in {path}",
+                remedy=f"name the directory of a study or of a participant, which holds {LOG}",
+            )
+        found |= {one.resolve(): one for one in here}
+    return list(found.values())
+
+
+def read_session(directory: Path, *, hashes: bool = True) -> Session:
+    """Read one session; raises as `read_study`."""
+    path = directory / LOG
+    events = read(path)
+    try:
+        state = State.of(events)
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(
+            f"{path}: an event lacks what this version needs ({type(error).__name__}: {error})",
+            remedy="analyse it with the version that wrote it; the log's first event names it",
+        ) from error
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error.message}", remedy=error.remedy) from error
+    return Session(
+        directory=directory,
+        events=events,
+        state=state,
+        began=events[0].content,
+        recordings={
+            trial.trial: _recording(directory, trial, hashes) for trial in state.trials if trial.recording
+        },
+        voided=_voided(events, state),
+        amended=_amended(events),
+    )
+
+
+def _recording(directory: Path, trial: Trial, hashes: bool) -> str:
+    path = directory / trial.recording
+    if not path.is_file():
+        return "missing"
+    if not hashes or not trial.sha256:
+        return "not checked"
+    with plain_errors("read", path), open(path, "rb") as file:
+        return "ok" if hashlib.file_digest(file, "sha256").hexdigest() == trial.sha256 else "changed"
+
+
+def _voided(events: Sequence[Event], state: State) -> dict[int, str]:
+    why: dict[int, str] = {}
+    so_far: list[int] = []
+    of_block = {trial.trial: trial.block for trial in state.trials}
+    for event in events:
+        if event.kind == "trial":
+            so_far.append(event.content["trial"])
+        elif event.kind == "redone":
+            why.setdefault(event.content["trial"], "redone")
+        elif event.kind == "restarted":
+            for trial in so_far:
+                if of_block[trial] == event.content["block"]:
+                    why.setdefault(trial, "restarted")
+    for one in state.trials:
+        if one.void:
+            why.setdefault(one.trial, "left out")
+    return why
+
+
+def _amended(events: Sequence[Event]) -> frozenset[int]:
+    numbers = {event.content["number"] for event in events if event.kind == "amended"}
+    return frozenset(
+        event.content["trial"] for event in events if event.kind == "judged" and event.number in numbers
+    )
+
+
+def _refuse(sessions: Sequence[Session]) -> None:
+    by_code: dict[str, Session] = {}
+    for session in sessions:
+        other = by_code.setdefault(session.code, session)
+        if other is not session:
+            raise ConfigError(
+                f"participant {session.code} is there twice: {other.directory} and {session.directory}",
+                remedy="name one of them",
+            )
+    rehearsed = [session.code for session in sessions if session.state.rehearsal is not None]
+    if 0 < len(rehearsed) < len(sessions):
+        raise ConfigError(
+            f"{_names(rehearsed)} rehearsed with a simulated person, the others did not",
+            remedy="analyse rehearsals on their own",
+        )
+    first = sessions[0]
+    for session in sessions[1:]:
+        differs = _differences(_deciding(first.began), _deciding(session.began))
+        if differs:
+            raise ConfigError(
+                f"{first.code} and {session.code} were not run under one protocol: {_names(differs)} differ",
+                remedy="analyse them as two studies",
+            )
+
+
+def _deciding(began: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a session's first event decides its results, as plain JSON."""
+    protocol = {key: value for key, value in began["protocol"].items() if key not in _MAY_DIFFER}
+    study = {k: v for k, v in protocol.get("study", {}).items() if k not in _MAY_DIFFER_IN_STUDY}
+    plain: dict[str, Any] = json.loads(
+        json.dumps({"protocol": {**protocol, "study": study}, "experiment": began["experiment"]})
+    )
+    return plain
+
+
+def _differences(one: Any, other: Any, key: str = "") -> list[str]:
+    """Dotted keys at which two documents differ."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return [
+            name
+            for part in sorted({*one, *other})
+            for name in _differences(one.get(part), other.get(part), f"{key}.{part}" if key else part)
+        ]
+    return [] if one == other else [key]
+
+
+def _messages(sessions: Sequence[Session]) -> list[str]:
+    told: list[str] = []
+    for session in sessions:
+        told += _of_session(session)
+    for one, other in combinations(sessions, 2):
+        if one.state.row == other.state.row:
+            told.append(
+                f"{one.code} and {other.code} had the same row of the order ({one.state.row}): it is not balanced"
+            )
+    for what, values in _facts(sessions).items():
+        if len(set(values.values())) > 1:
+            each = "; ".join(
+                f"{value}: {_names([code for code, theirs in values.items() if theirs == value])}"
+                for value in dict.fromkeys(values.values())
+            )
+            told.append(f"sessions differ in {what} ({each})")
+    return told
+
+
+def _of_session(session: Session) -> list[str]:
+    told = []
+    code, state = session.code, session.state
+    if state.ended is None:
+        told.append(f"{code}: the session is not over")
+    elif not session.complete:
+        told.append(f"{code}: the session was ended early: {state.ended}")
+    for fault in ("missing", "changed"):
+        trials = [trial for trial, found in session.recordings.items() if found == fault]
+        if trials:
+            which = _trials([str(trial) for trial in trials])
+            count = "1 recording is" if len(trials) == 1 else f"{len(trials)} recordings are"
+            told.append(f"{code}: {count} {fault} ({which}); verdicts are in the log, and count")
+    told += [f"{code}: {text}" for text in _changed_between(session)]
+    path, digest = session.directory / PROTOCOL, session.began.get("protocol_sha256")
+    if digest and path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        told.append(f"{code}: {PROTOCOL} is not the file that the session began with; the log's is used")
+    return told
+
+
+def _changed_between(session: Session) -> Iterator[str]:
+    """What was another when trials were recorded: the device, its firmware, the software."""
+    used: list[tuple[Mapping[str, Any], list[str]]] = []
+    opened: Mapping[str, Any] | None = None
+    for event in session.events:
+        if event.kind == "opened":
+            opened = event.content
+        elif event.kind == "trial" and opened is not None:
+            if not used or used[-1][0] is not opened:
+                used.append((opened, []))
+            used[-1][1].append(str(event.content["trial"]))
+    if not used:
+        return
+    simulated = [trial for one, trials in used if one.get("simulated") for trial in trials]
+    if simulated and any(one.get("simulated") is False for one, _ in used):
+        yield f"the session mixes a real rig with a simulated one ({_trials(simulated)}): its limits are of neither"
+    elif any(differences(used[0][0], one) for one, _ in used[1:]):
+        devices = dict.fromkeys(device_words(one) for one, _ in used)
+        yield f"the session took place on more than one device: {' and '.join(devices)}"
+    for (one, _), (other, trials) in pairwise(used):
+        changed = [name for name in ("firmware", "dictionary") if _another(one.get(name), other.get(name))]
+        before, after = one.get("versions") or {}, other.get("versions") or {}
+        changed += [name for name in before if _another(before[name], after.get(name))]
+        if changed:
+            yield f"from trial {trials[0]} on it went on with another {' and '.join(changed)}"
+
+
+def _another(one: Any, other: Any) -> bool:
+    """Whether two values are known and differ."""
+    return one is not None and other is not None and one != other
+
+
+def _trials(numbers: Sequence[str]) -> str:
+    return f"trial{'s' if len(numbers) > 1 else ''} {_names(numbers)}"
+
+
+def _facts(sessions: Sequence[Session]) -> dict[str, dict[str, str]]:
+    """What sessions of a study should have in common, by participant."""
+
+    def version(session: Session, name: str) -> str:
+        return str((session.began.get("versions") or {}).get(name, "unknown"))
+
+    def devices(session: Session) -> str:
+        opened = [event.content for event in session.of_kind("opened")]
+        return " and ".join(dict.fromkeys(str(one.get("device", "unknown")) for one in opened)) or "unknown"
+
+    return {
+        "the version of haptic-rig": {one.code: version(one, "haptic-rig") for one in sessions},
+        "its sources": {one.code: version(one, "sources") for one in sessions},
+        "the seed of the order": {one.code: str(one.state.seed) for one in sessions},
+        "the device": {one.code: devices(one) for one in sessions},
+    }
+
+
+def _names(names: Sequence[str]) -> str:
+    more = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")

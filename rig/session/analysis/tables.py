@@ -1,0 +1,575 @@
+"""Tables on disk: CSV for people and any program, Parquet with types and units, and a dictionary of every column.
+
+A column's name ends in its unit (``stiffness_n_m_per_rad``); the dictionary (``tables.json``) has the unit as it is
+written, the type and the meaning, and the columns of the Parquet files carry both. What is not known is an empty field
+in CSV and null in Parquet.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.experiments.results import make_directory, write_document
+from rig.recording.files import whole_file
+from rig.search.psychometric import SLIPS
+from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.rows import MEASURES, Limit, Measure, ParticipantRow, RunRow
+
+DICTIONARY = "tables.json"
+SLIPS_BEFORE = sum(SLIPS) / len(SLIPS)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its name without the unit, its type, the quantity (or unit) it is of, its meaning, and its value."""
+
+    name: str
+    kind: type
+    quantity: str
+    meaning: str
+    of: Callable[[Any], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: its file's name, what a row is, its columns, and what the rows are made of."""
+
+    name: str
+    row: str
+    columns: tuple[Column, ...]
+    rows: Sequence[Any]
+
+
+def write_tables(found: Analysis, directory: Path) -> dict[str, Path]:
+    """Write all tables into a directory, made when it is not there; tables of an earlier analysis are replaced.
+
+    Returns
+    -------
+    dict
+        Path of each file by its name.
+
+    Raises
+    ------
+    RecordingError
+        The disk refuses.
+    """
+    make_directory(directory)
+    written: dict[str, Path] = {}
+    described = {}
+    for table in tables(found):
+        names = [column_name(column, found) for column in table.columns]
+        rows = [[_plain(column.of(row)) for column in table.columns] for row in table.rows]
+        for suffix, write in ((".csv", _write_csv), (".parquet", _write_parquet)):
+            path = directory / f"{table.name}{suffix}"
+            write(path, table, names, rows, found)
+            written[path.name] = path
+        described[table.name] = {
+            "row": table.row,
+            "rows": len(rows),
+            "columns": {
+                name: {"unit": _unit(column, found), "type": column.kind.__name__, "meaning": column.meaning}
+                for name, column in zip(names, table.columns, strict=True)
+            },
+        }
+    path = directory / DICTIONARY
+    write_document(path, {"study": found.study.protocol.study.title, "tables": described})
+    written[path.name] = path
+    return written
+
+
+def column_name(column: Column, found: Analysis) -> str:
+    """Name of a column with its unit; one without a unit, or that says it already, is left as it is."""
+    unit = _unit(column, found)
+    slug = unit.lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
+    return column.name if unit in ("", "1") or column.name.endswith(f"_{slug}") else f"{column.name}_{slug}"
+
+
+def _unit(column: Column, found: Analysis) -> str:
+    return found.study.unit(column.quantity) if column.quantity else ""
+
+
+def _plain(value: Any) -> Any:
+    """None for what is not known; numpy's scalars as Python's."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _write_csv(
+    path: Path, table: Table, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
+) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow(
+            [
+                "" if cell is None else str(cell).lower() if cell is True or cell is False else cell
+                for cell in row
+            ]
+        )
+    with whole_file(path, overwrite=True) as file:
+        file.write(text.getvalue().encode("utf-8"))
+
+
+def _write_parquet(
+    path: Path, table: Table, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
+) -> None:
+    import pyarrow as pa  # noqa: PLC0415
+    import pyarrow.parquet  # noqa: PLC0415
+
+    types = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
+    schema = pa.schema(
+        [
+            pa.field(
+                name,
+                types[column.kind],
+                metadata={"unit": _unit(column, found), "description": column.meaning},
+            )
+            for name, column in zip(names, table.columns, strict=True)
+        ],
+        metadata={"rig.study": json.dumps({"title": found.study.protocol.study.title, "row": table.row})},
+    )
+    columns = [
+        pa.array([row[place] for row in rows], type=types[column.kind])
+        for place, column in enumerate(table.columns)
+    ]
+    with whole_file(path, overwrite=True) as file:
+        pa.parquet.write_table(pa.Table.from_arrays(columns, schema=schema), file, compression="zstd")
+
+
+# ------------------------------------------------------------------------------------------------ the tables
+
+
+def tables(found: Analysis) -> tuple[Table, ...]:
+    """All tables of an analysis."""
+    return (
+        Table("participants", "a participant", (*_PARTICIPANTS, *_items(found)), found.participants),
+        Table("answers", "an answer to the questionnaire", _ANSWERS, found.answers),
+        Table("trials", "one recorded hit", _TRIALS, found.trials),
+        Table("runs", "one search: a condition, a damping, a repeat", _RUNS, found.runs),
+        Table("kmax", "a participant under a condition at a damping", _KMAX, found.of_participants),
+        Table("kmax_over_participants", "a condition at a damping", _OVER, found.over_participants),
+        Table("differences", "a difference of two conditions", _DIFFERENCES, _differences(found)),
+        Table("agreement", "a cell of a table of confusions", _AGREEMENT, _confusions(found)),
+        Table("psychometric", _FUNCTION, _PSYCHOMETRIC, found.psychometrics),
+        Table("effects", "a slope along the session", _EFFECTS, found.slopes),
+        Table("blocks", "a block of a participant", _BLOCKS, found.blocks),
+    )
+
+
+def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> Column:
+    """A column that is a field of its row, of the same name or another one."""
+    return Column(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
+
+
+_PARTICIPANT = _own("participant", str, "", "code")
+_CONDITION = _own("condition", str, "", "name in the protocol")
+_DAMPING = _own("damping", float, "damping", "B of the wall")
+_WHERE = (
+    _own("row", int, "", "participant's row of the order, from 0"),
+    _own("block", int, "", "number from 1; 0 is practice"),
+    _own("run", int, "", "number over the session from 1; 0 is practice"),
+    _own("place", int, "", "of the run in the session, from 1; 0 is practice"),
+)
+_WHAT = (
+    _CONDITION,
+    _own("scheme", str, "", "sampling and estimator of the condition"),
+    _DAMPING,
+    _own("repeat", int, "", "of this condition and damping, from 1"),
+)
+_CATCHES = (
+    Column(
+        "soft_catches",
+        int,
+        "",
+        "judged catch trials of the softest wall; none where the limit lies below it",
+        lambda row: row.caught.soft,
+    ),
+    Column("false_unstable", int, "", "of them not stable", lambda row: row.caught.false_unstable),
+    Column(
+        "stiff_catches",
+        int,
+        "",
+        "judged catch trials of the stiffest wall; none where the limit lies above it",
+        lambda row: row.caught.stiff,
+    ),
+    Column("false_stable", int, "", "of them stable", lambda row: row.caught.false_stable),
+)
+_PARTICIPANTS = (
+    _PARTICIPANT,
+    _own("row", int, "", "of the order, from 0"),
+    _own("began", str, "", "when the session began, UTC; of a rehearsal an arbitrary day"),
+    _own("ended", str, "", "complete, or the rule that ended it; empty while it is not over"),
+    _own("active", float, "s", "time of the session, long pauses aside", "active_s"),
+    _own("trials", int, "", "recorded hits"),
+    _own("counted", int, "", "of them made the limits"),
+    *_CATCHES,
+)
+_ANSWERS = (
+    _PARTICIPANT,
+    _own("item", str, "", "name in the protocol"),
+    _own("when", str, "", "start, block or end"),
+    _own("block", int, "", "after which it was asked; 0: at the start or the end"),
+    _own("answer", str, "", "as it was given; corrections included"),
+)
+_TRIALS = (
+    _PARTICIPANT,
+    *_WHERE,
+    _own("trial", int, "", "number over the session, from 1"),
+    _own("attempt", int, "", "from 1; more after trials that said nothing"),
+    *_WHAT,
+    _own("stiffness", float, "stiffness", "K of the wall"),
+    _own("track", int, "", "of the search that asked for it"),
+    _own("catch", bool, "", "a catch trial, whose verdict is known"),
+    _own("practice", bool, "", "before the first block; counts for nothing"),
+    _own(
+        "void",
+        str,
+        "",
+        "why it does not count: redone, restarted, left out, invalid, not judged; empty when it counts",
+    ),
+    _own("automatic", str, "", "automatic verdict: stable, limit cycle, unstable, invalid"),
+    _own("automatic_stable", bool, "", "whether the wall holds under the study's criterion", "passes"),
+    _own("verdict", str, "", "stable, buzz, unstable, unsure; corrections included"),
+    _own("judged_by", str, "", "person, simulated or automatic", "by"),
+    _own("amended", bool, "", "whether the verdict was corrected afterwards"),
+    _own("response_time", float, "s", "from the question to the verdict", "took_s"),
+    _own("ended", str, "", "finished, or why the hit ended early"),
+    _own("aborted", str, "", "what cut the hit off for safety"),
+    _own(
+        "since_begin",
+        float,
+        "s",
+        "from the session's begin until the hit was logged, pauses included",
+        "started_s",
+    ),
+    _own("heat", float, "1", "share of the winding's budget after the hit"),
+    _own("felt", float, "velocity", "rms velocity in the tail, 30 to 500 Hz; empty: not measurable"),
+    _own("heard", float, "effort", "rms ripple of the effort in the tail, above 30 Hz"),
+    _own("moved", float, "position", "peak-to-peak position in the tail, above 30 Hz"),
+    _own("peak_penetration", float, "position", "deepest"),
+    _own("peak_effort", float, "effort", "largest, commanded"),
+    _own("impact_velocity", float, "velocity", "at first contact"),
+    _own("saturated_fraction", float, "1", "share of ticks at the limit of effort"),
+    _own("baseline_velocity", float, "velocity", "rms in free space before the hit"),
+    _own("baseline_effort", float, "effort", "rms in free space before the hit"),
+    _own("recording", str, "", "file, relative to the participant's directory"),
+    _own(
+        "recorded",
+        str,
+        "",
+        "against its hash in the log: ok, missing, changed, not checked; none: no recording",
+    ),
+)
+
+
+def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:
+    def of(run: RunRow) -> Any:
+        limit: Limit | None = run.limits.get(measure)
+        return None if limit is None else getattr(limit, field)
+
+    return of
+
+
+def _limit_columns(measure: Measure) -> tuple[Column, ...]:
+    name = measure.lower().replace(" ", "_")
+    meaning = {
+        "rule": "limit by the rule that asked, from the verdicts that it followed",
+        "K50 person": "stiffness that is stable half of the time by the person's verdicts",
+        "K50 automatic": "stiffness that is stable half of the time by the automatic verdicts",
+    }[measure]
+    return (
+        Column(f"limit_{name}", float, "stiffness", meaning, _limit(measure, "value")),
+        Column(
+            f"limit_{name}_low",
+            float,
+            "stiffness",
+            "lower end of its interval of 95 %",
+            _limit(measure, "low"),
+        ),
+        Column(f"limit_{name}_high", float, "stiffness", "upper end; empty: open", _limit(measure, "high")),
+        Column(
+            f"limit_{name}_beyond",
+            str,
+            "",
+            "above or below: it lies beyond the levels",
+            _limit(measure, "censored"),
+        ),
+    )
+
+
+_RUNS = (
+    _PARTICIPANT,
+    *_WHERE,
+    _own("order", int, "", "place in the block, from 1"),
+    *_WHAT,
+    _own("rule", str, "", "search rule"),
+    _own("followed", str, "", "whose verdicts the rule followed"),
+    _own("state", str, "", "complete, unfinished or skipped; only complete ones enter K_max"),
+    *(column for measure in MEASURES for column in _limit_columns(measure)),
+    _own("trials", int, "", "judged hits that count"),
+    _own("invalid", int, "", "hits that said nothing"),
+    _own("voided", int, "", "hits redone, restarted or left out", "void"),
+    _own("hits", int, "", "verdicts that the rule heard"),
+    *_CATCHES,
+    _own("middle_trial", float, "", "mean number of its trials", "middle"),
+    _own("note", str, "", "why a limit is missing, or what else must be known of it"),
+)
+_MEASURE = _own("measure", str, "", "how limits are told: rule, K50 person, K50 automatic")
+_BEYOND = (
+    _own("limits", int, "", "values behind it: runs by the rule, one for each participant as K50"),
+    _own("above", int, "", "of them lie above the stiffest level"),
+    _own("below", int, "", "of them lie below the softest level"),
+)
+_MEAN = (
+    _own("kmax", float, "stiffness", "mean", "mean"),
+    _own("kmax_low", float, "stiffness", "lower end of the interval of 95 %", "low"),
+    _own("kmax_high", float, "stiffness", "upper end", "high"),
+    _own("deviation", float, "stiffness", "standard deviation of what the mean is of"),
+)
+_KMAX = (
+    _MEASURE,
+    _PARTICIPANT,
+    _CONDITION,
+    _DAMPING,
+    _own("repeats", int, "", "runs that it is the mean of"),
+    *_MEAN,
+    _own(
+        "interval",
+        str,
+        "",
+        "what kmax_low and kmax_high are of: Student or bootstrap over repeats; the single run; all verdicts together, "
+        "whose interval is of the stiffness that they tell and, by the rule, need not hold the mean in kmax; none",
+    ),
+    _own("student_low", float, "stiffness", "lower end of Student's interval over repeats, empty when alike"),
+    _own("student_high", float, "stiffness", "upper end"),
+    _own(
+        "bootstrap_low",
+        float,
+        "stiffness",
+        "lower end of the bootstrap's interval, empty below three repeats",
+    ),
+    _own("bootstrap_high", float, "stiffness", "upper end"),
+    *_BEYOND,
+)
+_OVER = (
+    _MEASURE,
+    _CONDITION,
+    _DAMPING,
+    _own("participants", int, "", "that it is the mean of"),
+    _own("runs", int, "", "of all of them"),
+    *_MEAN,
+    *_BEYOND,
+)
+_DIFFERENCES = (
+    Column("measure", str, "", "how limits are told", lambda row: row["measure"]),
+    Column(
+        "method",
+        str,
+        "",
+        "paired: Student's test within participants; mixed: the mixed model",
+        lambda row: row["method"],
+    ),
+    Column("condition", str, "", "name in the protocol", lambda row: row["condition"]),
+    Column("against", str, "", "condition that is taken from it", lambda row: row["against"]),
+    Column(
+        "damping",
+        float,
+        "damping",
+        "B of the wall; empty: mean over all dampings",
+        lambda row: row["damping"],
+    ),
+    Column("participants", int, "", "who have both", lambda row: row["participants"]),
+    Column("difference", float, "stiffness", "condition less against", lambda row: row["difference"]),
+    Column(
+        "difference_low",
+        float,
+        "stiffness",
+        "lower end of the interval of 95 %; empty for one participant, when all differ by the same (the levels are "
+        "then too coarse to tell), and where most limits of a condition lie beyond the levels",
+        lambda row: row["low"],
+    ),
+    Column("difference_high", float, "stiffness", "upper end", lambda row: row["high"]),
+    Column("p", float, "1", "two-sided, that there is none", lambda row: row["p"]),
+    Column(
+        "p_holm",
+        float,
+        "1",
+        "corrected (Holm) for all differences by the same measure and method",
+        lambda row: row["holm"],
+    ),
+    Column(
+        "bound",
+        str,
+        "",
+        "limits beyond the levels leave it open: the difference is at least, or at most, this; unknown: both; empty: "
+        "there are none",
+        lambda row: row["bound"],
+    ),
+    Column("limits", int, "", "behind it", lambda row: row["beyond"].limits),
+    Column("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
+)
+_AGREEMENT = (
+    Column("table", str, "", "two, three or four classes", lambda row: row["name"]),
+    Column("condition", str, "", "of the trials; empty: all", lambda row: row["condition"]),
+    Column("weights", str, "", "of confusions in kappa", lambda row: row["weights"]),
+    Column("person", str, "", "class of the person's verdict", lambda row: row["person"]),
+    Column("automatic", str, "", "class of the automatic verdict", lambda row: row["automatic"]),
+    Column("trials", int, "", "judged so by both", lambda row: row["trials"]),
+    Column("kappa", float, "1", "of the whole table", lambda row: row["kappa"]),
+    Column("kappa_low", float, "1", "lower end of its interval of 95 %", lambda row: row["low"]),
+    Column("kappa_high", float, "1", "upper end", lambda row: row["high"]),
+    Column(
+        "kappa_interval",
+        str,
+        "",
+        "what it is over: people (jackknife, Student), trials as if they were independent, or none",
+        lambda row: row["over"],
+    ),
+    Column("problem", str, "", "why there is no interval", lambda row: row["problem"]),
+    Column("same", float, "1", "share on which both say the same", lambda row: row["share"]),
+    Column(
+        "positive",
+        float,
+        "1",
+        "agreement on stable: of the verdicts that are so by one or the other, the share that are by both; two classes",
+        lambda row: row["positive"],
+    ),
+    Column("negative", float, "1", "agreement on not stable, likewise", lambda row: row["negative"]),
+    Column("people", int, "", "who judged the trials of the whole table", lambda row: row["people"]),
+    Column(
+        "left_out",
+        int,
+        "",
+        "judged trials that are not in the whole table, because one of the two said nothing",
+        lambda row: row["left_out"],
+    ),
+)
+_FUNCTION = (
+    f"a psychometric function; slips near {SLIPS_BEFORE:g}, the mean of what was supposed before, are not told by the "
+    "verdicts"
+)
+_PSYCHOMETRIC = (
+    _own("participant", str, "", "code; empty: all participants together"),
+    _CONDITION,
+    _DAMPING,
+    _own("judge", str, "", "whose verdicts"),
+    _own("participants", int, "", "that it is of"),
+    Column("verdicts", int, "", "that it is of", lambda row: sum(row.verdicts)),
+    Column(
+        "k50",
+        float,
+        "stiffness",
+        "stable half of the time: median of the posterior, or the end of the levels where it lies beyond; of all "
+        "participants the mean of theirs",
+        lambda row: row.threshold.mean,
+    ),
+    Column(
+        "k50_low",
+        float,
+        "stiffness",
+        "lower end of the interval of 95 %: of the posterior, for one K50 in all repeats; of all participants "
+        "Student's over three or more of them",
+        lambda row: row.threshold.low,
+    ),
+    Column("k50_high", float, "stiffness", "upper end; empty: open, or none", lambda row: row.threshold.high),
+    _own("above", int, "", "participants whose K50 lies above the stiffest level"),
+    _own("below", int, "", "participants whose K50 lies below the softest level"),
+    Column("spread", float, "stiffness", "how gradually verdicts change", lambda row: row.spread.mean),
+    Column(
+        "spread_low", float, "stiffness", "lower end; none of all participants", lambda row: row.spread.low
+    ),
+    Column("spread_high", float, "stiffness", "upper end", lambda row: row.spread.high),
+    Column("slips", float, "1", "share of verdicts turned round", lambda row: row.slips.mean),
+    Column("slips_low", float, "1", "lower end; none of all participants", lambda row: row.slips.low),
+    Column("slips_high", float, "1", "upper end", lambda row: row.slips.high),
+)
+_EFFECTS = (
+    _own("of", str, "", "limit (stiffness), response time (natural logarithm), said nothing (0 or 1)"),
+    _own("along", str, "", "order (place in the block), block, or trial (number in the session)"),
+    _own("measure", str, "", "of the limit; empty for others"),
+    _own("values", int, "", "that it is told from", "count"),
+    _own("participants", int, "", "who have a slope of their own"),
+    _own(
+        "slope",
+        float,
+        "",
+        "mean of the participants' slopes for each place, block or trial, conditions taken out",
+    ),
+    _own("slope_low", float, "", "lower end of Student's interval of 95 % over participants", "low"),
+    _own("slope_high", float, "", "upper end", "high"),
+    _own("p", float, "1", "two-sided, that it is zero; nobody planned these slopes"),
+    _own("p_holm", float, "1", "corrected (Holm) for the slopes of the same quantity", "holm"),
+    _own("problem", str, "", "why there is none"),
+)
+_BLOCKS = (
+    _PARTICIPANT,
+    _own("block", int, "", "number, from 1"),
+    _own("trials", int, "", "recorded hits"),
+    _own("invalid", int, "", "that said nothing"),
+    _own("redone", int, "", "that somebody had repeated"),
+    _own("aborted", int, "", "cut off for safety"),
+    _own("unsure", int, "", "verdicts"),
+    _own("response_time", float, "s", "median time to a verdict", "response_s"),
+)
+
+
+def _items(found: Analysis) -> tuple[Column, ...]:
+    """A column for each question that was asked once: whole numbers of a scale, or text."""
+    return tuple(
+        Column(f"answer_{item.name}", int if item.kind == "scale" else str, "", item.text, _answer(item.name))
+        for item in found.study.protocol.question
+        if item.when != "block"
+    )
+
+
+def _answer(item: str) -> Callable[[ParticipantRow], Any]:
+    return lambda row: row.answers.get(item)
+
+
+def _differences(found: Analysis) -> list[Mapping[str, Any]]:
+    """Differences by all methods, as one list."""
+    rows: list[Mapping[str, Any]] = [
+        _difference(one, one.measure, "paired", one.participants) for one in found.paired
+    ]
+    rows += [
+        _difference(one, model.measure, "mixed", model.participants)
+        for model in found.mixed
+        for one in model.contrasts
+    ]
+    return rows
+
+
+def _difference(one: Any, measure: Measure, method: str, participants: int) -> Mapping[str, Any]:
+    fields = ("condition", "against", "damping", "difference", "low", "high", "p", "holm", "bound", "beyond")
+    values = {name: getattr(one, name) for name in fields}
+    return {"measure": measure, "method": method, "participants": participants, **values}
+
+
+_OF_TABLE = ("kappa", "low", "high", "over", "problem", "share", "positive", "negative", "people", "left_out")
+
+
+def _confusions(found: Analysis) -> list[Mapping[str, Any]]:
+    """A row for each cell of each table of confusions."""
+    return [
+        {
+            "name": table.name,
+            "condition": table.condition,
+            "weights": table.weights,
+            "person": person,
+            "automatic": automatic,
+            "trials": table.counts[i][j],
+            **{name: getattr(table, name) for name in _OF_TABLE},
+        }
+        for table in found.agreements
+        for i, person in enumerate(table.classes)
+        for j, automatic in enumerate(table.classes)
+    ]

@@ -1,0 +1,304 @@
+"""The two tables behind everything else: all trials of a study, and its runs with the limits that they show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from typing import Any
+
+from rig.schemes import Scheme
+from rig.search import Answer, Estimate, psychometric
+from rig.search.ascending import Ascending
+from rig.search.catching import CatchTrials
+from rig.search.rule import Censored
+from rig.search.rule import told as told_of
+from rig.session.analysis.rows import Limit, Measure, RunRow, TrialRow
+from rig.session.analysis.study import Session, Study
+from rig.session.protocol import Condition, Protocol
+from rig.session.schedule import Run, levels_of
+from rig.session.state import WALKING, State, Trial
+
+PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
+
+Watch = Callable[[int, int], None]
+
+
+def trials_of(study: Study) -> tuple[TrialRow, ...]:
+    """All recorded hits, participant by participant, also those that do not count (`TrialRow.void`)."""
+    schemes = schemes_of(study)
+    rows: list[TrialRow] = []
+    for session in study.sessions:
+        places = {run.number: place for place, (_, _, run) in enumerate(_ordered(session.state), start=1)}
+        logged = {event.content["trial"]: event.at for event in session.of_kind("trial")}
+        rows += [
+            _trial_row(session, trial, schemes, places.get(trial.run, 0), logged[trial.trial])
+            for trial in session.state.trials
+        ]
+    return tuple(rows)
+
+
+def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
+    """All runs that were begun, in the order of the sessions."""
+    schemes = schemes_of(study)
+    rows: list[RunRow] = []
+    for number, session in enumerate(study.sessions):
+        if watch is not None:
+            watch(number, len(study.sessions))
+        for place, (block, order, run) in enumerate(_ordered(session.state), start=1):
+            if any(trial.run == run.number for trial in session.state.trials):
+                rows.append(_run_row(session, block, order, place, run, schemes))
+    if watch is not None:
+        watch(len(study.sessions), len(study.sessions))
+    return tuple(rows)
+
+
+def schemes_of(study: Study) -> dict[str, str]:
+    """What samples and estimates in each condition, and what else it changes, in words, by name."""
+    base = study.sessions[0].state.experiment["controller"]
+    prefix = "controller."
+
+    def own(condition: Condition) -> dict[str, Any]:
+        changes = {**study.protocol.study.changes, **condition.changes}
+        given = {key.removeprefix(prefix): value for key, value in changes.items() if key.startswith(prefix)}
+        return {**base, **given}
+
+    return {
+        condition.name: ", ".join(
+            [
+                _scheme_words(condition.scheme, own(condition)),
+                *(f"{key} = {value}" for key, value in condition.changes.items()),
+            ]
+        )
+        for condition in study.protocol.condition
+    }
+
+
+def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
+    """Rates, estimator and its settings, as far as scheme and experiment say them: no estimator is looked up."""
+    if text is None:
+        rates = own["position_rate"], own["velocity_rate"]
+        settings, estimator = dict(own["parameters"]), own["estimator"]
+    else:
+        scheme = Scheme.parse(text)
+        rates = scheme.position_rate, scheme.velocity_rate
+        estimator = scheme.estimator or own["estimator"]
+        settings = dict(own["parameters"]) if estimator == own["estimator"] else {}
+        if isinstance(settings.get("cutoff_hz"), int | float):  # keeps its share of the rate
+            settings["cutoff_hz"] *= scheme.velocity_rate / own["velocity_rate"]
+        settings |= scheme.parameters
+        extra = {
+            "prediction": scheme.prediction,
+            "slow_velocity_rate": scheme.slow_velocity_rate,
+            "slow_below": scheme.slow_below,
+        }
+        settings |= {key: value for key, value in extra.items() if value is not None}
+    fast, slow = (f"{rate / 1e3:g}" for rate in rates)
+    said = [f"uniform {fast} kHz" if fast == slow else f"dual {fast}/{slow} kHz", str(estimator)]
+    if isinstance(settings.get("cutoff_hz"), int | float):
+        said[-1] += f" {settings.pop('cutoff_hz'):g} Hz"
+    return ", ".join([*said, *(f"{key} {value}" for key, value in settings.items())])
+
+
+def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
+    """Stiffnesses that a condition's search may ask for."""
+    return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
+
+
+def half_way(
+    grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
+) -> Limit:
+    """The stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
+
+    Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
+    narrow. Beyond the levels it is their end, see `rig.search.psychometric.Located`.
+
+    Parameters
+    ----------
+    grid
+        Levels of the search.
+    verdicts
+        Stiffness, and whether it was stable; at least one.
+    """
+    share = share or 0.5
+    found = psychometric.locate(with_asked(grid, (level for level, _ in verdicts)), verdicts, share)
+    return Limit(value=found.value, low=found.low, high=found.high, censored=found.censored, share=share)
+
+
+def with_asked(grid: Sequence[float], asked: Iterable[float]) -> tuple[float, ...]:
+    """Levels of a search, and whatever else was asked for: another version may have had others."""
+    return tuple(sorted({*grid, *asked}))
+
+
+def answers(state: State, run: Run, judge: str) -> list[Answer]:
+    """What a run's trials say by one judge.
+
+    Parameters
+    ----------
+    judge
+        "followed": what the rule heard. "person": the same, unless nobody was asked. "automatic": whether each wall
+        holds under the study's criterion.
+    """
+    if judge == "followed":
+        return state.heard(run)
+    counted = [t for t in state.trials_of(run) if t.verdict is not None and not t.said_nothing]
+    if judge == "automatic":
+        criterion = state.protocol.study.criterion
+        return [Answer(trial.probe, trial.passes.get(criterion)) for trial in counted]
+    return state.heard(run) if any(trial.by in PEOPLE for trial in counted) else []
+
+
+def _ordered(state: State) -> Iterable[tuple[int, int, Run]]:
+    """Block, place in it, and run, in the order of the plan; practice aside."""
+    for block in state.blocks:
+        if not block.practice:
+            for order, run in enumerate(block.runs, start=1):
+                yield block.number, order, run
+
+
+def _trial_row(
+    session: Session, trial: Trial, schemes: dict[str, str], place: int, logged_at: float
+) -> TrialRow:
+    void = session.voided.get(trial.trial, "")
+    if not void:
+        void = "invalid" if trial.said_nothing else "" if trial.verdict else "not judged"
+    numbers, baseline = trial.numbers, trial.baseline or {}
+    return TrialRow(
+        participant=session.code,
+        row=session.state.row,
+        block=trial.block,
+        run=trial.run,
+        place=place,
+        trial=trial.trial,
+        attempt=trial.attempt,
+        condition=trial.condition,
+        scheme=schemes.get(trial.condition, ""),
+        damping=trial.damping,
+        repeat=trial.repeat,
+        stiffness=trial.stiffness,
+        track=trial.track,
+        catch=trial.catch,
+        practice=trial.practice,
+        automatic=trial.automatic,
+        passes=trial.passes.get(session.state.protocol.study.criterion),
+        verdict=trial.verdict or "",
+        by=trial.by or "",
+        took_s=trial.took_s,
+        void=void,
+        amended=trial.trial in session.amended,
+        ended=trial.ended,
+        aborted=trial.aborted,
+        started_s=logged_at - session.began_at,
+        heat=trial.heat,
+        felt=numbers.get("felt"),
+        heard=numbers.get("heard"),
+        moved=numbers.get("moved"),
+        peak_penetration=numbers.get("peak_penetration"),
+        peak_effort=numbers.get("peak_effort"),
+        impact_velocity=numbers.get("impact_velocity"),
+        saturated_fraction=numbers.get("saturated_fraction"),
+        baseline_velocity=baseline.get("velocity_rms"),
+        baseline_effort=baseline.get("effort_rms"),
+        recording=trial.recording or "",
+        recorded=session.recordings.get(trial.trial, "none"),
+    )
+
+
+def _run_row(
+    session: Session, block: int, order: int, place: int, run: Run, schemes: dict[str, str]
+) -> RunRow:
+    state = session.state
+    search = state.protocol.search_of(state.protocol.condition_named(run.condition))
+    trials = [trial for trial in state.trials if trial.run == run.number]
+    counted = [trial for trial in trials if not trial.void]
+    judged = [trial for trial in counted if trial.verdict is not None and not trial.said_nothing]
+    limits, note = _limits(state, run, search.rule)
+    followed = f"K50 {state.protocol.study.judge}"
+    sides = {limit.censored for measure, limit in limits.items() if measure in ("rule", followed)}
+    return RunRow(
+        participant=session.code,
+        row=state.row,
+        block=block,
+        order=order,
+        run=run.number,
+        place=place,
+        condition=run.condition,
+        scheme=schemes[run.condition],
+        damping=run.damping,
+        repeat=run.repeat,
+        rule=search.rule,
+        followed=state.protocol.study.judge,
+        limits=limits,
+        state=_state(state, run),
+        trials=len(judged),
+        invalid=sum(trial.said_nothing for trial in counted),
+        void=len(trials) - len(counted),
+        hits=len(state.heard(run)),
+        caught=_caught(judged, levels(state.protocol, run.condition), sides),
+        middle=sum(t.trial for t in judged) / len(judged) if judged else math.nan,
+        note=note,
+    )
+
+
+def _state(state: State, run: Run) -> str:
+    if run.number in state.skipped:
+        return "skipped"
+    # What was found complete stays so when a correction afterwards would have the rule ask once more.
+    done = state.asks(run) is None or (run.number in state.corrected and state.ended == "complete")
+    return "complete" if done else "unfinished"
+
+
+def _caught(judged: Sequence[Trial], levels: Sequence[float], sides: Container[Censored]) -> CatchTrials:
+    answers = [
+        Answer(trial.probe, None if trial.verdict == "unsure" else trial.verdict == "stable")
+        for trial in judged
+    ]
+    return CatchTrials.of(answers, levels, sides)
+
+
+def _limits(state: State, run: Run, rule: str) -> tuple[dict[Measure, Limit], str]:
+    """The limits of a run by each measure that can be told, and what must be said of them."""
+    found: dict[Measure, Limit] = {}
+    grid = levels(state.protocol, run.condition)
+    heard, note = answers(state, run, "followed"), ""
+    if _follows(state, run, rule, heard, grid):
+        asked = state.rule(run)
+        _add(found, "rule", asked.estimate(heard))
+        note = _of_climbs(asked, heard) if isinstance(asked, Ascending) else ""
+    else:
+        note = "the rule would have asked for other walls after these trials, as they were amended since"
+    for measure, judge in (("K50 person", "person"), ("K50 automatic", "automatic")):
+        told = answers(state, run, judge)
+        if any(answer.stable is not None for answer in told):
+            found[measure] = half_way(grid, told_of(told))  # type: ignore[index]
+    return found, note
+
+
+def _of_climbs(rule: Ascending, heard: Sequence[Answer]) -> str:
+    """How many climbs failed at the softest wall already, where that is not the limit of all of them."""
+    climbs = rule.climbs(heard)
+    failed = sum(climb.censored == "below" for climb in climbs)
+    if failed in (0, len(climbs)):
+        return ""
+    enters = "enters" if failed == 1 else "enter"
+    return f"{failed} of {len(climbs)} climbs failed at the softest wall and {enters} with it"
+
+
+def _add(found: dict[Measure, Limit], measure: Measure, estimate: Estimate) -> None:
+    if math.isfinite(estimate.value):
+        found[measure] = Limit(
+            value=estimate.value,
+            low=estimate.low,
+            high=estimate.high,
+            censored=estimate.censored,
+            share=estimate.share if math.isfinite(estimate.share) else None,
+        )
+
+
+def _follows(state: State, run: Run, name: str, heard: Sequence[Answer], grid: Sequence[float]) -> bool:
+    """Whether a rule would have asked for these walls after these answers."""
+    if name not in WALKING:
+        return all(answer.probe.level in grid for answer in heard)
+    rule = state.rule(run)
+    return all(
+        answer.probe.catch or rule.next(heard[:place]) == answer.probe for place, answer in enumerate(heard)
+    )

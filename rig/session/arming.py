@@ -1,0 +1,153 @@
+"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
+
+A search for the limit asks for walls that do not hold, so on a real rig there are nearly always some. They are found
+before anybody touches the handle: a session begins with consent to all of them, or it does not begin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from rig.config import Experiment
+from rig.devices.framed import FramedDevice
+from rig.errors import ConfigError, PlanError
+from rig.experiments.plan import Check, Outcome
+from rig.sample import Motion, unit_of
+from rig.session.conditions import experiment_of, own_rates
+from rig.session.protocol import BLINDED, Protocol
+from rig.session.schedule import levels_of
+
+if TYPE_CHECKING:
+    from rig.session.hits import Bench
+
+CONSENT = (
+    "a search for the limit asks for walls that do not hold: consent to them once, with --arm-anyway, and every hit "
+    "is cut off as the guide says; or search softer walls, on a quicker link"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wall:
+    """A wall that a session may ask for, and what of it a device must not change."""
+
+    condition: str
+    experiment: Experiment
+    changes: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """What the gate refuses of one condition at one damping, out of so many walls; why, for the softest of them."""
+
+    condition: str
+    damping: float
+    stiffness: tuple[float, ...]
+    walls: int
+    text: str
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for the log."""
+        return {"condition": self.condition, "damping": self.damping, "stiffness": list(self.stiffness)}
+
+
+def walls_of(protocol: Protocol, base: Experiment) -> Iterator[Wall]:
+    """Every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
+    practised = protocol.practice.condition or protocol.condition[0].name
+    for condition in protocol.condition:
+        for damping in condition.damping:
+            stiffness = set(levels_of(protocol.search_of(condition)))
+            if condition.name == practised and damping == condition.damping[0]:
+                stiffness |= set(protocol.practice.stiffness)
+            x = experiment_of(protocol, base, condition, damping, max(stiffness))
+            for level in sorted(stiffness):
+                under = replace(x, wall=replace(x.wall, stiffness=level))
+                yield Wall(condition=condition.name, experiment=under, changes=own_rates(condition, x))
+
+
+def refusals(
+    device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
+) -> tuple[Refusal, ...]:
+    """What the gate refuses on this device's link, which is measured for that. Nothing moves.
+
+    Parameters
+    ----------
+    device
+        Open, and not in a run.
+    under
+        By condition and damping: experiments as they would run, at rising stiffness.
+    """
+    if device.link.clock.virtual:
+        return ()
+    from rig.doctor import gate as gates  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
+
+    found = []
+    for (condition, damping), experiments in under.items():
+        x = experiments[0]
+        measurement = gates.measured_once(device, x.host, x.controller.position_rate)
+        levels = gates.refused_among(x, measurement, [one.wall.stiffness for one in experiments])
+        if levels:
+            softest = replace(x, wall=replace(x.wall, stiffness=levels[0]))
+            text = gates.gate(softest, measurement).text
+            found.append(
+                Refusal(
+                    condition=condition, damping=damping, stiffness=levels, walls=len(experiments), text=text
+                )
+            )
+    return tuple(found)
+
+
+def refuse_unarmable(protocol: Protocol, base: Experiment, bench: Bench) -> None:
+    """Raise `rig.errors.PlanError` when this rig refuses a wall of the session, and nobody consented to those.
+
+    A blinded operator hears how many there are, and nothing of any wall.
+    """
+    blinded = protocol.study.blind in BLINDED
+    if bench.simulated:  # never refused
+        return
+    try:
+        found = bench.refusals(tuple(walls_of(protocol, base)))
+    except PlanError as error:
+        if not blinded:
+            raise
+        raise PlanError(
+            "this rig cannot run every wall that the session may ask for",
+            remedy="rig session check says which, with the same --url",
+        ) from error
+    if found and not bench.arm_anyway:
+        said = f"{_number(found)}: {_listed(found, base.rig.motion)}" if not blinded else _number(found)
+        raise PlanError(
+            f"the arming gate refuses, on this link as measured, {said}",
+            remedy=f"{CONSENT}; rig session check lists them, with the same --url",
+        )
+
+
+def arming_checks(protocol: Protocol, base: Experiment, bench: Bench) -> Iterator[Check]:
+    """Say which walls a real rig does not arm without consent. Its link is measured; nothing moves."""
+    if bench.simulated:
+        return
+    try:
+        found = bench.refusals(tuple(walls_of(protocol, base)))
+    except ConfigError as error:
+        yield Check("arming", Outcome.REFUSED, error.message, error.remedy)
+        return
+    text = "on this link as measured nothing speaks against any wall"
+    if found:
+        text = f"the arming gate refuses, on this link as measured, {_number(found)}: {_listed(found, base.rig.motion)}"
+    yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
+
+
+def _number(found: Iterable[Refusal]) -> str:
+    found = tuple(found)
+    conditions = "" if len(found) == 1 else f" of {len(found)} searches"
+    return f"{sum(len(one.stiffness) for one in found)} walls{conditions}"
+
+
+def _listed(found: Iterable[Refusal], motion: Motion) -> str:
+    unit = unit_of("stiffness", motion)
+    return "; ".join(
+        f"{one.condition}, B = {one.damping:g}: {len(one.stiffness)} of {one.walls} walls, from "
+        f"K = {min(one.stiffness):g} to {max(one.stiffness):g} {unit} ({one.text})"
+        for one in found
+    )

@@ -1,0 +1,280 @@
+"""One recording in the words of BIDS-motion: channels, rows, what is known of them, and events.
+
+Types follow the BIDS specification, version 1.10, "Motion". The handle of a rotary rig has one angle: an orientation
+(ORNT, rad) about its axis, which is called z here. It is no joint angle (JNTANG): those lie between two parts of a
+body, in degrees. Its angular velocity is of type GYRO, the only one that the standard has for that quantity (VEL is
+linear); the description says that no gyrometer measured it. A linear handle has POS and VEL along its way, called x.
+Efforts, currents and the penetration into a virtual wall are MISC: they are no motion of a body. LATENCY holds the
+device's clock, so that a lost sample shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from rig.errors import RecordingError
+from rig.recording.data import Recording
+from rig.recording.marks import NEEDED, OUTPUTS, marks
+from rig.sample import Motion, Phase, RowFlag, unit_of
+
+TASK = "wallhit"
+TRACKSYS = "rig"
+FRAME = "rig"
+MISSING = "n/a"
+TYPES = ("LATENCY", "ORNT", "GYRO", "POS", "VEL", "MISC")
+_UNITS = {"N·m": "N.m"}  # as CMIXF-12 writes them
+_SPANS: Mapping[int, str] = {
+    Phase.HOMING: "homing",
+    Phase.SETTLE: "settle",
+    Phase.TRIAL: "hit",
+    Phase.RELEASE: "release",
+}
+_PINS = ("sync", *OUTPUTS)
+EVENTS: Mapping[str, str] = {
+    "homing": "the motor brings the handle to the start, slowly",
+    "settle": "the handle comes to rest at the start",
+    "baseline": "free space before the hit: the wall is there, and the handle must not touch it",
+    "hit": "the handle may hit the wall",
+    "release": "the law goes on until the handle is let go",
+    "contact": "first contact of the hit with the wall, as long as it lasted without a break",
+    "sync": "rising edge at the device's sync input",
+    "trial_out": "rising edge of the device's sync output for trials: its tick began then",
+    "inside_out": "rising edge of the device's sync output for contact: its tick began then",
+    "verdict": "given after the recording, whose end is its onset; response_time counts from the question",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One column of a motion file: a row of its channels file, and the column of the recording that it comes from."""
+
+    name: str
+    column: str
+    type: str
+    component: str
+    unit: str
+    description: str
+
+    def as_row(self) -> dict[str, str]:
+        """Cells of the channels file, in the order that the standard wants."""
+        return {
+            "name": self.name,
+            "component": self.component,
+            "type": self.type,
+            "tracked_point": "handle",
+            "units": self.unit,
+            "placement": "held in the hand",
+            "reference_frame": FRAME if self.component != MISSING else MISSING,
+            "description": self.description,
+        }
+
+
+def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
+    """Columns of a motion file, for a rotary or a linear rig."""
+    rotary = motion == "rotary"
+    axis, length, effort = ("z", "rad", "N.m") if rotary else ("x", "m", "N")
+    moving = (
+        ("angle", "ORNT", "angular_velocity", "GYRO") if rotary else ("position", "POS", "velocity", "VEL")
+    )
+    by = f"estimated from the encoder by {estimator}, held between velocity samples"
+    return (
+        Channel(
+            "latency",
+            "",
+            "LATENCY",
+            MISSING,
+            "s",
+            "time of the sample on the device's clock, from the first one",
+        ),
+        Channel(
+            moving[0], "position", moving[1], axis, length, "measured: encoder counts times their resolution"
+        ),
+        Channel(
+            moving[2],
+            "velocity",
+            moving[3],
+            axis,
+            f"{length}/s",
+            f"{by}; no gyrometer" if rotary else by,
+        ),
+        Channel(
+            "penetration",
+            "penetration",
+            "MISC",
+            MISSING,
+            length,
+            "depth inside the virtual wall; negative outside",
+        ),
+        Channel(
+            "effort_sent", "effort_sent", "MISC", MISSING, effort, "commanded in this tick, limits included"
+        ),
+        Channel(
+            "effort_applied",
+            "effort_applied",
+            "MISC",
+            MISSING,
+            effort,
+            "in force on the motor when the sample was taken",
+        ),
+        Channel("current_measured", "current_measured", "MISC", MISSING, "A", "measured motor current"),
+    )
+
+
+def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel], every: int = 1) -> None:
+    """Write the rows: tabs, no head, shortest digits that read back equal.
+
+    Parameters
+    ----------
+    file
+        Takes the bytes.
+    recording
+        Whose rows.
+    columns
+        Which of them, in this order.
+    every
+        Only every n-th row; nothing is averaged or filtered.
+    """
+    import pyarrow as pa  # noqa: PLC0415  (only here)
+    from pyarrow import csv  # noqa: PLC0415
+
+    table = {
+        channel.name: _cells(
+            np.char.mod("%.6f", recording.time_s[::every])
+            if channel.type == "LATENCY"
+            else recording.column(channel.column)[::every]
+        )
+        for channel in columns
+    }
+    options = csv.WriteOptions(include_header=False, delimiter="\t", quoting_style="none")
+    csv.write_csv(pa.table(table), file, options)
+
+
+def sidecar(
+    recording: Recording, columns: Sequence[Channel], every: int, extra: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What a motion file's JSON says, from the recording alone; `extra` is added.
+
+    Raises `RecordingError` when the recording has no rows.
+    """
+    if not len(recording):
+        raise RecordingError(
+            f"{recording.path}: a recording without a row", remedy="there is nothing to export of this trial"
+        )
+    experiment, identity, versions = (
+        recording.experiment,
+        recording.header.get("identity", {}),
+        recording.header.get("versions", {}),
+    )
+    time = recording.time_s[::every]
+    duration = float(recording.time_s[-1])
+    rate = float(experiment["controller"]["position_rate"])
+    counts = {name: sum(channel.type == name for channel in columns) for name in TYPES}
+    told = {f"{name}ChannelCount": count for name, count in counts.items()}
+    wall, motion = experiment["wall"], recording.header["motion"]
+    return {
+        "TaskName": TASK,
+        "SamplingFrequency": rate / every,
+        "SamplingFrequencyEffective": (len(time) - 1) / float(time[-1]) if time[-1] > 0.0 else MISSING,
+        "RecordingDuration": duration,
+        "TrackingSystemName": f"encoder of {recording.header['rig']}",
+        "ManufacturersModelName": recording.header["rig"],
+        "SoftwareVersions": f"haptic-rig {versions.get('haptic-rig', '?')}, firmware {identity.get('firmware', '?')}",
+        "TrackedPointsCount": 1,
+        "MotionChannelCount": len(columns),
+        **told,
+        "ACCELChannelCount": 0,
+        "ANGACCELChannelCount": 0,
+        "JNTANGChannelCount": 0,
+        "MAGNChannelCount": 0,
+        "MissingValues": MISSING,
+        "SubjectArtefactDescription": MISSING,
+        "Simulated": bool(identity.get("simulated", False)),
+        "RecordingComplete": recording.complete and not recording.lost,
+        "Decimation": every,
+        "Wall": {
+            **{name: wall[name] for name in ("stiffness", "damping", "position", "side")},
+            "Units": {name: unit_of(name, motion) for name in ("stiffness", "damping", "position")},
+        },
+        "Controller": {
+            name: experiment["controller"][name] for name in ("position_rate", "velocity_rate", "estimator")
+        },
+        **extra,
+    }
+
+
+def spans(recording: Recording) -> list[tuple[str, float, float]]:
+    """Kind, onset and duration (s) of what happened in a recording, in the order of time."""
+    time, phases = recording.time_s, recording.column("phase")
+    found: list[tuple[str, float, float]] = []
+    if not len(time):
+        return found
+    period = 1.0 / float(recording.experiment["controller"]["position_rate"])
+    begins = np.concatenate(([0], np.flatnonzero(np.diff(phases)) + 1))
+    ends = np.append(begins[1:], len(phases))
+    free_s = float(recording.experiment["trial"].get("baseline_s", 0.0))
+    for first, end in zip(begins, ends, strict=True):
+        name = _SPANS.get(int(phases[first]))
+        if name is None:
+            continue
+        at, length = float(time[first]), float(time[end - 1] - time[first]) + period
+        free = min(free_s, length) if name == "hit" else 0.0
+        if free > 0.0:
+            found.append(("baseline", at, free))
+        if length > free:
+            found.append((name, at + free, length - free))
+    inside = (phases == Phase.TRIAL) & ((recording.column("flags") & int(RowFlag.INSIDE)) != 0)
+    if inside.any():
+        first = int(np.argmax(inside))
+        rest = np.flatnonzero(~inside[first:])
+        end = first + int(rest[0]) if len(rest) else len(inside)
+        found.append(("contact", float(time[first]), float(time[end - 1] - time[first]) + period))
+    return sorted([*found, *_pins(recording)], key=lambda span: span[1])
+
+
+def _pins(recording: Recording) -> list[tuple[str, float, float]]:
+    """Edges at the device's sync pins, from the first row on; a recording of an older version has none."""
+    if any(name not in recording.names for name in NEEDED):
+        return []
+    origin = int(recording.rows["device_time"][0])
+    return [
+        (mark.name, (mark.device_time - origin) * 1e-9, 0.0)
+        for mark in marks(recording)
+        if mark.name in _PINS and mark.device_time >= origin
+    ]
+
+
+def frame(motion: Motion) -> dict[str, Any]:
+    """The reference frame, for a channels file's JSON."""
+    what = (
+        "The handle turns about one axis, called z; the angle is zero at the rig's reference"
+        if motion == "rotary"
+        else "The handle slides along one axis, called x; the position is zero at the rig's reference"
+    )
+    return {
+        "reference_frame": {
+            "Description": "where the channel's values are told from",
+            "Levels": {
+                FRAME: {
+                    "Description": f"{what}, and grows in the direction in which a positive effort drives. How the "
+                    "axis lies against the participant's body is a matter of the set-up and not recorded. The wall "
+                    "begins at Wall.position of the motion file's JSON, towards greater values where Wall.side is 1."
+                }
+            },
+        }
+    }
+
+
+def unit(text: str) -> str:
+    """Return a unit as BIDS writes it."""
+    return _UNITS.get(text, text.replace("·", ".").replace("²", "^2"))
+
+
+def _cells(values: Any) -> Any:
+    """A column for the writer; what is not finite becomes the word for a missing value."""
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        return [repr(value) if np.isfinite(value) else MISSING for value in values.tolist()]
+    return values

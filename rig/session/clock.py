@@ -1,0 +1,36 @@
+"""What the times of a session's log are taken from."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """A clock, and what it must be told where it does not move by itself (`rig.session.rehearsal.Day`)."""
+
+    def __call__(self) -> float:
+        """Time of day (s)."""
+        ...
+
+    def took(self, seconds: float) -> None:
+        """Something took so long, on whatever clock it had."""
+        ...
+
+    def goes_on_from(self, at: float) -> None:
+        """The newest event so far was then."""
+        ...
+
+
+class WallClock:
+    """The clock on the wall, which nobody needs to tell anything."""
+
+    def __call__(self) -> float:
+        """Time of day (s)."""
+        return time.time()
+
+    def took(self, seconds: float) -> None:
+        """It has passed already."""
+
+    def goes_on_from(self, at: float) -> None:
+        """It goes on by itself."""

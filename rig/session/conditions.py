@@ -1,0 +1,207 @@
+"""The experiment behind a protocol: its rig and trial, and what each condition makes of them.
+
+Later ones win: the preset or the experiment file; what a person at the handle demands (`SAFE`); ``[study.changes]``;
+``[trial]`` and ``[caps]``; the condition's scheme and its changes; damping and stiffness of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from rig import config, presets
+from rig.config import Experiment
+from rig.config.files import preset_names
+from rig.config.load import DEFAULT_PRESET, EXPERIMENT, FREE
+from rig.config.problems import Problem, config_error, did_you_mean
+from rig.config.table import parameters, shown
+from rig.errors import ConfigError, RigError
+from rig.sample import unit_of
+from rig.schemes import Scheme
+from rig.session.protocol import Condition, Protocol
+from rig.session.schedule import levels_of
+
+OWNED = {  # keys of the experiment that a protocol says in its own words
+    "wall.stiffness": "[search]",
+    "wall.damping": "damping of each condition",
+    "trial.kind": "trial.kind of the protocol",
+    "trial.duration_s": "trial.duration_s of the protocol",
+    "trial.baseline_s": "trial.baseline_s of the protocol",
+    "trial.repeats": "order.repeats of the protocol",
+    "trial.seed": "study.seed of the protocol",
+}
+
+
+def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
+    """Read what ``[study]`` names, as it stands in the file, or say what is wrong with that.
+
+    Parameters
+    ----------
+    study
+        That table of a protocol file, not checked yet.
+    folder
+        Where the protocol file is.
+    """
+    study = study if isinstance(study, Mapping) else {}
+    preset, file = study.get("preset"), study.get("experiment")
+    if (preset is None) == (file is None):
+        given = "" if preset is None else f"{shown(preset)}, and experiment = {shown(file)}"
+        must = "and study.experiment: give one of the two, the rig that this is about"
+        choice = f"write preset = {shown(DEFAULT_PRESET)}, or the name of an experiment file"
+        return [Problem("study.preset", given, must, choice)]
+    if preset is not None:
+        if preset not in preset_names():
+            choice = did_you_mean(str(preset), preset_names(), f"choose one of: {', '.join(preset_names())}")
+            return [Problem("study.preset", shown(preset), "is not a preset", choice)]
+        return presets.load(preset)
+    if not isinstance(file, str):
+        return [
+            Problem("study.experiment", shown(file), "must be text", "write the name of a file in quotes")
+        ]
+    try:
+        return config.load_experiment(folder / file)
+    except ConfigError as error:
+        return [Problem("study.experiment", shown(file), f"is none: {error.message}", error.remedy)]
+
+
+def experiment_of(
+    protocol: Protocol,
+    base: Experiment,
+    condition: Condition,
+    damping: float,
+    stiffness: float,
+    changes: Mapping[str, Any] | None = None,
+) -> Experiment:
+    """Return the experiment of one wall of a condition.
+
+    Parameters
+    ----------
+    protocol
+        A checked one.
+    base
+        What its ``[study]`` names, from `base_of`.
+    condition
+        One of the protocol's.
+    damping, stiffness
+        B and K of the wall (`rig.sample.unit_of`).
+    changes
+        Over everything else, by dotted key: the seed of a trial.
+
+    Raises
+    ------
+    ConfigError
+        Something that this rig, this trial or this estimator does not allow.
+    """
+    source = f"condition {shown(condition.name)}"
+    wall = {"wall.stiffness": stiffness, "wall.damping": damping}
+    physics = {key: value for key, value in condition.changes.items() if not key.startswith("controller.")}
+    experiment = config.override(
+        base,
+        {**_safe(protocol, base), **protocol.study.changes, **_said(protocol), **wall, **physics},
+        source,
+    )
+    if condition.scheme is not None:
+        experiment = Scheme.parse(condition.scheme).applied(experiment)
+    last = {**condition.changes, **wall, **(changes or {})}
+    experiment = config.override(experiment, last, source)
+    config.check_plugins(experiment, source)
+    return experiment
+
+
+def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
+    """What a device must not change of an experiment: the rates, where the condition's scheme names them."""
+    if condition.scheme is None:
+        return {}
+    rates = experiment.controller
+    return {
+        "controller.position_rate": rates.position_rate,
+        "controller.velocity_rate": rates.velocity_rate,
+    }
+
+
+def base_of(protocol: Protocol, folder: Path) -> Experiment:
+    """Return the experiment that a protocol names; `folder` is where its file is. Raises `ConfigError`."""
+    study = {"preset": protocol.study.preset, "experiment": protocol.study.experiment}
+    base = base_experiment(study, folder)
+    if isinstance(base, list):
+        raise config_error(base, f"protocol {protocol.study.title}")
+    return base
+
+
+def broken_conditions(protocol: Protocol, base: Experiment) -> list[Problem]:
+    """What of the conditions the rig, the trial or the estimators do not allow, each condition's first problems."""
+    problems = [*_misplaced(protocol), *_wide_caps(protocol, base)]
+    return problems or list(_refused(protocol, base))
+
+
+def _safe(protocol: Protocol, base: Experiment) -> dict[str, Any]:
+    """A person at the handle: no more effort than the motor gives for hours, unless somebody answers for more."""
+    limits = base.rig.limits
+    if protocol.trial.kind != "human":
+        return {}
+    if limits.override_stall:
+        return {"rig.limits.human": True}
+    return {"rig.limits.human": True, "rig.limits.effort": min(limits.effort, limits.nominal_effort)}
+
+
+def _said(protocol: Protocol) -> dict[str, Any]:
+    """What ``[trial]`` and ``[caps]`` say, as keys of the experiment; what they leave out stays as it is."""
+    trial, caps = protocol.trial, protocol.caps
+    said = {
+        "trial.duration_s": trial.duration_s,
+        "trial.baseline_s": trial.baseline_s or None,
+        "rig.limits.effort": caps.effort,
+        "rig.limits.speed": caps.speed,
+        "rig.limits.energy": caps.energy,
+    }
+    given = {key: value for key, value in said.items() if value is not None}
+    return {"trial.kind": trial.kind, "trial.repeats": 1, **given}
+
+
+def _misplaced(protocol: Protocol) -> Iterator[Problem]:
+    """Changes to keys that are none, or that the protocol says elsewhere."""
+    places: list[tuple[str, Mapping[str, Any]]] = [("study.changes", protocol.study.changes)]
+    places += [(f"condition {n}.changes", one.changes) for n, one in enumerate(protocol.condition, 1)]
+    for place, changes in places:
+        for key, value in changes.items():
+            name = f"{place}.{key}"
+            if key in OWNED:
+                yield Problem(name, shown(value), f"belongs to {OWNED[key]}", "say it there")
+            elif key not in parameters() and not key.startswith(f"{FREE}."):
+                section, _, leaf = key.rpartition(".")
+                instead = EXPERIMENT.known_instead(section, leaf)
+                yield Problem(name, shown(value), "is not a key of an experiment", instead)
+
+
+def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
+    """A cap only narrows what the rig allows."""
+    limits = {name: getattr(base.rig.limits, name) for name in ("effort", "speed", "energy")}
+    for name, quantity in (("effort", "effort"), ("speed", "velocity"), ("energy", "J")):
+        cap, unit = getattr(protocol.caps, name), unit_of(quantity, base.rig.motion)
+        limit = protocol.study.changes.get(f"rig.limits.{name}", limits[name])
+        if cap is not None and isinstance(limit, int | float) and cap > limit:
+            yield Problem(
+                f"caps.{name}",
+                f"{cap:g} {unit}",
+                f"must be at most rig.limits.{name} of the rig, {limit:g} {unit}",
+                "lower it, or leave it out",
+            )
+
+
+def _refused(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
+    """Every condition and damping at the softest and the stiffest wall, until one of them is refused."""
+    unit = unit_of("stiffness", base.rig.motion)
+    for number, condition in enumerate(protocol.condition, 1):
+        levels = levels_of(protocol.search_of(condition))
+        walls = [(b, k) for k in (levels[0], levels[-1]) for b in condition.damping]
+        if condition.name == (protocol.practice.condition or protocol.condition[0].name):
+            walls += [(condition.damping[0], k) for k in protocol.practice.stiffness]
+        for damping, stiffness in walls:
+            try:
+                experiment_of(protocol, base, condition, damping, stiffness)
+            except RigError as error:
+                name = f"condition {number}, {shown(condition.name)}"
+                where = f"cannot be run at K = {stiffness:g} {unit}: {error.message}"
+                yield Problem(name, "", where, error.remedy)
+                break

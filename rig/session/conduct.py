@@ -1,0 +1,503 @@
+"""The engine of a session: takes what comes next from the state, does it, and writes it down before anything follows.
+
+There is no other memory than the log: whatever ends the process, the same function goes on from the log. It knows the
+rig only as a `Bench`, and people only as a `Desk`.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Protocol
+
+from rig import config
+from rig.config import Experiment
+from rig.errors import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceNotFoundError,
+    GuardError,
+    LinkLostError,
+    OverrunError,
+    PlanError,
+    RealtimeError,
+    RecordingError,
+    RigError,
+    StoppedError,
+)
+from rig.sample import Phase, unit_of
+from rig.session.conditions import experiment_of, own_rates
+from rig.session.desk import VERDICTS, Action, Desk, Question, Reply, View
+from rig.session.directory import TRIALS, Session
+from rig.session.expected import likely_trials
+from rig.session.hits import Bench, Done
+from rig.session.items import asked, parse_answer
+from rig.session.log import Event
+from rig.session.protocol import BLINDED
+from rig.session.protocol import Protocol as StudyProtocol
+from rig.session.schedule import Block, Run
+from rig.session.state import (
+    DoAsk,
+    DoBlock,
+    DoDecide,
+    DoEnd,
+    DoJudge,
+    DoRest,
+    DoTrial,
+    State,
+    Trial,
+)
+from rig.session.telling import line_of_event, outcome
+from rig.verdict import Kind
+
+LINES_SHOWN = 8
+_PHASES = {
+    Phase.WAIT: "homing",
+    Phase.HOMING: "homing",
+    Phase.SETTLE: "homing",
+    Phase.TRIAL: "hit",
+    Phase.RELEASE: "release",
+    Phase.DONE: "release",
+}
+_ALWAYS: tuple[Action, ...] = ("note", "abort")
+_ASKED = (GuardError, LinkLostError, OverrunError, StoppedError)  # after these somebody says how to go on
+# Errors that a blinded operator may read: nothing in their texts comes from a wall.
+_PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
+
+
+def first_wall(
+    protocol: StudyProtocol, base: Experiment, blocks: Sequence[Block]
+) -> tuple[Experiment, Mapping[str, Any]]:
+    """The softest wall of the first run: what a device is opened with before anything is hit."""
+    run = next(run for block in blocks for run in block.runs)
+    softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
+    return _wall(protocol, base, run, softest, protocol.study.seed)
+
+
+def _wall(
+    protocol: StudyProtocol, base: Experiment, run: Run, stiffness: float, seed: int
+) -> tuple[Experiment, Mapping[str, Any]]:
+    """The experiment of a hit, and what a device must not change of it."""
+    condition = protocol.condition_named(run.condition)
+    experiment = experiment_of(protocol, base, condition, run.damping, stiffness, {"trial.seed": seed})
+    return experiment, own_rates(condition, experiment)
+
+
+class Marks(Protocol):
+    """Who tells other programs what happens, without ever making a session wait (`rig.lsl.session.LslMarks`)."""
+
+    def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
+        """Say that something happens now."""
+        ...
+
+
+def conduct(
+    session: Session,
+    bench: Bench,
+    desk: Desk,
+    *,
+    told: Callable[[Event], None] | None = None,
+    marks: Marks | None = None,
+) -> State:
+    """Run a session to its end, or until somebody leaves it.
+
+    Parameters
+    ----------
+    session
+        Just begun, or resumed.
+    bench
+        The rig.
+    desk
+        Who sits there.
+    told
+        Told each event after it was written.
+    marks
+        Told what happens when it does: each trial before it begins, with its wall, and each event.
+
+    Returns
+    -------
+    State
+        How it stands: `ended`, or `stopped` when somebody left it.
+
+    Raises
+    ------
+    RigError
+        What cannot go on: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
+        and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
+    """
+    engine = _Engine(session, bench, desk, told, marks)
+    try:
+        engine.open()
+        while engine.step():
+            pass
+    except (KeyboardInterrupt, StoppedError) as stop:
+        why = stop.message if isinstance(stop, StoppedError) else "interrupted"
+        with suppress(RecordingError):
+            engine.record("stopped", reason=why)
+        raise
+    except Exception as error:
+        hidden = _for_the_blinded(session.state, error)
+        said = error.message if isinstance(error, RigError) else repr(error)
+        whole = str(error) if isinstance(error, RigError) else "".join(traceback.format_exception(error))
+        with suppress(RecordingError):
+            engine.record("stopped", reason=said if hidden is None else hidden.message, detail=whole)
+        if hidden is not None:
+            raise hidden from None
+        raise
+    return session.state
+
+
+def _for_the_blinded(state: State, error: Exception) -> RigError | None:
+    """What a blinded operator reads in place of an error, whose text may name a wall; None where it may be read."""
+    if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
+        return None
+    recording = getattr(error, "recording", None)
+    if recording is not None:
+        text = f"trial {state.newest} ended by an error"
+    elif isinstance(error, ConfigError):
+        text = f"trial {state.newest + 1} was refused before anything moved"
+    else:
+        text = f"an error before trial {state.newest + 1}"
+    told = (PlanError if isinstance(error, ConfigError) else RigError)(
+        text, remedy="see why with rig session show --log --unblind"
+    )
+    told.exit_code = error.exit_code if isinstance(error, RigError) else RigError.exit_code
+    told.recording = recording
+    return told
+
+
+class _Left(Exception):  # noqa: N818  (no error: somebody leaves)
+    """Somebody leaves the session."""
+
+
+class _Engine:
+    """What `conduct` remembers between two steps: nothing that the log does not have, but for what is on show."""
+
+    def __init__(
+        self,
+        session: Session,
+        bench: Bench,
+        desk: Desk,
+        told: Callable[[Event], None] | None,
+        marks: Marks | None,
+    ) -> None:
+        self._session = session
+        self._bench = bench
+        self._desk = desk
+        self._told = told
+        self._marks = marks
+        self._base = config.experiment_from_mapping(
+            session.state.experiment, "the experiment in the session's log"
+        )
+        self._last = ""
+        self._lines: list[str] = []
+        self._expected = 0
+        desk.attend(session)
+
+    @property
+    def _state(self) -> State:
+        return self._session.state
+
+    def record(self, kind: str, **content: Any) -> None:
+        """Write down an event, and tell those who listen."""
+        event = self._session.record(kind, **content)
+        self._lines.append(line_of_event(event))
+        if self._told is not None:
+            self._told(event)
+        if self._marks is not None:
+            self._marks.push(kind, text=line_of_event(event))
+
+    def open(self) -> None:
+        """Say which device it is."""
+        state = self._state
+        self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
+        self.record("opened", **self._bench.facts(*first_wall(state.protocol, self._base, state.blocks)))
+
+    def step(self) -> bool:
+        """Do what comes next; False when the session is over or somebody left it."""
+        try:
+            if self._state.paused:
+                self._pause()
+            step = self._state.next()
+            match step:
+                case DoTrial():
+                    self._trial(step)
+                case DoJudge(trial):
+                    self._judge(trial)
+                case DoRest(seconds, reason):
+                    self._rest(seconds, reason)
+                case DoBlock(block):
+                    self.record("block", block=block.number)
+                case DoAsk():
+                    self._item(step)
+                case DoDecide(run, last):
+                    self._decide(run, last)
+                case DoEnd(reason):
+                    if self._state.ended is None and not self._may_end():
+                        return True
+                    if self._state.ended is None:
+                        self.record("ended", reason=reason)
+                    self._show("done", say="Thank you: that was the last one.")
+                    return False
+        except _Left:
+            self.record("stopped", reason="the operator left")
+            return False
+        return True
+
+    # One step each.
+
+    def _trial(self, step: DoTrial) -> None:
+        self._show("ready", step=step, say=self._state.protocol.trial.say)
+        actions: tuple[Action, ...] = ("go", "pause", "skip")
+        if self._redoable() is not None:
+            actions = (*actions, "redo")
+        reply = self._ask(Question(kind="ready", text="ready?", actions=(*actions, *_ALWAYS)))
+        match reply.action:
+            case "pause":
+                self._pause()
+            case "skip":
+                self.record("skipped", run=step.run.number)
+            case "redo":
+                self._redo()
+            case "go":
+                self._hit(step)
+
+    def _hit(self, step: DoTrial) -> None:
+        state, run = self._state, step.run
+        seed = step.seed if self._bench.virtual else state.seed
+        experiment, changes = _wall(state.protocol, self._base, run, step.probe.level, seed)
+        trials = self._session.directory / TRIALS
+        if self._marks is not None:
+            self._marks.push(
+                "begins",
+                trial=step.trial,
+                condition=run.condition,
+                stiffness=step.probe.level,
+                damping=run.damping,
+            )
+        try:
+            done = self._bench.hit(
+                experiment, changes, trials, f"t{step.trial:04d}", lambda x: self._watch(step, x), state.heat
+            )
+        except StoppedError as stop:
+            if stop.recording is not None or stop.signal is not None or self._desk.who == "simulated":
+                raise
+            self._trouble("stopped before anything moved", step)  # nothing to log: no trial was begun
+            return
+        self._session.clock.took(done.duration_s)
+        self.record(
+            "trial",
+            trial=step.trial,
+            block=step.block.number,
+            run=run.number,
+            attempt=step.attempt,
+            condition=run.condition,
+            damping=run.damping,
+            repeat=run.repeat,
+            stiffness=step.probe.level,
+            track=step.probe.track,
+            catch=step.probe.catch,
+            practice=run.practice,
+            seed=seed,
+            **done.content,
+        )
+        self._last = outcome(state.trials[-1])
+        if done.error is not None:
+            self._after_early_end(done, step)
+
+    def _after_early_end(self, done: Done, step: DoTrial) -> None:
+        """The effort is zero; now somebody may be asked."""
+        error = done.error
+        if error is not None and not isinstance(error, _ASKED):
+            raise error  # the law or the desk is broken: the next hit would end like this one
+        if isinstance(error, StoppedError) and (error.signal is not None or self._desk.who == "simulated"):
+            raise error
+        if (
+            isinstance(error, LinkLostError)
+            and not isinstance(error, DeviceFaultError)
+            and not self._bench.simulated
+        ):
+            raise error  # whether the handle is still where it was counted from, somebody must look
+        if self._state.trials[-1].said_nothing:
+            why = error.message if isinstance(error, RigError) else done.content["ended"]
+            self._trouble(f"the hit ended early: {why}", step)
+
+    def _trouble(self, text: str, step: DoTrial) -> None:
+        """Go on only when somebody says so."""
+        self._show("stopped", step=step)
+        actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
+        reply = self._ask(Question(kind="trouble", text=text, actions=(*actions, *_ALWAYS), trial=step.trial))
+        if reply.action == "redo":
+            self._redo()
+
+    def _judge(self, trial: Trial) -> None:
+        study = self._state.protocol.study
+        if study.judge == "automatic":
+            passes = trial.passes[study.criterion]
+            verdict = "stable" if passes else "unstable" if trial.automatic == Kind.UNSTABLE else "buzz"
+            self.record("judged", trial=trial.trial, verdict=verdict, by="automatic", took_s=0.0)
+            self._last = outcome(trial)
+            return
+        self._show("verdict?", trial=trial, say="How was it: stable, a buzz, unstable, or are you unsure?")
+        reply = self._ask(
+            Question(
+                kind="verdict",
+                text="the verdict?",
+                actions=("judge", "redo", *_ALWAYS),
+                trial=trial.trial,
+            )
+        )
+        if reply.action == "redo":
+            self._redo()
+        elif reply.value in VERDICTS:
+            self.record(
+                "judged", trial=trial.trial, verdict=reply.value, by=self._desk.who, took_s=reply.took_s
+            )
+            self._last = outcome(trial)
+
+    def _rest(self, seconds: float, reason: str) -> None:
+        words = "The motor cools." if reason == "heat" else "Let go of the handle and rest."
+        self._show("rest", say=words)
+        actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
+        reply = self._ask(Question(kind="rest", text=words, actions=(*actions, *_ALWAYS), seconds=seconds))
+        if reply.action == "redo":
+            self._redo()
+            return
+        self.record("rested", seconds=round(min(reply.took_s, seconds), 3), reason=reason)
+
+    def _item(self, step: DoAsk) -> None:
+        item = step.item
+        self._show("question", say=item.text)
+        shown = asked(item)
+        actions: tuple[Action, ...] = ("answer", "redo") if self._redoable() is not None else ("answer",)
+        reply = self._ask(Question(kind="item", text=item.text, actions=(*actions, *_ALWAYS), item=shown))
+        if reply.action == "redo":
+            self._redo()
+        elif (answer := parse_answer(shown, reply.value)) is not None:
+            self.record("answered", item=item.name, answer=answer, block=step.block)
+
+    def _decide(self, run: Run, last: Trial) -> None:
+        text = f"{self._state.protocol.trial.attempts} trials said nothing: {'; '.join(last.reasons)}"
+        self._show("trouble", trial=last)
+        reply = self._ask(
+            Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS), trial=last.trial)
+        )
+        self.record("skipped" if reply.action == "skip" else "retried", run=run.number)
+
+    def _may_end(self) -> bool:
+        """Whether the last trial may stay as it is: the last chance to redo it."""
+        if self._redoable() is None:
+            return True
+        self._show("ready to end", say="That was the last one.")
+        reply = self._ask(Question(kind="ready", text="end the session?", actions=("go", "redo", *_ALWAYS)))
+        if reply.action == "redo":
+            self._redo()
+        return reply.action == "go"
+
+    def _pause(self) -> None:
+        if not self._state.paused:
+            self.record("paused")
+        self._show("paused", say="Let go of the handle.")
+        self._ask(Question(kind="paused", text="paused", actions=("go", *_ALWAYS)))
+        self.record("continued")
+
+    def _redoable(self) -> Trial | None:
+        """The trial that `redo` is about: the newest that counts, in the block that goes on."""
+        counted = [trial for trial in self._state.trials if not trial.void and not trial.said_nothing]
+        begun = self._state.begun[-1] if self._state.begun else None
+        return counted[-1] if counted and counted[-1].block == begun else None
+
+    def _redo(self) -> None:
+        trial = self._redoable()
+        if trial is not None:
+            self.record("redone", trial=trial.trial)
+
+    def _ask(self, question: Question) -> Reply:
+        """Ask until it is more than a note; an action that was not offered is as if nobody had said anything."""
+        while True:
+            reply = self._desk.ask(question)
+            if reply.action not in question.actions:
+                continue
+            if reply.action == "note":
+                if reply.value.strip():
+                    self.record("note", text=reply.value.strip(), trial=self._state.newest)
+                continue
+            if reply.action == "abort":
+                raise _Left
+            return reply
+
+    # What is seen.
+
+    def _watch(self, step: DoTrial, experiment: Experiment) -> Callable[[int, int], None]:
+        """What is called while a hit runs: shows the phase, and lets the desk look after itself."""
+        beside = self._desk.watch()
+        seen = -1
+        self._show("homing", step=step, experiment=experiment, say="Hold the handle loosely.")
+
+        def watch(ticks: int, phase: int) -> None:
+            nonlocal seen
+            if phase != seen:
+                seen = phase
+                say = self._state.protocol.trial.say if phase == Phase.TRIAL else ""
+                self._show(_PHASES[Phase(phase)], step=step, experiment=experiment, say=say)
+            if beside is not None:
+                beside(ticks, phase)
+
+        return watch
+
+    def _show(
+        self,
+        words: str,
+        *,
+        step: DoTrial | None = None,
+        trial: Trial | None = None,
+        experiment: Experiment | None = None,
+        say: str = "",
+    ) -> None:
+        state = self._state
+        blind = state.protocol.study.blind in BLINDED
+        run = step.run.number if step else trial.run if trial else 0
+        block = step.block.number if step else trial.block if trial else state.begun[-1] if state.begun else 0
+        seen: dict[str, Any] = {}
+        if not blind and (step is not None or trial is not None):
+            seen = {
+                "condition": step.run.condition if step else trial.condition if trial else None,
+                "stiffness": step.probe.level if step else trial.stiffness if trial else None,
+                "damping": step.run.damping if step else trial.damping if trial else None,
+            }
+        self._desk.show(
+            View(
+                state=words,
+                say=say,
+                code=state.code,
+                block=block,
+                blocks=sum(not one.practice for one in state.blocks),
+                run=run,
+                runs=sum(len(one.runs) for one in state.blocks if not one.practice),
+                trial=step.trial if step else trial.trial if trial else state.newest,
+                trials=max(self._expected, state.newest),
+                practice=step.run.practice if step else trial.practice if trial else False,
+                attempt=step.attempt if step else 1,
+                blinded=blind,
+                scale=_scale(experiment or self._base),
+                heat=state.heat,
+                last=self._last,
+                lines=tuple(self._lines[-LINES_SHOWN:]),
+                **seen,
+            )
+        )
+
+
+def _scale(x: Experiment) -> dict[str, Any]:
+    """What bars are drawn against."""
+    limits, motion = x.rig.limits, x.rig.motion
+    return {
+        "start": x.trial.start,
+        "wall": x.wall.position,
+        "side": x.wall.side,
+        "window": [limits.position_minimum, limits.position_maximum],
+        "effort_limit": limits.effort,
+        "speed_limit": limits.speed,
+        **{f"{name}_unit": unit_of(name, motion) for name in ("position", "velocity", "effort")},
+    }

@@ -1,0 +1,22 @@
+"""The operator's terminal: what a session shows and asks there, and a STOP that needs nobody else.
+
+Two processes. The session's program has the device and the log; its side is `rig.session.console.desk.ConsoleDesk`. The
+console is a child (``python -m rig.session.console``) that has the terminal, and that may hang or die without more
+harm than a hit that ends. They talk JSON lines over two pipes (`messages`); besides, the console looks at the rows of
+the running loop in shared memory, and sets its stop word.
+
+===============  ===================================================================================================
+`messages`       lines between the two
+`desk`           the session's side: what `rig.session.desk.Desk` wants, and the watch over the child
+`child`          the child as a process: started, heard, ended
+`terminal`       how a terminal is taken and given back
+`keyboard`       bytes from it → keys and motions of the mouse
+`keymap`         keys → what they mean, from the protocol's ``[keys]``
+`conversation`   what is shown and asked, and what a key does then; touches nothing
+`live`           the running loop's newest rows → numbers
+`screen`         all of this as a picture of the terminal's size
+`plain`          or as one line for each thing that changes
+`pointer`        mouse or arrow keys → the simulated hand
+`program`        the child's own loop
+===============  ===================================================================================================
+"""

@@ -1,0 +1,8 @@
+"""``python -m rig.session.console IN OUT``: the child; the numbers are descriptors of its two pipes."""
+
+import sys
+
+from rig.session.console.program import main
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,227 @@
+"""What the console shows and asks, and what a key does then. Touches no terminal, no pipe and no clock.
+
+A key answers only the question that stands there when it is pressed: what is typed during a hit is no verdict about it.
+Pause, note and abort may be asked for at any time, and wait for the next question. The key of STOP is STOP in every
+mode, but in a line that is being typed while nothing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+from rig.session.console.keymap import STOP, KeyMap
+from rig.session.desk import VERDICTS, Action, Question, View
+from rig.session.items import parse_answer, wanted
+
+LATER: tuple[Action, ...] = ("pause", "note", "abort")  # what may be asked for while nobody asks
+TWICE: dict[Action, str] = {  # what a slip of the key must not do
+    "abort": "leave the session (it can be resumed)",
+    "skip": "leave this run without a limit",
+}
+MOST_TEXT = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What goes back: an action, with a verdict, an answer or a text."""
+
+    action: Action
+    value: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Zero effort, now."""
+
+
+Outcome = Answer | Stop
+
+
+@dataclass(slots=True)
+class Entry:
+    """A line that is being typed: a note, or the answer to an item."""
+
+    purpose: Literal["note", "item"]
+    text: str = ""
+
+
+class Conversation:
+    """All that the console knows.
+
+    Attributes
+    ----------
+    view
+        What there is to see.
+    question
+        That somebody must answer; None while the session does something.
+    asked
+        How many questions came so far: the same one asked again is another one.
+    due_s
+        When a rest is over (s, the caller's clock).
+    entry
+        The line that is being typed, if any.
+    twice
+        What the next key must confirm, if anything.
+    later
+        What waits for the next question.
+    live
+        Whether a loop runs; the caller says so.
+    notice
+        What the last key came to, when that was not what it was pressed for.
+    help
+        Whether the keys are shown.
+    """
+
+    def __init__(self, keymap: KeyMap) -> None:
+        self.keymap = keymap
+        self.view = View(state="starting")
+        self.question: Question | None = None
+        self.asked = 0
+        self.due_s = 0.0
+        self.entry: Entry | None = None
+        self.twice: Action | None = None
+        self.later: Action | None = None
+        self.live = False
+        self.notice = ""
+        self.help = False
+
+    def see(self, view: Mapping[str, Any]) -> None:
+        """Take a new view."""
+        self.view = View(**{**view, "lines": tuple(view.get("lines", ()))})
+
+    def ask(self, question: Mapping[str, Any], now_s: float) -> list[Outcome]:
+        """Take a new question; what waited for it is answered at once."""
+        asked = Question(**{**question, "actions": tuple(question["actions"])})
+        self.question, self.due_s = asked, now_s + asked.seconds
+        self.asked += 1
+        self.entry, self.twice, self.notice = None, None, ""
+        self.help = False  # whatever ends a hit asks something: nothing may cover that
+        later, self.later = self.later, None
+        if later is not None and later in asked.actions:
+            return self._act(later, sure=True)
+        if asked.kind == "item":
+            self.entry = Entry("item")
+        return []
+
+    def pass_time(self, now_s: float) -> list[Outcome]:
+        """End a rest that is over, unless somebody is typing."""
+        if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
+            return []
+        return self._answer(Answer("go"))
+
+    def left_s(self, now_s: float) -> float:
+        """What is left of a rest (s)."""
+        return max(0.0, self.due_s - now_s) if self._resting else 0.0
+
+    @property
+    def _resting(self) -> bool:
+        return self.question is not None and self.question.kind == "rest" and self.question.seconds > 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether the handle may move: a loop runs, or nobody is asked anything."""
+        return self.live or self.question is None
+
+    @property
+    def allowed(self) -> tuple[Action, ...]:
+        """What may be answered now."""
+        return () if self.question is None else self.question.actions
+
+    def press(self, key: str) -> list[Outcome]:
+        """What a key does."""
+        self.notice = ""
+        if key == STOP and (self.moving or self.entry is None):
+            self.notice = "STOP" if self.moving else "nothing moves"
+            self.help = False
+            return [Stop()]
+        if self.help:
+            self.help = False
+            return []
+        if self.twice is not None:
+            return self._confirm(key)
+        if self.entry is not None:
+            return self._type(key, self.entry)
+        return self._mean(self.keymap.meaning(key), key)
+
+    def _mean(self, meaning: str, key: str) -> list[Outcome]:
+        if meaning == "help":
+            self.help = True
+            return []
+        if not meaning:
+            self.notice = f"{key}: no such key (? shows them)"
+            return []
+        action: Action = "judge" if meaning in VERDICTS else cast("Action", meaning)
+        if action in self.allowed:
+            return self._answer(Answer("judge", meaning)) if action == "judge" else self._act(action)
+        if self.question is not None and self.question.kind == "item" and action == "go":
+            self.entry = Entry("item")
+            return []
+        if action in LATER and self.question is None:
+            return self._act(action) if action in TWICE else self._remember(action)
+        self.notice = f"{meaning}: not now"
+        return []
+
+    def _act(self, action: Action, *, sure: bool = False) -> list[Outcome]:
+        if action == "note":
+            self.entry = Entry("note")
+            return []
+        if action in TWICE and not sure:
+            self.twice = action
+            return []
+        return self._answer(Answer(action))
+
+    def _remember(self, action: Action) -> list[Outcome]:
+        self.later = action
+        self.notice = f"{action}: when this is over"
+        return []
+
+    def _confirm(self, key: str) -> list[Outcome]:
+        action, self.twice = self.twice, None
+        assert action is not None
+        if key.lower() != "y" and self.keymap.meaning(key) != action:
+            self.notice = f"{action}: no"
+            return []
+        if action in self.allowed:
+            return self._answer(Answer(action))
+        self._remember(action)
+        return [Stop()] if self.moving else []
+
+    def _answer(self, answer: Answer) -> list[Outcome]:
+        self.question, self.entry, self.twice = None, None, None
+        return [answer]
+
+    def _type(self, key: str, entry: Entry) -> list[Outcome]:
+        if key == "enter":
+            return self._typed(entry)
+        if key == "escape":
+            self.entry = None
+        elif key == "backspace":
+            entry.text = entry.text[:-1]
+        elif key == "ctrl+u":
+            entry.text = ""
+        elif key == STOP or len(key) == 1:
+            entry.text = (entry.text + (" " if key == STOP else key))[:MOST_TEXT]
+        return []
+
+    def _typed(self, entry: Entry) -> list[Outcome]:
+        text = entry.text.strip()
+        if entry.purpose == "note":
+            if text:
+                return self._answer(Answer("note", text))
+            self.entry = None  # a note that says nothing is none
+            return []
+        value = self._answer_of(text)
+        if value is None:
+            entry.text = ""
+            return []
+        return self._answer(Answer("answer", value))
+
+    def _answer_of(self, text: str) -> str | None:
+        """An answer to the item as the session takes it; None, with a notice, when it is not one."""
+        item = (self.question.item if self.question is not None else None) or {"kind": "text"}
+        value = parse_answer(item, text)
+        if value is None:
+            self.notice = wanted(item)
+        return None if value is None else str(value)

@@ -1,0 +1,112 @@
+"""The newest rows of the loop that runs in another process, as numbers to show. Looks only, and never at its info.
+
+Whoever sits here may have to be blind to stiffness and damping, which stand in the info (`rig.ring`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import running
+from rig.ring import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED, Ring
+from rig.sample import Phase, RowFlag
+
+ROWS = 512  # newest rows that are looked at: a small part of what the ring holds, so that the loop does not overtake
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """How a run goes.
+
+    Attributes
+    ----------
+    phase
+        `rig.sample.Phase`, lower case.
+    position, velocity, penetration, effort
+        Of the newest row (units of the rig's motion): measured, estimated, measured, applied.
+    peak_effort
+        Largest applied effort of the rows looked at.
+    saturated
+        Whether the guard clipped the effort in one of them.
+    round_trip_ns
+        From sending a command until the first sample that names it in force was received, median of these rows; None
+        where no command answers a sample (law on the device), or none was answered yet.
+    late, lost, skipped
+        Counts of the run so far.
+    """
+
+    phase: str
+    position: float
+    velocity: float
+    penetration: float
+    effort: float
+    peak_effort: float
+    saturated: bool
+    round_trip_ns: int | None
+    late: int
+    lost: int
+    skipped: int
+
+
+class Live:
+    """The loop of a process, found when there is one, let go of when it has ended."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._ring: Ring | None = None
+
+    def look(self) -> Snapshot | None:
+        """How it goes; None when no loop runs, or it has not seen a sample."""
+        if self._ring is None:
+            self._ring = running.memory_of(self._pid)
+        if self._ring is None:
+            return None
+        if self._ring.peek(LOOP_DONE):
+            self.close()
+            return None
+        return snapshot_of(self._ring)
+
+    def close(self) -> None:
+        """Let go of the memory: it lives as long as somebody has it."""
+        if self._ring is not None:
+            self._ring.close()
+            self._ring = None
+
+
+def snapshot_of(ring: Ring) -> Snapshot | None:
+    """How a run goes, by its newest rows; None before the first."""
+    head = ring.peek(HEAD)
+    count = min(head, ROWS, ring.capacity // 4)
+    if count == 0:
+        return None
+    rows = ring.rows[np.arange(head - count, head) % ring.capacity]
+    last, applied = rows[-1], rows["effort_applied"]
+    phase = ring.peek(PHASE)
+    return Snapshot(
+        phase=Phase(phase).name.lower() if phase in set(Phase) else "unknown",
+        position=float(last["position"]),
+        velocity=float(last["velocity"]),
+        penetration=float(last["penetration"]),
+        effort=float(last["effort_applied"]),
+        peak_effort=float(np.abs(applied).max()),
+        saturated=bool((rows["flags"] & RowFlag.SATURATED).any()),
+        round_trip_ns=_round_trip_ns(rows),
+        late=ring.peek(LATE),
+        lost=ring.peek(LOST),
+        skipped=ring.peek(SKIPPED),
+    )
+
+
+def _round_trip_ns(rows: NDArray[np.void]) -> int | None:
+    """From sending a command to the sample that first names it, median over the commands that were named."""
+    named, first = np.unique(rows["command_in_force"], return_index=True)
+    order = np.argsort(rows["command_sequence"], kind="stable")
+    place = np.searchsorted(rows["command_sequence"], named, sorter=order)
+    known = place < len(rows)
+    named, first, sent = named[known], first[known], order[place[known]]
+    known = (rows["command_sequence"][sent] == named) & (first > sent) & (rows["sent_at"][sent] > 0)
+    times = rows["received_at"][first[known]] - rows["sent_at"][sent[known]]
+    return int(np.median(times)) if len(times) else None

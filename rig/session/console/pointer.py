@@ -1,0 +1,72 @@
+"""Mouse or arrow keys → the simulated hand's intention: how far it reaches, and how hard it presses.
+
+The screen's left end is a little behind the start, its right end is inside the wall, whichever side the wall is on.
+Beyond the wall the hand presses, harder the further it reaches, as somebody does who pushes against what holds; a mouse
+button held presses with full force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, Protocol
+
+BEHIND, INSIDE = 0.25, 0.75  # of the way from start to wall: what the screen's ends mean
+STEPS = 40  # of an arrow key over the whole way
+CLOSE = 5  # such steps for a large one
+START_SHARE = BEHIND / (BEHIND + 1.0 + INSIDE)
+WALL_SHARE = (BEHIND + 1.0) / (BEHIND + 1.0 + INSIDE)
+
+HandKind = Literal["mouse", "keyboard"]
+
+
+class Hand(Protocol):
+    """Where an intention goes (`rig.devices.hand.SharedHand`)."""
+
+    def move(self, position: float, press: float) -> None:
+        """Reach for a position of the link (rad or m), and press with a force (N)."""
+
+    def close(self) -> None:
+        """Let go."""
+
+
+class Pointer:
+    """How far somebody reaches, as a share of the screen's way from 0 to 1.
+
+    Parameters
+    ----------
+    press
+        Force of a full press (N).
+    """
+
+    def __init__(self, press: float) -> None:
+        self._press = press
+        self._share = START_SHARE
+        self._held = False
+        self._scale: Mapping[str, Any] = {}
+
+    def scale(self, scale: Mapping[str, Any]) -> None:
+        """Take start and wall from a view."""
+        if scale:
+            self._scale = dict(scale)
+
+    def point(self, share: float, *, held: bool) -> None:
+        """The mouse is at a share of the screen's width."""
+        self._share, self._held = min(1.0, max(0.0, share)), held
+
+    def key(self, name: str) -> bool:
+        """An arrow key; whether it was one."""
+        steps = {"right": 1, "left": -1, "up": CLOSE, "down": -CLOSE, "home": -STEPS, "end": STEPS}.get(name)
+        if steps is None:
+            return False
+        self.point(self._share + steps / STEPS, held=False)
+        return True
+
+    @property
+    def intention(self) -> tuple[float, float] | None:
+        """Position (rad or m) and press (N); None before anybody said where start and wall are."""
+        if "start" not in self._scale or "wall" not in self._scale:
+            return None
+        start, wall = float(self._scale["start"]), float(self._scale["wall"])
+        left, right = start - BEHIND * (wall - start), wall + INSIDE * (wall - start)
+        depth = max(0.0, (self._share - WALL_SHARE) / (1.0 - WALL_SHARE))
+        return left + (right - left) * self._share, self._press * (1.0 if self._held else depth)

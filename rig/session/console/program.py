@@ -1,0 +1,401 @@
+"""The console's own loop: keys, messages, picture, one after another in one thread, so that it shows when one hangs.
+
+Standard input and output are the terminal. Between two rounds it says that it is alive; whatever stops the rounds, a
+stopped process, a terminal that takes no more output, ends a hit within seconds (`rig.session.console.desk`).
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from rig import running
+from rig.session.console import terminal
+from rig.session.console.conversation import Conversation, Outcome, Stop
+from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse
+from rig.session.console.keymap import STOP, KeyMap
+from rig.session.console.live import Live, Snapshot
+from rig.session.console.messages import Lines, line_of
+from rig.session.console.plain import PlainLines
+from rig.session.console.pointer import Hand, Pointer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+ROUND_S = 0.08  # between two pictures while the rig moves: 12.5 a second
+QUIET_S = 0.2  # between two rounds while it does not
+WHOLE_S = 2.0  # between two pictures of which every line is written
+CLEAR = "\x1b[2J"
+REDRAW_S = 0.5  # between two pictures then, if nothing else happens
+ESCAPE_S = 0.05  # how long a lone escape waits for the rest of a sequence
+IN, OUT = 0, 1
+GONE = 3  # exit code: the terminal is gone
+READ_BYTES = 4096
+LEFT = "the session's program has ended; `rig session resume` goes on\n"
+
+
+def main(arguments: list[str]) -> int:
+    """Be a console until the session says that it is over, or is gone."""
+    from_session, to_session = (int(text) for text in arguments)
+    for number in (signal.SIGINT, signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
+        signal.signal(number, signal.SIG_IGN)  # ^C is for the session's program, which ends this one
+    with _signals() as woken:
+        console = _Console(from_session, to_session, woken)
+        try:
+            return console.run()
+        except BrokenPipeError:
+            return 0  # the session's program is gone
+
+
+@contextmanager
+def _signals() -> Iterator[int]:
+    """A descriptor that can be read when the window has changed or somebody wants this process to end."""
+    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(0)
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGHUP, end)
+    signal.signal(signal.SIGWINCH, lambda number, frame: None)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    try:
+        yield reader
+    finally:
+        signal.set_wakeup_fd(-1)
+        os.close(reader)
+        os.close(writer)
+
+
+class _Console:
+    """The parts together."""
+
+    def __init__(self, from_session: int, to_session: int, woken: int) -> None:
+        self._from, self._to, self._woken = from_session, to_session, woken
+        self._lines = Lines()
+        setup, self._early = self._setup()
+        self._session_pid = int(setup["pid"])
+        self._told = Conversation(KeyMap.from_mapping(setup["keys"]))
+        self._attributes = setup["attributes"]
+        self._bell = self._told.keymap.bell
+        self._live = Live(self._session_pid)
+        self._snapshot: Snapshot | None = None
+        self._keyboard = Keyboard()
+        self._read_s = 0.0  # when bytes came last
+        self._is_terminal = terminal.is_terminal(IN)
+        self._typed: list[Event] = []  # of a script, which may be ahead of the questions
+        self._script_over = False
+        self._number = 0  # of the question
+        self._over = False
+        self._drawn_s = 0.0
+        hand = setup.get("hand")
+        self._hand = None if hand is None else _MovedHand(hand)
+        self._face: _Face = _Lines() if setup["plain"] or not self._is_terminal else _Screen(self._hand)
+
+    def _setup(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """The first message, and what came with it."""
+        while True:
+            data = os.read(self._from, READ_BYTES)
+            if not data:
+                raise BrokenPipeError
+            messages = list(self._lines.feed(data))
+            if messages:
+                return messages[0], messages[1:]
+
+    def run(self) -> int:
+        """Rounds until it is over."""
+        before = None if self._attributes is None else terminal.from_plain(self._attributes)
+        if before is not None and Key(STOP) in Keyboard().feed(terminal.take(IN, before)):
+            self._do([Stop()])  # what was typed while nobody sat here is no answer, but STOP is STOP
+        try:
+            with self._face:
+                for message in self._early:
+                    self._hear(message)
+                while not self._over:
+                    if not self._round():
+                        return GONE
+            return 0
+        except BrokenPipeError:
+            self._over = True
+            raise
+        finally:
+            self._live.close()
+            if self._hand is not None:
+                self._hand.close()
+            if before is not None:
+                terminal.give_back(IN, before, screen=False)
+
+    def _round(self) -> bool:
+        """One look at everything; False when the terminal is gone."""
+        self._say("alive")
+        sources = [self._from, self._woken]
+        if not self._script_over:
+            sources.append(IN)
+        wait = ROUND_S if self._told.moving else QUIET_S
+        if self._keyboard.waiting:
+            wait = min(wait, max(0.0, self._read_s + ESCAPE_S - time.monotonic()))
+        ready, _, _ = select.select(sources, [], [], wait)
+        if self._woken in ready:
+            with suppress(BlockingIOError):
+                os.read(self._woken, READ_BYTES)
+        # A key that was pressed before a question could be seen is no answer to it: keys first.
+        if IN in ready and not self._read():
+            return False
+        if self._from in ready:
+            data = os.read(self._from, READ_BYTES)
+            if not data:
+                raise BrokenPipeError
+            for message in self._lines.feed(data):
+                self._hear(message)
+        if self._keyboard.waiting and time.monotonic() - self._read_s >= ESCAPE_S:
+            self._take(self._keyboard.flush())
+        self._run_script()
+        self._do(self._told.pass_time(time.monotonic()))
+        self._snapshot = self._live.look()
+        self._told.live = self._snapshot is not None
+        if self._hand is not None:
+            self._hand.hold()
+        if ready or self._told.moving or time.monotonic() - self._drawn_s > REDRAW_S:
+            self._face.show(self._told, self._snapshot)
+            self._drawn_s = time.monotonic()
+        return True
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        kind = message["kind"]
+        if kind == "view":
+            before = self._told.view.state
+            self._told.see(message["view"])
+            if self._hand is not None:
+                self._hand.scale(self._told.view.scale)
+            if self._told.view.state != before and self._told.view.state == "hit":
+                self._ring()
+        elif kind == "ask":
+            self._number = message["number"]
+            answered = self._told.ask(message["question"], time.monotonic())
+            if message["question"]["kind"] == "ready":
+                self._ring()
+            self._do(answered)
+        elif kind == "end":
+            self._over = True
+
+    def _ring(self) -> None:
+        if self._bell and self._is_terminal:
+            os.write(OUT, b"\a")
+
+    def _read(self) -> bool:
+        """What was typed; False when there will be no more and somebody must still answer."""
+        try:
+            data = os.read(IN, READ_BYTES)
+        except OSError:  # the terminal hung up, or this is not its foreground any more
+            data = b""
+        if data:
+            self._read_s = time.monotonic()
+            self._take(self._keyboard.feed(data))
+        elif self._is_terminal:
+            self._say("gone", why="the terminal is gone")
+            return False
+        else:
+            self._script_over = True
+        return True
+
+    def _take(self, events: list[Event]) -> None:
+        if not self._is_terminal:
+            self._typed += events
+            return
+        for event in events:
+            self._event(event)
+
+    def _run_script(self) -> None:
+        """Without a terminal, each key waits for a question: nobody is there to see when one is asked."""
+        while self._typed and self._told.question is not None:
+            self._event(self._typed.pop(0))
+        if self._script_over and not self._typed and self._told.question is not None:
+            self._say("gone", why="standard input has ended, and nobody else can answer")
+            self._script_over = True
+            self._told.question = None
+
+    def _event(self, event: Event) -> None:
+        if isinstance(event, Key):
+            if self._hand is not None and self._hand.key(event.name) and self._told.entry is None:
+                return
+            self._face.typed(self._told, event.name)
+            self._do(self._told.press(event.name))
+        elif self._hand is not None:
+            self._hand.mouse(event)
+
+    def _do(self, outcomes: list[Outcome]) -> None:
+        for outcome in outcomes:
+            if isinstance(outcome, Stop):
+                running.ask_to_stop(self._session_pid)  # before anything that may take time
+                if self._told.moving:
+                    self._say("stop")
+            else:
+                self._say("reply", number=self._number, action=outcome.action, value=outcome.value)
+
+    def _say(self, kind: str, **content: Any) -> None:
+        os.write(self._to, line_of(kind, **content))  # short: a pipe takes it whole
+
+
+class _Face:
+    """How things are shown."""
+
+    def __enter__(self) -> _Face:
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        pass
+
+    def show(self, told: Conversation, live: Snapshot | None) -> None:
+        """Show how things stand."""
+
+    def typed(self, told: Conversation, key: str) -> None:
+        """A key is about to be understood."""
+
+
+class _Lines(_Face):
+    """As lines."""
+
+    def __init__(self) -> None:
+        self._plain = PlainLines()
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if isinstance(error, BrokenPipeError):
+            _write(LEFT)
+
+    def show(self, told: Conversation, live: Snapshot | None) -> None:
+        """Print what is new."""
+        for line in self._plain.lines(told, live, time.monotonic()):
+            _write(line + "\n")
+
+    def typed(self, told: Conversation, key: str) -> None:
+        """Echo a line that is being typed: the terminal does not."""
+        if told.entry is None or not terminal.is_terminal(IN):
+            return
+        if key == "enter":
+            _write("\n")
+        elif key == "backspace" and told.entry.text:
+            _write("\b \b")
+        elif key == "space" or len(key) == 1:
+            _write(" " if key == "space" else key)
+
+
+class _Screen(_Face):
+    """As a picture in the terminal's alternate screen, of which only changed lines are written.
+
+    The line may be slow (ssh, a serial console), and a terminal on this computer takes time that a loop may want.
+    """
+
+    def __init__(self, hand: _MovedHand | None) -> None:
+        from rich.console import Console  # noqa: PLC0415  (lines do without)
+
+        self._console: Console = Console(file=sys.stdout, highlight=False, markup=False, emoji=False)
+        self._blocks = (self._console.encoding or "").lower().startswith("utf")
+        self._mouse = hand is not None and hand.kind == "mouse"
+        self._shown: list[str] = []
+        self._size = (0, 0)
+        self._whole_s = 0.0
+
+    def __enter__(self) -> _Face:
+        mouse = terminal.MOUSE_ON + terminal.ASK_PIXELS if self._mouse else ""
+        _write(terminal.SCREEN_ON + mouse)
+        return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        _write((terminal.MOUSE_OFF if self._mouse else "") + terminal.STYLE_OFF + terminal.SCREEN_OFF)
+        if isinstance(error, BrokenPipeError):
+            _write(LEFT)
+
+    def show(self, told: Conversation, live: Snapshot | None) -> None:
+        """Draw what has changed; now and then everything, should somebody else have written there."""
+        from rig.session.console.screen import picture  # noqa: PLC0415
+
+        now_s = time.monotonic()
+        width, height = size = self._console.size.width, self._console.size.height
+        with self._console.capture() as drawn:
+            self._console.print(
+                picture(told, live, now_s, width=width, height=height, blocks=self._blocks),
+                height=height,
+                end="",
+            )
+        lines = drawn.get().split("\n")[:height]
+        anew = size != self._size or now_s - self._whole_s > WHOLE_S
+        if anew:
+            self._whole_s = now_s
+        before = [] if anew else self._shown
+        changed = [
+            f"\x1b[{n + 1};1H{line}" for n, line in enumerate(lines) if n >= len(before) or line != before[n]
+        ]
+        if changed:
+            _write((CLEAR if size != self._size else "") + "".join(changed))
+        self._shown, self._size = lines, size
+
+
+class _MovedHand:
+    """The simulated hand that somebody moves at this terminal."""
+
+    def __init__(self, told: dict[str, Any]) -> None:
+        from pathlib import Path  # noqa: PLC0415
+
+        from rig.devices.hand import SharedHand  # noqa: PLC0415  (only where a rig is simulated)
+
+        self.kind = told["kind"]
+        self._hand: Hand = SharedHand.create(Path(told["path"]))
+        self._pointer = Pointer(float(told["press"]))
+        self._pixels = False
+
+    def scale(self, scale: Any) -> None:
+        """Take start and wall from a view."""
+        self._pointer.scale(scale)
+
+    def key(self, name: str) -> bool:
+        """Whether the key moved the hand."""
+        return self.kind == "keyboard" and self._pointer.key(name)
+
+    def mouse(self, event: Event) -> None:
+        """Take a motion of the mouse, or the terminal's word that it can tell pixels."""
+        if (
+            isinstance(event, Mode)
+            and event.number == terminal.PIXELS
+            and event.known
+            and _width(pixels=True)
+        ):
+            self._pixels = True
+            _write(terminal.PIXELS_ON)
+        elif isinstance(event, Mouse) and self.kind == "mouse":
+            width = max(2, _width(pixels=self._pixels))
+            self._pointer.point((event.x - 1) / (width - 1), held=event.held)
+
+    def hold(self) -> None:
+        """Say the intention again: a hand that nobody speaks for rests."""
+        intention = self._pointer.intention
+        if intention is not None:
+            self._hand.move(*intention)
+
+    def close(self) -> None:
+        """Let go."""
+        self._hand.close()
+
+
+def _width(*, pixels: bool) -> int:
+    """Width of the terminal in pixels (0: it does not say) or cells."""
+    import fcntl  # noqa: PLC0415
+    import struct  # noqa: PLC0415
+    import termios  # noqa: PLC0415
+
+    try:
+        _, cells, wide, _ = struct.unpack("HHHH", fcntl.ioctl(IN, termios.TIOCGWINSZ, bytes(8)))
+    except OSError:
+        return 0
+    return int(wide if pixels else cells)
+
+
+def _write(text: str) -> None:
+    with suppress(OSError):
+        sys.stdout.write(text)
+        sys.stdout.flush()

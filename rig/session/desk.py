@@ -1,0 +1,160 @@
+"""Whoever sits at the rig: what a session shows them, asks them, and hears from them.
+
+What stands in a view or a question may be seen by whoever reads it: the engine leaves out what a blinded operator must
+not know, so nothing behind this interface has to keep a secret.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from rig.session.directory import Session
+
+Verdict = Literal["stable", "buzz", "unstable", "unsure"]
+VERDICTS: tuple[Verdict, ...] = ("stable", "buzz", "unstable", "unsure")
+
+QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
+# ready: before a trial. verdict: after one. rest: `seconds` of it are due; "go" ends it early. paused: "go" goes on.
+# item: of the questionnaire. trouble: something went wrong (`text` says what): go tries again.
+
+Action = Literal[
+    "go",  # on with it
+    "judge",  # `value` is a verdict
+    "answer",  # `value` answers an item
+    "redo",  # the last trial does not count and comes again
+    "pause",
+    "note",  # `value` is the text; the same question is asked again
+    "skip",  # leave this run
+    "abort",  # leave the session, to be resumed some day
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """What there is to see now.
+
+    Attributes
+    ----------
+    state
+        In a word or two: "homing", "ready", "hit", "verdict?", "rest", "paused", "done" …
+    say
+        What to say to the participant now; empty for nothing.
+    code, block, blocks, run, runs, trial, trials
+        Where the session stands; `trials` is about how many there will be, 0 when nobody knows.
+    practice, attempt
+        Whether it counts; which attempt at a trial it is, from 1.
+    condition, stiffness, damping
+        None where the operator is blinded.
+    blinded
+        Whether effort may be shown in words only (`rig.session.console`): effort over penetration is stiffness.
+    scale
+        For bars: start, wall, side, window (two ends), effort_limit, speed_limit, position_unit, effort_unit,
+        velocity_unit.
+    heat
+        Share of the winding's budget.
+    last
+        What the last trial came to, in a few words.
+    lines
+        The newest lines of the log, oldest first.
+    """
+
+    state: str
+    say: str = ""
+    code: str = ""
+    block: int = 0
+    blocks: int = 0
+    run: int = 0
+    runs: int = 0
+    trial: int = 0
+    trials: int = 0
+    practice: bool = False
+    attempt: int = 1
+    condition: str | None = None
+    stiffness: float | None = None
+    damping: float | None = None
+    blinded: bool = True
+    scale: Mapping[str, Any] = field(default_factory=dict)
+    heat: float = 0.0
+    last: str = ""
+    lines: tuple[str, ...] = ()
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """What somebody must say before the session goes on.
+
+    Attributes
+    ----------
+    actions
+        What may be answered.
+    seconds
+        Of a rest that is due.
+    item
+        Of the questionnaire: name, text, kind, lowest, highest, choices.
+    trial
+        That the question is about; 0 for none.
+    """
+
+    kind: QuestionKind
+    text: str
+    actions: tuple[Action, ...]
+    seconds: float = 0.0
+    item: Mapping[str, Any] | None = None
+    trial: int = 0
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """What somebody said, and how long it took them (s)."""
+
+    action: Action
+    value: str = ""
+    took_s: float = 0.0
+
+
+class Desk(ABC):
+    """A person at the rig, or what stands in for one."""
+
+    who: Literal["person", "simulated"] = "person"  # who judges here
+
+    def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
+        """Told once, before anything else, which session it is. It goes on by itself: nothing of it may be changed."""
+
+    @abstractmethod
+    def show(self, view: View) -> None:
+        """Show how things stand; returns at once."""
+
+    @abstractmethod
+    def ask(self, question: Question) -> Reply:
+        """Ask, and wait for the answer.
+
+        Raises `rig.errors.StoppedError` when nobody can answer any more.
+        """
+
+    def watch(self) -> Callable[[int, int], None] | None:
+        """What is called a few times a second while a hit runs, with ticks and phase.
+
+        It may raise `rig.errors.StoppedError`: the hit ends with zero effort.
+        """
+        return None
+
+    def close(self) -> None:  # noqa: B027  (most leave nothing behind)
+        """Leave the place as it was found."""
+
+    def __enter__(self) -> Desk:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()

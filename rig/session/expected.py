@@ -1,0 +1,198 @@
+"""What to expect of a search before anybody has touched the handle: where theory puts its limit, and what it costs.
+
+Linear theory knows no Coulomb friction, which holds walls up to `FRICTION_RAISES` times stiffer, and no encoder, whose
+noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range about
+that of theory; observers whose K50 lie at both ends and between (`rig.search.observer`) say how many trials a rule
+takes there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from rig.config import Experiment
+from rig.errors import ConfigError
+from rig.search.observer import Observer, run
+from rig.session.protocol import Protocol, Search
+from rig.session.schedule import Block, asking, levels_of
+from rig.theory.loop import NO_OPERATOR
+
+FRICTION_RAISES = (
+    2.0  # K_max of both papers' rigs over that of the linear loop: 1.4 to 2 times (`rig theory`)
+)
+USUALLY_RAISES = 1.2  # in the simulated hand on koul-compliant at B = 0: 620 over 519 N·m/rad
+ENCODER_LEAVES = (
+    0.35  # of a damped wall's: there uniform 20 kHz at B = 0.25, 458 of 1300 N·m/rad; others far more
+)
+SPREAD = 0.05  # of an observer, over K50: verdicts turn within some 20 % of stiffness
+SLIPS = 0.02
+OBSERVERS = 5  # simulated for each expected limit
+MOST_TRIALS = 500  # of one simulated search: nobody sits through more
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """From the least to the most that is expected, and what is likely."""
+
+    least: float
+    likely: float
+    most: float
+
+    def __add__(self, other: Range) -> Range:
+        return Range(self.least + other.least, self.likely + other.likely, self.most + other.most)
+
+    def __mul__(self, factor: float) -> Range:
+        return Range(self.least * factor, self.likely * factor, self.most * factor)
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """All three, rising."""
+        return self.least, self.likely, self.most
+
+
+NOTHING = Range(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expected:
+    """Where the limit of one condition and damping is expected.
+
+    Attributes
+    ----------
+    by_hand
+        Largest stable stiffness of linear theory, by hand: ``none``, and the grips of `rig.operators`.
+    limit
+        Of a search, friction and encoder allowed for; without theory the whole range of levels.
+    note
+        Why theory says nothing, or with what it was helped out; empty when all is plain.
+    """
+
+    by_hand: Mapping[str, float]
+    limit: Range
+    note: str = ""
+
+    @property
+    def free(self) -> float | None:
+        """Largest stable stiffness that nobody holds."""
+        return self.by_hand.get(NO_OPERATOR)
+
+    @property
+    def in_hand(self) -> tuple[float, float] | None:
+        """Those of the hand that bears least, and of the hand that bears most."""
+        held = [value for hand, value in self.by_hand.items() if hand != NO_OPERATOR]
+        return (min(held), max(held)) if held else None
+
+
+def expected_limits(
+    experiment: Experiment, dampings: tuple[float, ...], wanted: Search
+) -> dict[float, Expected]:
+    """Where the limits of one condition lie, by damping.
+
+    Parameters
+    ----------
+    experiment
+        Of the condition, at any wall.
+    dampings
+        B of its searches.
+    wanted
+        Whose levels stand in where theory says nothing.
+    """
+    from rig.doctor.late_loops import LateLoops  # noqa: PLC0415  (compiles the estimators)
+    from rig.theory import k_max_curve  # noqa: PLC0415
+
+    levels = levels_of(wanted)
+    unknown = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
+    try:
+        loops = LateLoops.of(experiment, experiment.rig.simulation.computation_delay_ticks)
+        curves = {
+            hand: [k_max_curve(loop, None, dampings) for loop in of_hand]
+            for hand, of_hand in loops.by_hand.items()
+        }
+    except ConfigError as error:
+        return {damping: Expected(by_hand={}, limit=unknown, note=error.message) for damping in dampings}
+    found = {}
+    for place, damping in enumerate(dampings):
+        by_hand = {hand: min(curve[place].stiffness for curve in of) for hand, of in curves.items()}
+        meant = by_hand if experiment.trial.kind != "human" else _held(by_hand)
+        own = meant.get(NO_OPERATOR, meant.get(experiment.operator.grip, max(meant.values())))
+        damped = damping > 0.0
+        limit = Range(
+            min(meant.values()) * (ENCODER_LEAVES if damped else 1.0),
+            own * (1.0 if damped else USUALLY_RAISES),
+            max(meant.values()) * FRICTION_RAISES,
+        )
+        found[damping] = Expected(by_hand=by_hand, limit=limit, note=loops.stand_in)
+    return found
+
+
+def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
+    return {hand: value for hand, value in by_hand.items() if hand != NO_OPERATOR}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trials:
+    """What one search takes: trials, and how many of them are of walls that do not hold."""
+
+    count: Range
+    failures: Range
+
+    def __add__(self, other: Trials) -> Trials:
+        return Trials(count=self.count + other.count, failures=self.failures + other.failures)
+
+    def __mul__(self, factor: float) -> Trials:
+        return Trials(count=self.count * factor, failures=self.failures * factor)
+
+
+NO_TRIALS = Trials(count=NOTHING, failures=NOTHING)
+
+
+def expected_trials(wanted: Search, limit: Range) -> Trials:
+    """What one search takes, by observers whose K50 lie where the limit is expected.
+
+    Verdicts that say nothing and trials that are repeated come on top.
+    """
+    levels, settings = levels_of(wanted), wanted.settings
+    if wanted.rule == "psi" and not settings.get("enough"):  # the same whoever answers, half of it above K50
+        hits = float(settings.get("hits", 25))
+        return Trials(count=Range(hits, hits, hits), failures=Range(hits / 4, hits / 2, 3 * hits / 4))
+    if wanted.rule == "grid":
+        repeats = float(settings.get("repeats", 5))
+        above = sorted(repeats * sum(level > k50 for level in levels) for k50 in limit.values)
+        hits = repeats * len(levels)
+        return Trials(count=Range(hits, hits, hits), failures=Range(*above))
+    if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # climbs are all alike
+        climb = replace(wanted, settings={**settings, "repeats": 1})
+        return expected_trials(climb, limit) * float(settings.get("repeats", 5))
+    taken = [_taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in limit.values]
+    count, failures = zip(*taken, strict=True)
+    return Trials(
+        count=Range(min(count), count[1], max(count)),
+        failures=Range(min(failures), failures[1], max(failures)),
+    )
+
+
+def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, float]:
+    """About how many trials of each condition a session takes, whatever the limits are; practice with its own."""
+    found = dict.fromkeys((condition.name for condition in protocol.condition), 0.0)
+    of_a_search: dict[str, float] = {}
+    for one in (one for block in blocks for one in block.runs):
+        if one.practice:
+            found[one.condition] += len(protocol.practice.stiffness)
+            continue
+        if one.condition not in of_a_search:
+            wanted = protocol.search_of(protocol.condition_named(one.condition))
+            levels = levels_of(wanted)
+            middle = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
+            of_a_search[one.condition] = expected_trials(wanted, middle).count.likely
+        found[one.condition] += of_a_search[one.condition]
+    return found
+
+
+def _taken(wanted: Search, k50: float) -> tuple[float, float]:
+    """Mean trials of some observers, and those among them that were not stable."""
+    observer = Observer(threshold=k50, spread=SPREAD * k50, slips=SLIPS)
+    answers = [run(asking(wanted, seed), observer, seed, MOST_TRIALS) for seed in range(OBSERVERS)]
+    failures = sum(answer.stable is False for given in answers for answer in given)
+    return sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS

@@ -1,0 +1,62 @@
+"""Whether the device of a session carries every condition: asked before a session leaves a trace, and by a check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from rig.config import Experiment
+from rig.errors import PlanError
+from rig.experiments.plan import Check, Outcome
+from rig.session.comparisons import SEVERITY
+from rig.session.conditions import experiment_of, own_rates
+from rig.session.hits import Bench
+from rig.session.protocol import Protocol
+from rig.session.schedule import levels_of
+
+
+def fit_checks(protocol: Protocol, base: Experiment, bench: Bench) -> list[Check]:
+    """What the device and its link say of the conditions; of each comparison the worst one.
+
+    The device is opened and asked; nothing moves.
+
+    Raises
+    ------
+    RigError
+        A device that does not open.
+    """
+    worst: dict[str, Check] = {}
+    for x, changes in _walls(protocol, base):
+        for one in bench.fits(x, changes):
+            known = worst.get(one.name)
+            if known is None or SEVERITY.index(one.outcome) > SEVERITY.index(known.outcome):
+                worst[one.name] = replace(one, remedy=_remedy(one, bench))
+    return list(worst.values())
+
+
+def refuse_misfit(protocol: Protocol, base: Experiment, bench: Bench) -> None:
+    """Raise `rig.errors.PlanError` when the device of a session cannot run one of its conditions."""
+    refused = [one for one in fit_checks(protocol, base, bench) if one.outcome is Outcome.REFUSED]
+    if refused:
+        raise PlanError(
+            "; ".join(f"{one.name}: {one.text}" for one in refused),
+            remedy="; ".join(dict.fromkeys(one.remedy for one in refused)),
+        )
+
+
+def _walls(protocol: Protocol, base: Experiment) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
+    """The stiffest wall of each condition and damping."""
+    for condition in protocol.condition:
+        stiffest = levels_of(protocol.search_of(condition))[-1]
+        for damping in condition.damping:
+            x = experiment_of(protocol, base, condition, damping, stiffest)
+            yield x, own_rates(condition, x)
+
+
+def _remedy(one: Check, bench: Bench) -> str:
+    """In words of a protocol: a session has no --rate."""
+    if one.name not in ("device rate", "link capacity"):
+        return one.remedy
+    slower = "give the conditions slower schemes, as template first-steps has them"
+    return f"{slower}; or rehearse in virtual time: --rehearse" if bench.simulated else slower

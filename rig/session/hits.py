@@ -1,0 +1,384 @@
+"""One trial of a session on a device: an ordinary recorded hit, and what the session's log keeps of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.devices.device import Link
+from rig.devices.framed import FramedDevice
+from rig.devices.local import opened
+from rig.doctor.in_effect import in_effect
+from rig.errors import DeviceFaultError, LinkLostError, RecordingError
+from rig.experiments.baseline import baseline
+from rig.experiments.hit import HitRequest, hit, vetted
+from rig.experiments.judgement import THREW_OUT, THROWN_OUT, experiment_of, judge, measure
+from rig.experiments.plan import Check, device_checks, link_checks
+from rig.model import RigModel
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from rig.session.arming import Refusal, Wall, refusals
+from rig.session.log import without_nan
+from rig.session.place import software
+from rig.verdict import CRITERIA, Kind
+
+NUMBERS = (
+    "felt",
+    "felt_floor",
+    "heard",
+    "moved",
+    "growth",
+    "exits",
+    "contact_s",
+    "impact_velocity",
+    "peak_penetration",
+    "resting_penetration",
+    "settling_s",
+    "peak_effort",
+    "saturated_fraction",
+    "late_ticks",
+    "gaps",
+)
+
+Watch = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A trial that was run: what its event in the log says of it, and what ended it early, if anything did."""
+
+    content: Mapping[str, Any]
+    error: Exception | None
+    duration_s: float
+
+
+class Bench(Protocol):
+    """Where trials are run: a rig (`RigBench`), or what a test puts in its place.
+
+    `hand` is the file through which somebody moves the simulated hand, None while it plays its script. `arm_anyway`:
+    somebody consented to walls that the arming gate refuses.
+    """
+
+    hand: Path | None
+    arm_anyway: bool
+
+    @property
+    def simulated(self) -> bool:
+        """Whether no rig can move."""
+        ...
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time is the simulation's own."""
+        ...
+
+    @property
+    def messages(self) -> Sequence[str]:
+        """What this computer or the port did not grant, told once."""
+        ...
+
+    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """What the log should know of the device, its clock and this computer."""
+        ...
+
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
+        """Which of these walls the rig does not arm without consent; see `RigBench.refusals`."""
+        ...
+
+    def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
+        """Whether the device and its link carry an experiment; nothing moves."""
+        ...
+
+    def hit(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        directory: Path,
+        name: str,
+        watch: Callable[[Experiment], Watch | None],
+        heat: float,
+    ) -> Done:
+        """Run one trial; see `RigBench.hit`."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device."""
+        ...
+
+
+@dataclass(slots=True, kw_only=True)
+class RigBench:
+    """The rig of a session.
+
+    A real device stays open from the first trial to the last, so that its zero is read once; so does a simulated one in
+    real time, as long as conditions do not change the machine itself. In virtual time each trial has a fresh one.
+
+    Attributes
+    ----------
+    url
+        Of the device; None simulates.
+    realtime, verified
+        As in `rig.experiments.hit.HitRequest`.
+    arm_anyway
+        Arm what the gate refuses, in every trial: consent for a whole session, because a search for the limit asks for
+        walls that do not hold.
+    hand
+        File through which somebody moves the simulated hand (`rig.devices.hand`); None: it plays its script.
+    messages
+        What this computer or the port did not grant, told once.
+    """
+
+    url: str | None = None
+    realtime: bool = False
+    verified: bool = False
+    arm_anyway: bool = False
+    hand: Path | None = None
+    messages: list[str] = field(default_factory=list)
+    _open: FramedDevice | None = None
+    _served: tuple[RigModel, Path | None] | None = None  # model and hand of the open device
+    _zero: int = 0
+    _refused: tuple[Refusal, ...] = ()
+    _stack: ExitStack = field(default_factory=ExitStack)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time is the simulation's own."""
+        return not self.realtime and (self.url or "sim://").startswith("sim:")
+
+    @property
+    def simulated(self) -> bool:
+        """Whether no rig can move."""
+        return (self.url or "sim://").startswith("sim:")
+
+    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """What the log should know of the device, its clock and this computer."""
+        from rig.recording.header import host_facts  # noqa: PLC0415
+
+        url = devices.url_for(self.url or "sim://", experiment.controller.loop)
+        facts: dict[str, Any] = {
+            "url": url,
+            "place": {"url": self.url, "realtime": self.realtime},
+            "clock": "virtual" if self.virtual else "monotonic",
+            "host": host_facts(),
+            "versions": software(),
+        }
+        device = self._device(experiment, changes)
+        if device is None:
+            return {**facts, "device": experiment.rig.name, "firmware": "simulated", "simulated": True}
+        dictionary = device.dictionary
+        clock = device.exchange_clock()
+        if self._refused:
+            facts["armed_anyway"] = [one.as_mapping() for one in self._refused]
+        return {
+            **facts,
+            "device": dictionary.device,
+            "firmware": dictionary.firmware,
+            "simulated": dictionary.simulated,
+            "serial_number": _serial_number(device.link),
+            "dictionary": f"{device.dictionary_hash:016x}",
+            "exchanges": [list(stamps) for stamps in clock.tolist()],
+        }
+
+    def refusals(self, walls: Sequence[Wall]) -> tuple[Refusal, ...]:
+        """Which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
+
+        Raises
+        ------
+        PlanError, ConfigError
+            A wall that this rig must not or cannot run, consent or not; or nobody vouches for its signs.
+        """
+        if self.simulated or not walls:
+            return ()
+        device = self._device(walls[0].experiment, walls[0].changes)
+        assert device is not None  # a real one
+        under: dict[tuple[str, float], list[Experiment]] = {}
+        for wall in walls:
+            request = HitRequest(
+                experiment=wall.experiment, url=self.url, changes=wall.changes, verified=self.verified
+            )
+            x, _ = vetted(request, device)
+            under.setdefault((wall.condition, x.wall.damping), []).append(x)
+        self._refused = refusals(device, under)
+        return self._refused
+
+    def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
+        """Whether the device and its link carry an experiment; nothing moves.
+
+        Raises
+        ------
+        RigError
+            A device that does not open.
+        """
+        device = self._device(experiment, changes)
+        if device is not None:
+            return _fits(experiment, changes, device)
+        url = devices.url_for(self.url or "sim://", experiment.controller.loop)
+        with devices.open_device(url, config.rig_model(config.override(experiment, changes))) as device:
+            return _fits(experiment, changes, device)
+
+    def hit(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        directory: Path,
+        name: str,
+        watch: Callable[[Experiment], Watch | None],
+        heat: float,
+    ) -> Done:
+        """Run one trial.
+
+        Parameters
+        ----------
+        experiment, changes
+            Of the wall, and what of it the device's own defaults must not change.
+        directory, name
+            Of the recording.
+        watch
+            Given the experiment in effect, returns what is called while the hit runs.
+        heat
+            Share of the winding's budget before.
+
+        Raises
+        ------
+        RigError
+            The trial must not or cannot run: nothing has moved, and nothing was recorded; or the disk refuses. Whatever
+            ended a hit that was recorded is in what this returns.
+        """
+        device = self._device(experiment, changes)
+        request = HitRequest(
+            experiment=experiment,
+            url=self.url,
+            changes=changes,
+            realtime=self.realtime,
+            verified=self.verified,
+            output=directory,
+            name=name,
+            device=device,
+            reference_count=self._zero,
+            arm_anyway=self.arm_anyway or self.simulated,
+        )
+        error: Exception | None = None
+        try:
+            (result,) = hit(request, lambda _, effective: watch(effective))
+            path = result.recording
+            self.messages += [text for text in result.messages if text not in self.messages]
+        except Exception as survived:
+            left = getattr(survived, "recording", None)
+            if left is None or isinstance(survived, RecordingError):
+                raise
+            error, path = survived, left
+            if isinstance(error, LinkLostError) and not isinstance(error, DeviceFaultError):
+                self.close()  # the next trial opens it anew
+        recording = open_recording(path)
+        return Done(
+            _content(recording, path.relative_to(directory.parent), heat), error, _duration_s(recording)
+        )
+
+    def close(self) -> None:
+        """Let go of the device."""
+        stack, self._stack = self._stack, ExitStack()
+        self._open = self._served = None
+        stack.close()
+
+    def _device(self, experiment: Experiment, changes: Mapping[str, Any]) -> FramedDevice | None:
+        """The open device that the trial runs on; None in virtual time."""
+        if self.virtual:
+            return None
+        if not self.simulated:
+            if self._open is None:
+                self._open = self._stack.enter_context(devices.open_device(self.url or ""))
+                self._zero = 0 if self._open.dictionary.simulated else self._open.count()
+            return self._open
+        x = config.with_realtime(experiment, changes)
+        model = config.rig_model(x)
+        if self._open is None or self._served != (model, self.hand):
+            self.close()
+            url = devices.url_for(self.url or "sim://", experiment.controller.loop)
+            if self.hand is not None:
+                url += ("&" if "?" in url else "?") + f"hand={self.hand}"
+            seed, realtime = experiment.trial.seed, x.host.realtime
+            self._open = self._stack.enter_context(
+                opened(url, model, in_real_time=True, seed=seed, realtime=realtime)
+            )
+            self._served = model, self.hand
+        return self._open
+
+
+def _serial_number(link: Link) -> str | None:
+    """Of what is plugged in, as far as the link knows it."""
+    return getattr(getattr(link, "facts", link), "serial_number", None) or None
+
+
+def _fits(experiment: Experiment, changes: Mapping[str, Any], device: FramedDevice) -> list[Check]:
+    x, dictionary = in_effect(experiment, device, changes), device.dictionary
+    return [
+        *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
+        *device_checks(x, dictionary),
+    ]
+
+
+def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: float) -> float:
+    """Share of a winding's heat budget after a stretch of efforts, by a first-order model.
+
+    Parameters
+    ----------
+    before
+        Share at the beginning.
+    load
+        Effort over the nominal effort, tick by tick; 1 for ever ends at a share of 1.
+    tick_s, time_constant_s
+        Length of a tick, and of the winding (s).
+    """
+    decay = math.exp(-tick_s / time_constant_s)
+    ages = np.arange(len(load) - 1, -1, -1, dtype=np.float64)
+    added = (1.0 - decay) * float(np.dot(np.square(load), decay**ages))
+    return before * decay ** len(load) + added
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _content(recording: Recording, path: Path, heat: float) -> dict[str, Any]:
+    experiment, (verdict, _), (measured, _) = experiment_of(recording), judge(recording), measure(recording)
+    trailer, free = recording.trailer or {}, baseline(recording)
+    ended = str(trailer.get("reason", "the recording breaks off"))
+    fault = (trailer.get("fault") or {}).get("name", "")
+    limits, tick_s = experiment.rig.limits, 1.0 / experiment.controller.position_rate
+    numbers = without_nan({name: value for name, value in asdict(verdict).items() if name in NUMBERS})
+    invalid = verdict.kind is Kind.INVALID
+    assert recording.path is not None
+    return {
+        "recording": str(path),
+        "sha256": sha256_of(recording.path),
+        "rows_sha256": hashlib.sha256(recording.rows.tobytes()).hexdigest(),
+        "ended": ended,
+        "aborted": ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",
+        "automatic": str(verdict.kind),
+        "reasons": list(verdict.reasons),
+        "passes": {criterion: None if invalid else measured.passes(criterion) for criterion in CRITERIA},
+        "numbers": numbers,
+        "baseline": None if free is None else without_nan(free.as_mapping()),
+        "heat": heat_after(
+            heat,
+            recording.rows["effort_sent"] / limits.nominal_effort,
+            tick_s,
+            limits.thermal_time_constant_s,
+        ),
+    }
+
+
+def _duration_s(recording: Recording) -> float:
+    times = recording.time_s
+    return float(times[-1]) if len(times) else 0.0

@@ -1,0 +1,113 @@
+"""What a study comes to, as values: searches, trials, times, order and checks."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rig.experiments.plan import Check, Outcome
+from rig.sample import Motion
+from rig.session.expected import NOTHING, Expected, Range, Trials
+from rig.session.times import Heat, TrialTimes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellPlan:
+    """One condition at one damping.
+
+    Attributes
+    ----------
+    scheme
+        What a legend calls its rates and its estimator.
+    rule, levels
+        Who decides, and among which stiffnesses.
+    expected
+        Where its limit lies by theory.
+    trials
+        Of one search, and how many of its walls do not hold.
+    unstable_free, unstable_in_hand
+        Levels that linear theory calls unstable when nobody holds the handle, and in one hand at least; None where it
+        says nothing.
+    """
+
+    condition: str
+    damping: float
+    scheme: str
+    rule: str
+    levels: tuple[float, ...]
+    expected: Expected
+    trials: Trials
+    unstable_free: tuple[float, ...] | None
+    unstable_in_hand: tuple[float, ...] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyPlan:
+    """The plan of a study.
+
+    Attributes
+    ----------
+    title, rig, motion, kind
+        What it is about, and who hits.
+    participants, rows
+        How many are planned, and after how many the order is balanced.
+    blocks, runs, practice
+        Of one session.
+    cells
+        Condition by condition and damping by damping.
+    trials
+        Of one session, practice included.
+    trial
+        Parts of one trial at a wall in the middle.
+    duration_s
+        Of one session by what it goes into; their sum is `session_s`.
+    trial_bytes, disk_bytes
+        Room for one recording, and for a participant's.
+    rehearsal_s
+        What a rehearsal costs a computer, roughly.
+    heat
+        Of the motor at the stiffest wall.
+    orders
+        For each participant the names of the runs by block.
+    hidden, blinded
+        Who does not see what, and whether that is the operator: then the orders are not for everybody.
+    checks
+        All comparisons.
+    """
+
+    title: str
+    rig: str
+    motion: Motion
+    kind: str
+    participants: int
+    rows: int
+    blocks: int
+    runs: int
+    practice: int
+    cells: tuple[CellPlan, ...]
+    trials: Range
+    trial: TrialTimes
+    duration_s: dict[str, Range]
+    trial_bytes: float
+    disk_bytes: Range
+    rehearsal_s: Range
+    heat: Heat
+    orders: tuple[tuple[tuple[str, ...], ...], ...]
+    hidden: tuple[str, ...]
+    blinded: bool
+    checks: tuple[Check, ...]
+
+    @property
+    def session_s(self) -> Range:
+        """Length of a session (s)."""
+        return sum(self.duration_s.values(), NOTHING)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is refused."""
+        return all(check.outcome is not Outcome.REFUSED for check in self.checks)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        plain = asdict(self)
+        return {**plain, "session_s": asdict(self.session_s), "ok": self.ok}

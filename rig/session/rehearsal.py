@@ -1,0 +1,180 @@
+"""A session without anybody: a simulated person, who hits through the simulated hand and judges by known numbers.
+
+What a protocol needs, how long it takes and what its search rules make of slips can so be seen before the first
+participant comes; and a test can know what an analysis must find.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rig.config.problems import did_you_mean
+from rig.errors import ConfigError
+from rig.search.observer import Observer
+from rig.session.clock import WallClock
+from rig.session.desk import Desk, Question, Reply, View
+from rig.session.protocol import Protocol
+from rig.session.state import State, Trial
+from rig.verdict import Kind
+
+if TYPE_CHECKING:
+    from rig.session.directory import Session
+
+_MAIN_VERDICT = {Kind.STABLE: "stable", Kind.LIMIT_CYCLE: "buzz", Kind.UNSTABLE: "unstable"}
+LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at most
+READY_S = 2.0  # … and takes hold of the handle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Person:
+    """Somebody whose verdicts are known beforehand.
+
+    Attributes
+    ----------
+    thresholds
+        K50 by condition; of a condition that is not there, the automatic verdict is theirs.
+    spread
+        How gradually verdicts change along stiffness (`rig.search.psychometric`).
+    slips
+        Share of verdicts that are turned round.
+    unsure
+        Share of trials after which they cannot say.
+    """
+
+    thresholds: Mapping[str, float]
+    spread: float = 15.0
+    slips: float = 0.0
+    unsure: float = 0.0
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for the log."""
+        return {**asdict(self), "thresholds": dict(self.thresholds)}
+
+    def judge(self, trial: Trial, drawn: np.random.Generator) -> str:
+        """Their verdict of a trial."""
+        if drawn.random() < self.unsure:
+            return "unsure"
+        automatic = _MAIN_VERDICT[Kind(trial.automatic)]
+        threshold = self.thresholds.get(trial.condition)
+        if threshold is None:
+            if drawn.random() >= self.slips:
+                return automatic
+            return "buzz" if automatic == "stable" else "stable"
+        observer = Observer(threshold=threshold, spread=self.spread, slips=self.slips)
+        if observer.judge(trial.stiffness, drawn):
+            return "stable"
+        return "unstable" if automatic == "unstable" else "buzz"
+
+
+def refuse_nobody(person: Person, protocol: Protocol) -> None:
+    """Raise `ConfigError` for numbers that no person of this study can have."""
+    names = [one.name for one in protocol.condition]
+    for name, stiffness in person.thresholds.items():
+        if name not in names:
+            listed = f"choose one of: {', '.join(map(repr, names))}"
+            raise ConfigError(
+                f"--threshold {name}={stiffness:g}: the protocol has no condition {name!r}",
+                remedy=did_you_mean(name, names, listed),
+            )
+    stiffnesses = {f"--threshold {name}=": value for name, value in person.thresholds.items()}
+    for option, value in {**stiffnesses, "--spread ": person.spread}.items():
+        if not 0.0 < value < math.inf:
+            raise ConfigError(f"{option}{value:g} is no stiffness", remedy="give a number above 0")
+    for option, share in (("--slips", person.slips), ("unsure", person.unsure)):
+        if not 0.0 <= share <= 1.0:
+            raise ConfigError(f"{option} {share:g} is no share", remedy="give a number from 0 to 1")
+
+
+class Day:
+    """A clock that only moves when somebody says so: seconds since an arbitrary morning."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def __call__(self) -> float:
+        """Seconds so far."""
+        return self.seconds
+
+    def took(self, seconds: float) -> None:
+        """Let that time pass."""
+        self.seconds = round(self.seconds + seconds, 6)
+
+    def goes_on_from(self, at: float) -> None:
+        """Go on where the log ends."""
+        self.seconds = at
+
+    def rests(self, seconds: float) -> None:
+        """Let a rest pass."""
+        self.took(seconds)
+
+
+class RealDay(WallClock):
+    """The clock on the wall, where a rest takes its time."""
+
+    def rests(self, seconds: float) -> None:
+        """Wait so long."""
+        time.sleep(seconds)
+
+
+class RehearsalDesk(Desk):
+    """A simulated person at a desk, who answers at once and lets the clock go on by what it would have taken."""
+
+    who = "simulated"
+
+    def __init__(
+        self, person: Person, day: Day | RealDay, looks: Callable[[View], None] | None = None
+    ) -> None:
+        self.person = person
+        self.day = day
+        self.looks = looks
+        self.state: State | None = None  # of the session, as it goes on
+
+    def attend(self, session: Session) -> None:
+        """Judge what stands in its log, and live by its clock."""
+        self.state = session.state
+        if isinstance(session.clock, Day | RealDay):
+            self.day = session.clock
+
+    def show(self, view: View) -> None:
+        """Nobody looks, but for whoever waits for the end."""
+        if self.looks is not None:
+            self.looks(view)
+
+    def ask(self, question: Question) -> Reply:
+        """Answer as this person does; a run whose trials say nothing is left."""
+        reply = self._answer(question)
+        (self.day.rests if question.kind == "rest" else self.day.took)(reply.took_s)
+        return reply
+
+    def _answer(self, question: Question) -> Reply:
+        assert self.state is not None
+        if question.kind == "verdict":
+            trial = self.state.trial_numbered(question.trial)
+            drawn = np.random.default_rng([trial.seed, 3])
+            return Reply(
+                action="judge",
+                value=self.person.judge(trial, drawn),
+                took_s=round(float(drawn.uniform(*LATENCY_S)), 3),
+            )
+        if question.kind == "item":
+            return Reply(action="answer", value=_plain_answer(question.item or {}), took_s=READY_S)
+        if question.kind == "rest":
+            return Reply(action="go", took_s=question.seconds)
+        if question.kind == "trouble":
+            return Reply(action="skip" if "skip" in question.actions else "go", took_s=READY_S)
+        return Reply(action="go", took_s=READY_S)
+
+
+def _plain_answer(item: Mapping[str, Any]) -> str:
+    """An answer that says that nobody was asked, or lies in the middle."""
+    if item.get("kind") == "choice":
+        return str(item["choices"][0])
+    if item.get("kind") == "scale":
+        return str((item["lowest"] + item["highest"]) // 2)
+    return "rehearsal"

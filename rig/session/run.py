@@ -1,0 +1,371 @@
+"""A participant's session from a protocol file: what `rig session run` and `rig session resume` do."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig import config
+from rig.config import Experiment
+from rig.errors import ConfigError, RecordingError
+from rig.recording.files import plain_errors
+from rig.schemes import Scheme
+from rig.session.arming import refuse_unarmable
+from rig.session.check import refuse_walls
+from rig.session.clock import Clock, WallClock
+from rig.session.conditions import base_of
+from rig.session.conduct import conduct, first_wall
+from rig.session.desk import Desk, View
+from rig.session.directory import LOG, Session, begin, refuse_begun, resume
+from rig.session.disk import refuse_full_disk
+from rig.session.fitting import refuse_misfit
+from rig.session.hits import Bench
+from rig.session.load import load_protocol
+from rig.session.log import Event, read
+from rig.session.place import (
+    OTHER_DEVICE,
+    Place,
+    device_words,
+    differences,
+    last_opened,
+    last_place,
+    resume_command,
+    software,
+)
+from rig.session.protocol import Protocol
+from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
+from rig.session.schedule import rows_of, schedule
+from rig.session.state import State
+from rig.session.telling import lost
+
+if TYPE_CHECKING:
+    from rig.lsl.session import LslMarks
+
+SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
+
+Told = Callable[[Event], None]
+DeskFor = Callable[[Protocol, Mapping[str, Any], Bench], Desk]  # the experiment is the study's, as a mapping
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionResult:
+    """How a session stands when nobody is at it any more. Nothing in it tells a wall.
+
+    Attributes
+    ----------
+    directory
+        Of the participant.
+    code, row
+        Of the participant.
+    ended, stopped
+        Why it is over, or why it was left; None where it is not.
+    trials, counted, invalid, aborted
+        Recorded hits; those that count and were judged; those that said nothing; those cut off for safety.
+    blocks, blocks_done
+        Of the order, practice aside, and how many of them are finished.
+    resume
+        The command that goes on with it; empty when it is over.
+    messages
+        What this computer or the port did not grant.
+    """
+
+    directory: Path
+    code: str
+    row: int
+    ended: str | None
+    stopped: str | None
+    trials: int
+    counted: int
+    invalid: int
+    aborted: int
+    blocks: int
+    blocks_done: int
+    resume: str = ""
+    messages: tuple[str, ...] = ()
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "directory": str(self.directory), "messages": list(self.messages)}
+
+
+def run_session(
+    protocol_file: Path,
+    code: str,
+    desk: DeskFor,
+    *,
+    bench: Bench,
+    study: Path | None = None,
+    row: int | None = None,
+    person: Person | None = None,
+    told: Told | None = None,
+    lsl: bool = False,
+) -> SessionResult:
+    """Run a participant's session from its beginning.
+
+    Parameters
+    ----------
+    protocol_file
+        TOML (`rig.session.protocol`).
+    code
+        Of the participant.
+    desk
+        Makes whoever sits there.
+    bench
+        The rig; closed at the end.
+    study
+        Directory of all participants; unless given ``sessions/`` and the study's title, for a rehearsal
+        ``rehearsals/`` and that: people and simulated ones never lie side by side by themselves.
+    row
+        Of the order; the number in the code, from 1, unless given.
+    person
+        Who is rehearsed, for the log; None with a participant.
+    told
+        Told each event once it is written.
+    lsl
+        Stream samples and markers (`rig.lsl`), without walls where somebody is blinded.
+
+    Raises
+    ------
+    ConfigError
+        The protocol or the code is none, the participant has a session already, or the rig refuses a wall that the
+        session may ask for (`rig.session.arming`).
+    RigError
+        As `rig.session.conduct.conduct`.
+    """
+    protocol = load_protocol(protocol_file)
+    with plain_errors("read", protocol_file):
+        text = protocol_file.read_bytes()
+    experiment = base_of(protocol, protocol_file.parent)
+    place = study_directory(protocol, study, rehearsal=person is not None) / code
+    refuse_begun(protocol, place, code)
+    if person is not None:
+        refuse_nobody(person, protocol)
+    row = row_of(code) if row is None else _checked_row(row, protocol)
+    _refuse_a_real_rig(person, bench)
+    refuse_walls(protocol, experiment)
+    refuse_full_disk(protocol, experiment, row, place)
+    mapping = config.as_mapping(experiment)
+    with closing(bench):
+        # Before anything is written: a rig that somebody else uses, or a place without a terminal, leaves no trace.
+        bench.facts(*first_wall(protocol, experiment, schedule(protocol, row)))
+        refuse_misfit(protocol, experiment, bench)
+        refuse_unarmable(protocol, experiment, bench)
+        with (
+            desk(protocol, mapping, bench) as somebody,
+            _streams(protocol, mapping, wanted=lsl) as marks,
+            begin(
+                place,
+                protocol,
+                experiment,
+                text=text,
+                sha256=hashlib.sha256(text).hexdigest(),
+                code=code,
+                row=row,
+                versions=software(),
+                rehearsal=None if person is None else person.as_mapping(),
+                clock=_clock(person, bench),
+            ) as session,
+        ):
+            return _conducted(session, bench, somebody, told, marks)
+
+
+def resume_session(
+    directory: Path,
+    desk: DeskFor,
+    *,
+    bench: Bench,
+    at: str = "trial",
+    told: Told | None = None,
+    lsl: bool = False,
+    other_device: bool = False,
+) -> SessionResult:
+    """Go on with a session; see `rig.session.directory.resume` and `run_session`.
+
+    Raises `ConfigError`, before anything is written, on another device than the session took place on; with
+    `other_device` somebody knows that.
+    """
+    person = rehearsed(directory)
+    _refuse_a_real_rig(person, bench)
+    state, events = session_state(directory)
+    with closing(bench):
+        base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
+        if not other_device and state.ended is None:
+            _refuse_another_device(state, events, bench, base)
+        refuse_unarmable(state.protocol, base, bench)
+        return _resumed(directory, desk, state, person, bench, at, told, lsl=lsl)
+
+
+def _refuse_another_device(state: State, events: list[Event], bench: Bench, base: Experiment) -> None:
+    before = last_opened(events)
+    if not before:
+        return
+    now = bench.facts(*first_wall(state.protocol, base, state.blocks))
+    if differences(before, now):
+        url = (before.get("place") or {}).get("url")
+        raise ConfigError(
+            f"the session of {state.code} took place on {device_words(before)}; this is {device_words(now)}",
+            remedy=f"give that rig's URL{f', --url {url}' if url else ' (none simulates)'}; who means to go on here "
+            f"says {OTHER_DEVICE}, and the analysis tells it",
+        )
+
+
+def _resumed(
+    directory: Path,
+    desk: DeskFor,
+    state: State,
+    person: Person | None,
+    bench: Bench,
+    at: str,
+    told: Told | None,
+    *,
+    lsl: bool,
+) -> SessionResult:
+    with (
+        desk(state.protocol, state.experiment, bench) as somebody,
+        _streams(state.protocol, state.experiment, wanted=lsl) as marks,
+        resume(directory, at=at, clock=_clock(person, bench)) as session,
+    ):
+        return _conducted(session, bench, somebody, told, marks)
+
+
+def rehearsed(directory: Path) -> Person | None:
+    """The simulated person of a session that was a rehearsal; None of one with a participant."""
+    events = read(directory / LOG)
+    found = events[0].content.get("rehearsal") if events else None
+    return None if found is None else Person(**found)
+
+
+def took_place(directory: Path) -> Place:
+    """Where a session took place when it was opened last."""
+    return last_place(read(directory / LOG))
+
+
+def rehearsal_desk(person: Person, looks: Callable[[View], None] | None = None) -> DeskFor:
+    """A desk for `run_session` at which this simulated person sits; `looks` is shown what a console would show."""
+
+    def desk(_: Protocol, __: Mapping[str, Any], bench: Bench) -> Desk:
+        return RehearsalDesk(person, Day() if bench.virtual else RealDay(), looks)
+
+    return desk
+
+
+def session_state(directory: Path) -> tuple[State, list[Event]]:
+    """Where a session stands, and its events; also while it runs."""
+    events = read(directory / LOG)
+    return State.of(events), events
+
+
+def summary(
+    directory: Path, state: State, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
+) -> SessionResult:
+    """How a session stands, without anything that tells a wall."""
+    counted = [
+        trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict is not None
+    ]
+    blocks = [block for block in state.blocks if not block.practice]
+    return SessionResult(
+        directory=directory,
+        code=state.code,
+        row=state.row,
+        ended=state.ended,
+        stopped=state.stopped,
+        trials=len(state.trials),
+        counted=len(counted),
+        invalid=sum(trial.said_nothing for trial in state.trials),
+        aborted=sum(bool(trial.aborted) for trial in state.trials),
+        blocks=len(blocks),
+        blocks_done=sum(all(state.asks(run) is None for run in block.runs) for block in blocks),
+        resume="" if state.ended is not None else resume_command(directory, events),
+        messages=messages,
+    )
+
+
+def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
+    """Where the participants of a protocol are kept, or those who were simulated."""
+    slug = re.sub(r"[^a-z0-9]+", "-", protocol.study.title.lower()).strip("-") or "study"
+    return (REHEARSALS if rehearsal else SESSIONS) / slug if study is None else study
+
+
+def row_of(code: str) -> int:
+    """Row of the order, from 0, that a participant's code names: its last number, counted from 1.
+
+    Raises `ConfigError` for a code without a number.
+    """
+    numbers = re.findall(r"[0-9]+", code)
+    if not numbers:
+        raise ConfigError(
+            f"code {code!r} has no number, so nobody knows the participant's row of the order",
+            remedy="give it: --row N",
+        )
+    if int(numbers[-1]) == 0:
+        raise ConfigError(
+            f"code {code!r} has the number 0, and participants are counted from 1",
+            remedy="give another code, or the row: --row N",
+        )
+    return int(numbers[-1]) - 1
+
+
+def _checked_row(row: int, protocol: Protocol) -> int:
+    """A row that somebody gave; raises `ConfigError` for one that the plan does not have."""
+    rows = max(protocol.study.participants, rows_of(protocol))
+    if not 0 <= row < rows:
+        raise ConfigError(
+            f"row {row} of the order: {protocol.study.participants} participants are planned, and rows are counted "
+            "from 0",
+            remedy=f"give --row 0 to {rows - 1}, or plan more: study.participants",
+        )
+    return row
+
+
+def _refuse_a_real_rig(person: Person | None, bench: Bench) -> None:
+    """Nobody is simulated at a rig that moves."""
+    if person is not None and not bench.simulated:
+        raise ConfigError(
+            "a rehearsal with a real rig: its simulated person would go on after a STOP",
+            remedy="leave --url out, or leave --rehearse out and sit there yourself",
+        )
+
+
+def _clock(person: Person | None, bench: Bench) -> Clock:
+    if person is None:
+        return WallClock()
+    return Day() if bench.virtual else RealDay()
+
+
+def _conducted(
+    session: Session, bench: Bench, somebody: Desk, told: Told | None, marks: LslMarks | None
+) -> SessionResult:
+    try:
+        conduct(session, bench, somebody, told=told, marks=marks)
+    finally:
+        if marks is not None:
+            sent = marks.close()
+            with suppress(RecordingError):
+                session.record("streamed", sent=sent, lost_markers=marks.lost)
+    resumed = [event for event in session.log.events if event.kind == "resumed"][-1:]
+    messages = [text for event in resumed for text in lost(event)] + list(bench.messages)
+    return summary(session.directory, session.state, session.log.events, tuple(messages))
+
+
+@contextmanager
+def _streams(protocol: Protocol, experiment: Mapping[str, Any], *, wanted: bool) -> Iterator[LslMarks | None]:
+    """Streams beside a session, once they are open; None where nobody wants any."""
+    if not wanted:
+        yield None
+        return
+    from rig.lsl.session import LslMarks  # noqa: PLC0415
+
+    rates = {one.scheme and Scheme.parse(one.scheme).position_rate for one in protocol.condition}
+    rate = rates.pop() if len(rates) == 1 else None
+    with LslMarks(
+        blind=protocol.study.blind != "none",
+        # One rate known beforehand: then the stream of samples is there before the first trial.
+        expected=(experiment["rig"]["motion"], float(rate)) if rate else None,
+    ) as marks:
+        marks.wait()
+        yield marks

@@ -1,0 +1,596 @@
+"""Where a session stands, and what comes next: a pure function of its log.
+
+Nothing is remembered outside the log, so a session that was killed goes on as if nothing had happened, and what an
+analysis reads is what the session itself went by. The kinds of events, and what each holds:
+
+=============  ====================================================================================================
+``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal
+``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
+``resumed``    where (trial, block), abandoned: recordings of trials that nobody logged
+``block``      block: it begins
+``trial``      one recorded hit: see `Trial`
+``judged``     trial, verdict, by (person, automatic, simulated), took_s
+``redone``     trial: it does not count, and comes again
+``retried``    run: its trials said nothing so often that somebody was asked, and said to go on
+``skipped``    run: it is left without a limit
+``note``       text, trial
+``paused``     … ``continued``
+``rested``     seconds, reason (every, block, heat)
+``answered``   item, answer, block
+``restarted``  block: its trials do not count
+``amended``    number of the event that is corrected, field, value, why, trial that it is about; the field void of a
+               ``trial`` says afterwards that it does not count
+``stopped``    reason: the session was left, to be resumed
+``ended``      reason: complete, or the rule that ended it
+``streamed``   what went out by Lab Streaming Layer, and the offset of its clock
+=============  ====================================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rig.errors import RecordingError
+from rig.search import Answer, Probe, Rule
+from rig.session.load import protocol_from_mapping
+from rig.session.log import Event
+from rig.session.protocol import Item, Protocol, Search
+from rig.session.schedule import Block, Run, asking_of, rule_of, schedule
+from rig.session.times import cooling_s
+from rig.verdict import Kind
+
+BOOKKEEPING = (
+    "opened",
+    "resumed",
+    "stopped",
+    "streamed",
+    "amended",
+)  # what a session without interruptions has once or not at all
+AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
+_LONGEST_PAUSE_S = 3600.0  # between two events: beyond, nobody was there
+_TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of the computer may have been set
+
+
+@dataclass(slots=True, kw_only=True)
+class Trial:
+    """One recorded hit, as it stands in the log, and what was said of it.
+
+    Attributes
+    ----------
+    trial, block, run, attempt
+        Numbers, from 1; block and run of a practice trial are 0.
+    condition, damping, repeat, stiffness, track, catch, practice
+        What was hit, and which track of the search asked for it.
+    seed
+        Of the simulation.
+    recording, sha256, rows_sha256
+        File relative to the session's directory; hashes of the file, and of its rows alone, which a simulation with the
+        same seed gives again.
+    ended
+        "finished", or why it ended early (`rig.loop.layout.EndReason`, lower case).
+    aborted
+        What cut the hit off for safety; empty when nothing did.
+    automatic, reasons, passes
+        Automatic verdict, and whether the wall holds under each criterion (None: it says nothing).
+    numbers
+        Those of the automatic verdict.
+    baseline
+        Free space before the hit (`rig.experiments.baseline`), None without one.
+    heat
+        Share of the winding's budget afterwards.
+    verdict, by, took_s
+        The person's, once there is one.
+    void
+        Redone, its block was restarted, or somebody left it out afterwards: it does not count.
+    """
+
+    trial: int
+    block: int
+    run: int
+    attempt: int
+    condition: str
+    damping: float
+    repeat: int
+    stiffness: float
+    track: int
+    catch: bool
+    practice: bool
+    seed: int
+    recording: str
+    sha256: str
+    rows_sha256: str
+    ended: str
+    aborted: str
+    automatic: str
+    reasons: tuple[str, ...]
+    passes: Mapping[str, bool | None]
+    numbers: Mapping[str, float | None]
+    baseline: Mapping[str, float] | None
+    heat: float
+    verdict: str | None = None
+    by: str | None = None
+    took_s: float | None = None
+    void: bool = False
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Trial:
+        """Read the content of an event; keys that another version added are left out."""
+        known = {one.name for one in fields(cls)}
+        return cls(**{key: value for key, value in content.items() if key in known})
+
+    @property
+    def said_nothing(self) -> bool:
+        """Whether the hit was invalid: it is repeated, and nobody is asked about it."""
+        return self.automatic == Kind.INVALID
+
+    @property
+    def probe(self) -> Probe:
+        """What the search had asked for."""
+        return Probe(self.stiffness, track=self.track, catch=self.catch)
+
+
+# What comes next.
+
+
+@dataclass(frozen=True, slots=True)
+class DoTrial:
+    """Hit this wall."""
+
+    trial: int
+    block: Block
+    run: Run
+    probe: Probe
+    attempt: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class DoJudge:
+    """Somebody must judge this trial."""
+
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True)
+class DoAsk:
+    """An item of the questionnaire, before the first block (block 0), after one, or at the end (-1)."""
+
+    item: Item
+    block: int
+
+
+@dataclass(frozen=True, slots=True)
+class DoBlock:
+    """A block begins."""
+
+    block: Block
+
+
+@dataclass(frozen=True, slots=True)
+class DoRest:
+    """A rest is due: for how long (s), and why."""
+
+    seconds: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class DoDecide:
+    """Trials of this run said nothing, again and again: somebody must say what to do."""
+
+    run: Run
+    last: Trial
+
+
+@dataclass(frozen=True, slots=True)
+class DoEnd:
+    """Nothing is left to do, for this reason."""
+
+    reason: str
+
+
+Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoDecide | DoEnd
+
+WALKING = ("ascending", "staircase", "interleaved")  # rules that go from wall to wall
+
+END = -1  # block of an item asked at the end
+
+
+@dataclass
+class State:
+    """A session after some of its events; `State.of` replays a log, `apply` adds an event.
+
+    Attributes
+    ----------
+    protocol, experiment, code, row, seed, rehearsal
+        As the log began.
+    blocks
+        The order.
+    trials
+        All so far, void ones too.
+    skipped, corrected
+        Runs that were left, and runs of which a verdict was corrected or a trial left out afterwards.
+    stopped
+        Why the session was left, until it is resumed.
+    ended
+        Why it is over; None while it is not.
+    """
+
+    protocol: Protocol
+    experiment: Mapping[str, Any]
+    code: str
+    row: int
+    seed: int
+    rehearsal: Mapping[str, Any] | None
+    blocks: tuple[Block, ...]
+    trials: list[Trial] = field(default_factory=list)
+    begun: list[int] = field(default_factory=list)
+    skipped: set[int] = field(default_factory=set)
+    corrected: set[int] = field(default_factory=set)
+    answered: dict[tuple[str, int], Any] = field(default_factory=dict)
+    notes: list[tuple[int, str]] = field(default_factory=list)
+    stopped: str | None = None
+    ended: str | None = None
+    paused: bool = False
+    heat: float = 0.0
+    active_s: float = 0.0
+    _last_at: float = 0.0
+    _rested: dict[str, int] = field(default_factory=dict)  # newest trial at the last rest, by reason
+    _retried: dict[int, int] = field(default_factory=dict)  # newest trial when a run was tried again
+    _owed: dict[int, int] = field(default_factory=dict)  # redone trials that have not come again, by run
+    _asked: dict[int, tuple[tuple[Answer, ...], Probe | None]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, events: Sequence[Event]) -> State:
+        """Replay a log.
+
+        Raises
+        ------
+        RecordingError
+            It does not begin with ``began``.
+        ConfigError
+            Its protocol cannot be read by this version.
+        """
+        if not events or events[0].kind != "began":
+            raise RecordingError(
+                "the log of a session does not begin with its protocol", remedy="start the session again"
+            )
+        began = events[0].content
+        protocol = protocol_from_mapping(began["protocol"], "the protocol in the session's log")
+        state = cls(
+            protocol=protocol,
+            experiment=began["experiment"],
+            code=began["code"],
+            row=began["row"],
+            seed=began["seed"],
+            rehearsal=began.get("rehearsal"),
+            blocks=schedule(protocol, began["row"]),
+            _last_at=events[0].at,
+        )
+        numbers = {event.content["number"] for event in events if event.kind == "amended"}
+        corrected = [
+            event for event in events if event.kind in ("judged", "trial") and event.number in numbers
+        ]
+        state.corrected = {_run_of(events, event.content["trial"]) for event in corrected}
+        for event in amended(events[1:]):
+            state.apply(event)
+        return state
+
+    def apply(self, event: Event) -> None:
+        """Take one more event in."""
+        elapsed = max(0.0, event.at - self._last_at)  # somebody may have set the clock
+        self._last_at = event.at
+        if event.kind not in BOOKKEEPING and elapsed < _LONGEST_PAUSE_S:
+            self.active_s += elapsed
+        rested = event.content["seconds"] if event.kind == "rested" else 0.0
+        self._cool(max(min(elapsed, _TRUSTED_S), rested))
+        change = self._changes.get(event.kind)
+        if change is not None:
+            change(self, event.content)
+
+    def _cool(self, seconds: float) -> None:
+        self.heat *= math.exp(-seconds / self.thermal_time_constant_s)
+
+    @property
+    def open_block(self) -> Block | None:
+        """The block that was begun last, unless it is finished."""
+        if not self.begun:
+            return None
+        block = next(one for one in self.blocks if one.number == self.begun[-1])
+        return block if any(self.asks(run) is not None for run in block.runs) else None
+
+    def _tried(self, content: Any) -> None:
+        trial = Trial.of(content)
+        self.trials.append(trial)
+        self.heat = trial.heat
+        if not trial.said_nothing and self._owed.get(trial.run):
+            self._owed[trial.run] -= 1
+
+    def _judged(self, content: Any) -> None:
+        trial = self.trial_numbered(content["trial"])
+        trial.verdict, trial.by, trial.took_s = content["verdict"], content["by"], content["took_s"]
+
+    def _redone(self, content: Any) -> None:
+        trial = self.trial_numbered(content["trial"])
+        trial.void = True
+        self._owed[trial.run] = self._owed.get(trial.run, 0) + 1
+
+    def _restarted(self, content: Any) -> None:
+        number = content["block"]
+        for trial in self.trials:
+            trial.void = trial.void or trial.block == number
+        runs = {run.number for block in self.blocks if block.number == number for run in block.runs}
+        self.skipped -= runs
+        self._owed = {run: number for run, number in self._owed.items() if run not in runs}
+        self.answered = {
+            key: answer for key, answer in self.answered.items() if key[1] != number or number == 0
+        }
+
+    def _retry(self, content: Any) -> None:
+        self._retried[content["run"]] = self.newest
+
+    def _rest(self, content: Any) -> None:
+        self._rested[content["reason"]] = self.newest
+
+    def _answered(self, content: Any) -> None:
+        self.answered[content["item"], content["block"]] = content["answer"]
+
+    def _noted(self, content: Any) -> None:
+        self.notes.append((content["trial"], content["text"]))
+
+    def _pause(self, content: Any) -> None:
+        self.paused = True
+
+    def _continue(self, content: Any) -> None:
+        self.paused = False
+
+    def _resume(self, content: Any) -> None:
+        self.stopped = None
+
+    def _stop(self, content: Any) -> None:
+        self.stopped = content["reason"]
+
+    def _end(self, content: Any) -> None:
+        self.ended = content["reason"]
+
+    def _began_block(self, content: Any) -> None:
+        self.begun.append(content["block"])
+
+    def _skip(self, content: Any) -> None:
+        self.skipped.add(content["run"])
+
+    _changes: ClassVar[Mapping[str, Callable[[State, Any], None]]] = {
+        "block": _began_block,
+        "trial": _tried,
+        "judged": _judged,
+        "redone": _redone,
+        "retried": _retry,
+        "restarted": _restarted,
+        "skipped": _skip,
+        "rested": _rest,
+        "answered": _answered,
+        "note": _noted,
+        "paused": _pause,
+        "continued": _continue,
+        "resumed": _resume,
+        "stopped": _stop,
+        "ended": _end,
+    }
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest trial, 0 before the first."""
+        return self.trials[-1].trial if self.trials else 0
+
+    @property
+    def thermal_time_constant_s(self) -> float:
+        """Of the motor's winding."""
+        return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
+
+    def trial_numbered(self, number: int) -> Trial:
+        """The trial of this number; raises `RecordingError` when the log has none."""
+        if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
+            raise RecordingError(
+                f"the log speaks of trial {number}, which it does not have", remedy="restore it from a copy"
+            )
+        return self.trials[number - 1]
+
+    def trials_of(self, run: Run) -> list[Trial]:
+        """Trials of a run that count, invalid ones too."""
+        return [trial for trial in self.trials if trial.run == run.number and not trial.void]
+
+    def rule(self, run: Run) -> Rule:
+        """The search rule of a run, without its catch trials."""
+        return rule_of(self.protocol, run)
+
+    def answers(self, run: Run) -> list[Answer]:
+        """What the rule of a run hears: all answers, unless one was corrected.
+
+        A rule that walks from wall to wall knows where it stands by what it asked: after a correction it hears what it
+        would have asked for, goes on from there, and never to a wall that nobody has come near. The other answers stay
+        for every estimate that needs no walk.
+        """
+        heard = self.heard(run)
+        if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
+            return heard
+        rule = self.rule(run)
+        led: list[Answer] = []
+        for answer in heard:
+            if answer.probe.catch or rule.next(led) == answer.probe:
+                led.append(answer)
+        return led
+
+    def heard(self, run: Run) -> list[Answer]:
+        """All answers about the walls of a run: each judged trial that counts.
+
+        An unsure verdict is an empty answer, until there are `trial.unsure` of them in a row about one wall: then it
+        counts as not stable.
+        """
+        heard: list[Answer] = []
+        unsure, about = 0, None
+        for trial in self.trials_of(run):
+            if trial.said_nothing or trial.verdict is None:
+                continue
+            unsure = 0 if trial.verdict != "unsure" else unsure + 1 if trial.probe == about else 1
+            about = trial.probe
+            stable: bool | None = trial.verdict == "stable"
+            if unsure:
+                stable = None if unsure < self.protocol.trial.unsure else False
+                unsure = 0 if stable is False else unsure
+            heard.append(Answer(trial.probe, stable))
+        return heard
+
+    def _search(self, run: Run) -> Search:
+        return self.protocol.search_of(self.protocol.condition_named(run.condition))
+
+    def asks(self, run: Run) -> Probe | None:
+        """Which wall a run wants next; None when it has enough or was left."""
+        if run.number in self.skipped:
+            return None
+        answers = tuple(self.answers(run))
+        known = self._asked.get(run.number)
+        if known is None or known[0] != answers:
+            known = self._asked[run.number] = answers, asking_of(self.protocol, run).next(answers)
+        return known[1]
+
+    def next(self) -> Step:
+        """What comes next."""
+        if self.ended is not None:
+            return DoEnd(self.ended)
+        counted = [trial for trial in self.trials if not trial.void]
+        if counted and counted[-1].verdict is None and not counted[-1].said_nothing:
+            return DoJudge(counted[-1])
+        over = None if self._owes() else self._stop_rule()
+        step = None if over else self._in_blocks()
+        if step is not None:
+            return step
+        item = self._item("end", END)
+        return item or DoEnd(over or "complete")
+
+    def _in_blocks(self) -> Step | None:
+        item = self._item("start", 0)
+        if item is not None:
+            return item
+        for block in self.blocks:
+            waiting = [run for run in block.runs if self.asks(run) is not None]
+            if waiting:
+                return self._in_block(block, waiting)
+            item = None if block.practice else self._item("block", block.number)
+            if item is not None:
+                return item
+        return None
+
+    def _in_block(self, block: Block, waiting: list[Run]) -> Step:
+        rest = self.protocol.rest
+        if block.number not in self.begun:
+            between = rest.between_blocks_s if self.trials else 0.0
+            if between > 0.0 and self._rested.get("block") != self.newest:
+                return DoRest(between, "block")
+            return DoBlock(block)
+        last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
+        if last is not None and last.said_nothing and last.run in [run.number for run in waiting]:
+            run = next(run for run in waiting if run.number == last.run)
+            if self._useless(run) >= self.protocol.trial.attempts:
+                return DoDecide(run, last)
+            attempt = last.attempt + 1
+        else:
+            run, attempt = waiting[self._turn(block, len(waiting))], 1
+        due = self._rest_due()
+        if due is not None:
+            return due
+        probe = self.asks(run)
+        assert probe is not None
+        number = self.newest + 1
+        return DoTrial(number, block, run, probe, attempt, self.seed_of(number))
+
+    def _turn(self, block: Block, waiting: int) -> int:
+        """Whose turn it is among the runs that go on."""
+        if not block.interleave:
+            return 0
+        done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.said_nothing)
+        return int(np.random.default_rng([self.seed, self.row, 1, block.number, done]).integers(waiting))
+
+    def seed_of(self, trial: int) -> int:
+        """Seed of the simulation in a trial, and of whoever is simulated there."""
+        return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
+
+    def _useless(self, run: Run) -> int:
+        """Trials of a run in a row that said nothing, since somebody last said to go on."""
+        since = self._retried.get(run.number, 0)
+        count = 0
+        for trial in reversed(self.trials_of(run)):
+            if not trial.said_nothing or trial.trial <= since:
+                break
+            count += 1
+        return count
+
+    def _rest_due(self) -> DoRest | None:
+        rest = self.protocol.rest
+        if self.heat > rest.heat:
+            seconds = cooling_s(self.heat, rest.heat, self.thermal_time_constant_s)
+            return DoRest(math.ceil(seconds), "heat")
+        rested = max(self._rested.values(), default=0)
+        if rest.every and self.newest - rested >= rest.every:
+            return DoRest(rest.seconds, "every")
+        return None
+
+    def _item(self, when: str, block: int) -> DoAsk | None:
+        for item in self.protocol.question:
+            if item.when == when and (item.name, block) not in self.answered:
+                return DoAsk(item, block)
+        return None
+
+    def _owes(self) -> bool:
+        """Whether a trial was redone and has not come again: nothing ends before it has."""
+        return any(
+            self._owed.get(run.number) and self.asks(run) is not None
+            for block in self.blocks
+            for run in block.runs
+        )
+
+    def _stop_rule(self) -> str | None:
+        """The rule that ends the session now, if one does. What was redone does not count."""
+        stop = self.protocol.stop
+        counted = sum(not (trial.practice or trial.void) for trial in self.trials)
+        if stop.trials is not None and counted >= stop.trials:
+            return f"{stop.trials} trials"
+        if stop.minutes is not None and self.active_s >= 60.0 * stop.minutes:
+            return f"{stop.minutes:g} minutes"
+        if stop.invalid is not None and _in_a_row(one.said_nothing for one in self.trials) >= stop.invalid:
+            return f"{stop.invalid} trials in a row that said nothing"
+        told = [one.aborted != "" for one in self.trials if not one.said_nothing]
+        if stop.aborts is not None and _in_a_row(told) >= stop.aborts:
+            return f"{stop.aborts} hits in a row cut off for safety"
+        return None
+
+
+def _run_of(events: Sequence[Event], trial: int) -> int:
+    return next(int(e.content["run"]) for e in events if e.kind == "trial" and e.content["trial"] == trial)
+
+
+def _in_a_row(found: Iterable[bool]) -> int:
+    """How many of the newest are true, without one between that is not."""
+    count = 0
+    for one in found:
+        count = count + 1 if one else 0
+    return count
+
+
+def amended(events: Iterable[Event]) -> list[Event]:
+    """The events with their corrections in place; the corrections themselves stay too."""
+    events = list(events)
+    changes: dict[int, dict[str, Any]] = {}
+    for event in events:
+        if event.kind == "amended":
+            changes.setdefault(event.content["number"], {})[event.content["field"]] = event.content["value"]
+    return [
+        Event(event.number, event.at, event.kind, {**event.content, **changes[event.number]})
+        if event.number in changes
+        else event
+        for event in events
+    ]

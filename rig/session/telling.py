@@ -1,0 +1,61 @@
+"""What may be said of a session to anybody: lines without conditions and walls."""
+
+from __future__ import annotations
+
+from rig.session.log import Event
+from rig.session.state import Trial
+from rig.verdict import Kind
+
+_LINES: dict[str, str] = {
+    "judged": "trial {trial}: {verdict}",
+    "redone": "trial {trial} does not count",
+    "block": "block {block} begins",
+    "restarted": "block {block} starts over",
+    "note": "note: {text}",
+    "rested": "rested {seconds:g} s",
+    "answered": "{item}: {answer}",
+    "ended": "ended: {reason}",
+    "amended": "event {number} corrected: {value} ({why})",
+}
+
+
+def line_of_event(event: Event) -> str:
+    """An event as a line that anybody may read: nothing of conditions and walls in it."""
+    if event.kind == "trial":
+        return f"trial {event.content['trial']}" + (
+            ", invalid" if event.content["automatic"] == Kind.INVALID else ""
+        )
+    if event.kind == "opened" and event.content.get("armed_anyway"):
+        walls = sum(len(one["stiffness"]) for one in event.content["armed_anyway"])
+        return f"opened; the arming gate refuses {walls} walls, and they are armed all the same"
+    if event.kind == "amended" and "trial" in event.content:
+        value = event.content["value"]
+        said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
+        return f"trial {event.content['trial']} {said} ({event.content['why']})"
+    if event.kind == "stopped":  # many a reason begins with that word
+        return f"stopped: {event.content['reason']}".replace("stopped: stopped", "stopped", 1)
+    if event.kind == "resumed":
+        return "; ".join(["resumed", *lost(event)])
+    return _LINES.get(event.kind, event.kind).format(**event.content)
+
+
+def lost(event: Event) -> list[str]:
+    """What a log had lost when the session was resumed, as sentences without a full stop."""
+    told = []
+    if torn := event.content.get("torn"):
+        told.append(
+            f"its log ended in the middle of a line, as when a computer dies: {torn} bytes were dropped"
+        )
+    damaged = [one["file"] for one in event.content.get("damaged", ())]
+    if damaged:
+        told.append(f"a damaged line of its log was set aside: {', '.join(damaged)}")
+    return told
+
+
+def outcome(trial: Trial) -> str:
+    """What a trial came to, without anything that tells the wall; nothing that leads a person before their verdict."""
+    if trial.said_nothing:
+        return f"trial {trial.trial}: invalid, it is repeated"
+    if trial.verdict is None:
+        return f"trial {trial.trial}: over"
+    return f"trial {trial.trial}: done" + (", cut off for safety" if trial.aborted else "")

@@ -1,0 +1,153 @@
+"""A simulated hand that somebody leads while time passes: by a mouse, by keys, by a program.
+
+While the rig homes, the hand goes along as the scripted one does (`sim_backend.operator`), whatever is wished: a hand
+that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows the wishes.
+
+A mouse moves in jerks and an arrow key in steps, a hand does not: it follows as a critically damped system of
+`FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. What follows from a hand that
+works comes from the script's: the press swells and ebbs, and tremor arrives with the effort. Nobody there means that
+nothing new was said for `SILENT_S`: then the hand wants to be where it is, and presses no more.
+
+Intentions are made in short blocks of ticks, so that the compiled run of many ticks plays them as it plays a script.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from rig.devices.hand import Wish
+from rig.errors import ConfigError
+from rig.model import RigModel
+from sim_backend.held import INTENTIONS
+from sim_backend.operator import PRESS_HZ, REPEAT_S, Rows, Script, tremor
+
+FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
+BLOCK_S = 0.002  # a wish acts after this time at most
+SILENT_S = 1.0
+BACK_M = 0.05  # at the handle: how far behind its start a hand goes
+AHEAD_M, AHEAD_N = 0.05, 10.0  # and beyond where the scripted one goes: so far, or so hard on its own spring
+PRESS_N = 10.0  # more than a firm grip's press
+
+
+class Led:
+    """The hand of a model, led by wishes.
+
+    Parameters
+    ----------
+    model
+        A rig that is held, with a reach.
+    wish
+        Returns what is wished now (`rig.devices.hand.SharedHand.read`), or None.
+
+    Raises
+    ------
+    ConfigError
+        Nobody holds this rig.
+    """
+
+    def __init__(self, model: RigModel, wish: Callable[[], Wish | None]) -> None:
+        if model.operator is None or model.reach is None:
+            raise ConfigError(
+                f"nobody holds the handle of {model.name}, so nobody can lead it",
+                remedy='set trial.kind = "human"',
+            )
+        self._operator, self._reach = model.operator, model.reach
+        self._radius = model.mechanics.handle_radius
+        self._side = math.copysign(1.0, model.reach.target - model.reach.start)
+        self._wish = wish
+        self._leads = False
+
+    def begin(self, position: float, tick_s: float, session: int = 0) -> None:
+        """Begin a session with the handle at a position (rad or m)."""
+        reach = self._reach
+        self._tick_s = tick_s
+        self._at, self._rate = reach.start, 0.0
+        self._press, self._press_rate = 0.0, 0.0
+        self._tick = 0
+        # What was said before the session may be years old: only what comes now says that somebody is there.
+        self._said = self._wish() or Wish(0, reach.start, 0.0)
+        self._silent_s, self._alone, self._goal = SILENT_S, True, reach.start
+        self._times: Rows = np.arange(1.0, 1.5 + round(BLOCK_S / tick_s), dtype=np.float64) * tick_s
+        around: Rows = (np.arange(round(REPEAT_S / tick_s), dtype=np.float64) + 0.5) * tick_s
+        generator = np.random.default_rng([reach.seed, session])
+        self._tremor = np.stack(tremor(around, self._operator.tremor / self._radius, generator))
+        self._from = position
+        self._leads = False
+
+    def next(self, hand: float) -> Script:
+        """The next ticks; to be asked for when the last ones are over. `hand` is where the hand is (rad or m)."""
+        if not self._leads:
+            self._leads = True
+            return Script(self._along())
+        times = self._times
+        places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
+        self._tick += len(times)
+        goal, press = self._wanted(hand)
+        at, rate = follow(self._at - goal, self._rate, times)
+        pressed, press_rate = follow(self._press - press, self._press_rate, times)
+        at, pressed = at + goal, pressed + press
+        self._at, self._rate = float(at[-1]), float(rate[-1])
+        self._press, self._press_rate = float(pressed[-1]), float(press_rate[-1])
+        share = self._share()
+        swell = 1.0 + self._operator.press_modulation * np.sin(
+            2.0 * math.pi * PRESS_HZ * self._tick_s * places
+        )
+        rows = np.empty((len(times), INTENTIONS))
+        rows[:, 0] = at + share * self._tremor[0, places]
+        rows[:, 1] = rate + share * self._tremor[1, places]
+        rows[:, 2] = self._side * self._radius * pressed * swell
+        return Script(rows)
+
+    def _along(self) -> Rows:
+        """Along with homing, then still until the trial has surely begun."""
+        reach = self._reach
+        along_s = abs(reach.start - self._from) / reach.pace
+        ticks = max(1, math.ceil((along_s + reach.wait_s - reach.free_s) / self._tick_s))
+        t = (np.arange(ticks) + 0.5) * self._tick_s
+        left = np.clip(1.0 - t / along_s, 0.0, 1.0) if along_s > 0.0 else np.zeros(ticks)
+        rows = np.zeros((ticks, INTENTIONS))
+        rows[:, 0] = reach.start + (self._from - reach.start) * left
+        rows[:, 1] = np.where(left > 0.0, math.copysign(reach.pace, reach.start - self._from), 0.0)
+        return rows
+
+    def _wanted(self, hand: float) -> tuple[float, float]:
+        """Where the hand wants to be now (rad or m), and its press (N)."""
+        said = self._wish()
+        self._silent_s += len(self._times) * self._tick_s
+        if said is not None and said.sequence != self._said.sequence:
+            self._said, self._silent_s = said, 0.0
+        if self._silent_s >= SILENT_S:
+            if not self._alone:
+                self._alone, self._goal = True, hand
+            return self._goal, 0.0
+        self._alone = False
+        reach, operator = self._reach, self._operator
+        stiff = operator.hand_stiffness
+        ahead = AHEAD_M if stiff == 0.0 else min(AHEAD_M, AHEAD_N / stiff)
+        ends = (
+            reach.start - self._side * BACK_M / self._radius,
+            reach.target + self._side * ahead / self._radius,
+        )
+        self._goal = min(max(self._said.position, min(ends)), max(ends))
+        return self._goal, min(max(self._said.press, 0.0), PRESS_N)
+
+    def _share(self) -> float:
+        """Effort of the hand as a share of the scripted one's, 1 at most: what its tremor grows with."""
+        operator = self._operator
+        wall = self._reach.target - self._side * operator.depth / self._radius
+        inside = max(0.0, self._side * (self._at - wall)) * self._radius
+        whole = operator.press + operator.hand_stiffness * operator.depth
+        made = self._press + operator.hand_stiffness * inside
+        return min(1.0, made / whole) if whole > 0.0 else 0.0
+
+
+def follow(distance: float, rate: float, times: Rows) -> tuple[Rows, Rows]:
+    """Distance to a goal that stands still, and its rate, at some times from now: critically damped, exact."""
+    omega = 2.0 * math.pi * FOLLOW_HZ
+    pull = rate + omega * distance
+    fade = np.exp(-omega * times)
+    left = (distance + pull * times) * fade
+    return left, pull * fade - omega * left

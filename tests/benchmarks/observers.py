@@ -1,0 +1,199 @@
+"""What each search rule makes of observers whose limit is known, as data that a test and the guide read.
+
+    python -m tests.benchmarks.observers            # all sessions anew, table and guide (minutes)
+    python -m tests.benchmarks.observers --guide    # the guide alone, from the committed table
+    python -m tests.benchmarks.observers --check    # does the guide show the committed table?
+
+Rules × slips × spreads, as in the guide of `rig.search`. Sessions come from seeds, so the same code makes the
+same table; `tests/rig/test_search_observers.py` goes through a few of them again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from rig import search
+from rig.search.observer import Observer, performance
+
+ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "tests" / "rig" / "data" / "search_observers.json"
+GUIDE = ROOT / "rig" / "search" / "README.md"
+REGENERATE = "python -m tests.benchmarks.observers"
+
+LEVELS = tuple(float(level) for level in range(100, 825, 25))
+THRESHOLD, OFF_LATTICE = 430.0, 12.5  # K50, and half a step about it
+BEYOND = 1.2 * LEVELS[-1]  # K50 of somebody whose limit no level reaches
+SLIPS = (0.0, 0.02, 0.05)
+SPREADS = (5.0, 15.0, 40.0)
+SESSIONS = 1000
+SEED = 8
+DIGITS = 4
+NUMBERS = ("bias", "scatter", "hits", "covered", "width", "censored")
+RULES: Mapping[str, tuple[str, dict[str, Any]]] = {
+    "ascending × 5": ("ascending", {"repeats": 5}),
+    "ascending × 1": ("ascending", {"repeats": 1}),
+    "staircase 1u1d": ("staircase", {"stable_to_rise": 1}),
+    "staircase 1u2d": ("staircase", {"stable_to_rise": 2}),
+    "staircase 1u3d": ("staircase", {"stable_to_rise": 3}),
+    "interleaved": ("interleaved", {}),
+    "psi": ("psi", {"hits": 25}),
+    "grid × 5": ("grid", {"repeats": 5}),
+}
+
+CATCH_SHARE = {"interleaved": 0.1}
+
+Row = dict[str, Any]
+_SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+def cases() -> list[tuple[str, float, float]]:
+    """Rule, slips and spread of every row."""
+    return list(product(RULES, SLIPS, SPREADS))
+
+
+def row_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
+    """Return one row of the table, measured."""
+    name, slips, spread = case
+    rule, settings = RULES[name]
+    make = partial(_made, rule, settings)
+    observer = Observer(threshold=THRESHOLD, spread=spread, slips=slips)
+    found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
+    return {
+        "rule": name,
+        "slips": slips,
+        "spread": spread,
+        **{n: _rounded(getattr(found, n)) for n in NUMBERS},
+    }
+
+
+def _made(rule: str, settings: Mapping[str, Any], *, seed: int) -> search.Rule:
+    made = search.make(rule, levels=LEVELS, seed=seed, **settings)
+    share = CATCH_SHARE.get(rule)
+    return made if share is None else search.Catching(rule=made, levels=LEVELS, share=share, seed=seed)
+
+
+def beyond_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
+    """Return one row about an observer whose K50 lies beyond the levels: the share of sessions that say so."""
+    name, slips, spread = case
+    rule, settings = RULES[name]
+    make = partial(_made, rule, settings)
+    observer = Observer(threshold=BEYOND, spread=spread, slips=slips)
+    found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
+    return {"rule": name, "slips": slips, "spread": spread, "marked": _rounded(found.above)}
+
+
+def make_table() -> dict[str, Any]:
+    """Measure everything anew, on all processors."""
+    made: dict[str, list[Row]] = {"rows": [], "beyond": []}
+    with ProcessPoolExecutor() as pool:
+        for (name, rows), measure in zip(made.items(), (row_of, beyond_of), strict=True):
+            for done, row in enumerate(pool.map(measure, cases()), start=1):
+                rows.append(row)
+                print(f"{name}, {done} of {len(cases())}: {row['rule']}", file=sys.stderr)
+    return {"made_by": REGENERATE, "sessions": SESSIONS, **made}
+
+
+def read_table() -> dict[str, Any]:
+    """Return the committed table."""
+    return dict(json.loads(TABLE.read_text(encoding="utf-8")))
+
+
+def write_table(table: dict[str, Any]) -> None:
+    """Write the table, one row a line, so that a change reads well in a diff."""
+    text = json.dumps({**table, "rows": [], "beyond": []}, ensure_ascii=False, indent=1)
+    for part in ("rows", "beyond"):
+        rows = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in table[part])
+        text = text.replace(f'"{part}": []', f'"{part}": [\n{rows}\n ]')
+    TABLE.write_text(text + "\n", encoding="utf-8")
+
+
+# --- the guide's sections ---------------------------------------------------------------------------------
+
+
+def errors() -> str:
+    """Bias and scatter of each rule, for each observer."""
+    return _by_observer(lambda row: f"{_signed(row['bias'])} ± {row['scatter']:.0f}")
+
+
+def intervals() -> str:
+    """Share of intervals that hold the limit, and their median width."""
+    return _by_observer(
+        lambda row: "–" if row["width"] is None else f"{100 * row['covered']:.0f} % ({row['width']:.0f})"
+    )
+
+
+def hits() -> str:
+    """Verdicts that a session costs."""
+    return _by_observer(lambda row: f"{row['hits']:.0f}")
+
+
+def censored() -> str:
+    """Share of sessions that put the limit beyond the levels."""
+    return _by_observer(lambda row: f"{100 * row['censored']:.1f} %" if row["censored"] else "0")
+
+
+def beyond() -> str:
+    """Share of sessions that put a limit beyond the levels there."""
+    return _by_observer(lambda row: f"{100 * row['marked']:.0f} %", "beyond")
+
+
+SECTIONS: dict[str, Callable[[], str]] = {
+    "errors": errors,
+    "intervals": intervals,
+    "hits": hits,
+    "censored": censored,
+    "beyond": beyond,
+}
+
+
+def render(text: str) -> str:
+    """Return the guide with every section between markers made anew; raises KeyError for an unknown section."""
+    return _SECTION.sub(
+        lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and write table and guide; ``--guide`` writes the guide alone, ``--check`` only looks at it."""
+    options = set(sys.argv[1:] if arguments is None else arguments)
+    if not options:
+        write_table(make_table())
+    old = GUIDE.read_text(encoding="utf-8")
+    new = render(old)
+    if "--check" in options:
+        if new != old:
+            print(f"{GUIDE.name} is stale: run {REGENERATE} --guide", file=sys.stderr)
+        return int(new != old)
+    GUIDE.write_text(new, encoding="utf-8")
+    return 0
+
+
+def _by_observer(cell: Callable[[Row], str], part: str = "rows") -> str:
+    found = {(row["rule"], row["slips"], row["spread"]): row for row in read_table()[part]}
+    head = ["rule", *(f"{100 * slips:g} %, {spread:g}" for slips in SLIPS for spread in SPREADS)]
+    lines = [head, ["---"] * len(head)]
+    lines += [
+        [name, *(cell(found[name, slips, spread]) for slips in SLIPS for spread in SPREADS)] for name in RULES
+    ]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.0f}".replace("-", "−") if abs(value) >= 0.5 else "0"
+
+
+def _rounded(value: float) -> float | None:
+    return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

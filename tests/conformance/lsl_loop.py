@@ -1,0 +1,63 @@
+"""A loop that a test turns by hand, as others see it: rows in a ring, and two clocks that are compared now and then."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rig import ring as words
+from rig.ring import Ring
+from rig.sample import ROW
+
+OFFSET_NS = 5_000_000_123  # host clock less device clock
+WAY_NS = 50_000  # each way of an exchange
+INFO = {
+    "url": "sim://",
+    "experiment": {
+        "rig": {"name": "test-rig", "motion": "rotary"},
+        "controller": {"position_rate": 1000},
+        "wall": {"stiffness": 560.25, "damping": 0.75, "position": 0.0},
+    },
+}
+
+
+class HandTurnedLoop:
+    """The ring of a loop that ticks each millisecond; `told` is all rows that it has left."""
+
+    def __init__(
+        self, capacity: int = 64, *, shared: bool = False, info: dict[str, Any] | None = None
+    ) -> None:
+        self.ring = Ring.allocate(capacity, info=INFO if info is None else info, shared=shared)
+        self.told = np.zeros(0, ROW)
+
+    def leave(self, count: int, **columns: Any) -> None:
+        """Leave rows; columns are single values or one for each row."""
+        rows = np.zeros(count, ROW)
+        number = len(self.told) + np.arange(count)
+        rows["tick"], rows["sample_index"] = number, 100 + number
+        rows["device_time"] = 1_000_000 * (100 + number)
+        rows["received_at"] = rows["host_time"] = rows["device_time"] + OFFSET_NS + 400_000
+        for name in ("position", "velocity", "penetration", "effort_sent", "effort_applied"):
+            rows[name] = np.random.default_rng(len(self.told)).normal(size=count)
+        for name, values in columns.items():
+            rows[name] = values
+        for row in rows:
+            head = self.ring.get(words.HEAD)
+            self.ring.rows[head % self.ring.capacity] = row
+            self.ring.put(words.HEAD, head + 1)
+        self.told = np.concatenate((self.told, rows))
+
+    def compare_clocks(self) -> None:
+        """Do what `rig.loop.exchange` does with an answer."""
+        done = self.ring.get(words.EXCHANGES)
+        device = 1_000_000 * (100 + len(self.told))
+        host = device + OFFSET_NS
+        for i, stamp in enumerate((host - WAY_NS, device, device, host + WAY_NS)):
+            self.ring.put(words.CLOCK + 4 * (done % 2) + i, stamp)
+        self.ring.put(words.EXCHANGES, done + 1)
+
+    def end(self, reason: int = 1) -> None:
+        """Say that it has returned."""
+        self.ring.put(words.END_REASON, reason)
+        self.ring.put(words.LOOP_DONE, 1)

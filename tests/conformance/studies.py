@@ -1,0 +1,248 @@
+"""Studies whose truth is known: logs as a session writes them, of simulated people, without any rig or recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from rig import presets
+from rig.config import as_mapping
+from rig.recording.lines import LineFile
+from rig.search.observer import Observer
+from rig.session.load import as_mapping as protocol_as_mapping
+from rig.session.load import protocol_from_mapping
+from rig.session.log import SessionLog
+from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, State
+
+PRESET = "koul-compliant"
+VERSIONS = {
+    "haptic-rig": "0.1.0",
+    "sources": "abc",
+    "python": "3.11",
+    "numpy": "2",
+    "numba": "0",
+    "platform": "test",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Person:
+    """Somebody with known limits: K50 by condition and damping, and what automatic verdicts make of the same walls.
+
+    `drift` is added to K50 for each trial of the session. `invalid` is the share of hits that say nothing; `unsure`
+    that of trials after which they cannot say. `automatic` shifts the automatic verdict's limit against the person's.
+    """
+
+    threshold: Callable[[str, float], float]
+    spread: float = 15.0
+    slips: float = 0.0
+    drift: float = 0.0
+    invalid: float = 0.0
+    unsure: float = 0.0
+    automatic: float = 0.0
+
+
+def protocol(**sections: Any) -> dict[str, Any]:
+    """A protocol of two conditions; sections change keys of it."""
+    plain: dict[str, Any] = {
+        "study": {"title": "A study", "preset": PRESET, "participants": 4, "seed": 7},
+        "search": {"rule": "staircase", "lowest": 100.0, "highest": 900.0, "step": 25.0},
+        "order": {"kind": "latin-square", "repeats": 3},
+        "condition": [{"name": "uniform", "scheme": "uniform:2k"}, {"name": "dual", "scheme": "dual:20k/2k"}],
+    }
+    for name, values in sections.items():
+        plain[name] = {**plain.get(name, {}), **values} if isinstance(values, Mapping) else values
+    return protocol_as_mapping(protocol_from_mapping(plain, "the test's protocol"))
+
+
+@contextmanager
+def without_sync() -> Iterator[None]:
+    """Let logs be written without waiting for the disk: what is tested is what they say."""
+    with patch.object(LineFile, "sync"):
+        yield
+
+
+@dataclass
+class Sitting:
+    """A session being written; `step` does what comes next, as the engine would."""
+
+    directory: Path
+    log: SessionLog
+    state: State
+    person: Person
+    now: list[float]
+    drawn: np.random.Generator
+    by: str = "person"
+    recorded: bool | Path = False
+    asked: list[int] = field(default_factory=list)
+
+    def record(self, kind: str, /, **content: Any) -> int:
+        """Write an event and take it into the state; returns its number."""
+        event = self.log.append(kind, **content)
+        self.state.apply(event)
+        return event.number
+
+    def step(self) -> bool:
+        """Do what comes next; False at the end."""
+        match self.state.next():
+            case DoEnd(reason):
+                if self.state.ended is None:
+                    self.record("ended", reason=reason)
+                return False
+            case DoTrial() as step:
+                self.hit(step)
+            case DoJudge(trial):
+                self.now[0] += 2.0
+                self.record(
+                    "judged",
+                    trial=trial.trial,
+                    verdict=self.verdict(trial),
+                    by=self.by,
+                    took_s=round(float(self.drawn.uniform(0.5, 1.5)), 3),
+                )
+            case DoBlock(block):
+                self.record("block", block=block.number)
+            case DoRest(seconds, reason):
+                self.now[0] += seconds
+                self.record("rested", seconds=seconds, reason=reason)
+            case DoAsk(item, block):
+                self.record(
+                    "answered",
+                    item=item.name,
+                    answer=item.lowest if item.kind == "scale" else str(item.lowest),
+                    block=block,
+                )
+            case other:
+                self.record("retried", run=other.run.number)
+        return True
+
+    def run(self, trials: int = 10_000) -> None:
+        """Go on until the end, or until there are so many trials more, judged."""
+        most = len(self.state.trials) + trials
+        while not (len(self.state.trials) >= most and not isinstance(self.state.next(), DoJudge)):
+            if not self.step():
+                return
+
+    def observer(self, condition: str, damping: float, trial: int, shift: float = 0.0) -> Observer:
+        """Who judges this trial."""
+        return Observer(
+            threshold=self.person.threshold(condition, damping) + self.person.drift * trial + shift,
+            spread=self.person.spread,
+            slips=self.person.slips,
+        )
+
+    def hit(self, step: DoTrial) -> None:
+        """A hit as the rig would have seen it."""
+        self.now[0] += 8.0
+        run, level = step.run, step.probe.level
+        invalid = self.drawn.random() < self.person.invalid
+        observer = self.observer(run.condition, run.damping, step.trial, self.person.automatic)
+        stable = observer.judge(level, self.drawn)
+        kind = (
+            "invalid" if invalid else "stable" if stable else "limit cycle" if level < 700.0 else "unstable"
+        )
+        passes = None if invalid else stable
+        recording, digest = None, None
+        if self.recorded:
+            recording = f"trials/t{step.trial:04d}.parquet"
+            made_up = f"{self.state.code} {step.trial}".encode()
+            data = self.recorded.read_bytes() if isinstance(self.recorded, Path) else made_up
+            (self.directory / recording).write_bytes(data)
+            digest = sha256(data).hexdigest()
+        self.record(
+            "trial",
+            trial=step.trial,
+            block=step.block.number,
+            run=run.number,
+            attempt=step.attempt,
+            condition=run.condition,
+            damping=run.damping,
+            repeat=run.repeat,
+            stiffness=level,
+            track=step.probe.track,
+            catch=step.probe.catch,
+            practice=run.practice,
+            seed=step.seed,
+            recording=recording,
+            sha256=digest,
+            rows_sha256=digest,
+            ended="finished",
+            aborted="",
+            automatic=kind,
+            reasons=[],
+            passes={"felt": passes, "heard": passes, "any": passes},
+            numbers={"felt": None, "heard": 0.01, "moved": 0.0, "peak_effort": 0.5},
+            baseline=None,
+            heat=0.1,
+        )
+
+    def verdict(self, trial: Any) -> str:
+        """What they say of a trial."""
+        if self.state.protocol.study.judge == "automatic":
+            return "stable" if trial.passes["any"] else "buzz"
+        if self.drawn.random() < self.person.unsure:
+            return "unsure"
+        if self.observer(trial.condition, trial.damping, trial.trial).judge(trial.stiffness, self.drawn):
+            return "stable"
+        return "unstable" if trial.automatic == "unstable" else "buzz"
+
+
+@contextmanager
+def sitting(
+    directory: Path,
+    mapping: Mapping[str, Any],
+    person: Person,
+    *,
+    code: str = "P01",
+    row: int = 0,
+    seed: int = 1,
+    recorded: bool | Path = False,
+    rehearsal: Mapping[str, Any] | None = None,
+    versions: Mapping[str, Any] = VERSIONS,
+) -> Iterator[Sitting]:
+    """Begin a session in its directory, to be gone on with by the test; recordings are made up, or copies of a file."""
+    (directory / "trials").mkdir(parents=True)
+    now = [1e9]
+    judge = mapping["study"]["judge"]
+    with SessionLog(directory / "session.log", clock=lambda: now[0]) as log:
+        log.append(
+            "began",
+            protocol=dict(mapping),
+            protocol_sha256="",
+            experiment=as_mapping(presets.load(mapping["study"]["preset"])),
+            code=code,
+            row=row,
+            seed=mapping["study"]["seed"],
+            versions=dict(versions),
+            rehearsal=None if rehearsal is None else dict(rehearsal),
+        )
+        yield Sitting(
+            directory=directory,
+            log=log,
+            state=State.of(log.events),
+            person=person,
+            now=now,
+            drawn=np.random.default_rng(seed),
+            by="automatic" if judge == "automatic" else "simulated" if rehearsal else "person",
+            recorded=recorded,
+        )
+
+
+def write_study(
+    where: Path, mapping: Mapping[str, Any], people: Mapping[str, Person], **options: Any
+) -> list[Path]:
+    """Whole sessions of these people, in this order; returns their directories."""
+    made = []
+    with without_sync():
+        for row, (code, person) in enumerate(people.items()):
+            with sitting(where / code, mapping, person, code=code, row=row, seed=100 + row, **options) as one:
+                one.run()
+            made.append(where / code)
+    return made

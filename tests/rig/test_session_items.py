@@ -1,0 +1,71 @@
+"""Answers to the questionnaire: one function says what is one, for the console, the engine and a correction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.session.console.conversation import Answer, Conversation
+from rig.session.console.keymap import KeyMap
+from rig.session.desk import Question
+from rig.session.items import asked, parse_answer, wanted
+from rig.session.protocol import Item, Keys
+
+SCALE = asked(Item(name="tired", text="How tired?", lowest=-2, highest=7))
+CHOICE = asked(Item(name="hand", text="Which hand?", kind="choice", choices=("left", "right", "3", "1")))
+TEXT = asked(Item(name="remarks", text="Anything?", kind="text"))
+
+
+@pytest.mark.parametrize(
+    ("item", "text", "kept"),
+    [
+        (SCALE, " 7 ", 7),
+        (SCALE, "-2", -2),
+        (SCALE, "007", 7),
+        (SCALE, "8", None),
+        (SCALE, "--5", None),
+        (SCALE, "-", None),
+        (SCALE, "", None),
+        (SCALE, "5.0", None),
+        (SCALE, "٥", None),
+        (SCALE, "²", None),
+        (SCALE, "9" * 5000, None),
+        (CHOICE, "left", "left"),
+        (CHOICE, "2", "right"),
+        (CHOICE, "1", "1"),  # the words win over the number
+        (CHOICE, "3", "3"),
+        (CHOICE, "4", "1"),
+        (CHOICE, "0", None),
+        (CHOICE, "-1", None),
+        (CHOICE, "5", None),
+        (CHOICE, "foot", None),
+        (TEXT, "  none ", "none"),
+        (TEXT, "--5", "--5"),
+    ],
+)
+def test_what_is_an_answer(item: dict[str, Any], text: str, kept: str | int | None) -> None:
+    assert parse_answer(item, text) == kept
+
+
+@given(st.sampled_from([SCALE, CHOICE, TEXT]), st.text(max_size=12) | st.integers(-20, 20).map(str))
+def test_an_answer_that_was_parsed_is_parsed_again_to_itself(item: dict[str, Any], text: str) -> None:
+    once = parse_answer(item, text)
+    assert once is None or parse_answer(item, str(once)) == once
+
+
+@pytest.mark.parametrize(("text", "kept"), [("--5", None), ("8", None), ("-2", "-2"), ("07", "7")])
+def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) -> None:
+    told = Conversation(KeyMap.of(Keys()))
+    question = Question(kind="item", text="How tired?", actions=("answer", "abort"), item=SCALE)
+    told.ask(question.as_mapping(), 0.0)
+    answers = [answer for key in (*text, "enter") for answer in told.press(key)]
+    assert answers == ([] if kept is None else [Answer("answer", kept)])
+    assert (told.notice == wanted(SCALE)) is (kept is None)
+
+
+def test_what_is_wanted_names_the_choices() -> None:
+    assert wanted(CHOICE) == "a number from 1 to 4, or one of: left, right, 3, 1"
+    assert wanted(SCALE) == "a number from -2 to 7"

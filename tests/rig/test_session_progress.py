@@ -1,0 +1,70 @@
+"""What somebody who waits for a rehearsal sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from rig.cli import session_progress
+from rig.cli.session_progress import Rehearsed
+from rig.session.desk import View
+from rig.session.log import Event
+
+
+class Terminal:
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    lines: list[str] = []
+    monkeypatch.setattr(
+        session_progress.click, "echo", lambda text, nl=True, err=False: lines.append(f"{err} {text}")
+    )
+    return lines
+
+
+def clock(step_s: float) -> Iterator[float]:
+    now = 0.0
+    while True:
+        yield now
+        now += step_s
+
+
+def ready(trial: int, block: int = 2) -> View:
+    return View(state="ready", trial=trial, trials=104, block=block, blocks=5, practice=block == 0)
+
+
+def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, said: list[str]) -> None:
+    monkeypatch.setattr(session_progress.sys, "stderr", Terminal())
+    with Rehearsed(quiet=False, clock=clock(3.0).__next__) as seen:
+        for trial in (1, 2, 3, 4):
+            seen.looks(ready(trial, 0 if trial == 1 else 2))
+        seen.looks(View(state="homing"))
+        seen.told(Event(1, 0.0, "paused"))
+    start = "True \r\033[K"
+    assert said == [
+        f"{start}trial 1 of about 104, practice",
+        f"{start}trial 2 of about 104, block 2 of 5",
+        f"{start}trial 3 of about 104, block 2 of 5",
+        f"{start}trial 4 of about 104, block 2 of 5, about 5 min left",  # 101 trials of 3 s
+        start,
+    ]
+
+
+def test_elsewhere_events_are_lines_and_the_time_is_told_once(said: list[str]) -> None:
+    with Rehearsed(quiet=False, clock=clock(0.5).__next__) as seen:
+        for trial in range(1, 8):
+            seen.looks(ready(trial))
+        seen.told(Event(1, 0.0, "paused"))
+    assert said == ["True   trial 4 of about 104, block 2 of 5, about 50 s left", "True   paused"]
+
+
+def test_nothing_is_said_to_a_program(said: list[str]) -> None:
+    with Rehearsed(quiet=True) as seen:
+        for trial in range(1, 8):
+            seen.looks(ready(trial))
+        seen.told(Event(1, 0.0, "paused"))
+    assert said == []

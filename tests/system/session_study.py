@@ -1,0 +1,63 @@
+"""A short protocol whose hits are quick to simulate, and what its tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rig.session.log import Event
+from tests.rig.session_fakes import decisions
+
+PROTOCOL = """
+[study]
+title = "quick"
+preset = "koul-rigid"
+seed = 11
+[study.changes]
+"operator.press" = 1.6
+"operator.begin_s" = 0.02
+"operator.reach_s" = 0.1
+"homing.settle_s" = 0.02
+"homing.speed" = 0.3
+"verdict.tail_s" = 0.1
+"verdict.lowpass_hz" = 400.0
+"trial.minimum_rest_counts" = 0.0
+"trial.release_s" = 0.02
+[trial]
+duration_s = 0.3
+[search]
+rule = "staircase"
+lowest = 20.0
+highest = 120.0
+step = 20.0
+settings = { turns = 2, most = 3, steps = [2, 1] }
+[order]
+kind = "fixed"
+repeats = 2
+[[condition]]
+name = "hidden-dual"
+scheme = "dual:2k/1k"
+damping = [0.211]
+[[condition]]
+name = "hidden-uniform"
+scheme = "uniform:2k"
+damping = [0.211]
+[[question]]
+name = "tired"
+text = "How tired?"
+"""
+
+
+def written(directory: Path) -> Path:
+    """The protocol as a file."""
+    path = directory / "quick.toml"
+    path.write_text(PROTOCOL)
+    return path
+
+
+def comparable(events: list[Event]) -> list[tuple[str, dict[str, Any]]]:
+    """Decisions; of a recording the rows, since its header says when and where it was made."""
+    return [
+        (kind, {key: value for key, value in content.items() if key != "sha256"})
+        for kind, content in decisions(events)
+    ]

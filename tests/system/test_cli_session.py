@@ -1,0 +1,266 @@
+"""``rig session run, resume, show, amend`` as a user meets them, without a terminal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.cli import run as rig
+from rig.session.directory import LOG
+from rig.session.log import SessionLog, read
+from tests.system.session_study import PROTOCOL, written
+
+OF_THE_WALL = ("hidden", "0.211", "stiffness", "damping")
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = rig(["session", *arguments])
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One rehearsed participant."""
+    place = tmp_path_factory.mktemp("study")
+    code = rig(
+        ["session", "run", str(written(place)), "P01", "--rehearse", "--study", str(place / "all"), "--json"]
+    )
+    assert code == 0
+    return place
+
+
+def test_a_rehearsal_runs_to_its_end_and_says_no_wall(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call(
+        capsys, "run", str(written(tmp_path)), "P02", "--rehearse", "--study", str(tmp_path / "all")
+    )
+    assert code == 0
+    assert "session of P02: complete" in out
+    assert not any(word in out + err for word in OF_THE_WALL)
+    assert (tmp_path / "all" / "P02" / "protocol.toml").read_text() == PROTOCOL
+
+
+def test_a_rehearsal_takes_nobodys_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = str(written(tmp_path))
+    assert call(capsys, "run", path, "P01", "--rehearse")[0] == 0
+    assert (tmp_path / "rehearsals" / "quick" / "P01" / LOG).is_file()
+    assert not (tmp_path / "sessions").exists()
+    status, _, err = call(capsys, "run", path, "P01", "--plain", "--study", "rehearsals/quick")
+    assert status == 2
+    assert "holds a rehearsal with a simulated person already" in err
+
+
+def test_show_is_blind_unless_asked(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = str(study / "all" / "P01")
+    _, blind, _ = call(capsys, "show", directory, "--log")
+    _, blind_json, _ = call(capsys, "show", directory, "--json")
+    assert not any(word in blind + blind_json for word in OF_THE_WALL)
+    told: dict[str, Any] = json.loads(blind_json)
+    assert told["ended"] == "complete"
+    assert told["counted"] == sum(event["kind"] == "judged" for event in told["events"])
+    _, open_log, _ = call(capsys, "show", directory, "--log", "--unblind")
+    assert "hidden-dual" in open_log
+
+
+def test_show_tells_when(study: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    _, out, _ = call(capsys, "show", str(study / "all" / "P01"), "--log")
+    assert out.count("in the simulation's time") == 1
+    assert "    0  00:00:00  began" in out
+    real = tmp_path / "P01"
+    real.mkdir()
+    content = dict(read(study / "all" / "P01" / LOG)[0].content)
+    with SessionLog(real / LOG, clock=iter((1.7e9, 1.7e9 + 1, 1.7e9 + 90_000)).__next__) as log:
+        log.append("began", **content)
+        log.append("paused")
+        log.append("continued")
+    _, out, _ = call(capsys, "show", str(real), "--log")
+    dates = [line for line in out.splitlines() if line.startswith("  2023-11-1")]
+    assert len(dates) == 2
+
+
+def test_a_damaged_last_line_is_shown_told_and_set_aside(
+    study: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    here = tmp_path / "P01"
+    shutil.copytree(study / "all" / "P01", here)
+    lines = (here / LOG).read_bytes().splitlines(keepends=True)
+    (here / LOG).write_bytes(b"".join(lines[:11]) + lines[11].replace(b'"', b"'", 1))
+    status, out, err = call(capsys, "show", str(here), "--log")
+    assert status != 0
+    assert "   10  " in out
+    assert "   11  " not in out
+    assert "line 12, the last one: damaged" in err
+    status, _, err = call(capsys, "resume", str(here))
+    assert status != 0
+    assert "--drop-damaged-line" in err
+    status, out, err = call(capsys, "resume", str(here), "--drop-damaged-line")
+    assert status == 0
+    assert f"the damaged line is in {here / LOG}.damaged-1 now" in err
+    assert "a damaged line of its log was set aside: session.log.damaged-1" in err
+    assert "session of P01: complete" in out
+    (resumed,) = [event for event in read(here / LOG) if event.kind == "resumed"]
+    assert resumed.content["damaged"][0]["file"] == "session.log.damaged-1"
+
+
+def test_amend_corrects_and_says_so(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = study / "all" / "P01"
+    number = next(event.number for event in read(directory / LOG) if event.kind == "judged")
+    code, out, _ = call(
+        capsys, "amend", str(directory), str(number), "unsure", "--why", "wrong key", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)["corrects"] == number
+    assert read(directory / LOG)[-1].kind == "amended"
+
+
+def test_amend_speaks_of_trials(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = str(study / "all" / "P01")
+    status, out, _ = call(capsys, "amend", directory, "--trial", "2", "void", "--why", "bumped")
+    assert (status, out.splitlines()[0].startswith("trial 2 now reads 'void'")) == (0, True)
+    _, shown, _ = call(capsys, "show", directory, "--log")
+    assert "trial 2 does not count (bumped)" in shown
+    call(capsys, "amend", directory, "--trial", "2", "counts", "--why", "not bumped")
+    for words in (("3",), ("x", "buzz"), ("3", "4", "buzz"), ("--trial", "2", "7", "buzz")):
+        status, _, err = call(capsys, "amend", directory, *words, "--why", "x")
+        assert (status, "is no correction" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("P01", "holds a rehearsal with a simulated person already"),
+        ("Anna Smith", "participant code"),
+        ("anna@lab.org", "e-mail"),
+        ("../P03", "path"),
+        ("Q1", "pattern"),
+    ],
+)
+def test_codes_that_are_refused_change_nothing(
+    study: Path, capsys: pytest.CaptureFixture[str], code: str, said: str
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
+    status, _, err = call(
+        capsys, "run", str(study / "quick.toml"), code, "--rehearse", "--study", str(study / "all")
+    )
+    assert status == 2
+    assert said in err
+    assert {path: path.stat().st_mtime_ns for path in study.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--rehearse", "--threshold", "hidden-dua=60"], "did you mean hidden-dual?"),
+        (["--rehearse", "--threshold", "other=60"], "choose one of: 'hidden-dual', 'hidden-uniform'"),
+        (["--rehearse", "--threshold", "hidden-dual=nan"], "--threshold hidden-dual=nan is no stiffness"),
+        (["--rehearse", "--threshold", "hidden-dual=-3"], "is no stiffness"),
+        (["--rehearse", "--spread", "0"], "--spread 0 is no stiffness"),
+        (["--rehearse", "--spread", "nan"], "is no stiffness"),
+        (["--rehearse", "--slips", "5"], "--slips 5 is no share"),
+        (["--rehearse", "--slips", "-0.5"], "is no share"),
+        (["--rehearse", "--slips", "nan"], "is no share"),
+        (["--rehearse", "--row", "99"], "give --row 0 to 11"),
+        (["--plain", "--slips", "0.1"], "belong to a rehearsal"),
+        (["--plain", "--spread", "3"], "belong to a rehearsal"),
+    ],
+)
+def test_a_person_whom_nobody_can_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    status, _, err = call(
+        capsys, "run", str(written(tmp_path)), "P01", "--study", str(tmp_path / "all"), *options
+    )
+    assert status == 2
+    assert said in err
+    assert not (tmp_path / "all").exists()
+
+
+def test_a_finished_session_is_not_resumed(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = call(capsys, "resume", str(study / "all" / "P01"))
+    assert status == 2
+    assert "is over" in err
+
+
+def test_a_person_needs_a_terminal(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = call(capsys, "run", str(study / "quick.toml"), "P09", "--study", str(study / "all"))
+    assert status == 2
+    assert "terminal" in err
+    assert not (study / "all" / "P09").exists()
+
+
+def test_a_rate_that_the_device_does_not_do_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "fast.toml"
+    path.write_text(PROTOCOL.replace("dual:2k/1k", "dual:20k/1k"))
+    realtime = ("--rehearse", "--realtime", "--study", str(tmp_path / "all"))
+    status, _, err = call(capsys, "run", str(path), "P01", *realtime)
+    assert status == 2
+    assert "20000 Hz asked, the device does 4000 Hz at most" in err
+    assert "rehearse in virtual time" in err
+    assert not (tmp_path / "all").exists()
+
+
+def test_a_name_is_refused_before_anybody_needs_a_terminal(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, _, err = call(capsys, "run", str(study / "quick.toml"), "Anna", "--study", str(study / "all"))
+    assert "looks like a name" in err
+    assert "terminal" not in err
+
+
+def test_blocks_are_those_that_count(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = study / "practised.toml"
+    path.write_text(PROTOCOL + "[practice]\nstiffness = [30.0]\n")
+    _, out, _ = call(capsys, "run", str(path), "P05", "--rehearse", "--study", str(study / "other"), "--json")
+    found = json.loads(out)
+    assert (found["blocks"], found["blocks_done"]) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ('title = "quick"', "title"),
+        ("lowest = 20.0", "search.lowest"),
+        ('scheme = "dual:2k/1k"', "scheme"),
+        ('name = "hidden-uniform"', "name"),
+    ],
+)
+def test_bad_protocols_are_refused_by_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
+) -> None:
+    bad = {
+        'title = "quick"': "title = 3",
+        "lowest = 20.0": "lowest = 2000.0",
+        'scheme = "dual:2k/1k"': 'scheme = "dual:2k/3k"',
+        'name = "hidden-uniform"': 'name = "hidden-dual"',
+    }[change]
+    path = tmp_path / "bad.toml"
+    path.write_text(PROTOCOL.replace(change, bad))
+    status, _, err = call(capsys, "run", str(path), "P01", "--rehearse", "--study", str(tmp_path / "all"))
+    assert status == 2
+    assert str(path) in err
+    assert said in err
+    assert not (tmp_path / "all").exists()
+
+
+def test_a_wall_that_must_not_be_hit_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "hard.toml"
+    path.write_text(
+        PROTOCOL.replace('"trial.minimum_rest_counts" = 0.0', '"rig.limits.position_maximum" = 0.001')
+    )
+    status, _, err = call(capsys, "run", str(path), "P01", "--rehearse", "--study", str(tmp_path / "all"))
+    assert status == 2
+    assert "peak penetration" in err
+    assert not (tmp_path / "all").exists()

@@ -1,0 +1,64 @@
+"""Somebody leads the hand of a simulated rig in real time, from another process, and the wall stops them."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+from rig import presets
+from rig.config import override
+from rig.devices.hand import SharedHand
+from rig.errors import DeviceFaultError, LinkLostError
+from rig.experiments.hit import HitRequest, hit
+from rig.recording.reader import open_recording
+from rig.sample import Phase
+from tests.conformance.firmware import need_compiler
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+LED = override(
+    presets.load("koul-rigid"),
+    {
+        "trial.kind": "human", "trial.baseline_s": 0.2, "trial.duration_s": 0.8, "trial.release_s": 0.05,
+        "trial.start": -0.01, "verdict.tail_s": 0.2, "homing.settle_s": 0.05, "homing.speed": 0.5,
+        "operator.begin_s": 0.2, "operator.reach_s": 0.2, "rig.simulation.initial_position": -0.01,
+    },
+)  # fmt: skip
+SOFT = {"wall.stiffness": 12.0, "wall.damping": 0.1}  # holds at 1 kHz behind a port, in a hand
+AHEAD, PRESS = 0.02, 2.0  # into the wall (rad, N)
+
+
+@pytest.mark.parametrize("firmware", [False, True], ids=["readable", "firmware"])
+def test_the_hand_goes_where_somebody_leads_it(firmware, tmp_path):
+    if firmware:
+        need_compiler()
+    seen = []
+    with SharedHand.create(tmp_path / "hand") as hand:
+
+        def watch(repeat, experiment):
+            def told(ticks, phase):  # some fifty times a second, like a mouse
+                seen.append(phase)
+                waits = seen.count(Phase.TRIAL) * 0.02 < experiment.trial.baseline_s + 0.1
+                if phase == Phase.TRIAL and not waits:
+                    hand.move(AHEAD, PRESS)
+                else:
+                    hand.move(experiment.trial.start, 0.0)
+
+            return told
+
+        url = f"sim://?hand={hand.path}" + ("&firmware=1" if firmware else "")
+        request = HitRequest(experiment=LED, url=url, realtime=True, output=tmp_path, changes=SOFT)
+        try:
+            (result,) = hit(request, watch)
+        except (LinkLostError, DeviceFaultError) as error:  # a machine that is too busy for real time
+            pytest.skip(str(error))
+    rows = open_recording(result.recording).rows
+    trial = rows[rows["phase"] == Phase.TRIAL]
+    free = trial[: len(trial) // 10]
+    assert (free["penetration"] <= 0.0).all()
+    assert (trial["penetration"][-len(trial) // 10 :] > 0.0).all(), "it was led into the wall, and stays"
+    assert result.verdict.contact_s > LED.trial.baseline_s
+    push = trial["effort_sent"][-len(trial) // 10 :].mean()
+    operator, radius = LED.operator, LED.rig.mechanics.handle_radius
+    most = (PRESS + operator.hand_stiffness * AHEAD * radius) * radius
+    assert -1.2 * most < push < -0.5 * most, "as hard as somebody presses there"

@@ -1,0 +1,164 @@
+"""Whole sessions on the simulated rig, in virtual time: the same from the seed, and after any kill -9."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rig.recording.reader import open_recording
+from rig.session.analysis import analyse
+from rig.session.analysis.tables import tables
+from rig.session.directory import LOG
+from rig.session.hits import RigBench, sha256_of
+from rig.session.log import read
+from rig.session.rehearsal import Person
+from rig.session.run import rehearsal_desk, resume_session, run_session
+from rig.session.state import State
+from tests.system.session_study import comparable, written
+
+PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, slips=0.05)
+KILLS = 10
+
+
+def rehearse(protocol: Path, study: Path, code: str = "P01") -> Path:
+    run_session(protocol, code, rehearsal_desk(PERSON), bench=RigBench(), study=study, person=PERSON)
+    return study / code
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    place = tmp_path_factory.mktemp("calm")
+    protocol = written(place)
+    return protocol, rehearse(protocol, place / "study")
+
+
+def test_a_session_is_the_same_to_the_last_bit_from_its_seed(calm: tuple[Path, Path], tmp_path: Path) -> None:
+    protocol, directory = calm
+    again = rehearse(protocol, tmp_path)
+    assert comparable(read(again / LOG)) == comparable(read(directory / LOG))
+
+
+def test_its_recordings_are_hashed_readable_and_say_nothing_in_their_names(calm: tuple[Path, Path]) -> None:
+    _, directory = calm
+    state = State.of(read(directory / LOG))
+    assert state.ended == "complete"
+    assert len(state.trials) == 12
+    for trial in state.trials:
+        path = directory / trial.recording
+        assert path.name == f"t{trial.trial:04d}.parquet"
+        assert sha256_of(path) == trial.sha256
+        recording = open_recording(path)
+        assert recording.experiment["wall"]["stiffness"] == trial.stiffness
+        assert recording.experiment["trial"]["kind"] == "human"
+        assert recording.trailer is not None
+        assert recording.trailer["reason"] == "finished"
+        assert trial.automatic != "invalid"
+        assert 0.0 < trial.heat < 1.0
+
+
+def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> None:
+    """SIGKILL at random moments of a session, and of its resumptions."""
+    protocol, directory = calm
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "tests.system.test_session", str(protocol), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["kills"] == KILLS
+    events = read(tmp_path / "P01" / LOG)
+    assert comparable(events) == comparable(read(directory / LOG))
+    assert results(tmp_path / "P01") == results(directory)
+    state = State.of(events)
+    aside = {
+        one["file"]: one["sha256"]
+        for event in events
+        if event.kind == "resumed"
+        for one in event.content["abandoned"]
+    }
+    named = {trial.recording: trial.sha256 for trial in state.trials}
+    there = (path for path in (tmp_path / "P01" / "trials").rglob("*") if path.is_file())
+    assert {str(path.relative_to(tmp_path / "P01")): sha256_of(path) for path in there} == named | aside
+
+
+def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path, Path]) -> None:
+    """Twelve verdicts, one of them a slip: K50 is told within a part of the range of 100 that was searched."""
+    found = analyse([calm[1]])
+    told = [one for one in found.of_participants if one.measure == "K50 person"]
+    assert {one.condition for one in told} == {"hidden-dual", "hidden-uniform"}
+    for one in told:
+        assert one.low <= 65.0 <= one.high
+        assert one.high - one.low < 90.0
+
+
+def results(directory: Path) -> dict[str, list[list[str]]]:
+    """All tables of an analysis. Time is virtual: what was killed and went on has the same times of day too."""
+    found = analyse([directory])
+    return {
+        table.name: [[str(column.of(row)) for column in table.columns] for row in table.rows]
+        for table in tables(found)
+    }
+
+
+def _killed_again_and_again(protocol: Path, study: Path) -> None:
+    """Run in a process without threads: each attempt is a fork, so that nothing is imported twice."""
+    drawn, kills = random.Random(4), 0
+    # What the session needs is loaded and compiled before the first fork.
+    rehearse(protocol, study / "warm")
+    while True:
+        child = os.fork()
+        if child == 0:
+            _child(protocol, study)
+        if kills < KILLS:
+            kills += _kill(child, study / "P01" / LOG, drawn.randrange(1, 5), drawn.uniform(0.0, 0.03))
+        _, status = os.waitpid(child, 0)
+        if os.WIFEXITED(status):
+            break
+    print(json.dumps({"kills": kills, "status": os.WEXITSTATUS(status)}))
+    sys.exit(os.WEXITSTATUS(status))
+
+
+def _child(protocol: Path, study: Path) -> None:
+    code = 1
+    try:
+        begun = (study / "P01" / LOG).exists() and len(read(study / "P01" / LOG)) > 0
+        if begun:
+            resume_session(study / "P01", rehearsal_desk(PERSON), bench=RigBench())
+        else:
+            rehearse(protocol, study)
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _kill(child: int, log: Path, lines: int, after_s: float) -> int:
+    """Kill a child some time after it has written so many lines; 0 when it ended before."""
+    before = _lines(log)
+    at = None
+    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        if at is None and _lines(log) >= before + lines:
+            at = time.monotonic() + after_s
+        if at is not None and time.monotonic() >= at:
+            os.kill(child, signal.SIGKILL)
+            return 1
+        time.sleep(0.001)
+    return 0
+
+
+def _lines(log: Path) -> int:
+    return log.read_bytes().count(b"\n") if log.exists() else 0
+
+
+if __name__ == "__main__":
+    _killed_again_and_again(Path(sys.argv[1]), Path(sys.argv[2]))

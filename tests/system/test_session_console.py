@@ -1,0 +1,388 @@
+"""A session with a console, as an operator has it: in a terminal, on a simulated rig, in real and in virtual time.
+
+A machine without time for a loop ends hits in real time early; the session asks then, and goes on. Where every hit ends
+so, there is nothing to see, and the test says so.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+import rig.session.run  # noqa: F401  (compiles the loop before anybody waits for it)
+from rig import running
+from rig.recording.reader import open_recording
+from rig.sample import Phase
+from rig.session.console.live import snapshot_of
+from rig.session.hits import sha256_of
+from rig.session.log import Event, read
+from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+ROOT = Path(__file__).parents[2]
+RATE = 250  # Hz: a loop that a loaded machine has time for
+STOPPED = "stopped; the effort is zero"  # by the stop word, and by nothing else
+REACH, LET_GO = "\x1b[F", "\x1b[H"  # end and home: the hand of the keyboard
+START_S = 90.0  # that program, console and simulated device may take to start on a loaded machine
+BY_KEYS_S = 15.0  # from the beginning of a trial to the wall; the script would take longer
+HITS = 8  # that may end early, before this machine has no time for a loop
+
+PROTOCOL = """
+[study]
+title = "console"
+preset = "koul-compliant"
+seed = 3
+[study.changes]
+"controller.position_rate" = {rate}
+"controller.velocity_rate" = {rate}
+"controller.parameters.cutoff_hz" = 50.0
+"controller.command_lifetime_s" = 0.02
+"homing.settle_s" = 0.05
+"operator.reach_s" = {reach_s}
+"operator.press" = 2.0
+"trial.release_s" = 0.05
+"verdict.tail_s" = 0.1
+"verdict.lowpass_hz" = 100.0
+[trial]
+duration_s = {duration_s}
+[search]
+rule = "grid"
+lowest = 10
+highest = 20
+step = 10
+settings = {{ repeats = 1 }}
+[order]
+kind = "fixed"
+[[condition]]
+name = "hidden-name"
+[[question]]
+name = "tired"
+text = "How tired?"
+"""
+
+
+# `rig session run` and `resume` with a console, whose simulated device is asked for its current when a run is over; in
+# virtual time, where nothing ends a hit early, or as a user starts it, in real time, where keys move the hand.
+PROGRAM = """
+import sys
+from pathlib import Path
+from rig.cli import run as rig
+from rig.experiments import trial
+from rig.session.console.desk import at_console
+from rig.session.hits import RigBench
+from rig.session.run import resume_session, run_session
+
+conclude = trial._conclude
+
+
+def witness(device, *rest):
+    error = conclude(device, *rest)
+    if device.link.clock.virtual:
+        current = device.link.device.current
+    else:
+        current = device.states(0.1)[-1].current_commanded
+    print("current afterwards:", current, file=sys.stderr)
+    return error
+
+
+trial._conclude = witness
+clock, what, path, *more = sys.argv[1:]
+if clock == "real":
+    sys.exit(rig(["session", what, path, *more, "--hand", "keyboard"]))
+if what == "run":
+    result = run_session(Path(path), more[0], at_console(), bench=RigBench(), study=Path(more[2]))
+else:
+    result = resume_session(Path(path), at_console(), bench=RigBench())
+print(f"session of {result.code}: {result.ended or result.stopped}")
+"""
+AT_REST = "current afterwards: 0"
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    with Terminal() as one:
+        yield one
+
+
+class Operator:
+    """Somebody at the terminal of ``rig session …``."""
+
+    def __init__(self, terminal: Terminal, directory: Path, clock: str, *arguments: str) -> None:
+        self.terminal, self.directory = terminal, directory / "study" / "P01"
+        self.seen: list[str] = []
+        self.rested = 0  # hits after which the device had no current
+        self.program: Program = terminal.run(sys.executable, "-c", PROGRAM, clock, *arguments, cwd=ROOT)
+
+    def sees(self, *texts: str) -> str:
+        """Wait until one of them stands there, or the program has ended; returns which, or nothing."""
+
+        def found() -> str:
+            screen = self.terminal.screen.text
+            return next((text for text in texts if text in screen), "")
+
+        self.terminal.until(lambda: bool(found()) or not alive(self.program.pid), str(texts), START_S)
+        self.seen.append(self.terminal.screen.text)
+        return found()
+
+    def types(self, keys: str, *, until_gone: str) -> None:
+        """Press keys, and wait until what they answered is gone."""
+        self.terminal.type(keys)
+        self.terminal.until(lambda: until_gone not in self.terminal.screen.text, f"no more: {until_gone}")
+
+    def hits(self) -> None:
+        """Say go until a hit is there to be judged."""
+        for _ in range(HITS):
+            asked = self.sees("[1] stable", "ended early:", "said nothing:", "ready?")
+            if asked == "[1] stable":
+                return
+            assert asked, self.end()
+            self.types("g", until_gone=asked)
+        self.program.end()
+        pytest.skip("every hit ended early: this machine has no time for a loop")
+
+    def end(self) -> tuple[int, str]:
+        """Exit code and standard error of the program, which must have ended or be about to; the device was at rest
+        after each hit.
+        """
+        code, err = self.program.wait()
+        lines = err.splitlines()
+        said = [line for line in lines if line != AT_REST]
+        self.rested += len(lines) - len(said)
+        return code, "\n".join(said)
+
+    @property
+    def events(self) -> list[Event]:
+        return read(self.directory / "session.log")
+
+    def of_kind(self, kind: str) -> list[dict[str, Any]]:
+        return [dict(event.content) for event in self.events if event.kind == kind]
+
+
+@pytest.fixture
+def start(terminal: Terminal, tmp_path: Path) -> Iterator[Callable[..., Operator]]:
+    started: list[Operator] = []
+
+    def begin(clock: str, *arguments: str, duration_s: float = 0.7) -> Operator:
+        path = tmp_path / "console.toml"
+        # In real time the keys move the hand, and the one of the script would be far too slow.
+        reach_s = 0.3 if clock == "virtual" else 60.0
+        path.write_text(PROTOCOL.format(duration_s=duration_s, reach_s=reach_s, rate=RATE))
+        given = arguments or ("run", str(path), "P01", "--study", str(tmp_path / "study"))
+        started.append(Operator(terminal, tmp_path, clock, *given))
+        return started[-1]
+
+    yield begin
+    for operator in started:
+        operator.program.end()
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def child_of(pid: int) -> int:
+    """The console of a session's program."""
+    for line in Path("/proc").iterdir():
+        if line.name.isdecimal():
+            try:
+                words = (line / "cmdline").read_bytes().split(b"\0")
+                parent = int((line / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+            if parent == pid and b"rig.session.console" in words:
+                return int(line.name)
+    raise AssertionError(f"process {pid} has no console")
+
+
+def eventually(condition: Callable[[], Any], what: str) -> Any:
+    """What the condition gives, once it gives something."""
+    pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        if found := condition():
+            return found
+        pause.wait(0.01)
+    raise AssertionError(f"it never came: {what}")
+
+
+def test_a_session_with_a_redo_an_abort_and_a_resume(
+    terminal: Terminal, start: Callable[..., Operator]
+) -> None:
+    operator = start("virtual")
+    operator.hits()
+    operator.types("1", until_gone="[1] stable")
+    operator.hits()
+    operator.types("r", until_gone="[1] stable")  # a slip of the key: that hit does not count
+    operator.hits()
+    operator.terminal.type("a")
+    terminal.wait("leave the session (it can be resumed)?")
+    terminal.type("y")
+    code, err = operator.end()
+    assert (code, err) == (0, "")
+    assert terminal.attributes_are_back()
+    terminal.wait("session of P01:", "the operator left")
+    assert operator.of_kind("stopped") == [{"reason": "the operator left"}]
+    assert operator.rested == 3
+
+    resumed = start("virtual", "resume", str(operator.directory))
+    assert resumed.sees("[1] stable")  # the hit that was made, and not yet judged
+    resumed.types("2", until_gone="[1] stable")
+    assert resumed.sees("answer>")
+    assert "How tired?" in terminal.screen.text
+    terminal.type("9\r")
+    terminal.wait("a number from 1 to 7")
+    terminal.type("5\r")
+    assert resumed.sees("end the session?")
+    terminal.type("g")
+    code, err = resumed.end()
+    assert (code, err) == (0, "")
+    terminal.wait("session of P01: complete")
+    assert terminal.attributes_are_back()
+    assert 1049 not in terminal.screen.modes
+
+    trials = {trial["trial"]: trial for trial in resumed.of_kind("trial")}
+    judged = [
+        (trials[one["trial"]]["stiffness"], one["verdict"], one["by"]) for one in resumed.of_kind("judged")
+    ]
+    assert judged == [(10, "stable", "person"), (20, "buzz", "person")]
+    (redone,) = resumed.of_kind("redone")
+    assert trials[redone["trial"]]["stiffness"] == 20
+    assert resumed.of_kind("answered") == [{"item": "tired", "answer": 5, "block": -1}]
+    assert [event["reason"] for event in resumed.of_kind("ended")] == ["complete"]
+    for trial in trials.values():
+        assert sha256_of(resumed.directory / trial["recording"]) == trial["sha256"]
+    shown = "\n".join([*operator.seen, *resumed.seen, terminal.screen.printed])
+    assert "hidden-name" not in shown
+    assert "N·m" not in shown
+
+
+def pressing(pid: int) -> bool:
+    """Whether the loop of a process renders its wall to a hand that presses."""
+    ring = running.memory_of(pid)
+    if ring is None:
+        return False
+    with ring:
+        live = snapshot_of(ring)
+    return live is not None and live.phase == "trial" and live.penetration > 0.0 and live.effort != 0.0
+
+
+def begin_to_press(operator: Operator, clock: str) -> None:
+    """Say go until a hand presses against the wall; in real time the keys move it."""
+    engine, screen = operator.program.pid, operator.terminal.screen
+    for _ in range(HITS):
+        asked = operator.sees("ended early:", "said nothing:", "ready?")
+        assert asked, operator.end()
+        operator.types("g", until_gone=asked)
+        if asked != "ready?":
+            continue
+        operator.terminal.until(
+            lambda: screen.text.split("\n")[0].endswith(" hit") or "[g] go" in screen.text, "the hit"
+        )
+        if clock == "virtual":
+            return
+        operator.terminal.type(REACH)
+        eventually(
+            lambda: pressing(engine) or "[g] go" in screen.text or not alive(engine), "a hand on the wall"
+        )
+        if pressing(engine):
+            return
+        operator.terminal.type(LET_GO)
+    operator.program.end()
+    pytest.skip("every hit ended early: this machine has no time for a loop")
+
+
+def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Callable[..., Operator]) -> None:
+    """By `rig stop`, and the next one by ^C; and long before the console's silence would have ended it."""
+    operator = start("real", duration_s=600.0)
+    engine = operator.program.pid
+    for _ in range(HITS):
+        begin_to_press(operator, "real")
+        console, before = child_of(engine), len(operator.of_kind("trial"))
+        os.kill(console, signal.SIGSTOP)
+        running.stop(engine, patience_s=PATIENCE_S)
+        trial = eventually(lambda n=before: operator.of_kind("trial")[n:], "the trial in the log")[0]
+        os.kill(console, signal.SIGCONT)
+        terminal.type(LET_GO)
+        if trial["ended"] == "stopped":  # a machine that has no time for a loop may have been faster
+            break
+    else:
+        pytest.skip("every hit ended early: this machine has no time for a loop")
+    assert check_stopped(operator, trial) == STOPPED
+    rows = open_recording(operator.directory / trial["recording"]).rows
+    led = rows[rows["phase"] == Phase.TRIAL]
+    assert np.argmax(led["penetration"] > 0.0) < BY_KEYS_S * RATE
+
+    begin_to_press(operator, "real")
+    before = len(operator.of_kind("trial"))
+    os.kill(child_of(engine), signal.SIGSTOP)
+    terminal.type("\x03")
+    code, err = operator.end()
+    assert terminal.attributes_are_back()
+    assert operator.of_kind("stopped")
+    trials = operator.of_kind("trial")
+    assert len(trials) == before + 1
+    if trials[-1]["ended"] != "stopped":
+        pytest.skip(f"the second hit ended early: {trials[-1]['ended']}")
+    assert code == 130, err
+    assert check_stopped(operator, trials[-1]) == STOPPED
+    assert operator.rested >= 2
+
+
+def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
+    terminal: Terminal, start: Callable[..., Operator]
+) -> None:
+    operator = start("virtual", duration_s=600.0)
+    begin_to_press(operator, "virtual")
+    terminal.type(" ")
+    terminal.wait("ended early: stopped at the console")
+    first = operator.of_kind("trial")[-1]
+    assert "stopped at the console" in check_stopped(operator, first)
+    begin_to_press(operator, "virtual")
+    console = child_of(operator.program.pid)
+    os.kill(console, signal.SIGSTOP)
+    eventually(lambda: len(operator.of_kind("trial")) == 2, "the trial in the log")
+    os.kill(console, signal.SIGCONT)
+    leave(operator)
+    assert operator.rested == 2
+    second = operator.of_kind("trial")[-1]
+    assert "the console said nothing for 2 s while a hit ran" in check_stopped(operator, second)
+
+
+def leave(operator: Operator) -> None:
+    """Leave the session at the next question."""
+    assert operator.sees("ended early:", "[1] stable")
+    operator.terminal.type("a")
+    operator.terminal.wait("leave the session")
+    operator.terminal.type("a")
+    assert operator.end() == (0, "")
+
+
+def check_stopped(operator: Operator, trial: dict[str, Any]) -> str:
+    """The recording of a stopped hit is whole and hashed, says that it was stopped, and counts what was lost.
+
+    Its last row is that of the last sample; what the loop says afterwards, STOP, answers none. That no current flows
+    then is the device's to say (`PROGRAM`, `Operator.rested`). Returns why it ended.
+    """
+    recording = open_recording(operator.directory / trial["recording"])
+    assert recording.complete
+    assert sha256_of(operator.directory / trial["recording"]) == trial["sha256"]
+    assert recording.trailer is not None
+    assert recording.trailer["reason"] == trial["ended"] == "stopped"
+    assert {"lost", "late", "skipped"} <= set(recording.trailer["counters"])
+    rows = recording.rows
+    assert np.any(rows["effort_sent"] != 0.0)
+    assert rows["phase"][-1] == Phase.TRIAL
+    return str(recording.trailer["error"])

@@ -1,0 +1,42 @@
+"""What a session's log keeps of a hit on the simulated rig."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.presets import load as preset
+from rig.session import hits
+from rig.session.hits import RigBench
+from rig.session.log import SessionLog, read
+
+
+def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    judge, measured = hits.judge, hits.baseline
+
+    def judged(recording: Any) -> Any:
+        verdict, more = judge(recording)
+        return replace(verdict, heard=float("nan")), more
+
+    def noisy(recording: Any) -> Any:
+        free = measured(recording)
+        assert free is not None
+        return replace(free, velocity_rms=float("inf"))
+
+    monkeypatch.setattr(hits, "judge", judged)
+    monkeypatch.setattr(hits, "baseline", noisy)
+    x = preset("koul-rigid")
+    x = replace(x, trial=replace(x.trial, kind="human", baseline_s=0.1, duration_s=1.0))
+    (tmp_path / "trials").mkdir()
+    bench = RigBench()
+    done = bench.hit(x, {}, tmp_path / "trials", "t0001", lambda _: None, 0.0)
+    bench.close()
+    assert done.content["numbers"]["heard"] is None
+    assert done.content["numbers"]["moved"] >= 0.0
+    assert done.content["baseline"]["velocity_rms"] is None
+    with SessionLog(tmp_path / "log") as log:
+        log.append("trial", **done.content)
+    assert read(tmp_path / "log")[0].content == done.content

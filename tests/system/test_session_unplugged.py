@@ -1,0 +1,130 @@
+"""A rig that is unplugged in the middle of a session, and one that two sessions want."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import config, presets
+from rig.config import Experiment
+from rig.devices.local import serve_locally
+from rig.errors import RigError
+from rig.experiments import hit as one_hit
+from rig.recording.reader import open_recording
+from rig.session.analysis import analyse
+from rig.session.desk import Desk, Question, Reply
+from rig.session.directory import LOG
+from rig.session.hits import Done, RigBench
+from rig.session.log import read
+from rig.session.rehearsal import Day, Person, RehearsalDesk
+from rig.session.run import rehearsal_desk, resume_session, run_session
+from rig.session.state import State, Trial
+from sim_backend.channel import Direction, FrameFault, Kind, Line
+from tests.rig.session_fakes import ScriptedDesk
+from tests.system.session_study import written
+
+PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, spread=0.5)
+UNPLUGGED = "t0003"  # the trial in which it happens
+FRAMES = 300  # of the armed device that reach the host before
+
+
+class Loose(RigBench):
+    """A rig whose plug comes out in a trial, and that is none that can be opened anew without looking at it."""
+
+    def hit(self, experiment: Experiment, changes: Any, directory: Path, name: str, *rest: Any) -> Done:
+        if name != UNPLUGGED:
+            return super().hit(experiment, changes, directory, name, *rest)
+        with pytest.MonkeyPatch.context() as patch:
+            run_trial = one_hit.run_trial
+
+            def loosened(device: Any, request: Any) -> Any:
+                arm = device.arm
+
+                def armed() -> int:
+                    session: int = arm()
+                    fault = FrameFault(kind=Kind.UNPLUG, direction=Direction.TO_HOST, frame=FRAMES)
+                    device.link.line = Line((fault,))
+                    return session
+
+                patch.setattr(device, "arm", armed)
+                return run_trial(device, request)
+
+            patch.setattr(one_hit, "run_trial", loosened)
+            return super().hit(experiment, changes, directory, name, *rest)
+
+
+class Leaving(RehearsalDesk):
+    """Somebody who leaves when a hit ended early, to look at the plug."""
+
+    def ask(self, question: Question) -> Reply:
+        if question.kind == "trouble":
+            return Reply(action="abort")
+        return super().ask(question)
+
+
+def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path: Path) -> None:
+    protocol = written(tmp_path)
+    protocol.write_text(protocol.read_text().replace("repeats = 2", "repeats = 1"))
+    studies = tmp_path / "calm", tmp_path / "loose"
+    run_session(protocol, "P01", rehearsal_desk(PERSON), bench=RigBench(), study=studies[0], person=PERSON)
+
+    def leaving(*about: Any) -> Desk:
+        return Leaving(PERSON, Day())
+
+    left = run_session(protocol, "P01", leaving, bench=Loose(), study=studies[1], person=PERSON)
+    assert left.stopped == "the operator left"
+    directory = studies[1] / "P01"
+    broken = next(event for event in read(directory / LOG) if event.content.get("trial") == 3)
+    assert (broken.content["ended"], broken.content["automatic"]) == ("link_closed", "invalid")
+    assert open_recording(directory / broken.content["recording"]).complete
+    done = resume_session(directory, rehearsal_desk(PERSON), bench=RigBench())
+    assert done.ended == "complete"
+    calm, loose = (State.of(read(study / "P01" / LOG)) for study in studies)
+    assert [trial.trial for trial in loose.trials if trial.said_nothing] == [3]
+    assert [about(trial) for trial in loose.trials if not trial.said_nothing] == [
+        about(trial) for trial in calm.trials
+    ]
+    found = [analyse([study / "P01"]) for study in studies]
+    limits = [[str(asdict(one)) for one in one.of_participants if one.measure == "rule"] for one in found]
+    assert limits[0] == limits[1] != []
+
+
+def about(trial: Trial) -> tuple[Any, ...]:
+    """What a trial asked, and what was said."""
+    return trial.condition, trial.repeat, trial.stiffness, trial.verdict
+
+
+def bench_on(port: str) -> RigBench:
+    return RigBench(url=port, realtime=True, verified=True, arm_anyway=True)
+
+
+def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    protocol = tmp_path / "one.toml"
+    protocol.write_text(written(tmp_path).read_text().replace('"koul-rigid"', '"koul-compliant"'))
+    model = config.rig_model(config.override(presets.load("koul-compliant"), {"trial.kind": "human"}))
+    study = tmp_path / "study"
+    refused: list[RigError] = []
+
+    def nobody(*about: Any) -> Desk:
+        raise AssertionError("nobody is asked to sit down at a rig that is in use")
+
+    def meanwhile(question: Question) -> Reply:
+        before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
+        with pytest.raises(RigError) as caught:
+            run_session(protocol, "P02", nobody, bench=bench_on(port), study=study)
+        refused.append(caught.value)
+        assert {path: path.stat().st_mtime_ns for path in study.rglob("*")} == before
+        return Reply(action="abort")
+
+    def somebody(*about: Any) -> Desk:
+        return ScriptedDesk(meanwhile)
+
+    with serve_locally("sim://", model) as port:
+        result = run_session(protocol, "P01", somebody, bench=bench_on(port), study=study)
+    assert result.stopped == "the operator left"
+    assert len(refused) == 1
+    assert "in use" in refused[0].message or "another" in refused[0].message, refused[0]
+    assert [path.name for path in study.iterdir()] == ["P01"]

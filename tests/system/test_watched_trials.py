@@ -1,0 +1,180 @@
+"""Whole trials that the watch ends, on every way there is to a wall; and trials that begin with free space."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from rig import config, presets
+from rig.config import override
+from rig.errors import ConfigError, GuardError, PlanError
+from rig.experiments.baseline import baseline
+from rig.experiments.bench import Bench
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.judgement import judge
+from rig.experiments.plan import make_plan
+from rig.experiments.replay import replay
+from rig.recording.reader import open_recording
+from rig.sample import Phase, RowFlag
+from rig.verdict import Kind
+from tests.conformance.firmware import need_compiler
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+SHORT = {"trial.duration_s": 0.5, "trial.release_s": 0.02, "homing.settle_s": 0.02, "verdict.tail_s": 0.1}
+HELD = {"trial.kind": "human", "operator.begin_s": 0.05, "operator.reach_s": 0.15}
+PLACED = override(
+    presets.load("koul-compliant"), {**SHORT, **HELD, "rig.simulation.initial_position": -0.015}
+)
+VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
+
+
+def one(experiment, directory):
+    (result,) = hit(HitRequest(experiment=experiment, output=directory))
+    return result
+
+
+def ended(experiment, directory):
+    """A hit that a guard ends: the error, and what it recorded."""
+    with pytest.raises(GuardError) as caught:
+        one(experiment, directory)
+    return caught.value, open_recording(caught.value.recording)
+
+
+@pytest.mark.parametrize(
+    ("limit", "flag", "reason", "says"),
+    [
+        ({"rig.limits.swings": 10}, RowFlag.VIOLENT, "violent", "10 swings in a row .* each within 0.02 s"),
+        (
+            {"rig.limits.energy": 0.02},
+            RowFlag.ENERGY,
+            "energy",
+            r"gave the handle 0\.0\d+ J, more than the 0\.02 J",
+        ),
+    ],
+)
+def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag, reason, says, tmp_path):
+    experiment = override(PLACED, {**VIOLENT, **limit})
+    error, recording = ended(experiment, tmp_path)
+    rows, trailer = recording.rows, recording.trailer
+    assert trailer["reason"] == reason
+    with pytest.raises(GuardError, match=says):
+        raise error
+    assert rows["flags"][-1] & flag
+    assert not (rows["flags"][:-1] & (RowFlag.VIOLENT | RowFlag.ENERGY)).any()
+    assert (rows["phase"][-1], rows["current_sent"][-1], rows["effort_sent"][-1]) == (Phase.DONE, 0, 0.0)
+    assert judge(recording)[0].kind is Kind.UNSTABLE
+    assert trailer["watched"]["swings" if reason == "violent" else "energy"] > 0.0
+    assert replay(recording).exact
+    watched = Bench(experiment).hit(1200.0, 0.5)
+    assert watched.true.kind is Kind.UNSTABLE
+    assert watched.true.thrown_out
+    assert watched.true.passes("any") is False
+    freely = Bench(override(experiment, dict.fromkeys(limit, None))).hit(1200.0, 0.5)
+    assert freely.ticks > watched.ticks
+    assert freely.true.kind is Kind.UNSTABLE
+    assert not freely.true.thrown_out
+
+
+def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path):
+    experiment = override(PLACED, {**VIOLENT, "rig.limits.swings": 10})
+    bench = Bench(experiment)
+    placed = override(experiment, {"rig.simulation.initial_position": bench.start})
+    _, recording = ended(placed, tmp_path)
+    assert bench.hit(1200.0, 0.5).ticks == len(recording.rows)
+
+
+def test_a_law_on_the_device_is_ended_by_the_host(tmp_path):
+    need_compiler()
+    experiment = override(
+        presets.load("koul-rigid"),
+        {**SHORT, **HELD, **VIOLENT, "wall.stiffness": 1100.0, "controller.loop": "device", "rig.limits.swings": 10,
+         "rig.simulation.initial_position": -0.015},
+    )  # fmt: skip
+    error, recording = ended(experiment, tmp_path)
+    assert recording.trailer["reason"] == "violent"
+    assert recording.rows["flags"][-1] & RowFlag.VIOLENT
+    assert "swings in a row" in str(error)
+
+
+def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
+    motor = override(presets.load("koul-compliant"), {**SHORT, "wall.stiffness": 300.0})
+    assert one(motor, tmp_path).verdict.kind is Kind.STABLE
+    with pytest.raises(PlanError, match=r"energy: the push gives up to"):
+        one(override(motor, {"rig.limits.energy": 1e-3}), tmp_path)
+    assert (
+        one(override(motor, {"rig.limits.energy": 0.02, "rig.limits.swings": 10}), tmp_path).verdict.kind
+        is Kind.STABLE
+    )
+
+
+@pytest.mark.parametrize("grip", ["relaxed", "firm"])
+def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip):
+    held = override(PLACED, {"operator.grip": grip, **HELD})
+    freely = Bench(held).hit(300.0, 0.5)
+    watched = Bench(override(held, {"rig.limits.swings": 10, "rig.limits.energy": 0.02})).hit(300.0, 0.5)
+    assert freely.true.kind is Kind.STABLE
+    assert freely.true.numbers.tobytes() == watched.true.numbers.tobytes()
+    assert freely.ticks == watched.ticks
+
+
+def test_a_plan_says_what_watches():
+    for_people = {
+        "rig.limits.human": True,
+        "rig.limits.effort": 0.28,
+        "operator.press": 1.0,
+        "trial.minimum_rest_counts": 0.0,
+    }
+    names = {
+        check.name for check in make_plan(override(PLACED, {**for_people, "rig.limits.energy": 0.1})).checks
+    }
+    assert {"energy", "violence"} <= names
+    names = {check.name for check in make_plan(PLACED).checks}
+    assert not {"energy", "violence"} & names, "a preset for automated trials watches nothing"
+    off = override(PLACED, {**for_people, "rig.limits.swings": 0})
+    assert "violence" not in {check.name for check in make_plan(off).checks}
+
+
+# ---------------------------------------------------------------------- free space
+
+
+def test_a_baseline_comes_before_the_hit(tmp_path):
+    plain = one(PLACED, tmp_path)
+    result = one(
+        override(PLACED, {"trial.baseline_s": 0.3, "rig.amplifier.current_noise_a": 0.002}), tmp_path
+    )
+    assert result.verdict.contact_s == pytest.approx(plain.verdict.contact_s + 0.3, abs=0.005)
+    assert result.verdict.kind is plain.verdict.kind is Kind.STABLE
+    assert result.verdict.ticks == plain.verdict.ticks + round(0.3 * 20_000)
+    found = baseline(open_recording(result.recording))
+    assert found is not None
+    assert found.duration_s == pytest.approx(0.3)
+    assert found.effort_rms == pytest.approx(0.002 * PLACED.rig.amplifier.effort_per_ampere, rel=0.1)
+    assert (found.sent_rms, found.touched) == (0.0, False)
+    assert found.count_range <= 2
+    assert found.as_mapping()["velocity_rms"] == found.velocity_rms < 0.05
+    assert baseline(open_recording(plain.recording)) is None
+
+
+def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path):
+    experiment = override(PLACED, {"trial.baseline_s": 0.3})
+    eager = override(PLACED, {"trial.duration_s": 0.8, "verdict.tail_s": 0.1})
+    recording = open_recording(one(eager, tmp_path).recording)
+    rows = recording.rows
+    contact_s = float(np.flatnonzero(rows["penetration"][rows["phase"] == Phase.TRIAL] > 0.0)[0] / 20_000)
+    assert contact_s < 0.3
+    recording.header["experiment"] = config.as_mapping(
+        experiment
+    )  # the hand did not wait as long as it was told
+    verdict, true = judge(recording)
+    assert verdict.kind is true.kind is Kind.INVALID
+    assert any("free space before the hit" in reason for reason in verdict.reasons)
+    assert baseline(recording).touched
+
+
+def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline():
+    with pytest.raises(ConfigError, match=r"trial\.baseline_s .* must be 0 with trial\.kind"):
+        override(presets.load("koul-compliant"), {"trial.baseline_s": 0.5})
+    steps = [step.name for step in make_plan(override(PLACED, {"trial.baseline_s": 0.3})).steps]
+    assert steps.index("wait") == steps.index("push") - 1
