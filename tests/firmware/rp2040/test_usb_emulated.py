@@ -27,6 +27,7 @@ from tests.firmware.test_core_law import push, told_to_run
 
 RIG, PORT = 1, 2
 STALL = -32
+RESET = -104  # Linux' ECONNRESET, negated: withdrawn
 STREAM_US = 40_000.0
 FULL_SPEED_BYTES = 19 * 64 * 1000  # a second, in bulk: USB 2.0, table 5-9
 IDENTIFY = m.Identify(nonce=7, offset=0)
@@ -101,6 +102,20 @@ def test_what_it_does_not_know_it_refuses_and_goes_on(pico: emulator.Pico) -> No
     assert line.control(0xC0, 0x20, 0, 7)[0] == 0
     line.send(Connection(Role.HOST).send(IDENTIFY))
     assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+
+
+def test_a_transfer_that_is_withdrawn_at_any_time_ends_once(pico: emulator.Pico) -> None:
+    """Also while a packet of it is on the wires; the answer to the withdrawal comes behind that of the transfer."""
+    line = UsbLine(pico)
+    seen = set()
+    for us in range(0, 200, 3):
+        (first, status, length), *rest = pico.ask("usb_withdraw", us=us, after=1_000)["told"]
+        assert first == "done"
+        assert (status, length) == (0, 18) or status == RESET
+        assert rest == [["withdrawn", status == RESET]]
+        seen.add(status)
+    assert seen == {0, RESET}
+    assert line.control(0x80, 6, 0x100, 0, 18)[0] == 0
 
 
 def test_pulled_and_plugged_in_again(pico: emulator.Pico) -> None:

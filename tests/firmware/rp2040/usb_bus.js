@@ -224,12 +224,22 @@ class Bus {
     return transfer;
   }
 
-  withdraw(transfer) {
+  /* Take a transfer back. A transaction of it that is on the wires cannot be: it ends first, and may end the transfer as it
+   * should. `ended` is called behind `done` and told whether the transfer was withdrawn. */
+  withdraw(transfer, ended = () => {}) {
+    if (this.under && this.under.transfer === transfer) {
+      transfer.withdrawn = ended;
+      return;
+    }
+    const waits = this.waiting.includes(transfer);
+    if (waits) this.end(transfer, ECONNRESET);
+    ended(waits);
+  }
+
+  end(transfer, status) {
     const at = this.waiting.indexOf(transfer);
-    if (at < 0) return false;
-    this.waiting.splice(at, 1);
-    transfer.done(ECONNRESET, Buffer.concat(transfer.got));
-    return true;
+    if (at >= 0) this.waiting.splice(at, 1);
+    transfer.done(status, Buffer.concat(transfer.got));
   }
 
   /* The host's computer goes to sleep, or wakes. */
@@ -300,17 +310,16 @@ class Bus {
     const { transfer, ends } = this.under;
     this.under = null;
     const status = ends();
-    if (status === null) {
+    const { withdrawn } = transfer;
+    if (status === null && !withdrawn) {
       // to the end of the row, but before others of its pipe
       const at = this.waiting.indexOf(transfer);
-      if (at < 0) return;
       const same = (other) => other !== transfer && other.endpoint === transfer.endpoint && other.in === transfer.in;
       if (!this.waiting.some(same)) this.waiting.push(this.waiting.splice(at, 1)[0]);
       return;
     }
-    const at = this.waiting.indexOf(transfer);
-    if (at >= 0) this.waiting.splice(at, 1);
-    transfer.done(status, Buffer.concat(transfer.got));
+    this.end(transfer, status === null ? ECONNRESET : status);
+    if (withdrawn) withdrawn(status === null);
   }
 
   /* ------------------------------------------------------------------ transactions */

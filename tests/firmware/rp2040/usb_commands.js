@@ -49,6 +49,17 @@ module.exports = (board) => {
       while (pico.now < ends && !(first && got.length > 0)) pico.runUntil(Math.min(ends, pico.now + 10000));
       return taken();
     },
+    /* Ask for a descriptor and take that back after so many microseconds: what the transfer and its withdrawal are told. */
+    usb_withdraw({ us, after }) {
+      const pico = board();
+      const told = [];
+      const setup = Buffer.from([0x80, 6, 0, 1, 0, 0, 18, 0]);
+      const transfer = pico.bus.submit({ setup, done: (status, data) => told.push(['done', status, data.length]) });
+      pico.runUntil(pico.now + us * 1000);
+      pico.bus.withdraw(transfer, (withdrawn) => told.push(['withdrawn', withdrawn]));
+      pico.runUntil(pico.now + after * 1000);
+      return { told };
+    },
     usb_suspend({ asleep }) {
       board().bus.suspend(asleep);
       return {};

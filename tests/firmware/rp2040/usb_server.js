@@ -73,14 +73,18 @@ class Peer {
     bus.submit(transfer);
   }
 
+  /* Its answer follows that of a transfer which is done after all: of one that is answered twice the kernel pulls the plug. */
   unlink(sequence, other) {
+    const answer = (withdrawn) => {
+      const reply = Buffer.alloc(HEAD);
+      reply.writeUInt32BE(UNLINKED, 0);
+      reply.writeUInt32BE(sequence, 4);
+      reply.writeInt32BE(withdrawn ? ECONNRESET : 0, 20);
+      this.send(reply);
+    };
     const transfer = this.pending.get(other);
-    const withdrawn = transfer !== undefined && bus.withdraw(transfer);
-    const reply = Buffer.alloc(HEAD);
-    reply.writeUInt32BE(UNLINKED, 0);
-    reply.writeUInt32BE(sequence, 4);
-    reply.writeInt32BE(withdrawn ? ECONNRESET : 0, 20);
-    this.socket.write(reply);
+    if (transfer) bus.withdraw(transfer, answer);
+    else answer(false);
   }
 
   answer(sequence, status, length, data) {
@@ -89,7 +93,11 @@ class Peer {
     reply.writeUInt32BE(sequence, 4);
     reply.writeInt32BE(status, 20);
     reply.writeInt32BE(length, 24);
-    this.socket.write(Buffer.concat([reply, data]));
+    this.send(Buffer.concat([reply, data]));
+  }
+
+  send(reply) {
+    if (!this.socket.destroyed) this.socket.write(reply);
   }
 }
 
