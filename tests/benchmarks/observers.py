@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -23,6 +22,7 @@ from typing import Any
 
 from rig import search
 from rig.search.observer import Observer, performance
+from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "tests" / "rig" / "data" / "search_observers.json"
@@ -52,7 +52,6 @@ RULES: Mapping[str, tuple[str, dict[str, Any]]] = {
 CATCH_SHARE = {"interleaved": 0.1}
 
 Row = dict[str, Any]
-_SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def cases() -> list[tuple[str, float, float]]:
@@ -155,36 +154,21 @@ SECTIONS: dict[str, Callable[[], str]] = {
 }
 
 
-def render(text: str) -> str:
-    """Return the guide with every section between markers made anew; raises KeyError for an unknown section."""
-    return _SECTION.sub(
-        lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
-    )
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write table and guide; ``--guide`` writes the guide alone, ``--check`` only looks at it."""
     options = set(sys.argv[1:] if arguments is None else arguments)
     if not options:
         write_table(make_table())
-    old = GUIDE.read_text(encoding="utf-8")
-    new = render(old)
-    if "--check" in options:
-        if new != old:
-            print(f"{GUIDE.name} is stale: run {REGENERATE} --guide", file=sys.stderr)
-        return int(new != old)
-    GUIDE.write_text(new, encoding="utf-8")
-    return 0
+    return guides.publish(GUIDE, SECTIONS, REGENERATE, check="--check" in options)
 
 
 def _by_observer(cell: Callable[[Row], str], part: str = "rows") -> str:
     found = {(row["rule"], row["slips"], row["spread"]): row for row in read_table()[part]}
     head = ["rule", *(f"{100 * slips:g} %, {spread:g}" for slips in SLIPS for spread in SPREADS)]
-    lines = [head, ["---"] * len(head)]
-    lines += [
+    rows = [
         [name, *(cell(found[name, slips, spread]) for slips in SLIPS for spread in SPREADS)] for name in RULES
     ]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return guides.markdown(head, rows)
 
 
 def _signed(value: float) -> str:

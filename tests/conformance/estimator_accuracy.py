@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import math
 import platform
-import re
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -25,6 +24,7 @@ from rig.experiments.cases import Case, signal_case
 from rig.experiments.estimators import Score, Variant, cost_ns, score
 from rig.experiments.tuning import tune
 from rig.signals import SIGNALS
+from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "tests" / "rig" / "data" / "estimator_accuracy.json"
@@ -42,7 +42,6 @@ DIGITS = 4
 NOTHING = 1e-7  # m/s, in the guide
 
 Row = dict[str, Any]
-_SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 @cache
@@ -132,7 +131,7 @@ def tuned_hits(resolution: float) -> str:
         found = {r["rate_hz"]: r for r in _select(table, name, HIT, resolution) if _best(table, r)}
         cells = [_millimetres(found.get(rate), "rms") for rate in RATES]
         rows.append([f"`{name}`", *cells, _settings(found.get(2000)), _settings(found.get(20_000))])
-    return _markdown(lines, rows)
+    return guides.markdown(lines, rows)
 
 
 def noise_and_delay() -> str:
@@ -152,7 +151,7 @@ def noise_and_delay() -> str:
                 _millimetres(row, "toggling_rms"),
             ]
         rows.append([f"`{name}`", *cells])
-    return _markdown(lines, rows)
+    return guides.markdown(lines, rows)
 
 
 def default_motions() -> str:
@@ -169,7 +168,7 @@ def default_motions() -> str:
                 row = next((r for r in chosen if r["rate_hz"] == 2000 and r["tuned"] is None), None)
                 cells.append(_millimetres(row, "rms"))
         rows.append([f"`{name}`", *cells])
-    return _markdown(lines, rows)
+    return guides.markdown(lines, rows)
 
 
 def cost() -> str:
@@ -177,7 +176,7 @@ def cost() -> str:
     table = read_table()
     found = table["cost"]
     rows = [[f"`{name}`", f"{ns:.0f}"] for name, ns in found["ns_per_sample"].items()]
-    return f"On {found['machine']}:\n\n" + _markdown(["estimator", "ns a sample"], rows)
+    return f"On {found['machine']}:\n\n" + guides.markdown(["estimator", "ns a sample"], rows)
 
 
 SECTIONS: dict[str, Callable[[], str]] = {
@@ -187,13 +186,6 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "default_motions": default_motions,
     "cost": cost,
 }
-
-
-def render(text: str) -> str:
-    """Return the guide with every section between markers made anew; raises KeyError for an unknown section."""
-    return _SECTION.sub(
-        lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
-    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -207,14 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options & {"--check", "--guide"}:
         fresh = make_table(chosen or estimators.names())
         write_table(_merged(fresh) if chosen else fresh)
-    old = GUIDE.read_text(encoding="utf-8")
-    new = render(old)
-    if "--check" in options:
-        if new != old:
-            print(f"{GUIDE.name} is stale: run {REGENERATE} --guide", file=sys.stderr)
-        return int(new != old)
-    GUIDE.write_text(new, encoding="utf-8")
-    return 0
+    return guides.publish(GUIDE, SECTIONS, REGENERATE, check="--check" in options)
 
 
 def _merged(fresh: dict[str, Any]) -> dict[str, Any]:
@@ -271,11 +256,6 @@ def _milliseconds(row: Row | None) -> str:
 
 def _micrometres(resolution: float) -> str:
     return f"{1e6 * resolution:g} µm"
-
-
-def _markdown(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _rounded(value: float) -> float | None:

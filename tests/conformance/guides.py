@@ -1,0 +1,35 @@
+"""Sections of a guide that a program writes: between two comments in its Markdown, made anew from a table."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+_SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def render(text: str, sections: Mapping[str, Callable[[], str]]) -> str:
+    """Return the guide with every section between markers made anew; raises KeyError for an unknown section."""
+    return _SECTION.sub(
+        lambda match: f"<!-- generated: {match[1]} -->\n{sections[match[1]]()}\n<!-- end -->", text
+    )
+
+
+def publish(guide: Path, sections: Mapping[str, Callable[[], str]], command: str, *, check: bool) -> int:
+    """Write the guide anew, or with `check` only say if it is stale; returns the exit status."""
+    old = guide.read_text(encoding="utf-8")
+    new = render(old, sections)
+    if not check:
+        guide.write_text(new, encoding="utf-8")
+        return 0
+    if new != old:
+        print(f"{guide.name} is stale: run {command} --guide", file=sys.stderr)
+    return int(new != old)
