@@ -10,17 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
-
-if TYPE_CHECKING:
-    from rig.core.model import RigModel
-    from rig.devices.framed import FramedDevice
-    from rig.devices.simulated import OpenRig, OpenShaker
+from rig.devices.framed import FramedDevice
+from rig.devices.simulated import OpenRig, OpenShaker
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
@@ -137,6 +135,4 @@ def simulated_shaker(scheme: str = "sim") -> OpenShaker:
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
     """Open the device behind a URL; parameters and errors as `open_link`."""
-    from rig.devices.framed import FramedDevice  # noqa: PLC0415
-
     return FramedDevice(open_link(url, model))
