@@ -10,6 +10,7 @@ import sys
 import textwrap
 import threading
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numba
@@ -26,6 +27,7 @@ from rig.ring import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS, Ring
 from rig.running import running
 from rig.sample import ROW
 from tests.conformance.recording import example_header, example_rows
+from tests.conformance.started import started
 
 pytestmark = pytest.mark.skipif(
     numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
@@ -244,11 +246,11 @@ PRODUCER = """
 """
 
 
-def run_python(body: str, path: Path) -> subprocess.Popen[str]:
+def run_python(body: str, path: Path) -> AbstractContextManager[subprocess.Popen[str]]:
     program = textwrap.dedent(PRODUCER) + textwrap.dedent(body)
     root = Path(__file__).parents[2]
-    return subprocess.Popen(
-        [sys.executable, "-c", program, str(path)], cwd=root, stdout=subprocess.PIPE, text=True, bufsize=1
+    return started(
+        sys.executable, "-c", program, path, cwd=root, stdout=subprocess.PIPE, text=True, bufsize=1
     )
 
 

@@ -11,7 +11,6 @@ import math
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -30,6 +29,7 @@ from rig.sweep import Progress, SweepStoppedError, Task, TaskError, executors
 from rig.sweep import journal as journals
 from rig.sweep.executors import as_json
 from tests.conformance import sweep_work
+from tests.conformance.started import started
 
 HERE = sweep_work.__name__
 SINES, MARKS, RAISES = f"{HERE}:sines", f"{HERE}:leave_a_mark", f"{HERE}:raise_when_told"
@@ -153,14 +153,11 @@ def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path):
     ended = False
     for _ in range(4):
         before = len(keys_in(journal)) if journal.exists() else 0
-        process = subprocess.Popen(
-            [sys.executable, "-c", program], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
-        )
-        while not ended and (not journal.exists() or len(keys_in(journal)) < before + 20):
-            ended = process.poll() is not None
-            time.sleep(0.005)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        with started(sys.executable, "-c", program, cwd=ROOT, env=environment) as process:
+            while not ended and (not journal.exists() or len(keys_in(journal)) < before + 20):
+                ended = process.poll() is not None
+                time.sleep(0.005)
     assert not ended, "it should have been killed in the middle each time"
     kept = keys_in(journal)
     assert 80 <= len(kept) < 120

@@ -12,6 +12,7 @@ import pytest
 from rig import config, presets
 from rig.devices.local import serve_locally
 from rig.recording.reader import open_recording
+from tests.conformance.started import started
 
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
 
@@ -306,26 +307,17 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(run
 
 
 def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "rig",
-        "hit",
-        "--duration",
-        "3000",
-        "--no-plot",
-        "--output",
-        str(tmp_path / "out"),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 100.0
-    while process.poll() is None and time.monotonic() < deadline:
-        captures = list((tmp_path / "out").glob("*.rigcap"))
-        if captures and captures[0].stat().st_size > 1_000_000:
-            break
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60.0)
+    options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with started(sys.executable, "-m", "rig", "hit", *options, **pipes) as process:
+        deadline = time.monotonic() + 100.0
+        while process.poll() is None and time.monotonic() < deadline:
+            captures = list((tmp_path / "out").glob("*.rigcap"))
+            if captures and captures[0].stat().st_size > 1_000_000:
+                break
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60.0)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert "stopped" in err

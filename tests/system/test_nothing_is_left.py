@@ -38,6 +38,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left
 from tests.conformance.far_end import FarEnd, Script
+from tests.conformance.started import started
 
 WAIT_S = 50.0  # on a loaded machine
 RATE = 500
@@ -269,25 +270,13 @@ def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number
     """The device's process, the one that draws, and whatever multiprocessing started all go, whoever dies first."""
     mark = uuid.uuid4().hex
     before = set(os.listdir("/dev/shm"))
-    with open(tmp_path / "said", "wb") as said:
-        command = subprocess.Popen(
-            [sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60"],
-            cwd=tmp_path,
-            env={**os.environ, MARK: mark},
-            stdout=said,
-            stderr=said,
-            start_new_session=True,
-        )
-        try:
-            wait_until(
-                lambda: grown(tmp_path) or command.poll() is not None, lambda: "the trial does not begin"
-            )
-            assert len(marked(mark)) >= 2 or command.poll() is not None, "host and device at least"
-            command.send_signal(number)  # nothing, when it has ended by itself
-            command.wait(WAIT_S)
-        finally:
-            command.kill()
-            command.wait()
+    command = (sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60")
+    options = {"cwd": tmp_path, "env": {**os.environ, MARK: mark}, "start_new_session": True}
+    with open(tmp_path / "said", "wb") as said, started(*command, stdout=said, stderr=said, **options) as hit:
+        wait_until(lambda: grown(tmp_path) or hit.poll() is not None, lambda: "the trial does not begin")
+        assert len(marked(mark)) >= 2 or hit.poll() is not None, "host and device at least"
+        hit.send_signal(number)  # nothing, when it has ended by itself
+        hit.wait(WAIT_S)
     wait_until(lambda: not marked(mark), lambda: f"still there: {marked(mark)}")
     ours = {name for name in set(os.listdir("/dev/shm")) - before if "haptic" in name or "rig" in name}
     assert not ours

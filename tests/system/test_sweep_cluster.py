@@ -20,6 +20,7 @@ from rig.sweep import SweepStoppedError, Task, TaskError, executors
 from rig.sweep import cluster as clusters
 from rig.sweep.executors import as_json
 from tests.conformance import sweep_work
+from tests.conformance.started import LEASH
 
 HERE = sweep_work.__name__
 SINES, KILLS = f"{HERE}:sines", f"{HERE}:kill_the_worker"
@@ -83,6 +84,7 @@ class Cluster:
         with log:
             process = subprocess.Popen(
                 [
+                    *LEASH,
                     sys.executable,
                     "-m",
                     f"distributed.cli.{command}",
