@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rig.config.files import Table
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
-from rig.sample import Motion
+from rig.core.sample import Motion
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter

@@ -12,9 +12,9 @@ from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.rules import broken_rules
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
-from rig.errors import ConfigError
-from rig.operators import GRIPS
-from rig.sample import UNITS, Motion
+from rig.core.errors import ConfigError
+from rig.core.operators import GRIPS
+from rig.core.sample import UNITS, Motion
 
 DEFAULT_PRESET = "koul-compliant"
 DEFAULT_GRIP = "normal"
