@@ -1,7 +1,12 @@
-"""Settings of all tests: hypothesis without deadlines (the first call of a kernel may compile), repeatable in CI."""
+"""Settings of all tests, and what holds for every run of them.
+
+Hypothesis has no deadlines (the first call of a kernel may compile) and is repeatable in CI. Ctrl-C is heard, also
+from a shell that ignores it (`nohup … &`), here and in whatever the tests start.
+"""
 
 import gc
 import os
+import signal
 
 from hypothesis import settings
 
@@ -13,3 +18,5 @@ gc.set_threshold(
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -181,6 +181,7 @@ def test_an_output_that_is_no_directory(run, tmp_path):
 # --- Ctrl-C -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.signals
 def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     command = [
         sys.executable, "-m", "rig", "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",

@@ -294,6 +294,7 @@ def test_a_start_out_of_reach_is_given_up(tmp_path):
     bench.check_ended_safely()
 
 
+@pytest.mark.signals
 def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path):
     bench = Bench(tmp_path, experiment=config.override(SHORT, {"trial.duration_s": 60.0}))
     seen = []

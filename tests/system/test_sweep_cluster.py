@@ -205,6 +205,7 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
 
 
 @needs_distributed
+@pytest.mark.signals
 def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(shared, tmp_path):
     tasks = sines(60, wait_s=0.02)
 

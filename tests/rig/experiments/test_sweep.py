@@ -328,6 +328,7 @@ def interrupt_at(done):
 
 
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
+@pytest.mark.signals
 def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes_on(kept, tmp_path):
     journal, log = tmp_path / "j" if kept == "in a journal" else None, tmp_path / "log"
     tasks = marks(60, log, wait_s=0.01)
@@ -374,6 +375,7 @@ def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
 
 # Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.signals
 def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
     journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
     main = threading.main_thread().ident
