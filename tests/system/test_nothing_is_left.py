@@ -37,7 +37,7 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
-from tests.conformance.census import MARK, Census, marked, nothing_left
+from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script
 from tests.conformance.started import started
 
@@ -175,6 +175,7 @@ def warm(tmp_path):
 
 
 @pytest.mark.parametrize("exit_kind", EXITS)
+@pytest.mark.signals
 def test_nothing_is_left_in_virtual_time(exit_kind, warm, tmp_path):
     with nothing_left(), in_memory() as device:
         run(device, tmp_path, *EXITS[exit_kind])
@@ -266,7 +267,24 @@ def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(tmp_pa
 # ---------------------------------------------------------------------- from outside
 
 
+def test_what_a_test_starts_dies_with_it_also_when_the_test_is_killed():
+    program = """
+import sys
+from tests.conformance.started import started
+with started("sleep", "600") as process:
+    print(process.pid, flush=True)
+    sys.stdin.read()
+"""
+    mark = uuid.uuid4().hex
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with started(sys.executable, "-c", program, env={**os.environ, MARK: mark}, **pipes) as test:
+        assert int(test.stdout.readline()) in marked(mark)
+        test.kill()
+    assert not still_there(mark)
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.signals
 def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number, tmp_path):
     """The device's process, the one that draws, and whatever multiprocessing started all go, whoever dies first."""
     mark = uuid.uuid4().hex
@@ -278,7 +296,7 @@ def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number
         assert len(marked(mark)) >= 2 or hit.poll() is not None, "host and device at least"
         hit.send_signal(number)  # nothing, when it has ended by itself
         hit.wait(WAIT_S)
-    wait_until(lambda: not marked(mark), lambda: f"still there: {marked(mark)}")
+    assert not still_there(mark)
     ours = {name for name in set(os.listdir("/dev/shm")) - before if "haptic" in name or "rig" in name}
     assert not ours
     assert b"Traceback" not in (tmp_path / "said").read_bytes()
