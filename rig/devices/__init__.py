@@ -28,6 +28,7 @@ BUILT_IN = {
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
 SHAKERS = {"sim": "sim_backend.shaken:Shaker"}  # and shaken
+PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"  # and traced tick by tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +132,11 @@ def simulated_shaker(scheme: str = "sim") -> OpenShaker:
             f"{scheme}:// cannot be shaken without bytes", remedy=f"known: {', '.join(SHAKERS)}"
         )
     return cast("OpenShaker", _loaded(SHAKERS[scheme], scheme, "haptic-rig"))
+
+
+def simulated_trial() -> tuple[Any, Any]:
+    """Return what builds a plant and what runs a traced trial on it; `DeviceNotFoundError` when they do not load."""
+    return _loaded(PLANT, "sim", "haptic-rig").build, _loaded(TRIAL, "sim", "haptic-rig")
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:

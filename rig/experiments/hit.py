@@ -14,7 +14,7 @@ from rig import config, devices
 from rig.bench.doctor.gate import Gate, check_armable
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment, device_law
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice

@@ -18,7 +18,7 @@ import rig.cli
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,

@@ -24,7 +24,7 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import (
     ConfigError,
     DeviceFaultError,
