@@ -178,7 +178,7 @@ def frame_of(message, major=m.MAJOR):
 
 
 def another_major(request):
-    return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=2)
+    return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=m.MAJOR + 1)
 
 
 def garbage(request):
@@ -202,7 +202,7 @@ def test_a_device_of_another_major_version_is_named_with_both_versions():
     device = FramedDevice(Answering(another_major))
     with pytest.raises(IncompatibleDeviceError) as caught:
         device.identify()
-    assert "speaks protocol 2, this package speaks 1" in str(caught.value)
+    assert f"speaks protocol {m.MAJOR + 1}, this package speaks {m.MAJOR}" in str(caught.value)
     assert "firmware" in caught.value.remedy
     assert caught.value.exit_code == 4
 
@@ -593,7 +593,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
     """After trials, faults, and refused parameters: none of these is a restart."""
     simulated, wire, device = make()
     for stiffness in (100.0, 200.0):
-        device.configure({**RUN_PARAMETERS, "stiffness": stiffness})
+        device.configure({**RUN_PARAMETERS, "float_stiffness": stiffness})
         device.arm()
         device.disarm()
     with pytest.raises(DeviceRefusedError):
@@ -608,7 +608,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
 
 def test_a_lost_answer_to_the_parameters_is_no_restart(real):
     """They may be in force or not: nothing can be told from them then, and nothing is refused."""
-    other = {**RUN_PARAMETERS, "stiffness": 333.0}
+    other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     said = wire.link.line.frames[Direction.TO_HOST]
