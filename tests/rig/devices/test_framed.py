@@ -13,10 +13,11 @@ import rig.devices
 import sim_backend.device
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
-from firmware_protocol.connection import RETRY_AFTER_S, State
+from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, type_id_of, unpack
+from firmware_protocol.transaction import RETRY_AFTER_S
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
