@@ -6,16 +6,18 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from rig.bench.doctor.gate import Gate
 from rig.cli import compare as comparing
-from rig.cli import options, output
+from rig.cli import hit_output, options, output
 from rig.core.errors import RigError
-
-if TYPE_CHECKING:
-    from rig.bench.doctor.gate import Gate
+from rig.devices import load_backend
+from rig.experiments import hit as hits
+from rig.experiments.judgement import experiment_of, judge
+from rig.recording.reader import open_recording
 
 
 @click.command()
@@ -75,13 +77,7 @@ def hit(
         comparing.run(experiment, changes, schemes, directory, plot=plot, as_json=as_json)
         return
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-    with output.compiling():
-        from rig.devices import load_backend  # noqa: PLC0415  (imports compile)
-        from rig.experiments import hit as hits  # noqa: PLC0415
-
-        load_backend(url or "sim://")
-        if realtime or not (url or "sim:").startswith("sim:"):
-            import rig.bench.doctor.gate  # noqa: PLC0415, F401  (compiled before a device waits for it)
+    load_backend(url or "sim://")
     request = hits.HitRequest(
         experiment=experiment,
         url=url,
@@ -89,13 +85,13 @@ def hit(
         realtime=realtime,
         verified=verified,
         arm_anyway=arm_anyway,
-        measuring=output.measuring_link(quiet=as_json),
+        measuring=hit_output.measuring_link(quiet=as_json),
         judged_link=_say_gate,
         output=directory,
     )
     done: list[dict[str, Any]] = []
     failure: RigError | None = None
-    with Artist(plot) as artist, output.ProgressBars(quiet=as_json) as bars:
+    with Artist(plot) as artist, hit_output.ProgressBars(quiet=as_json) as bars:
         try:
             for result in hits.hit(request, bars.watch):
                 bars.stop()
@@ -105,7 +101,9 @@ def hit(
                     for message in result.messages:
                         click.echo(f"rig: {message}", err=True)
                 if not as_json:
-                    _print_result(result, picture, output.differences(experiment, result.experiment, changes))
+                    _print_result(
+                        result, picture, hit_output.differences(experiment, result.experiment, changes)
+                    )
         except RigError as error:
             bars.stop()
             failure = error
@@ -165,10 +163,10 @@ class Artist:
 def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
     if result.cleared_fault:
         click.echo(f"rig: the device had a fault latched, now cleared: {result.cleared_fault}", err=True)
-    click.echo(output.headline(result.experiment))
+    click.echo(hit_output.headline(result.experiment))
     if changed:
         click.echo(f"  for real time: {', '.join(changed)}")
-    pairs = output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
+    pairs = hit_output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
     _print_pairs(pairs, result.recording, picture)
 
 
@@ -182,9 +180,6 @@ def _say_gate(gate: Gate) -> None:
 
 def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> None:
     """Judge and draw a run that ended early, as far as it got."""
-    from rig.experiments.judgement import experiment_of, judge  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
-
     picture = artist.draw(recording)
     if quiet:
         return
@@ -194,8 +189,8 @@ def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> 
     except RigError as error:
         click.echo(f"rig: {error}", err=True)
         return
-    click.echo(output.headline(experiment))
-    _print_pairs(output.verdict_pairs(experiment, *verdicts), recording, picture)
+    click.echo(hit_output.headline(experiment))
+    _print_pairs(hit_output.verdict_pairs(experiment, *verdicts), recording, picture)
 
 
 def _print_pairs(pairs: list[tuple[str, str]], recording: Path, picture: str | None) -> None:

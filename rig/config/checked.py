@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rig.config.files import Table
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
+from rig.core.deferred import pydantic
 from rig.core.sample import Motion
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
     from pydantic_core import ErrorDetails
 
 T = TypeVar("T")
@@ -88,15 +88,13 @@ def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None,
     motion
         Of the rig, for units in messages; None when it is not known.
     """
-    from pydantic import ValidationError  # noqa: PLC0415  (slow to import, and only needed here)
-
     problems = list(_mistaken_choices(kind, table))
     # By way of JSON, because strict validation of Python objects accepts instances of the dataclasses only.
     text = json.dumps(_jsonable(table))
     try:
         root: Any = kind.root
         return _adapter(root).validate_json(text), problems
-    except ValidationError as error:
+    except pydantic.ValidationError as error:
         found = [_problem_of(e, kind, table, motion) for e in error.errors(include_url=False)]
         return None, list(dict.fromkeys(found)) + problems
 
@@ -131,10 +129,8 @@ def place(path: Sequence[str]) -> str:
 
 
 @cache
-def _adapter(root: type) -> TypeAdapter[Any]:
-    from pydantic import TypeAdapter  # noqa: PLC0415
-
-    return TypeAdapter(root)
+def _adapter(root: type) -> Any:
+    return pydantic.TypeAdapter(root)
 
 
 def _jsonable(value: Any) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 
 from firmware_protocol.faults import Fault
 from rig.config import Experiment, experiment_from_mapping, verdict_limits
-from rig.control import verdict
+from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Verdict
 from rig.core.sample import Phase
 from rig.recording.data import Recording
@@ -34,11 +34,11 @@ def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
     limits = verdict_limits(experiment)
     tick_s = 1.0 / experiment.controller.position_rate
     resolution = experiment.rig.encoder.resolution
-    recorded = verdict.judge(verdict.recorded_signals(recording.rows, tick_s, resolution), limits)
+    recorded = judging.judge(judging.recorded_signals(recording.rows, tick_s, resolution), limits)
     true = None
     if recording.has_truth:
         wall = experiment.wall
-        true = verdict.judge(verdict.true_signals(recording.rows, tick_s, wall.position, wall.side), limits)
+        true = judging.judge(judging.true_signals(recording.rows, tick_s, wall.position, wall.side), limits)
     early = ended_early(recording)
     if early is None and experiment.trial.kind == "excitation":
         early = Kind.INVALID, "the rig was shaken about its wall, not driven into it: see rig impedance"
@@ -52,12 +52,12 @@ def measure(recording: Recording) -> tuple[Measured, Measured | None]:
     experiment = experiment_of(recording)
     limits, wall = verdict_limits(experiment), experiment.wall
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, ended_early(recording) is not None
-    signals = verdict.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
-    recorded = verdict.measured(signals, limits, thrown_out=thrown_out)
+    signals = judging.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
+    recorded = judging.measured(signals, limits, thrown_out=thrown_out)
     if not recording.has_truth:
         return recorded, None
-    true = verdict.true_signals(recording.rows, tick_s, wall.position, wall.side)
-    return recorded, verdict.measured(true, limits, thrown_out=thrown_out)
+    true = judging.true_signals(recording.rows, tick_s, wall.position, wall.side)
+    return recorded, judging.measured(true, limits, thrown_out=thrown_out)
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:

@@ -16,7 +16,7 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.sample import unit_of
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
