@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
-from rig.config.files import Table
+from rig.config.files import Table, nest
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
+from rig.quantity import STRICT
 from rig.sample import Motion
 
 if TYPE_CHECKING:
@@ -101,6 +102,74 @@ def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None,
         return None, list(dict.fromkeys(found)) + problems
 
 
+def changed(kind: Kind[T], described: T, changes: Table, motion: Motion | None) -> tuple[T, list[Problem]]:
+    """Set some keys of what is checked already; only their new values are checked, each by itself.
+
+    Parameters
+    ----------
+    kind
+        Of the file that it came from.
+    described
+        What to start from; it stays as it is.
+    changes
+        Nested tables (`rig.config.files.nest`) of new values; those of a table of free keys join the ones that are there.
+    motion
+        As in `typed`.
+    """
+    errors: list[tuple[Any, Table]] = []
+    result = _with(described, changes, (), changes, errors)
+    problems = [_problem_of(error, kind, table, motion) for error, table in errors]
+    return result, [*dict.fromkeys(problems), *_mistaken_choices(kind, changes)]
+
+
+def _with(
+    section: Any, changes: Table, path: tuple[str, ...], whole: Table, errors: list[tuple[Any, Table]]
+) -> Any:
+    """The section with its changes; `errors` takes up what is wrong with them, in the words of pydantic, and where."""
+    known = {item.name: getattr(section, item.name) for item in fields(section)}
+    before, new = len(errors), {}
+    for name in (name for name in known if name in changes):
+        value, place = changes[name], (*path, name)
+        if not is_dataclass(known[name]):
+            free = isinstance(known[name], Mapping) and isinstance(value, dict)
+            new[name] = _leaf(
+                type(section), name, {**known[name], **value} if free else value, place, whole, errors
+            )
+        elif isinstance(value, dict):
+            new[name] = _with(known[name], value, place, whole, errors)
+        else:
+            errors.append(({"type": "dataclass_type", "loc": place}, whole))
+    for name in (name for name in changes if name not in known):
+        errors.append(({"type": "unexpected_keyword_argument", "loc": (*path, name)}, whole))
+    if len(errors) > before:
+        return section
+    try:
+        return replace(section, **new)
+    except ValueError as error:  # a dataclass that checks its own keys against each other
+        given = nest({".".join(path): plain(section) | changes})
+        errors.append(({"type": "value_error", "loc": path, "ctx": {"error": error}}, given))
+        return section
+
+
+def _leaf(
+    section: type,
+    name: str,
+    value: Any,
+    place: tuple[str, ...],
+    whole: Table,
+    errors: list[tuple[Any, Table]],
+) -> Any:
+    """The value of one key, as its annotation wants it."""
+    from pydantic import ValidationError  # noqa: PLC0415
+
+    try:
+        return _adapter_of_key(section, name).validate_json(json.dumps(_jsonable(value)))
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        errors += [({**one, "loc": (*place, *one["loc"])}, whole) for one in found]
+        return value
+
+
 def plain(value: Any) -> Any:
     """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
     if is_dataclass(value):
@@ -135,6 +204,14 @@ def _adapter(root: type) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter  # noqa: PLC0415
 
     return TypeAdapter(root)
+
+
+@cache
+def _adapter_of_key(section: type, name: str) -> TypeAdapter[Any]:
+    from pydantic import ConfigDict, TypeAdapter  # noqa: PLC0415
+
+    hint = get_type_hints(section, include_extras=True)[name]
+    return TypeAdapter(hint, config=ConfigDict(**STRICT))
 
 
 def _jsonable(value: Any) -> Any:
