@@ -1,9 +1,9 @@
 """Parameters of the law that runs on the device itself: what a host has designed, in the device's own units.
 
 The device knows no radians: lengths are counts, velocities counts per velocity period, currents quanta, times ticks. A
-host designs everything, filters included (`rig.device_law`), and the device only multiplies. Integers of the fixed law
-that need 64 bits travel as two halves. What is not in use (another estimator, the other arithmetic) stays at its
-default. Source of what each is: firmware/law/law.h.
+host designs everything, filters included (`rig.config.device_law`), and the device only multiplies. Integers of the
+fixed law that need 64 bits travel as two halves. What is not in use (another estimator, the other arithmetic) stays at
+its default. Source of what each is: firmware/law/law.h.
 
 Live parameters may change while the device is armed, between two ticks, when the handle is in free space.
 """

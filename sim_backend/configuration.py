@@ -20,8 +20,8 @@ from firmware_protocol.parameters import (
     encode_block,
 )
 from firmware_protocol.transfer import Assembler, page
-from rig import board
-from rig.model import RigModel
+from rig.core import board
+from rig.core.model import RigModel
 
 FIRMWARE = "simulated 1"
 

@@ -34,8 +34,8 @@ from firmware_protocol.messages import Message, Mode, Role, Sync
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, ParameterError
 from firmware_protocol.replies import Replies
-from rig.errors import ConfigError
-from rig.model import RigModel
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from sim_backend.configuration import Configuration, describe
 from sim_backend.hardware import Hardware
 from sim_backend.safety import UNITS_PER_SECOND, UNITS_PER_US, FaultMemory, Limits, Monitor, Thermal, Watchdog
@@ -461,5 +461,5 @@ class SimulatedDevice:
         self._start()
 
     def truth(self) -> NDArray[np.void]:
-        """Return the plant's state in every tick of a session since boot, dtype `rig.sample.TRUTH`."""
+        """Return the plant's state in every tick of a session since boot, dtype `rig.core.sample.TRUTH`."""
         return (self._truth or self.hardware.new_truth()).table()

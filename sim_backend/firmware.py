@@ -23,9 +23,9 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input
 from firmware_protocol.parameters import PARAMETERS
-from rig import board
-from rig.errors import ConfigError
-from rig.model import RigModel
+from rig.core import board
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from sim_backend import firmware_library
 from sim_backend.configuration import describe
 from sim_backend.firmware_library import Mechanics, Setup, Status
@@ -329,7 +329,7 @@ class FirmwareDevice:
         self.inject_fault(Fault.WATCHDOG_RESET)
 
     def truth(self) -> NDArray[np.void]:
-        """Return the plant's state in every tick of a session since boot, dtype `rig.sample.TRUTH`."""
+        """Return the plant's state in every tick of a session since boot, dtype `rig.core.sample.TRUTH`."""
         return (self._truth or self.hardware.new_truth()).table()
 
     def _input(self, bit: Input, active: bool) -> None:

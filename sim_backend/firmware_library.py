@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import firmware_protocol
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 PARTS = ("core", "law", "host")
@@ -139,7 +139,7 @@ def library() -> ctypes.CDLL:
     ConfigError
         There is no C compiler, it fails, or what it made does not open.
     """
-    from firmware_protocol.kernel import CACHE_DIRECTORY  # noqa: PLC0415  (numba)
+    from rig.realtime.kernel import CACHE_DIRECTORY  # noqa: PLC0415  (numba)
 
     path = compiled(CACHE_DIRECTORY)
     try:

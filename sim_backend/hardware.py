@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.inner import Vector
 from sim_backend.led import Led
 from sim_backend.lockstep import (

@@ -1,6 +1,6 @@
 """A rig in a person's hand, stepped exactly: `sim_backend.plant` with a hand mass and what it wants.
 
-States in order (see `rig.model.state_space`): those of the rig, hand position and velocity, then intended
+States in order (see `rig.core.model.state_space`): those of the rig, hand position and velocity, then intended
 position, intended velocity and press. The last three keep their values until a script writes others into them
 (`sim_backend.operator`); so the hand needs no other argument.
 
@@ -15,8 +15,8 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.kernel import kernel
-from rig.model import Matrix
+from rig.core.model import Matrix
+from rig.realtime.kernel import kernel
 from sim_backend.inner import (
     ADVANCE,
     COULOMB,

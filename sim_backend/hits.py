@@ -2,7 +2,7 @@
 
 A map of thousands of walls is made of these calls. They allocate nothing and do not hold the GIL, so a thread for each
 core keeps it busy, and memory does not grow with the number of hits. What comes out is what
-`rig.verdict.judge` says of the recording of the same trial over the byte link.
+`rig.control.verdict.judge` says of the recording of the same trial over the byte link.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import OLDEST_EDGE
-from rig import verdict
+from rig.control import verdict
+from rig.control.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
+from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller
+from rig.control.verdict import Limits, Measured
+from rig.core.errors import LawError
+from rig.core.model import RigModel
+from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedHit
-from rig.errors import LawError
-from rig.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
-from rig.model import RigModel
-from rig.sample import Phase, RowFlag
-from rig.step import DONE, THROWN_OUT, TRIAL, Controller
-from rig.verdict import Limits, Measured
+from rig.realtime.kernel import kernel
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import RUN_TYPES, Trace, run_arguments, run_ticks
@@ -54,7 +54,7 @@ def hit(
     """Run one trial and measure its trial phase; returns its number of ticks.
 
     The arguments of `sim_backend.trial.run_ticks`, then the places of sensed position, handle and motor effort in the
-    state, room for `SIGNALS` signals, an empty array, and those of `rig.measure.measure` for both sides.
+    state, room for `SIGNALS` signals, an empty array, and those of `rig.control.measure.measure` for both sides.
     """
     ticks = run_ticks(
         estimator, law, control, memory, estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,

@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol.kernel import kernel
+from rig.realtime.kernel import kernel
 from sim_backend.sensors import cell
 
 Vector = NDArray[np.float64]

@@ -18,9 +18,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from rig.devices.hand import Wish
-from rig.errors import ConfigError
-from rig.model import RigModel
 from sim_backend.held import INTENTIONS
 from sim_backend.operator import PRESS_HZ, REPEAT_S, Rows, Script, tremor
 

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.faults import Fault
-from rig.clock import VirtualClock
+from rig.core.errors import ConfigError, LinkLostError
+from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, LoopPort
-from rig.errors import ConfigError, LinkLostError
-from rig.model import RigModel
+from rig.realtime.clock import VirtualClock
 from sim_backend.channel import DeviceFault, Direction, Faults, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
@@ -268,7 +268,7 @@ class MemoryLink:
         return self._failure
 
     def truth(self) -> NDArray[np.void]:
-        """Return the plant's true state in every tick of a session (`rig.sample.TRUTH`)."""
+        """Return the plant's true state in every tick of a session (`rig.core.sample.TRUTH`)."""
         return self.device.truth()
 
     def close(self) -> None:
@@ -378,7 +378,7 @@ class MemoryLink:
     # ------------------------------------------------------------------ the compiled loop
 
     def _make_port(self) -> LoopPort:
-        from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
+        from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
 
         def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
             callback = kind(self._guarded(function))

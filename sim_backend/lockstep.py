@@ -15,8 +15,8 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol.kernel import kernel
-from rig.native import native_call
+from rig.realtime.kernel import kernel
+from rig.realtime.native import native_call
 from sim_backend.held import want
 from sim_backend.plant import advance
 from sim_backend.safety import UNITS_PER_SECOND

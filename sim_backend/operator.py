@@ -1,4 +1,4 @@
-"""What a simulated person wants, tick by tick: the script that moves the hand of `rig.model.Operator`.
+"""What a simulated person wants, tick by tick: the script that moves the hand of `rig.core.model.Operator`.
 
 The hand goes along with the homing servo to the start, waits there, reaches into the wall on a raised cosine,
 and stays, pressing. Press and tremor arrive with the reach; the press swells and ebbs slowly, because a hand that
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model import Operator, Reach, RigModel
+from rig.core.model import Operator, Reach, RigModel
 from sim_backend.held import INTENTIONS
 
 Rows = NDArray[np.float64]

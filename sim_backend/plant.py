@@ -1,12 +1,12 @@
 """The simulated mechanics of a rig: exact between inner steps, Coulomb friction implicit, one kernel a tick.
 
-`DiscretePlant.build` integrates the continuous matrices of `rig.model` once, with a matrix exponential, over
+`DiscretePlant.build` integrates the continuous matrices of `rig.core.model` once, with a matrix exponential, over
 an inner step that divides the tick. `advance` then moves a plant by one tick: delay line, saturation, inner
 steps, last encoder edge. The simulated device calls it from Python and the sweep from compiled code, with the
 same arrays and so to the same bits.
 
 **State.** Everything that changes lives in one flat array, so that copying it copies the plant: the states of
-`rig.model.state_space`, what a person who holds the handle wants (position, velocity, press; see
+`rig.core.model.state_space`, what a person who holds the handle wants (position, velocity, press; see
 `sim_backend.held`), then the age of the last encoder edge (s), then the commands still on their way, oldest
 first.
 
@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from firmware_protocol.kernel import kernel
-from rig.errors import ConfigError
-from rig.model import Matrix, RigModel, StateSpace, state_space
+from rig.core.errors import ConfigError
+from rig.core.model import Matrix, RigModel, StateSpace, state_space
+from rig.realtime.kernel import kernel
 from sim_backend.held import INTENTIONS, advance_held
 from sim_backend.inner import (
     ADVANCE,
@@ -63,7 +63,7 @@ class DiscretePlant:
     Attributes
     ----------
     phi, gamma
-        Discrete matrices over one inner step, states and inputs in the order of `rig.model`.
+        Discrete matrices over one inner step, states and inputs in the order of `rig.core.model`.
     parameters
         See the index constants of this module.
     tick_s

@@ -21,9 +21,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from rig.devices.hand import SharedHand
-from rig.errors import ConfigError
-from rig.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.led import Led

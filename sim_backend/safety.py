@@ -21,8 +21,8 @@ from firmware_protocol.faults import Fault, LimitFlag
 from firmware_protocol.messages import TIME_UNIT_NS
 from firmware_protocol.packing import FAULT_ENTRY_BYTES, data_limit, pack_fault_entries
 from firmware_protocol.parameter import Value
-from rig.board import OVER_CURRENT_MARGIN, STALL_COUNTS
-from rig.model import RigModel
+from rig.core.board import OVER_CURRENT_MARGIN, STALL_COUNTS
+from rig.core.model import RigModel
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time
 UNITS_PER_US = UNITS_PER_SECOND // 1_000_000

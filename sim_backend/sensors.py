@@ -11,7 +11,7 @@ import math
 
 from numba import types
 
-from firmware_protocol.kernel import kernel
+from rig.realtime.kernel import kernel
 
 CURRENT_QUANTA_LIMIT = 32767.0  # i16 on the wire; symmetric, so that negating a current never overflows
 
@@ -59,7 +59,7 @@ def current_quanta(current_a: float, quantum_a: float) -> int:
 
     Notes
     -----
-    Nearest, halves towards +∞: the rule of the encoder and of the command (`rig.guard.current_quanta`).
+    Nearest, halves towards +∞: the rule of the encoder and of the command (`rig.control.guard.current_quanta`).
     """
     quanta = current_a / quantum_a
     if math.isnan(quanta):

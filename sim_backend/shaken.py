@@ -1,12 +1,13 @@
 """A rig shaken about a point without bytes, one compiled call: what a measurement of its impedance is made of.
 
-The law runs as it does everywhere, `rig.step.step` once a tick. Between its ticks the plant takes inner steps, and in
-each of them a second actuator may push the link. Its effort is that of the step's middle: a value taken at the
+The law runs as it does everywhere, `rig.control.step.step` once a tick. Between its ticks the plant takes inner steps,
+and in each of them a second actuator may push the link. Its effort is that of the step's middle: a value taken at the
 beginning and held would be late by half a step, which no one sees in a hit and everyone in a phase (at 4 kHz it is 11°
 at 250 Hz). The positions are kept more often than the law sees them, as a separate instrument would.
 
 The run begins in the trial's own phase, at rest: nothing has to be homed. With the rig's own motor as the shaker, which
-is the law's affair (`rig.bilateral`), the counts are those of the same trial over the byte link, to the last bit.
+is the law's affair (`rig.control.bilateral`), the counts are those of the same trial over the byte link, to the last
+bit.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import OLDEST_EDGE
-from rig.bilateral import ramp
+from rig.control.bilateral import ramp
+from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, TRIAL, Controller, step
+from rig.core.errors import LawError
+from rig.core.model import RigModel
+from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedShake
-from rig.errors import LawError
-from rig.model import RigModel
-from rig.plugs import ESTIMATOR, LAW
-from rig.sample import Phase, RowFlag
-from rig.step import CONTROL_TYPE, MEMORY_TYPE, TRIAL, Controller, step
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR, LAW
 from sim_backend.inner import Vector
 from sim_backend.plant import DiscretePlant, advance
 from sim_backend.safety import UNITS_PER_SECOND

@@ -1,8 +1,8 @@
 """A whole trial in one compiled call: plant, sensors and the law, without bytes, frames or clocks.
 
-The same `rig.step.step`, the same `advance`, the same quantisers as the simulated device behind its link; what is
-missing is everything that can go wrong in between. Both ways therefore give the same trajectory, to the last bit, and a
-map of thousands of trials may be computed this way.
+The same `rig.control.step.step`, the same `advance`, the same quantisers as the simulated device behind its link; what
+is missing is everything that can go wrong in between. Both ways therefore give the same trajectory, to the last bit,
+and a map of thousands of trials may be computed this way.
 
 Device time appears only as the age of the last encoder edge, which the wire carries in units of 1/16 µs; it is rounded
 here as it is there.
@@ -17,10 +17,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
-from rig.plugs import ESTIMATOR, LAW
-from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
+from rig.control.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR, LAW
 from sim_backend.held import want
 from sim_backend.inner import Vector
 from sim_backend.operator import Script

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.sample import TRUTH
+from rig.core.sample import TRUTH
 from sim_backend.inner import Vector
 from sim_backend.plant import DiscretePlant
 
@@ -40,7 +40,7 @@ class TruthLog:
         self._size = size
 
     def table(self) -> NDArray[np.void]:
-        """Return the rows so far, dtype `rig.sample.TRUTH`."""
+        """Return the rows so far, dtype `rig.core.sample.TRUTH`."""
         plant, states = self._plant, self._states[: self._size]
         rows = np.zeros(self._size, TRUTH)
         rows["sample_index"] = self._indices[: self._size]

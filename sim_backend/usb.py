@@ -20,8 +20,8 @@ import threading
 import time
 from dataclasses import dataclass
 
-from rig.errors import ConfigError
-from rig.model import RigModel
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.real_time import RealTime, sleep_until
 

@@ -1,6 +1,6 @@
-"""The command line. Each command is a thin shell around a function of `rig`; its module is imported only when it runs.
+"""Commands: arguments, presentation, nothing else.
 
-Errors of `rig.errors` become one clear line and their exit code, never a traceback; set ``RIG_DEBUG=1`` to
+Errors of `rig.core.errors` become one clear line and their exit code, never a traceback; set ``RIG_DEBUG=1`` to
 see where an unexpected one comes from.
 """
 
@@ -13,7 +13,7 @@ import sys
 import click
 
 from rig.cli.lazy import LazyGroup
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
 COMMANDS: dict[str, tuple[str, str]] = {

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import output
-from rig.errors import ConfigError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
     from rig.experiments.compare import Comparison, Entry
-    from rig.experiments.compare_koul import Panel, Profiles, WordLength
+    from rig.papers.koul.compare import Panel, Profiles, WordLength
 
 NO_DAMPING = "none"
 UNUSED = ("trial.repeats", "trial.seed")  # a trial without bytes has no noise: every repeat would be the same
@@ -71,7 +71,9 @@ def run(
         comparison = comparing.compare(changed, entries(changed, schemes))
     picture = None
     if plot:
-        picture = _drawn(directory / f"{changed.rig.name}-compare.png", "draw_comparison", comparison)
+        from rig.views.plots.compare import draw_comparison  # noqa: PLC0415
+
+        picture = _drawn(directory / f"{changed.rig.name}-compare.png", draw_comparison, comparison)
     if as_json:
         output.print_json({**comparison.as_mapping(), "picture": picture})
         return
@@ -91,14 +93,16 @@ def run(
 def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
     """Figures 7 and 8 of Koul et al.: print and draw."""
     with output.compiling():
-        from rig.experiments import compare_koul as koul  # noqa: PLC0415
+        from rig.papers.koul import compare as koul  # noqa: PLC0415
 
         panels, words, profiles = koul.koul_figure_7(), koul.word_lengths(), koul.koul_figure_8()
     pictures = {}
     if plot:
+        from rig.papers.koul import impact_pictures  # noqa: PLC0415
+
         pictures = {
-            "figure 7": _drawn(directory / "koul-figure-7.png", "draw_figure_7", panels),
-            "figure 8": _drawn(directory / "koul-figure-8.png", "draw_figure_8", profiles),
+            "figure 7": _drawn(directory / "koul-figure-7.png", impact_pictures.draw_figure_7, panels),
+            "figure 8": _drawn(directory / "koul-figure-8.png", impact_pictures.draw_figure_8, profiles),
         }
     if as_json:
         output.print_json(
@@ -118,8 +122,8 @@ def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
 
 def entries(experiment: Experiment, schemes: Sequence[str]) -> tuple[Entry, ...]:
     """Entries of the schemes named on the command line; none, uniform and dual-rate when there are none."""
+    from rig.config.schemes import Scheme  # noqa: PLC0415
     from rig.experiments.compare import Entry, default_entries  # noqa: PLC0415
-    from rig.schemes import Scheme  # noqa: PLC0415
 
     usual = default_entries(experiment)
     if not schemes:
@@ -131,11 +135,8 @@ def entries(experiment: Experiment, schemes: Sequence[str]) -> tuple[Entry, ...]
     )
 
 
-def _drawn(path: Path, function: str, what: Any) -> str | None:
+def _drawn(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
     """Draw; a picture that fails is reported and takes nothing with it."""
-    from rig.plots import compare as pictures  # noqa: PLC0415
-
-    draw: Callable[[Any, Path], Path] = getattr(pictures, function)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return str(draw(what, path))

@@ -43,7 +43,7 @@ def devices(url: str | None, as_json: bool) -> None:
 
 def _list() -> dict[str, Any]:
     from rig import devices as table  # noqa: PLC0415
-    from rig import presets  # noqa: PLC0415
+    from rig.config import presets  # noqa: PLC0415
     from rig.devices.serial import available_ports  # noqa: PLC0415
     from rig.devices.usb import available_devices  # noqa: PLC0415
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import options, output
-from rig.errors import PlanError
-from rig.sample import unit_of
+from rig.core.errors import PlanError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
-    from rig.doctor.examine import Examination
-    from rig.doctor.finding import Finding
-    from rig.doctor.gate import Gate
-    from rig.doctor.quantiles import Distribution, Quantile
-    from rig.doctor.round_trip import LinkMeasurement
-    from rig.doctor.walls import Supported
+    from rig.bench.doctor.examine import Examination
+    from rig.bench.doctor.finding import Finding
+    from rig.bench.doctor.gate import Gate
+    from rig.bench.doctor.quantiles import Distribution, Quantile
+    from rig.bench.doctor.round_trip import LinkMeasurement
+    from rig.bench.doctor.walls import Supported
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "problem": ("no", "red")}
 
@@ -59,7 +59,7 @@ def doctor(
     from rig import config  # noqa: PLC0415
 
     if print_udev:
-        from rig.doctor.udev import udev_rules  # noqa: PLC0415
+        from rig.bench.doctor.udev import udev_rules  # noqa: PLC0415
 
         click.echo(udev_rules(), nl=False)
         return
@@ -67,7 +67,7 @@ def doctor(
     changes = options.changes(**changed)
     config.check_plugins(config.override(experiment, changes), str(file or preset or options.DEFAULT_PRESET))
     with output.compiling():
-        from rig.doctor.examine import Question, examine  # noqa: PLC0415
+        from rig.bench.doctor.examine import Question, examine  # noqa: PLC0415
 
     question = Question(experiment=experiment, changes=changes, url=url, realtime=realtime, seconds=seconds)
     with Progress(quiet=as_json) as progress:

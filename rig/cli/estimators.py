@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import options, output
-from rig.errors import ConfigError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.experiments.cases import Case
@@ -42,10 +42,10 @@ def estimators() -> None:
 def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
     """Show the estimators (or NAMES): parameters with range, unit and meaning, delay, source."""
     _announce()
-    from rig import estimators as family  # noqa: PLC0415
+    from rig.control import estimators as family  # noqa: PLC0415
+    from rig.core.signals import SIGNALS  # noqa: PLC0415
     from rig.experiments.cases import signal_case  # noqa: PLC0415
     from rig.experiments.estimators import Variant, score  # noqa: PLC0415
-    from rig.signals import SIGNALS  # noqa: PLC0415
 
     hertz = _rate(rate)
     case = signal_case(SIGNALS["sine"], hertz, DEFAULT_RESOLUTION)
@@ -201,7 +201,7 @@ def _print_tuning(tuning: Tuning, case: Case) -> None:
 
 def _announce() -> None:
     """Say why nothing is seen for a while, the first time."""
-    from firmware_protocol.kernel import is_cold  # noqa: PLC0415
+    from rig.realtime.kernel import is_cold  # noqa: PLC0415
 
     if is_cold():
         click.echo("rig: compiling the estimators, once for this version and machine (seconds)", err=True)
@@ -255,7 +255,7 @@ def _cells(score: Score) -> str:
 
 def _draw(comparison: Comparison, plot: Path) -> str | None:
     """Draw; a picture that fails is reported and takes nothing with it."""
-    from rig.plots.estimators import draw_comparison  # noqa: PLC0415
+    from rig.views.plots.estimators import draw_comparison  # noqa: PLC0415
 
     try:
         return str(draw_comparison(comparison, plot))
@@ -276,8 +276,8 @@ def _rates(text: str) -> list[int]:
 
 
 def _signal_case(name: str, rate_hz: int, resolution: float) -> Case:
+    from rig.core.signals import SIGNALS  # noqa: PLC0415
     from rig.experiments.cases import signal_case  # noqa: PLC0415
-    from rig.signals import SIGNALS  # noqa: PLC0415
 
     if name not in SIGNALS:
         raise ConfigError(f"there is no signal {name!r}", remedy=f"choose one of: {', '.join(SIGNALS)}")

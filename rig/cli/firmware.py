@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import options, output
-from rig.errors import ConfigError, IncompatibleDeviceError
+from rig.core.errors import ConfigError, IncompatibleDeviceError
 
 if TYPE_CHECKING:
+    from rig.bench.firmware.boards import Board, Setting
+    from rig.bench.firmware.build import BuildResult
+    from rig.bench.firmware.info import FirmwareInfo
+    from rig.bench.firmware.selftest import SelfTest
     from rig.config import Experiment
-    from rig.firmware.boards import Board, Setting
-    from rig.firmware.build import BuildResult
-    from rig.firmware.info import FirmwareInfo
-    from rig.firmware.selftest import SelfTest
-    from rig.model import RigModel
+    from rig.core.model import RigModel
 
 DEFAULT_BOARD = "rp2040"
 _MARKS = {"ok": ("ok", "green"), "skipped": ("--", "yellow"), "failed": ("no", "red")}
@@ -76,9 +76,9 @@ def build(
     Needs the cross compiler of the distribution (gcc-arm-none-eabi, libnewlib-arm-none-eabi). The same inputs give the
     same bytes.
     """
-    from rig.firmware import boards  # noqa: PLC0415
-    from rig.firmware.build import BuildRequest  # noqa: PLC0415
-    from rig.firmware.build import build as build_image  # noqa: PLC0415
+    from rig.bench.firmware import boards  # noqa: PLC0415
+    from rig.bench.firmware.build import BuildRequest  # noqa: PLC0415
+    from rig.bench.firmware.build import build as build_image  # noqa: PLC0415
 
     if board == "list":
         _list([boards.load(name) for name in boards.names()], as_json)
@@ -101,7 +101,7 @@ def info(source: str, as_json: bool) -> None:
 
     Exits with 4 when it cannot.
     """
-    from rig.firmware.info import info as look  # noqa: PLC0415
+    from rig.bench.firmware.info import info as look  # noqa: PLC0415
 
     found = look(source)
     if as_json:
@@ -130,7 +130,7 @@ def flash(image: Path, drive: Path | None, as_json: bool) -> None:
 
     Hold BOOTSEL while you plug the board in: its drive appears. Motor power must be off.
     """
-    from rig.firmware.flash import flash as copy_image  # noqa: PLC0415
+    from rig.bench.firmware.flash import flash as copy_image  # noqa: PLC0415
 
     with Progress(quiet=as_json) as progress:
         done = copy_image(image, drive, progress.told)
@@ -172,9 +172,9 @@ def selftest(
     Exits with 5 when a check fails.
     """
     with output.compiling():
+        from rig.bench.firmware.selftest import SelfTestRequest, failure  # noqa: PLC0415
+        from rig.bench.firmware.selftest import selftest as run  # noqa: PLC0415
         from rig.devices import open_device  # noqa: PLC0415
-        from rig.firmware.selftest import SelfTestRequest, failure  # noqa: PLC0415
-        from rig.firmware.selftest import selftest as run  # noqa: PLC0415
 
     experiment = None if preset is None else _experiment(preset)
     if move and not as_json:
@@ -286,7 +286,7 @@ def _share(taken: int, room: int) -> str:
 
 
 def _print_info(found: FirmwareInfo) -> None:
-    from rig.firmware.info import LAWS  # noqa: PLC0415
+    from rig.bench.firmware.info import LAWS  # noqa: PLC0415
 
     facts = found.facts or {}
     pairs = [

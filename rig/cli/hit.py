@@ -12,10 +12,10 @@ import click
 
 from rig.cli import compare as comparing
 from rig.cli import options, output
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.doctor.gate import Gate
+    from rig.bench.doctor.gate import Gate
 
 
 @click.command()
@@ -81,7 +81,7 @@ def hit(
 
         load_backend(url or "sim://")
         if realtime or not (url or "sim:").startswith("sim:"):
-            import rig.doctor.gate  # noqa: PLC0415, F401  (compiled before a device waits for it)
+            import rig.bench.doctor.gate  # noqa: PLC0415, F401  (compiled before a device waits for it)
     request = hits.HitRequest(
         experiment=experiment,
         url=url,
@@ -131,7 +131,7 @@ class Artist:
     def __enter__(self) -> Artist:
         if self._wanted:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rig.plots.hit"],
+                [sys.executable, "-m", "rig.views.plots.hit"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import options, output
-from rig.errors import ConfigError, RecordingError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError, RecordingError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
@@ -127,7 +127,7 @@ def _draw(found: Identification) -> str | None:
     first = found.recordings["signs"][0]
     stem = first.name.partition("-signs")[0]
     try:
-        from rig.plots.identify import draw_identification  # noqa: PLC0415
+        from rig.views.plots.identify import draw_identification  # noqa: PLC0415
 
         return str(draw_identification(found, first.with_name(f"{stem}.png")))
     except (RecordingError, ValueError, ImportError) as error:

@@ -13,13 +13,13 @@ import click
 
 from rig.cli import options, output
 from rig.cli.maps import numbers
-from rig.errors import ConfigError, GuardError, RecordingError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError, GuardError, RecordingError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
+    from rig.config.schemes import Scheme
     from rig.experiments.impedance import ImpedanceResult, Judging, OnDevice, Wall
-    from rig.schemes import Scheme
 
 DEFAULT_PRESET = "chawda-linear"
 
@@ -98,8 +98,8 @@ def impedance(
     experiment = config.override(experiment, _changes(url, **shaking))
     walls = _walls(experiment, stiffness, damping, bare)
     with output.compiling():
+        from rig.config.schemes import Scheme  # noqa: PLC0415
         from rig.experiments import impedance as measuring  # noqa: PLC0415  (imports compile)
-        from rig.schemes import Scheme  # noqa: PLC0415
 
     judging = measuring.Judging(band_hz=None if judged is None else _band(judged, "--judged"))
     parsed = tuple(Scheme.parse(text) for text in schemes)
@@ -226,7 +226,7 @@ def _agrees(experiment: Experiment) -> bool:
 
 def _draw(results: tuple[ImpedanceResult, ...], path: Path) -> str | None:
     """Draw; a picture that fails takes no measurement with it."""
-    from rig.plots.impedance import draw_impedance  # noqa: PLC0415
+    from rig.views.plots.impedance import draw_impedance  # noqa: PLC0415
 
     if all(result.impedance is None for result in results):
         return None

@@ -9,7 +9,7 @@ import click
 
 from rig.cli import maps, output
 from rig.cli.progress import SweepBar
-from rig.sample import unit_of
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.experiments.kmax import KMax
@@ -73,7 +73,7 @@ def kmax(
 
 def _draw(found: KMax, path: Path) -> str:
     from rig.experiments.ranges import kmax_theory  # noqa: PLC0415
-    from rig.plots.zwidth import draw_kmax  # noqa: PLC0415
+    from rig.views.plots.zwidth import draw_kmax  # noqa: PLC0415
 
     return str(draw_kmax(found, path, theory=kmax_theory(found)))
 

@@ -12,7 +12,7 @@ import click
 from rig.cli import options
 
 if TYPE_CHECKING:
-    from rig.sample import Motion
+    from rig.core.sample import Motion
 
 
 @click.command()
@@ -50,7 +50,7 @@ def lsl(
     --markers reads lines like {"at": NS, "marker": {"mark": "stimulus"}}; at is on CLOCK_MONOTONIC, or left out.
     --json prints a line for each stream and loop, the last with what was sent.
     """
-    from rig.lsl.serve import serve  # noqa: PLC0415
+    from rig.session.lsl.serve import serve  # noqa: PLC0415
 
     def told(news: Mapping[str, Any]) -> None:
         if as_json:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from rig.cli import options
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rig.config import Experiment
@@ -166,7 +166,7 @@ def _bounds(text: str) -> tuple[float, float]:
 
 def rates(text: str) -> tuple[int, ...]:
     """Rates of ``1k,20k`` in Hz."""
-    from rig.schemes import parse_rates  # noqa: PLC0415
+    from rig.config.schemes import parse_rates  # noqa: PLC0415
 
     try:
         pairs = [parse_rates(part) for part in text.split(",")]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rig.config import Experiment
@@ -101,7 +101,8 @@ def compare_options(command: F) -> F:
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
     """Load the file, else the named preset, else the default one."""
-    from rig import config, presets  # noqa: PLC0415
+    from rig import config  # noqa: PLC0415
+    from rig.config import presets  # noqa: PLC0415
 
     if file is not None and preset is not None:
         raise ConfigError(
@@ -153,7 +154,7 @@ def key_values(texts: tuple[str, ...]) -> dict[str, Any]:
 
 def parse_rate(text: str) -> tuple[int, int]:
     """Rates of an option ``--rate``, in Hz, as schemes have them."""
-    from rig.schemes import parse_rates  # noqa: PLC0415
+    from rig.config.schemes import parse_rates  # noqa: PLC0415
 
     try:
         return parse_rates(text)

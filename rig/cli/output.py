@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rig.sample import Phase, unit_of
+from rig.core.sample import Phase, unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
-    from rig.errors import RigError
-    from rig.verdict import Verdict
+    from rig.control.verdict import Verdict
+    from rig.core.errors import RigError
 
 _BRINGS = {
     "operator.grip": "operator.",
@@ -69,7 +69,7 @@ def duration(value_ns: float) -> str:
 
 
 def clock_pairs(clock: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Lines of a clock fit (`rig.clock_fit.ClockFit.as_mapping`)."""
+    """Lines of a clock fit (`rig.core.clock_fit.ClockFit.as_mapping`)."""
     asymmetry = duration(clock["asymmetry_bound_ns"])
     return [
         (
@@ -187,7 +187,7 @@ def _shown(value: float, limit: float) -> str:
 @contextmanager
 def compiling() -> Iterator[None]:
     """Say once that the kernels are being compiled, and show that the program is alive meanwhile."""
-    from firmware_protocol.kernel import is_cold, mark_warm  # noqa: PLC0415
+    from rig.realtime.kernel import is_cold, mark_warm  # noqa: PLC0415
 
     if not is_cold():
         yield

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from rig.cli import options, output
-from rig.errors import PlanError
+from rig.core.errors import PlanError
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 

@@ -22,9 +22,9 @@ def plot() -> None:
 @options.json_option
 def levant_regions(picture: Path, as_json: bool) -> None:
     """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
-    from rig.estimators.levant_regions import crossing  # noqa: PLC0415
-    from rig.plots.levant import draw_levant_regions  # noqa: PLC0415
-    from rig.plots.levant import levant_regions as compute  # noqa: PLC0415
+    from rig.control.estimators.levant_regions import crossing  # noqa: PLC0415
+    from rig.views.plots.levant import draw_levant_regions  # noqa: PLC0415
+    from rig.views.plots.levant import levant_regions as compute  # noqa: PLC0415
 
     computed = compute()
     path = draw_levant_regions(computed, picture)

@@ -12,7 +12,8 @@ from rig.cli import options, output
 @options.json_option
 def preset(name: str | None, as_json: bool) -> None:
     """List the built-in rigs, or print the file of NAME: commented, with the source of each number."""
-    from rig import config, presets  # noqa: PLC0415
+    from rig import config  # noqa: PLC0415
+    from rig.config import presets  # noqa: PLC0415
 
     if name is None:
         loaded = {each: presets.load(each) for each in presets.names()}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 
 if TYPE_CHECKING:
-    from rig.sweep import Progress
+    from rig.experiments.sweep import Progress
 
 LINE_S = 10.0
 _MINUTE_S, _HOUR_S = 60, 3600
@@ -54,7 +54,7 @@ class _Bar:
 
 
 class SweepBar(_Bar):
-    """Shows one sweep while its block lasts; `watch` is for `rig.sweep.run`.
+    """Shows one sweep while its block lasts; `watch` is for `rig.experiments.sweep.run`.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from rig.cli import options, output
-from rig.sample import unit_of
+from rig.core.sample import unit_of
 
 
 @click.command()
@@ -33,7 +33,7 @@ def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) ->
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))
     if plot is not None:
-        from rig.plots.replay import draw_replay  # noqa: PLC0415
+        from rig.views.plots.replay import draw_replay  # noqa: PLC0415
 
         draw_replay(opened, result, plot)
     if as_json:

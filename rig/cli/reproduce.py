@@ -13,7 +13,7 @@ from rig.cli import options, output
 from rig.cli.progress import SweepBar
 
 if TYPE_CHECKING:
-    from rig.reproduce.frame import Reproduction
+    from rig.papers.frame import Reproduction
 
 PAPERS = ("koul", "chawda")
 WIDEST = 56  # characters of a cell
@@ -46,8 +46,8 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     """
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")  # before numpy is imported
+    from rig.papers.page import check_installed, write_report  # noqa: PLC0415
     from rig.recording.files import plain_errors  # noqa: PLC0415
-    from rig.report.page import check_installed, write_report  # noqa: PLC0415
 
     check_installed()
     with plain_errors("make", directory):

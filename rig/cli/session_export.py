@@ -9,7 +9,7 @@ import click
 
 from rig.cli import options, output
 from rig.cli.progress import CountBar
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 
 @click.command()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import options, output
-from rig.errors import PlanError
-from rig.sample import unit_of
+from rig.core.errors import PlanError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.session.expected import Range

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rig.session.analysis import Analysis
@@ -29,10 +29,10 @@ def write_report(
     RecordingError
         The disk refuses.
     """
-    from rig.plots.session import draw_session  # noqa: PLC0415
     from rig.recording.files import plain_errors  # noqa: PLC0415
-    from rig.report.session import write_session_report  # noqa: PLC0415
-    from rig.report.template import check_installed  # noqa: PLC0415
+    from rig.views.plots.session import draw_session  # noqa: PLC0415
+    from rig.views.report.session import write_session_report  # noqa: PLC0415
+    from rig.views.report.template import check_installed  # noqa: PLC0415
 
     place = directory / PICTURES
     with plain_errors("make", place):

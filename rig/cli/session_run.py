@@ -12,7 +12,7 @@ import click
 
 from rig.cli import options, output
 from rig.cli.session_progress import Rehearsed
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rig.session.console.pointer import HandKind

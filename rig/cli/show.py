@@ -24,7 +24,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     experiment = experiment_of(opened)
     verdict, true = judge(opened)
     if plot is not None:
-        from rig.plots.hit import draw_hit  # noqa: PLC0415
+        from rig.views.plots.hit import draw_hit  # noqa: PLC0415
 
         draw_hit(recording, plot)
     happened = _marks(opened) if marks else None

@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from rig import running
 from rig.cli import options, output
-from rig.errors import RigError
+from rig.core.errors import RigError
+from rig.realtime import running
 
 
 @click.command()

@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli import options, output
-from rig.sample import unit_of
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
-    from rig.theory import AtDamping, Bound, DampingLimit, InHand, PassivityBound, SchemeTheory, Theory
+    from rig.analysis.theory import (
+        AtDamping,
+        Bound,
+        DampingLimit,
+        InHand,
+        PassivityBound,
+        SchemeTheory,
+        Theory,
+    )
 
 _MEANINGS = {"exact": "exact (rigid rig)"}
 
@@ -61,7 +69,7 @@ def theory(
     if changes:
         experiment = config.override(experiment, changes)
     with output.compiling():
-        from rig.theory import theory_of  # noqa: PLC0415
+        from rig.analysis.theory import theory_of  # noqa: PLC0415
 
     found = theory_of(experiment, schemes or None, operator=operator)
     picture = _draw(found, directory) if plot else None
@@ -74,8 +82,8 @@ def theory(
 
 
 def _draw(found: Theory, directory: Path) -> Path:
-    from rig.errors import RecordingError  # noqa: PLC0415
-    from rig.plots.theory import draw_theory  # noqa: PLC0415
+    from rig.core.errors import RecordingError  # noqa: PLC0415
+    from rig.views.plots.theory import draw_theory  # noqa: PLC0415
 
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli import options, output
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.timing import Quantile, TimingSummary
+    from rig.recording.timing import Quantile, TimingSummary
 
 _COUNTS = {
     "late": "late by more than a period",
@@ -45,7 +45,7 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
     found = timing_of(recording)
     drawn, failure = None, None
     if plot:
-        from rig.plots.timing import draw_timing  # noqa: PLC0415
+        from rig.views.plots.timing import draw_timing  # noqa: PLC0415
 
         target = picture or recording.with_name(f"{recording.stem}-timing.png")
         try:
@@ -95,7 +95,7 @@ def _stages(summary: TimingSummary) -> list[tuple[str, ...]]:
 
 
 def _label(name: str) -> str:
-    from rig.timing import STAGES  # noqa: PLC0415
+    from rig.recording.timing import STAGES  # noqa: PLC0415
 
     return STAGES[name][2] if name in STAGES else "late on the grid of the samples"
 
@@ -159,7 +159,7 @@ def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
 
 
 def _worst(summary: TimingSummary) -> list[tuple[str, ...]]:
-    from rig.timing import LATENESS  # noqa: PLC0415
+    from rig.recording.timing import LATENESS  # noqa: PLC0415
 
     names = ("transport_in", "law", "send", "transport_out", "whole", LATENESS)
     rows: list[tuple[str, ...]] = [("tick", "at", "in", "law", "send", "out", "whole", "late")]

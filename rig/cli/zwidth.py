@@ -11,8 +11,8 @@ from rig.cli import maps, options, output
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
-from rig.errors import ConfigError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
@@ -136,10 +136,10 @@ def zwidth(
 
 
 def _plan(experiment: Experiment, schemes: tuple[str, ...], damping: str | None, **others: Any) -> MapPlan:
-    from rig import theory  # noqa: PLC0415
+    from rig.analysis import theory  # noqa: PLC0415
+    from rig.config.schemes import Scheme  # noqa: PLC0415
     from rig.experiments.ranges import dampings_for  # noqa: PLC0415
     from rig.experiments.zwidth import MapPlan  # noqa: PLC0415
-    from rig.schemes import Scheme  # noqa: PLC0415
 
     parsed = tuple(Scheme.parse(text) for text in schemes) or theory.default_schemes(experiment)
     dampings = dampings_for(experiment, parsed) if damping is None else maps.numbers(damping, "--damping")
@@ -167,7 +167,7 @@ def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
 
 def _draw(found: ZWidth, path: Path) -> str:
     from rig.experiments.ranges import theory_curves  # noqa: PLC0415
-    from rig.plots.zwidth import draw_zwidth  # noqa: PLC0415
+    from rig.views.plots.zwidth import draw_zwidth  # noqa: PLC0415
 
     return str(draw_zwidth(found, path, theory=theory_curves(found.plan)))
 

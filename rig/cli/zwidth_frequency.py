@@ -12,8 +12,8 @@ from click.core import ParameterSource
 
 from rig.cli import maps, options, output
 from rig.cli.progress import SweepBar
-from rig.errors import ConfigError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.config import Experiment
@@ -154,8 +154,8 @@ def _plan(
     damping: str | None,
     **others: Any,
 ) -> FrequencyPlan:
+    from rig.config.schemes import Scheme  # noqa: PLC0415
     from rig.experiments.frequency_ranges import frequency_plan  # noqa: PLC0415
-    from rig.schemes import Scheme  # noqa: PLC0415
 
     return frequency_plan(
         experiment,
@@ -185,7 +185,7 @@ def _band(text: str, option: str) -> tuple[float, float]:
 
 def _draw(found: FrequencyMap, path: Path) -> str:
     from rig.experiments.frequency_ranges import linear_curves  # noqa: PLC0415
-    from rig.plots.zwidth_frequency import draw_frequency_map  # noqa: PLC0415
+    from rig.views.plots.zwidth_frequency import draw_frequency_map  # noqa: PLC0415
 
     return str(draw_frequency_map(found, path, theory=linear_curves(found.plan)))
 

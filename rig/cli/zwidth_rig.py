@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli import output
-from rig.errors import ConfigError, RigError
-from rig.sample import unit_of
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import unit_of
 
 if TYPE_CHECKING:
+    from rig.control.verdict import Measured
     from rig.experiments.zwidth import MapPlan, ZWidth
     from rig.experiments.zwidth_rig import Next
-    from rig.verdict import Measured
 
 CONFIRM = ("each", "climb", "no")
-CRITERIA = ("felt", "heard", "any")  # rig.verdict.CRITERIA, without its imports
+CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports
 SHOWN_PAUSE_S = 2.0
 
 

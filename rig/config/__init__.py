@@ -1,4 +1,4 @@
-"""Experiments as data: typed sections, the file that describes them, and every complaint about it in one go.
+"""An experiment file becomes the numbers of a run.
 
 * `sections`: the dataclasses, with range, unit and meaning of every key;
 * `table`: the same as a table, from which messages, listings and the editors' schema are made;

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 from rig.config.files import Table, nest
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
-from rig.quantity import STRICT
-from rig.sample import Motion
+from rig.core.quantity import STRICT
+from rig.core.sample import Motion
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -112,62 +112,64 @@ def changed(kind: Kind[T], described: T, changes: Table, motion: Motion | None) 
     described
         What to start from; it stays as it is.
     changes
-        Nested tables (`rig.config.files.nest`) of new values; those of a table of free keys join the ones that are there.
+        Nested tables (`rig.config.files.nest`) of new values; in a table of free keys they join those that are there.
     motion
         As in `typed`.
     """
-    errors: list[tuple[Any, Table]] = []
-    result = _with(described, changes, (), changes, errors)
-    problems = [_problem_of(error, kind, table, motion) for error, table in errors]
+    making = _Changing(changes)
+    result = making.section(described, changes, ())
+    problems = [_problem_of(error, kind, table, motion) for error, table in making.errors]
     return result, [*dict.fromkeys(problems), *_mistaken_choices(kind, changes)]
 
 
-def _with(
-    section: Any, changes: Table, path: tuple[str, ...], whole: Table, errors: list[tuple[Any, Table]]
-) -> Any:
-    """The section with its changes; `errors` takes up what is wrong with them, in the words of pydantic, and where."""
-    known = {item.name: getattr(section, item.name) for item in fields(section)}
-    before, new = len(errors), {}
-    for name in (name for name in known if name in changes):
-        value, place = changes[name], (*path, name)
-        if not is_dataclass(known[name]):
-            free = isinstance(known[name], Mapping) and isinstance(value, dict)
-            new[name] = _leaf(
-                type(section), name, {**known[name], **value} if free else value, place, whole, errors
-            )
-        elif isinstance(value, dict):
-            new[name] = _with(known[name], value, place, whole, errors)
-        else:
-            errors.append(({"type": "dataclass_type", "loc": place}, whole))
-    for name in (name for name in changes if name not in known):
-        errors.append(({"type": "unexpected_keyword_argument", "loc": (*path, name)}, whole))
-    if len(errors) > before:
-        return section
-    try:
-        return replace(section, **new)
-    except ValueError as error:  # a dataclass that checks its own keys against each other
-        given = nest({".".join(path): plain(section) | changes})
-        errors.append(({"type": "value_error", "loc": path, "ctx": {"error": error}}, given))
-        return section
+class _Changing:
+    """Dataclasses with other values, and what is wrong with those: an error of pydantic, and the tables it is about."""
 
+    def __init__(self, whole: Table) -> None:
+        self._whole = whole
+        self.errors: list[tuple[Any, Table]] = []
 
-def _leaf(
-    section: type,
-    name: str,
-    value: Any,
-    place: tuple[str, ...],
-    whole: Table,
-    errors: list[tuple[Any, Table]],
-) -> Any:
-    """The value of one key, as its annotation wants it."""
-    from pydantic import ValidationError  # noqa: PLC0415
+    def section(self, section: Any, changes: Table, path: tuple[str, ...]) -> Any:
+        known = {item.name: getattr(section, item.name) for item in fields(section)}
+        before = len(self.errors)
+        new = {
+            name: self._field(section, name, changes[name], (*path, name))
+            for name in known
+            if name in changes
+        }
+        for name in changes.keys() - known.keys():
+            self._refused("unexpected_keyword_argument", (*path, name))
+        if len(self.errors) > before:
+            return section
+        try:
+            return replace(section, **new)
+        except ValueError as error:  # a dataclass that checks its own keys against each other
+            given = nest({".".join(path): plain(section) | changes})
+            self.errors.append(({"type": "value_error", "loc": path, "ctx": {"error": error}}, given))
+            return section
 
-    try:
-        return _adapter_of_key(section, name).validate_json(json.dumps(_jsonable(value)))
-    except ValidationError as error:
-        found = error.errors(include_url=False)
-        errors += [({**one, "loc": (*place, *one["loc"])}, whole) for one in found]
-        return value
+    def _field(self, section: Any, name: str, value: Any, path: tuple[str, ...]) -> Any:
+        now = getattr(section, name)
+        if not is_dataclass(now):
+            joins = isinstance(now, Mapping) and isinstance(value, dict)
+            return self._leaf(type(section), name, {**now, **value} if joins else value, path)
+        if isinstance(value, dict):
+            return self.section(now, value, path)
+        self._refused("dataclass_type", path)
+        return now
+
+    def _leaf(self, section: type, name: str, value: Any, path: tuple[str, ...]) -> Any:
+        from pydantic import ValidationError  # noqa: PLC0415
+
+        try:
+            return _adapter_of_key(section, name).validate_json(json.dumps(_jsonable(value)))
+        except ValidationError as error:
+            found = error.errors(include_url=False)
+            self.errors += [({**one, "loc": (*path, *one["loc"])}, self._whole) for one in found]
+            return value
+
+    def _refused(self, why: str, path: tuple[str, ...]) -> None:
+        self.errors.append(({"type": why, "loc": path}, self._whole))
 
 
 def plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.config.problems import did_you_mean
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 Table = dict[str, Any]
 DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow

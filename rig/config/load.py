@@ -14,9 +14,9 @@ from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.rules import broken_rules
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
-from rig.errors import ConfigError
-from rig.operators import GRIPS
-from rig.sample import UNITS, Motion
+from rig.core.errors import ConfigError
+from rig.core.operators import GRIPS
+from rig.core.sample import UNITS, Motion
 
 DEFAULT_PRESET = "koul-compliant"
 DEFAULT_GRIP = "normal"
@@ -99,7 +99,7 @@ def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str)
 
 
 def checked(experiment: Experiment, source: str) -> Experiment:
-    """Return an experiment of good values whose keys also agree with each other; `ConfigError` lists those that do not."""
+    """Return an experiment of checked values whose keys agree with each other; `ConfigError` lists those that do not."""
     with _computable(source):
         problems = broken_rules(experiment)
     if problems:
@@ -108,7 +108,7 @@ def checked(experiment: Experiment, source: str) -> Experiment:
 
 
 def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
-    """The experiment without the settings of an estimator, or the numbers of a grip, that another one takes over from."""
+    """The experiment without the settings of an estimator, or the numbers of a grip, that gives way to another."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
         experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))

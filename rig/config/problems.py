@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)

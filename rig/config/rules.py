@@ -13,7 +13,7 @@ from rig.config.derive import motor_push, push_at_rest
 from rig.config.problems import Problem
 from rig.config.sections import Experiment
 from rig.config.table import parameters, shown
-from rig.sample import Motion, unit_of
+from rig.core.sample import Motion, unit_of
 
 LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
 SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop.run.POLL_S`

@@ -2,10 +2,10 @@
 
 The annotations are the only place of a range or a unit; the validator, the error messages, the listing of a
 plan and the schema for editors all read them from here (see `rig.config.table`). Rules that tie two keys
-together are in `rig.config.rules`. The physics of the rig is typed by `rig.model`.
+together are in `rig.config.rules`. The physics of the rig is typed by `rig.core.model`.
 
 Positions, efforts and stiffnesses are at the link, in SI units, which depend on ``rig.motion``
-(`rig.sample.unit_of`).
+(`rig.core.sample.unit_of`).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 
-from rig.model import Amplifier, Encoder, Mechanics, Operator, Simulation
-from rig.operators import GRIPS
-from rig.quantity import STRICT, Quantity
-from rig.sample import Motion
-from rig.swings import SWING_S, SWINGS
+from rig.core.model import Amplifier, Encoder, Mechanics, Operator, Simulation
+from rig.core.operators import GRIPS
+from rig.core.quantity import STRICT, Quantity
+from rig.core.sample import Motion
+from rig.core.swings import SWING_S, SWINGS
 
 Setting = bool | int | float | str
 

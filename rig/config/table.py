@@ -1,7 +1,7 @@
 """The table of all parameters, read off the annotations of the sections: key, type, range, unit, meaning.
 
 Error messages, the listing of an experiment and the schema for editors are three views of this table. Any dataclass
-whose fields have a `rig.quantity.Quantity` has such a table; that of the experiment is the usual one.
+whose fields have a `rig.core.quantity.Quantity` has such a table; that of the experiment is the usual one.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal, NamedTuple, cast, get_args, get_orig
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 
 from rig.config.sections import Experiment
-from rig.quantity import Quantity
-from rig.sample import UNITS, Motion, unit_of
+from rig.core.quantity import Quantity
+from rig.core.sample import UNITS, Motion, unit_of
 
 _TYPES: dict[Any, str] = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 _BOUNDS: tuple[tuple[type, str], ...] = ((Gt, ">"), (Ge, "≥"), (Lt, "<"), (Le, "≤"))
@@ -32,7 +32,7 @@ class Parameter:
     kind: str  # "number", "whole number", "true or false", "text", "choice", "table", or "list of …"
     choices: tuple[int | str, ...]
     bounds: tuple[str, ...]  # like "> 0"
-    unit: str  # or quantity, see rig.sample.unit_of
+    unit: str  # or quantity, see rig.core.sample.unit_of
     meaning: str
     values: str = ""  # what may stand in a table, in words; empty when its keys' owner says so
 

@@ -1,4 +1,4 @@
-"""Devices by URL scheme: a table from scheme to ``module:function``, imported only when opened.
+"""Links and framed devices, by URL.
 
 The function has the signature ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Third parties
 add a scheme by the entry-point group ``rig.devices``; they cannot shadow a built-in one.
@@ -12,14 +12,15 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, cast
 
-from rig import config, presets
+from rig import config
+from rig.config import presets
+from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.devices.device import DeviceUrl, Link
-from rig.errors import ConfigError, DeviceNotFoundError
 
 if TYPE_CHECKING:
+    from rig.core.model import RigModel
     from rig.devices.framed import FramedDevice
     from rig.devices.simulated import OpenRig, OpenShaker
-    from rig.model import RigModel
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",

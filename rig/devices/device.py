@@ -15,8 +15,8 @@ from urllib.parse import parse_qsl, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.clock import Clock
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
+from rig.realtime.clock import Clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class DeviceUrl:
 
 @dataclass(frozen=True, slots=True)
 class LoopPort:
-    """What the compiled loop needs of a link: plug functions (`rig.plugs`) and their handles.
+    """What the compiled loop needs of a link: plug functions (`rig.realtime.plugs`) and their handles.
 
     `read`, `write` and `wait` take `handle`; `now` and `sleep` are those of the link's clock and take `clock_handle`.
     """
@@ -73,7 +73,7 @@ class LoopPort:
 class Link(Protocol):
     """Bytes to and from one far end.
 
-    Every call is bounded in time. A link that is gone raises `rig.errors.LinkLostError`, never a bare
+    Every call is bounded in time. A link that is gone raises `rig.core.errors.LinkLostError`, never a bare
     OSError.
     """
 
@@ -99,7 +99,7 @@ class Link(Protocol):
         ...
 
     def truth(self) -> NDArray[np.void] | None:
-        """Return the simulation's truth by sample index (`rig.sample.TRUTH`), or None on a real device."""
+        """Return the simulation's truth by sample index (`rig.core.sample.TRUTH`), or None on a real device."""
         ...
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import errno
 import os
 from dataclasses import dataclass
 
-from rig.errors import (
+from rig.core.errors import (
     BlockedError,
     BrokenLineError,
     CutShortError,

@@ -25,9 +25,9 @@ from firmware_protocol.packing import type_id_of, unpack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import ParameterError, block_crc, decode_block, encode_block
 from firmware_protocol.transfer import PageReader, set_parameters
-from rig.clock_fit import EXCHANGE, ClockFit, fit_clock
+from rig.core.clock_fit import EXCHANGE, ClockFit, fit_clock
+from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices.device import Link
-from rig.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 
 STOP_FRAMES = 5
 SUPERVISE_EVERY_S = 0.005  # a quarter of what a law on the device goes on without a word
@@ -320,7 +320,7 @@ class FramedDevice:
     # ------------------------------------------------------------------ asking
 
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
-        """Compare the clocks: so many exchanges of four stamps, dtype `rig.clock_fit.EXCHANGE`.
+        """Compare the clocks: so many exchanges of four stamps, dtype `rig.core.clock_fit.EXCHANGE`.
 
         They follow each other at once, or at odd distances over `over_s` (s), so that they do not beat with the
         frames of a bus or the ticks of the device. Raises as every question does.

@@ -16,7 +16,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 
 MAGIC = b"RIGHAND1"
 _VALUES = struct.Struct("<qdd")  # sequence, position, press

@@ -17,11 +17,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from rig import devices
+from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.model import RigModel
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl
-from rig.errors import ConfigError, DeviceNotFoundError
-from rig.model import RigModel
-from rig.scheduling import obtained
+from rig.realtime.scheduling import obtained
 
 if TYPE_CHECKING:
     from rig.devices.framed import FramedDevice

@@ -30,13 +30,13 @@ import numpy as np
 import serial
 from numpy.typing import NDArray
 
-from rig.clock import Clock, MonotonicClock
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.core.model import RigModel
 from rig.devices import tty
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.devices.failures import error_number, link_error
 from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
-from rig.errors import ConfigError, DeviceNotFoundError, LinkLostError
-from rig.model import RigModel
+from rig.realtime.clock import Clock, MonotonicClock
 
 DEFAULT_BAUD = 921_600
 OPTIONS = ("baud", "dtr")
@@ -167,7 +167,7 @@ class SerialLink:
 
     def port(self) -> LoopPort:
         """Return the system calls of the loop on this descriptor."""
-        from rig import system  # noqa: PLC0415  (numba only when a loop is built)
+        from rig.realtime import system  # noqa: PLC0415  (numba only when a loop is built)
 
         return LoopPort.on(
             self.clock,

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from rig.model import RigModel
-    from rig.step import Controller
-    from rig.verdict import Limits, Measured
+    from rig.control.step import Controller
+    from rig.control.verdict import Limits, Measured
+    from rig.core.model import RigModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class SimulatedRig(Protocol):
     def hit(self, controller: Controller, start: float) -> SimulatedHit:
         """Run one trial from rest at a position (rad or m); the controller is fresh, and used up.
 
-        Raises `rig.errors.LawError` when estimator or law give something that is not finite.
+        Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
         """
         ...
 
@@ -86,7 +86,7 @@ class SimulatedShaker(Protocol):
         The controller is fresh, and used up. `excitation` is one period of the second actuator's effort on the link
         (N·m or N), a value for each inner step, in force during that step; it rises in `ramp_s` from zero.
 
-        Raises `rig.errors.LawError` when estimator or law give something that is not finite.
+        Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
         """
         ...
 

@@ -21,11 +21,7 @@ import usb.core
 import usb.util
 from numpy.typing import NDArray
 
-from rig.clock import Clock, MonotonicClock
-from rig.devices.device import DeviceUrl, LoopPort
-from rig.devices.failures import error_number, link_error
-from rig.devices.usb_handle import Bus, handle_of, unsuitable
-from rig.errors import (
+from rig.core.errors import (
     ConfigError,
     DeviceNotFoundError,
     IncompatibleDeviceError,
@@ -33,7 +29,11 @@ from rig.errors import (
     RigError,
     UnpluggedError,
 )
-from rig.model import RigModel
+from rig.core.model import RigModel
+from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.failures import error_number, link_error
+from rig.devices.usb_handle import Bus, handle_of, unsuitable
+from rig.realtime.clock import Clock, MonotonicClock
 
 OPTIONS = ("transfers",)
 TRANSFERS = ("queued", "plain")

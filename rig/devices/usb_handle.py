@@ -22,7 +22,7 @@ import usb.core
 import usb.util
 from numpy.typing import NDArray
 
-from rig.errors import DeviceNotFoundError
+from rig.core.errors import DeviceNotFoundError
 
 TESTED = ((1, 2), (1, 3))  # of pyusb
 _FUNCTIONS = (

@@ -104,7 +104,7 @@ class PlainTransfers:
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
         """Return read, write, wait and their handle (`rig.devices.device.LoopPort`)."""
-        from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
+        from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
 
         def native(kind: Any, function: Callable[..., int], signature: Any) -> Any:
             callback = kind(_guarded(function))

@@ -7,9 +7,9 @@ before, and the STOP frames at the end of a run all leave; when the pool is empt
 
 libusb calls `completed` when a transfer is over, on whatever thread handles events: compiled too, it stores one word.
 Everything else happens in `usb_read`, `usb_write` and `usb_wait`, which have the contracts of
-`rig.system.descriptor_read`, `descriptor_write` and `descriptor_wait`. libusb's own waiting counts in milliseconds;
-so this file waits by ppoll(2) on libusb's descriptors, to the nanosecond, and lets libusb handle what is there with a
-time-out of zero. No call is unbounded.
+`rig.realtime.system.descriptor_read`, `descriptor_write` and `descriptor_wait`. libusb's own waiting counts in
+milliseconds; so this file waits by ppoll(2) on libusb's descriptors, to the nanosecond, and lets libusb handle what is
+there with a time-out of zero. No call is unbounded.
 
 The handle of these functions is the address of a block of int64 words, `WORDS` and then one slot for each transfer;
 `rig.devices.usb_queue` makes it, with the addresses of libusb's functions (`rig.devices.usb_handle`). The layout of
@@ -23,11 +23,11 @@ from enum import IntEnum
 import numba
 from numba import types
 
-from firmware_protocol.kernel import kernel
-from rig.native import native_call
-from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
-from rig.system import BILLION, EINTR, last_error, monotonic_now
-from rig.words import load_word, stack_words, store_word
+from rig.realtime.atomics import load_word, stack_words, store_word
+from rig.realtime.kernel import kernel
+from rig.realtime.native import native_call
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
+from rig.realtime.system import BILLION, EINTR, last_error, monotonic_now
 
 
 class Word(IntEnum):

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from rig.core.sample import Phase
 from rig.experiments.judgement import experiment_of
 from rig.recording.data import Recording
-from rig.sample import Phase
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class Baseline:
 def baseline(recording: Recording) -> Baseline | None:
     """Measure the baseline of a recording; None where the trial has none or never began.
 
-    Raises `rig.errors.ConfigError` when this version cannot read the experiment.
+    Raises `rig.core.errors.ConfigError` when this version cannot read the experiment.
     """
     experiment = experiment_of(recording)
     tick_s = 1.0 / experiment.controller.position_rate

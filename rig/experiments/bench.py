@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from rig import config, controller, devices
-from rig.config import Experiment
+from rig import config, devices
+from rig.config import Experiment, controller
 from rig.devices.simulated import SimulatedHit
 
 HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start

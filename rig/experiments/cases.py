@@ -1,7 +1,7 @@
 """What an estimator is judged on: counts, one for each velocity sample, and the velocity that they come from.
 
-A case is a reference signal (`rig.signals`) as an ideal encoder sees it, or a recording with the simulation's truth, or
-one of a real rig with a reference that looks into the future.
+A case is a reference signal (`rig.core.signals`) as an ideal encoder sees it, or a recording with the simulation's
+truth, or one of a real rig with a reference that looks into the future.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import ConfigError
-from rig.estimators.arrays import inputs, quantise
-from rig.estimators.estimator import Floats, Ints
+from rig.control.estimators.arrays import inputs, quantise
+from rig.control.estimators.estimator import Floats, Ints
+from rig.core.errors import ConfigError
+from rig.core.sample import Motion, Phase
+from rig.core.signals import Signal, edge_times
 from rig.experiments.judgement import experiment_of
 from rig.recording.data import Recording
-from rig.sample import Motion, Phase
-from rig.signals import Signal, edge_times
 
 EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # where a delay is looked for
 DELAY_SAMPLES = 8192  # that many samples tell it
@@ -44,7 +44,7 @@ class Case:
     time_s
         When each sample was taken (s), shape (n,).
     counts, edge_time, elapsed
-        As `rig.estimators.estimate` takes them, shape (n,).
+        As `rig.control.estimators.estimate` takes them, shape (n,).
     judged
         Which samples count for the score, shape (n,).
     truth
@@ -104,7 +104,7 @@ def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: fl
     Parameters
     ----------
     signal
-        Of `rig.signals`.
+        Of `rig.core.signals`.
     rate_hz
         Velocity samples per second.
     resolution
@@ -152,7 +152,7 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     filter of order 4 at `REFERENCE_HZ`, run forwards and backwards: no delay, but nothing above that frequency either,
     so that errors against it are comparable, not absolute.
     """
-    from rig.controller import resolution as signed  # noqa: PLC0415  (compiles the loop, which signals do not need)
+    from rig.config.controller import resolution as signed  # noqa: PLC0415  (compiles the loop, which signals do not need)
 
     experiment = experiment_of(recording)
     resolution = signed(experiment)

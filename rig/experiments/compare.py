@@ -2,8 +2,8 @@
 
 Every trial starts alike, so that the handle arrives alike: with the same position rate the motion before the first
 contact is the same to the last bit, whatever the velocity rate and the estimator. There is no homing, whose servo uses
-the estimate: the law is in the phase of the trial from its first tick on. Each trial runs the true `rig.step` against
-the simulated plant, without bytes, at several places of the encoder's cells: one place alone can be anything.
+the estimate: the law is in the phase of the trial from its first tick on. Each trial runs the true `rig.control.step`
+against the simulated plant, without bytes, at several places of the encoder's cells: one place alone can be anything.
 
 Source: Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
 """
@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
-from rig import config, controller
-from rig.config import Experiment
-from rig.errors import ConfigError, DeviceNotFoundError
+from rig import config
+from rig.config import Experiment, controller
+from rig.config.schemes import Scheme
+from rig.control.step import ENDS_RUN, TRIAL, Controller
+from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.sample import ROW
 from rig.experiments.impact import Impact, ImpactNumbers, mean, measure
-from rig.experiments.replay import NO_SETS, replay_rows
-from rig.sample import ROW
-from rig.schemes import Scheme
-from rig.step import ENDS_RUN, TRIAL, Controller
+from rig.loop.replay import NO_SETS, replay_rows
 
 OFFSETS = (0.1, 0.4, 0.7, 0.95)  # where position zero lies in its encoder cell, one trial each
 USUAL_VELOCITY_RATE = 2000  # Hz, of the dual-rate scheme when the experiment's own is uniform
@@ -292,7 +292,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
 
 
 def _rows(law: Controller, plant: Any, trace: Any) -> NDArray[np.void]:
-    """Rows of `rig.sample.ROW` as the law filled them: `step` again over the counts, which gives the same bits."""
+    """Rows of `rig.core.sample.ROW` as the law filled them: `step` again over the counts, which gives the same bits."""
     rows = np.zeros(len(trace), ROW)
     rows["elapsed_ticks"] = 1
     rows["count"] = trace.counts

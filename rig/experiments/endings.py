@@ -7,9 +7,7 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.devices.failures import failure
-from rig.devices.framed import FaultReport
-from rig.errors import (
+from rig.core.errors import (
     DeviceFaultError,
     GuardError,
     LawError,
@@ -18,6 +16,8 @@ from rig.errors import (
     RigError,
     StoppedError,
 )
+from rig.devices.failures import failure
+from rig.devices.framed import FaultReport
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd
 

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from rig import estimators
-from rig.errors import ConfigError
-from rig.estimators.arrays import inputs, run
-from rig.estimators.estimator import Floats
+from rig.control import estimators
+from rig.control.estimators.arrays import inputs, run
+from rig.control.estimators.estimator import Floats
+from rig.core.errors import ConfigError
 from rig.experiments.cases import DELAY_STEP_S, Case
 
 APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in

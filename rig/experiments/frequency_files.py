@@ -10,7 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig import config, sweep
+from rig import config
+from rig.experiments import sweep
 from rig.experiments.results import make_directory, plan_directory, write_document, write_table
 from rig.experiments.table_one import TableOne, table_one
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan, zwidth_frequency

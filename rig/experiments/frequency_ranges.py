@@ -9,16 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig import config, theory
+from rig import config
+from rig.analysis import theory
+from rig.analysis.impedance.ideal import rendered
+from rig.analysis.impedance.signals import Floats
+from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment
-from rig.errors import ConfigError
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError
 from rig.experiments.impedance import Judging
 from rig.experiments.shaking import Signal
 from rig.experiments.zwidth_frequency import FrequencyPlan
-from rig.impedance.ideal import rendered
-from rig.impedance.signals import Floats
-from rig.schemes import Scheme
-from rig.theory.loop import LinearLoop, linear_loop
 
 SHARE = 0.4  # of what the linear theory calls stable: beyond that a measured map is speckle
 STIFFNESSES, DAMPINGS = 60, 16

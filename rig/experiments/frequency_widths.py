@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from rig.analysis.impedance.estimate import plain
+from rig.analysis.impedance.signals import Floats
 from rig.experiments.boundary_search import Flags, connected
 from rig.experiments.zwidth_frequency import FrequencyMap
-from rig.impedance.estimate import plain
-from rig.impedance.signals import Floats
 
 
 @dataclass(frozen=True, slots=True)

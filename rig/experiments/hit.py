@@ -10,22 +10,22 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig import config, device_law, devices
-from rig.config import Experiment
+from rig import config, devices
+from rig.bench.doctor.in_effect import in_effect
+from rig.config import Experiment, device_law
+from rig.control.laws import Law
+from rig.control.verdict import Verdict
+from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
-from rig.doctor.in_effect import in_effect
-from rig.errors import ConfigError, PlanError
 from rig.experiments.judgement import as_trailer, judge
 from rig.experiments.plan import Check, Outcome, device_checks, link_checks, make_plan
 from rig.experiments.trial import TrialRequest, run_trial
-from rig.laws import Law
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
-from rig.verdict import Verdict
 
 if TYPE_CHECKING:
-    from rig.doctor.gate import Gate
+    from rig.bench.doctor.gate import Gate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ class HitRequest:
     reference_count
         Count at position zero of a real rig. None: its handle is at zero now.
     arm_anyway
-        Arm a wall that the link, as measured, makes dangerous (`rig.doctor.gate`); it is said and recorded.
+        Arm a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`); it is said and recorded.
     measuring
         Told, while the link is measured before arming, the share of that which is done.
     judged_link
@@ -202,7 +202,7 @@ def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
     """Refuse what the link makes dangerous; None in virtual time, which has no delay."""
     if device.link.clock.virtual:
         return None
-    from rig.doctor.gate import check_armable  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
+    from rig.bench.doctor.gate import check_armable  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
 
     found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
     if found is not None and request.judged_link is not None:

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from rig.analysis.identification.dynamics import Dynamics, Mode
+from rig.analysis.identification.sliding import Sliding
 from rig.config import Experiment
-from rig.identification.dynamics import Dynamics, Mode
-from rig.identification.sliding import Sliding
-from rig.model import Mechanics
-from rig.sample import unit_of
+from rig.core.model import Mechanics
+from rig.core.sample import unit_of
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Identify a rig: small pushes, slow strokes, shaking, each a recorded trial; then the fits of `rig.identification`.
+"""Identify a rig: small pushes, slow strokes, shaking, each a recorded trial; then `rig.analysis.identification`.
 
 The order is one of trust. Pushes need no sign to be known: they end by themselves after a few counts. Strokes need the
 sign, and tell the friction that shaking has to be harder than. The same code runs on the simulated rig behind its byte
@@ -17,11 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import config, controller, devices
-from rig.config import Experiment
+from rig import config, devices
+from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
+from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.signs import SignCheck, check_signs, stiction_warning
+from rig.analysis.identification.sliding import Sliding, fit_sliding
+from rig.analysis.impedance.signals import Shaken
+from rig.config import Experiment, controller
+from rig.control.excitation import Multisine
+from rig.core.errors import ConfigError, PlanError
+from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
-from rig.errors import ConfigError, PlanError
-from rig.excitation import Multisine
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
@@ -42,15 +48,9 @@ from rig.experiments.identify_motions import (
 )
 from rig.experiments.plan import Check, Outcome, Plan, link_checks
 from rig.experiments.trial import TrialRequest, run_trial
-from rig.identification.dynamics import Dynamics, fit_dynamics
-from rig.identification.quality import IdentificationError
-from rig.identification.signs import SignCheck, check_signs, stiction_warning
-from rig.identification.sliding import Sliding, fit_sliding
-from rig.impedance.signals import Shaken
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
 from rig.recording.reader import open_recording
-from rig.sample import Phase, RowFlag, unit_of
 
 Tell = Callable[[str], None]
 
@@ -107,7 +107,7 @@ class Identification:
     before, experiment
         The experiment as it was described, and with the identified values.
     signs, sliding, dynamics
-        The three fits; see `rig.identification`.
+        The three fits; see `rig.analysis.identification`.
     recordings
         ``"signs"``, ``"sliding"`` and ``"dynamics"`` → the files.
     sources

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import config, laws
+from rig import config
+from rig.analysis.identification.sliding import Stroke
 from rig.config import Experiment
-from rig.errors import ConfigError
-from rig.excitation import Multisine
+from rig.control import laws
+from rig.control.excitation import Multisine
+from rig.control.laws import Law
+from rig.control.motions import nudging, tracing
+from rig.core.errors import ConfigError
+from rig.core.sample import unit_of
 from rig.experiments.plan import Check, Outcome, Plan, Step
-from rig.identification.sliding import Stroke
-from rig.laws import Law
-from rig.motions import nudging, tracing
-from rig.sample import unit_of
 
 Floats = NDArray[np.float64]
 

@@ -21,25 +21,25 @@ from typing import Any, Literal
 import numpy as np
 
 from rig import config, devices
+from rig.analysis.impedance.estimate import Impedance, periodic
+from rig.analysis.impedance.fitting import Device, Fit, fit
+from rig.analysis.impedance.ideal import rendered
+from rig.analysis.impedance.signals import Complexes, Floats
+from rig.analysis.impedance.verdict import RESIDUAL, Z_SCORE, Fidelity, Judgement, fidelity, judge
+from rig.analysis.impedance.welch import welch
 from rig.config import Excitation, Experiment
-from rig.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
+from rig.core.sample import Phase, unit_of
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import THROWN_OUT
 from rig.experiments.plan import STANDS_FOR_DEVICE, Outcome
 from rig.experiments.results import write_table
 from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, record_of, shaken_law
 from rig.experiments.shaking_plan import excitation_checks
-from rig.impedance.estimate import Impedance, periodic
-from rig.impedance.fitting import Device, Fit, fit
-from rig.impedance.ideal import rendered
-from rig.impedance.signals import Complexes, Floats
-from rig.impedance.verdict import RESIDUAL, Z_SCORE, Fidelity, Judgement, fidelity, judge
-from rig.impedance.welch import welch
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, whole_file
 from rig.recording.reader import open_recording
-from rig.sample import Phase, unit_of
-from rig.schemes import Scheme
 
 Method = Literal["periodic", "welch"]
 Wall = tuple[float, float]  # stiffness, damping
@@ -59,7 +59,7 @@ class Judging:
     band_hz
         Lines that count for verdict and fidelity; all if None.
     z_score, residual_threshold
-        As in `rig.impedance.verdict.judge`.
+        As in `rig.analysis.impedance.verdict.judge`.
     """
 
     band_hz: tuple[float, float] | None = None
@@ -239,7 +239,7 @@ class OnDevice:
     agrees
         Asked before each wall; False ends the session. None asks nobody.
     arm_anyway
-        Shake about a wall that the link, as measured, makes dangerous (`rig.doctor.gate`).
+        Shake about a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`).
     """
 
     url: str
@@ -480,7 +480,7 @@ _SHAKEN_TRIAL = ("kind", "effort", "start", "duration_s")
 def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:
     """Write every line of every result as a table, and everything as JSON; returns both paths.
 
-    Raises `rig.errors.RecordingError` when the disk refuses.
+    Raises `rig.core.errors.RecordingError` when the disk refuses.
     """
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)

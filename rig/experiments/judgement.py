@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from firmware_protocol.faults import Fault
-from rig import verdict
 from rig.config import Experiment, experiment_from_mapping, verdict_limits
+from rig.control import verdict
+from rig.control.verdict import Kind, Measured, Verdict
+from rig.core.sample import Phase
 from rig.recording.data import Recording
-from rig.sample import Phase
-from rig.verdict import Kind, Measured, Verdict
 
 FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rig.errors import RecordingError
-from rig.estimators.lipschitz import DEFAULT_SINES, LipschitzFit, identify_lipschitz
+from rig.control.estimators.lipschitz import DEFAULT_SINES, LipschitzFit, identify_lipschitz
+from rig.core.errors import RecordingError
+from rig.core.sample import Phase
 from rig.recording.data import Recording
-from rig.sample import Phase
 
 BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06  # impact and first rebound: a long record drowns them
 
@@ -19,7 +19,7 @@ def lipschitz_of(
     before_s: float = BEFORE_CONTACT_S,
     after_s: float = AFTER_CONTACT_S,
 ) -> LipschitzFit:
-    """Fit a sum of sines to the measured position around the first contact (`rig.estimators.lipschitz`).
+    """Fit a sum of sines to the measured position around the first contact (`rig.control.estimators.lipschitz`).
 
     Parameters
     ----------

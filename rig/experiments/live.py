@@ -1,9 +1,9 @@
 """The wall of a running loop, changed while a hand feels it.
 
 What may change is the wall: stiffness, damping, place, and how it pulls and damps. The change passes the same checks as
-an experiment before it starts, the arming gate's included, becomes the same numbers (`rig.controller`), and reaches the
-loop through its mailbox as one set: wall position, then the parameters of the law. The loop takes it over while the
-handle is outside the wall, so that no effort jumps.
+an experiment before it starts, the arming gate's included, becomes the same numbers (`rig.config.controller`), and
+reaches the loop through its mailbox as one set: wall position, then the parameters of the law. The loop takes it over
+while the handle is outside the wall, so that no effort jumps.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from rig import config, controller, device_law, running
-from rig.config import Experiment
-from rig.device_law.walls import BILATERAL
-from rig.doctor.gate import check_change
-from rig.errors import ConfigError, PlanError, RigError
+from rig import config
+from rig.bench.doctor.gate import check_change
+from rig.config import Experiment, controller, device_law
+from rig.config.device_law.walls import BILATERAL
+from rig.core.errors import ConfigError, PlanError, RigError
 from rig.experiments.plan import Outcome, make_plan
-from rig.ring import LOOP_DONE, PARAMETER_SET, Ring
+from rig.realtime import running
+from rig.realtime.ring import LOOP_DONE, PARAMETER_SET, Ring
 
 SECTION = "wall"
 CHANGEABLE = ("stiffness", "damping", "position", "pull", "damping_on")
@@ -87,8 +88,8 @@ def change_wall(
     ConfigError
         No loop runs, a key that may not change, or a value out of its range.
     PlanError
-        A wall that a plan would refuse, or the gate before arming (`rig.doctor.gate`), or a law on the device; or a
-        bilateral wall.
+        A wall that a plan would refuse, or the gate before arming (`rig.bench.doctor.gate`), or a law on the device; or
+        a bilateral wall.
     RigError
         The loop ended, another version started it, or it says too little about itself.
     """

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig import sweep
+from rig.control.measure import UNITS
+from rig.core.sample import unit_of
+from rig.experiments import sweep
 from rig.experiments.results import make_directory, plan_directory, write_document, write_table
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, zwidth
-from rig.measure import UNITS
-from rig.sample import unit_of
 
 if TYPE_CHECKING:
     from rig.experiments.zwidth_rig import Session

@@ -15,10 +15,9 @@ from firmware_protocol import messages
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
-from rig import controller, device_law
-from rig.config import Experiment, motor_push, push_at_rest, rig_model
-from rig.laws import Law
-from rig.sample import unit_of
+from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
+from rig.control.laws import Law
+from rig.core.sample import unit_of
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
@@ -162,7 +161,7 @@ def device_checks(experiment: Experiment, dictionary: Dictionary, law: Law | Non
     Raises
     ------
     PlanError
-        As `rig.device_law.law_parameters`: no device has that.
+        As `rig.config.device_law.law_parameters`: no device has that.
     """
     if experiment.controller.loop != "device":
         return []
@@ -304,7 +303,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """What ends a trial for what the motor does to the handle (`rig.watch`)."""
+    """What ends a trial for what the motor does to the handle (`rig.control.watch`)."""
     energy, swings = controller.energy_limit(x), controller.swing_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig import theory
+from rig.analysis import theory
 from rig.config import Experiment, push_at_rest
-from rig.errors import ConfigError, PlanError
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, PlanError
 from rig.experiments.kmax import KMax
 from rig.experiments.ladder import Search, Way
 from rig.experiments.plan import Outcome, make_plan
 from rig.experiments.zwidth import MapPlan
-from rig.schemes import Scheme
 
 SPAN = 100.0  # highest stiffness over the lowest
 COLUMNS = 17  # dampings

@@ -17,8 +17,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from rig import running
-from rig.errors import ConfigError, RecordingError, RigError
+from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.realtime import running
 from rig.recording.capture import SUFFIX
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording

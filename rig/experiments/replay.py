@@ -2,7 +2,7 @@
 
 Replay is open loop: the handle moved as it moved, whatever the other law would have done to it. With the
 recorded settings it is bit-exact, also over gaps, because the rows and the header hold every input of
-`rig.step`.
+`rig.control.step`.
 """
 
 from __future__ import annotations
@@ -12,22 +12,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol.connection import State
-from firmware_protocol.kernel import kernel
-from rig import config, controller
-from rig.errors import LawError, RecordingError
+from rig import config
+from rig.config import controller
+from rig.control.laws import Law
+from rig.control.step import DONE, Controller
+from rig.core.errors import LawError, RecordingError
+from rig.core.sample import COLUMNS, ROW
 from rig.experiments.judgement import experiment_of
-from rig.laws import Law
-from rig.loop.layout import FLOAT_ROWS, ROWS_TYPE
-from rig.loop.parameters import put_in_force
-from rig.loop.rows import show_law
-from rig.plugs import ESTIMATOR, LAW
+from rig.loop.replay import NO_SETS, replay_rows
 from rig.recording.data import Recording
-from rig.sample import COLUMNS, ROW, RowFlag
-from rig.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
 
 # What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
 COMPUTED = (
@@ -41,45 +37,11 @@ COMPUTED = (
     "effort_sent",
     "current_sent",
 )
-_TIMING = int(RowFlag.LATE | RowFlag.GAP)  # noticed by the loop, not by the law
-
-
-NO_SETS = np.zeros((0, 1))  # of a run whose parameters stayed as they were
-
-_FLOATS, _INTS = types.float64[::1], types.int64[::1]
-
-
-@kernel(
-    types.void(
-        ESTIMATOR, LAW, ROWS_TYPE, ROWS_TYPE, FLOAT_ROWS, CONTROL_TYPE, MEMORY_TYPE,
-        _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
-    )
-)  # fmt: skip
-def replay_rows(
-    estimator: Any, law: Any, recorded: Any, replayed: Any, sets: Any, control: Any, memory: Any,
-    estimator_f: Any, estimator_i: Any, estimator_parameters: Any, law_state: Any, law_parameters: Any,
-) -> None:  # fmt: skip
-    """Run `step` over the samples of `recorded` and write what it computes into `replayed`.
-
-    `sets` are the parameter sets that came in force on the way: first tick, wall position, the law's parameters.
-    """
-    due = 0
-    for i in range(len(recorded)):
-        source = recorded[i]
-        while due < len(sets) and sets[due, 0] <= source["tick"]:
-            put_in_force(control, law_parameters, sets[due, 1:])
-            due += 1
-        step(
-            estimator, law, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"], control, memory,
-            estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
-        )  # fmt: skip
-        show_law(replayed, i, memory)
-        replayed[i]["flags"] |= source["flags"] & _TIMING
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult:
-    """Replayed rows beside the recorded ones (equal length, `rig.sample.ROW`), and how far they are apart.
+    """Replayed rows beside the recorded ones (equal length, `rig.core.sample.ROW`), and how far they are apart.
 
     `exact` says that every computed column is equal to the last bit; the differences are rms over the rows,
     in the units of the rig.

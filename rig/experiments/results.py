@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rig import sweep
+from rig.experiments import sweep
 from rig.recording.files import plain_errors, whole_file
 
 BATCH = 4096  # rows

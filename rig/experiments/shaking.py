@@ -1,7 +1,8 @@
 """From an experiment to the records that an impedance is estimated from: a rig shaken about its wall, whole periods.
 
-Three ways give the same kind of record (`rig.impedance.signals.Shaken`): a second actuator or the rig's own motor
-without bytes (`ShakingBench`), and the own motor in a recording, over a link in virtual time or on a rig (`record_of`).
+Three ways give the same kind of record (`rig.analysis.impedance.signals.Shaken`): a second actuator or the rig's own
+motor without bytes (`ShakingBench`), and the own motor in a recording, over a link in virtual time or on a rig
+(`record_of`).
 
 **What the effort is.** Z = F/V with the effort F of the world on the handle. A second actuator is the world, and its
 effort is known. The own motor renders the wall and shakes at once; what it adds to the wall's reaction stands for the
@@ -23,17 +24,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from rig import bilateral, config, controller, devices, laws
-from rig.config import Experiment
-from rig.errors import RecordingError
-from rig.excitation import Multisine
-from rig.excitation_table import ExcitationTable, Phases
+from rig import config, devices
+from rig.analysis.impedance.signals import Complexes, Floats, Shaken, hold
+from rig.config import Experiment, controller
+from rig.control import bilateral, laws
+from rig.control.excitation import Multisine
+from rig.control.excitation_table import ExcitationTable, Phases
+from rig.control.laws import Law
+from rig.core.errors import RecordingError
+from rig.core.model import RigModel, state_space
+from rig.core.sample import Phase, RowFlag
 from rig.experiments.judgement import experiment_of
-from rig.impedance.signals import Complexes, Floats, Shaken, hold
-from rig.laws import Law
-from rig.model import RigModel, state_space
 from rig.recording.data import Recording
-from rig.sample import Phase, RowFlag
 
 ACQUISITION_HZ = 4000.0  # Chawda et al., section VI: velocity and force at 4 kHz
 SETTLING_SHARE = (

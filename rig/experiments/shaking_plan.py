@@ -9,17 +9,17 @@ import math
 from dataclasses import replace
 
 from rig import config
+from rig.analysis.impedance.ideal import bare, rendered
+from rig.analysis.theory.lifted import Lifted
+from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment
-from rig.errors import ConfigError
-from rig.excitation import Check as Found
+from rig.control.excitation import Check as Found
+from rig.core.errors import ConfigError
+from rig.core.sample import Motion, unit_of
 from rig.experiments.plan import Check, Outcome, Plan, Step, where_it_runs
 from rig.experiments.shaking import multisine_of
-from rig.impedance.ideal import bare, rendered
-from rig.sample import Motion, unit_of
-from rig.theory.lifted import Lifted
-from rig.theory.loop import LinearLoop, linear_loop
 
-RENDERED = "peak motor effort"  # of `rig.excitation.Multisine.check`
+RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 
 
 def shaking_plan(experiment: Experiment) -> Plan:

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from rig.analysis.impedance.estimate import plain
 from rig.config import Experiment
+from rig.config.schemes import Scheme
 from rig.experiments.boundary_search import Comparison, connected, trace_grid
 from rig.experiments.frequency_widths import SchemeWidths, Spread
 from rig.experiments.zwidth_frequency import FrequencyMap
-from rig.impedance.estimate import plain
-from rig.schemes import Scheme
 
 LEVANT_GAINS = ("lipschitz", "mu1", "mu2")
 POINTS = 4  # common walls that are shown

@@ -8,7 +8,7 @@ from pathlib import Path
 from rig.recording.data import Recording
 from rig.recording.ledger import ledger_of
 from rig.recording.reader import open_recording
-from rig.timing import Ledger, TimingSummary, summarise
+from rig.recording.timing import Ledger, TimingSummary, summarise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

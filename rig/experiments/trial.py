@@ -19,27 +19,26 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
-from rig import controller as controllers
-from rig import device_law
-from rig.clock_fit import ClockFit, as_exchanges, fit_if_possible
-from rig.config import Experiment, as_mapping
+from rig.config import Experiment, as_mapping, device_law
+from rig.config import controller as controllers
+from rig.control.laws import Law
+from rig.control.step import Controller
+from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
+from rig.core.errors import RigError, StoppedError
+from rig.core.sample import Phase
 from rig.devices.framed import Echo, FaultReport, FramedDevice
-from rig.errors import RigError, StoppedError
 from rig.experiments.endings import error_of
-from rig.laws import Law
 from rig.loop import exchange
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread
 from rig.loop.signals import Signals, stop_on_signals
+from rig.realtime.ring import Ring
+from rig.realtime.scheduling import Realtime, obtained
 from rig.recording.data import Recording
 from rig.recording.header import make_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
 from rig.recording.seal import seal, with_truth
-from rig.ring import Ring
-from rig.sample import Phase
-from rig.scheduling import Realtime, obtained
-from rig.step import Controller
 
 BLACK_BOX_ROWS = 100
 LOST_AFTER_S = 0.05  # silence that ends a run: the device has ramped down long before

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from rig import estimators
-from rig.errors import ConfigError
-from rig.estimators.estimator import Estimator, Floats, Setting
+from rig.control import estimators
+from rig.control.estimators.estimator import Estimator, Floats, Setting
+from rig.core.errors import ConfigError
 from rig.experiments.cases import Case
 from rig.experiments.estimators import Score, Variant, errors, estimates, score
 

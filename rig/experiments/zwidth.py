@@ -23,15 +23,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rig import config, sweep
+from rig import config
 from rig.config import Experiment
-from rig.errors import PlanError
+from rig.config.schemes import Scheme
+from rig.control.measure import NUMBERS
+from rig.control.verdict import CRITERIA, INVALID, Finding, Measured, findings
+from rig.core.errors import PlanError
+from rig.experiments import sweep
 from rig.experiments.bench import Bench
 from rig.experiments.ladder import Limit, Outcomes, Search, limit_of
 from rig.experiments.plan import STANDS_FOR_DEVICE
-from rig.measure import NUMBERS
-from rig.schemes import Scheme
-from rig.verdict import CRITERIA, INVALID, Finding, Measured, findings
 
 Judged = Literal["true", "recorded"]
 TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
@@ -352,7 +353,7 @@ def zwidth(
     journal
         File that keeps finished climbs; one of the same plan is gone on with.
     scheduler, workers, watch
-        As in `rig.sweep.run`.
+        As in `rig.experiments.sweep.run`.
 
     Raises
     ------

@@ -11,7 +11,7 @@ may be believed; the second is the map. A wall that throws the handle out, or to
 A task of the sweep is a column: one scheme and one damping. It is decided by its description alone, as in
 `rig.experiments.zwidth`, and by the same machinery: journal, resume, threads, Dask.
 
-Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.impedance.verdict`.
+Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those of `rig.analysis.impedance.verdict`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import config, sweep
+from rig import config
+from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
-from rig.errors import PlanError
+from rig.config.schemes import Scheme
+from rig.core.errors import PlanError
+from rig.core.sample import unit_of
+from rig.experiments import sweep
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse
 from rig.experiments.shaking import Run, ShakingBench, Signal
-from rig.impedance.signals import Floats
-from rig.sample import unit_of
-from rig.schemes import Scheme
 
 WORK = "rig.experiments.zwidth_frequency:run_column"
 TOGETHER = -1  # number that stands for all realisations

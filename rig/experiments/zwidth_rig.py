@@ -18,11 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from rig import config, devices, sweep
+from rig import config, devices
 from rig.config import Experiment
+from rig.control.verdict import Kind, Measured, decide
+from rig.core.errors import DeviceFaultError, GuardError, PlanError, RigError, StoppedError
+from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
-from rig.errors import DeviceFaultError, GuardError, PlanError, RigError, StoppedError
+from rig.experiments import sweep
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT, ended_early, measure
 from rig.experiments.ladder import Outcomes, Search
@@ -30,8 +33,6 @@ from rig.experiments.plan import Outcome, device_checks, link_checks, make_plan
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
-from rig.sample import Phase
-from rig.verdict import Kind, Measured, decide
 
 ATTEMPTS = 3  # at a hit that says nothing
 CALM_S = 0.5  # pause between hits, whatever the motor's heat

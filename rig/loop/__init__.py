@@ -1,1 +1,1 @@
-"""The loop of a rig: compiled text (`host`) and the threads around it (`run`)."""
+"""The compiled loop and its threads."""

@@ -12,12 +12,12 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.codec import STATE
 from firmware_protocol.faults import LimitFlag
-from firmware_protocol.kernel import kernel
+from rig.control.step import CONTROL_TYPE
 from rig.loop.layout import INTS, SETTINGS_TYPE
 from rig.loop.supervision import CONTIGUOUS, SUPERVISION_TYPE
-from rig.step import CONTROL_TYPE
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
 
 # Limits that change the current; the others only warn.
 _ACTING = int(

@@ -10,11 +10,8 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol import codec
-from firmware_protocol.codec import BATCH, HEAD, SAMPLE, STATE
-from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import BATCH_LAYOUTS
-from rig import ring
+from rig.core.sample import Phase
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, next_frame
 from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, SETTINGS_TYPE
@@ -35,7 +32,9 @@ from rig.loop.supervision import (
     SUPERVISION_TYPE,
     TIME,
 )
-from rig.sample import Phase
+from rig.realtime import codec, ring
+from rig.realtime.codec import BATCH, HEAD, SAMPLE, STATE
+from rig.realtime.kernel import kernel
 
 _DONE = int(Phase.DONE)
 assert (

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from firmware_protocol import codec
-from firmware_protocol.codec import COMMAND
-from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import Mode, Sync
+from rig.control.step import MEMORY_TYPE
+from rig.core.sample import Phase, RowFlag
 from rig.loop.layout import BYTES, INTS, PROGRESS_TYPE, SETTINGS_TYPE
-from rig.plugs import TRANSFER
-from rig.sample import Phase, RowFlag
-from rig.step import MEMORY_TYPE
+from rig.realtime import codec
+from rig.realtime.codec import COMMAND
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import TRANSFER
 
 MODE_CURRENT, MODE_SUPERVISE, MODE_STOP = int(Mode.CURRENT), int(Mode.SUPERVISE), int(Mode.STOP)
 NO_SYNC = 0
@@ -24,7 +24,7 @@ _PHASE_TRIAL, _FLAG_INSIDE = int(Phase.TRIAL), int(RowFlag.INSIDE)
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def sync_of(memory: Any) -> int:
-    """What the sync outputs shall show of the tick that `rig.step` left in its memory (`Sync`)."""
+    """What the sync outputs shall show of the tick that `rig.control.step` left in its memory (`Sync`)."""
     bits = NO_SYNC
     if memory[0]["phase"] == _PHASE_TRIAL:
         bits |= _TRIAL

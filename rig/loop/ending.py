@@ -6,18 +6,18 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.kernel import kernel
-from rig import ring
+from rig.control.step import DONE, MEMORY_TYPE
+from rig.control.step import ENERGY as FLAG_ENERGY
+from rig.control.step import HOMING_FAILED as FLAG_HOMING
+from rig.control.step import NONFINITE as FLAG_NONFINITE
+from rig.control.step import OUT_OF_WINDOW as FLAG_WINDOW
+from rig.control.step import VIOLENT as FLAG_VIOLENT
 from rig.loop.layout import SETTINGS_TYPE, WORD, EndReason
-from rig.plugs import NOW
-from rig.step import DONE, MEMORY_TYPE
-from rig.step import ENERGY as FLAG_ENERGY
-from rig.step import HOMING_FAILED as FLAG_HOMING
-from rig.step import NONFINITE as FLAG_NONFINITE
-from rig.step import OUT_OF_WINDOW as FLAG_WINDOW
-from rig.step import VIOLENT as FLAG_VIOLENT
-from rig.system import woken_by_signal
-from rig.words import load_word, store_word
+from rig.realtime import ring
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import NOW
+from rig.realtime.system import woken_by_signal
 
 # Plain integers, as compiled code takes them.
 FINISHED, STOPPED, HEARTBEAT = (int(EndReason[n]) for n in ("FINISHED", "STOPPED", "HEARTBEAT_MISSED"))
@@ -42,11 +42,11 @@ def told_to_end(now: Any, clock: int, settings: Any, words: int) -> int:
 
 @kernel(types.int64(MEMORY_TYPE))
 def ended_by_law(memory: Any) -> int:
-    """Reason to end that `rig.step` left in its memory, or 0.
+    """Reason to end that `rig.control.step` left in its memory, or 0.
 
     With the law on the device this is the host's own step on the samples of a BATCH, and the device knows nothing of
     energy or violence: it drives on until our STOP is there. That is the rest of the batch (at most 5 ms, see
-    `rig.device_law.batch`), the way of its bytes, and the way of the STOP.
+    `rig.config.device_law.batch`), the way of its bytes, and the way of the STOP.
     """
     flags = memory[0]["flags"]
     reason = 0

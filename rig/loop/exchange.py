@@ -1,7 +1,7 @@
 """The two clocks compared while the loop runs: GET_TIME now and then, behind a COMMAND, and its TIME when it comes.
 
 Four stamps make an exchange: the host's at sending, the device's at receipt and at sending, the host's at receipt.
-They are kept as they are; what follows from them is `rig.clock_fit`'s to say.
+They are kept as they are; what follows from them is `rig.core.clock_fit`'s to say.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from firmware_protocol import codec
-from firmware_protocol.codec import GET_TIME, TIME
-from firmware_protocol.kernel import kernel
-from rig import ring
 from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, SETTINGS_TYPE, WORD
-from rig.plugs import NOW, TRANSFER
-from rig.words import load_word, store_word
+from rig.realtime import codec, ring
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import GET_TIME, TIME
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import NOW, TRANSFER
 
 EVERY_NS = 91_000_000  # some eleven a second; no multiple of a usual period, so that no beat hides a delay
 

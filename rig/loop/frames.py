@@ -6,8 +6,8 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol import codec
-from firmware_protocol.kernel import kernel
+from rig.realtime import codec
+from rig.realtime.kernel import kernel
 
 NO_FRAME = -100  # what is left is no whole frame
 

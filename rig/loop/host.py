@@ -1,12 +1,12 @@
 """The loop that a person's hand feels, as one compiled function without the GIL.
 
-For each fresh STATE: read the count, run `rig.step`, answer with a COMMAND, leave one row in the ring. The beat is
-the device's (block until a sample arrives, one period at most) or the host's (wake on a grid of its own that does
+For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring. The beat
+is the device's (block until a sample arrives, one period at most) or the host's (wake on a grid of its own that does
 not drift, skip what passed, never burst, and take the newest sample that is there). Nothing blocks without a bound, so
 that the stop word, a signal and the heartbeat are seen within a tick. The link is drained every time and the newest
 sample kept; those behind it are counted as skipped, those that never came as lost: the law saw neither.
 
-Estimator, law, link and clock are plug points (`rig.plugs`), so that this text is compiled once for all of
+Estimator, law, link and clock are plug points (`rig.realtime.plugs`), so that this text is compiled once for all of
 them: the in-memory link in virtual time and a serial port in real time run the same machine code.
 
 Whatever ends the loop, it sends several STOP commands before it returns, and its caller sends them again.
@@ -18,10 +18,8 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.codec import STATE
 from firmware_protocol.connection import State
-from firmware_protocol.kernel import kernel
-from rig import ring
+from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, step
 from rig.devices.framed import STOP_FRAMES
 from rig.loop.commands import MODE_CURRENT, MODE_STOP, NO_SYNC, send_command, sync_of
 from rig.loop.ending import CLOSED, FAULT, OVERRUN, SILENT, STOPPED, ended_by_law, told_to_end
@@ -40,9 +38,11 @@ from rig.loop.layout import (
 from rig.loop.parameters import renew_parameters
 from rig.loop.receive import add, drain, newest_state
 from rig.loop.rows import FLAG_GAP, FLAG_LATE, edge_age_ns, flag_timing, lateness, leave_row
-from rig.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
-from rig.step import CONTROL_TYPE, MEMORY_TYPE, step
-from rig.words import load_word, store_word
+from rig.realtime import ring
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
 
 _FAULT_STATE = int(State.FAULT)
 SHORTEST_WAIT_NS = 200_000
@@ -161,9 +161,10 @@ def run(
     estimator, law
         Plug points of the controller.
     settings, control, memory, estimator_*, law_*
-        `rig.loop.layout.SETTINGS`, and the arguments of `rig.step.step`.
+        `rig.loop.layout.SETTINGS`, and the arguments of `rig.control.step.step`.
     words, mailbox, rows
-        Addresses of the ring's control words and of its parameter mailbox (0: none), and its rows (`rig.ring`).
+        Addresses of the ring's control words and of its parameter mailbox (0: none), and its rows
+        (`rig.realtime.ring`).
     received … progress
         The fields of `rig.loop.layout.Buffers`.
 

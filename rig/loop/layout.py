@@ -10,10 +10,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol import codec
-from firmware_protocol.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
-from rig.mailbox import SET_FLOATS
-from rig.sample import ROW
+from rig.core.sample import ROW
+from rig.realtime import codec
+from rig.realtime.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
+from rig.realtime.mailbox import SET_FLOATS
 
 
 class EndReason(IntEnum):

@@ -18,19 +18,19 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol import codec
-from firmware_protocol.codec import ACK, SET_BEGIN, SET_CHUNK
 from firmware_protocol.connection import RETRY_AFTER_S
 from firmware_protocol.faults import Status
-from firmware_protocol.kernel import kernel
 from firmware_protocol.parameters import ENTRY_BYTES
-from rig.errors import ConfigError
+from rig.control.step import CONTROL_TYPE
+from rig.core.errors import ConfigError
 from rig.loop.layout import BYTES, FLOAT_ROWS, FLOATS, INTS, PROGRESS_TYPE, SETTINGS_TYPE
 from rig.loop.parameters import inside
 from rig.loop.supervision import BLOCK_BYTES, SUPERVISION_TYPE
-from rig.mailbox import SET_FLOATS, take
-from rig.plugs import NOW, TRANSFER
-from rig.step import CONTROL_TYPE
+from rig.realtime import codec
+from rig.realtime.codec import ACK, SET_BEGIN, SET_CHUNK
+from rig.realtime.kernel import kernel
+from rig.realtime.mailbox import SET_FLOATS, take
+from rig.realtime.plugs import NOW, TRANSFER
 
 # Steps of the conversation.
 IDLE = 0

@@ -11,13 +11,13 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.kernel import kernel
-from rig import ring
-from rig.estimators.fdm import count_difference
+from rig.control.estimators.fdm import count_difference
+from rig.control.step import CONTROL_TYPE
 from rig.loop.layout import FLOAT_ROWS, FLOATS, PROGRESS_TYPE, WORD
-from rig.mailbox import take
-from rig.step import CONTROL_TYPE
-from rig.words import store_word
+from rig.realtime import ring
+from rig.realtime.atomics import store_word
+from rig.realtime.kernel import kernel
+from rig.realtime.mailbox import take
 
 
 @kernel(types.boolean(CONTROL_TYPE, types.float64, types.int64))
@@ -78,9 +78,9 @@ def renew_parameters(
     Parameters
     ----------
     mailbox
-        Address of a `rig.mailbox`, or 0 for a loop without one.
+        Address of a `rig.realtime.mailbox`, or 0 for a loop without one.
     control, law_parameters
-        What `rig.step` reads, changed in place.
+        What `rig.control.step` reads, changed in place.
     waiting, sets, progress
         Of `rig.loop.layout.Buffers`.
     count

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from firmware_protocol import codec
-from firmware_protocol.codec import HEAD, STATE
-from firmware_protocol.kernel import kernel
-from rig import ring
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, keep_rest, next_frame
 from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, RECEIVE_BYTES, WORD
-from rig.plugs import TRANSFER
-from rig.words import load_word, store_word
+from rig.realtime import codec, ring
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import HEAD, STATE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import TRANSFER
 
 WRAP = 1 << 32
 

@@ -6,16 +6,16 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.codec import STATE
-from firmware_protocol.kernel import kernel
-from rig import ring
+from rig.control.step import CONTROL_TYPE, MEMORY_TYPE
+from rig.core.sample import RowFlag
 from rig.loop.exchange import device_ns
 from rig.loop.layout import INTS, PROGRESS_TYPE, ROWS_TYPE, SETTINGS_TYPE, WORD
 from rig.loop.receive import WRAP, add
-from rig.sample import RowFlag
-from rig.step import CONTROL_TYPE, MEMORY_TYPE
-from rig.system import monotonic_now, sleep_until
-from rig.words import load_word, store_word
+from rig.realtime import ring
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+from rig.realtime.system import monotonic_now, sleep_until
 
 DRIFT_PPM = 100  # the host's grid may stretch by this much against the device's: two ordinary crystals
 ROOM_POLL_NS = 50_000
@@ -103,7 +103,7 @@ def leave_row(
     words: int, rows: Any, tick: int, elapsed: int, received_ns: int, computed_ns: int, sent_ns: int,
     state: Any, progress: Any, settings: Any, control: Any, memory: Any,
 ) -> None:  # fmt: skip
-    """Put one row of `rig.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
+    """Put one row of `rig.core.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
 
     The effort in force follows from the current in force.
     """

@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.codec import STATE
-from rig import ring as words
+from rig.control.step import Controller
 from rig.devices.device import Link
 from rig.loop import host
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason
-from rig.mailbox import SET_FLOATS
-from rig.ring import Ring
-from rig.step import Controller
+from rig.realtime import ring as words
+from rig.realtime.codec import STATE
+from rig.realtime.mailbox import SET_FLOATS
+from rig.realtime.ring import Ring
 
 if TYPE_CHECKING:
-    from rig.scheduling import Realtime
+    from rig.realtime.scheduling import Realtime
 
 POLL_S = 0.02
 JOIN_S = 5.0
@@ -66,8 +66,8 @@ class LoopSettings:
 class LoopEnd:
     """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
 
-    `watched` is what `rig.watch` saw, beside what it allows: energy given in the trial and its limit (J), swings in a
-    row at the end, and the time within which they are in a row (s).
+    `watched` is what `rig.control.watch` saw, beside what it allows: energy given in the trial and its limit (J),
+    swings in a row at the end, and the time within which they are in a row (s).
     """
 
     reason: EndReason
@@ -219,7 +219,7 @@ class LoopThread:
         return {}
 
     def exchanges(self) -> NDArray[np.int64]:
-        """The clock exchanges of the run: rows of four stamps (`rig.clock_fit.EXCHANGE`), oldest first."""
+        """The clock exchanges of the run: rows of four stamps (`rig.core.clock_fit.EXCHANGE`), oldest first."""
         done = self.ring.get(words.EXCHANGES)
         kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
         return self._buffers.exchanges[kept]

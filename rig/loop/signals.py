@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from rig.ring import STOP, Ring
+from rig.realtime.ring import STOP, Ring
 
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

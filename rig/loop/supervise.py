@@ -1,9 +1,9 @@
 """The loop of a law that runs on the device: it listens, keeps the books, and says every few milliseconds: go on.
 
-The device computes each tick's current from that tick's count, and sends every tick in BATCH frames. Here `rig.step`
-runs on each of those samples too, and leaves the same row as if it had run the loop (`rig.loop.host`): so a recording,
-its verdict and its replay are the same, and what the device's own current differs by is counted
-(`rig.loop.agreement`). What a batch does not tell is taken from the newest STATE at or before the sample.
+The device computes each tick's current from that tick's count, and sends every tick in BATCH frames. Here
+`rig.control.step` runs on each of those samples too, and leaves the same row as if it had run the loop
+(`rig.loop.host`): so a recording, its verdict and its replay are the same, and what the device's own current differs by
+is counted (`rig.loop.agreement`). What a batch does not tell is taken from the newest STATE at or before the sample.
 
 Nothing blocks without a bound: the stop word, a signal and the heartbeat are seen within the time between two COMMANDs.
 Whatever ends the loop, several STOP commands leave first. Then, for a short while, what the device had sent before
@@ -16,10 +16,9 @@ from typing import Any
 
 from numba import types
 
-from firmware_protocol.codec import STATE
 from firmware_protocol.connection import State
-from firmware_protocol.kernel import kernel
-from rig import ring
+from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, step
+from rig.core.sample import Phase
 from rig.devices.framed import STOP_FRAMES
 from rig.loop.agreement import compare, settle
 from rig.loop.batches import ahead, has_room, take_frames
@@ -64,10 +63,11 @@ from rig.loop.supervision import (
     SUPERVISION_TYPE,
     TIME,
 )
-from rig.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
-from rig.sample import Phase
-from rig.step import CONTROL_TYPE, MEMORY_TYPE, step
-from rig.words import load_word, store_word
+from rig.realtime import ring
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import STATE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
 
 _FAULT_STATE, _RELEASE = int(State.FAULT), int(Phase.RELEASE)
 READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.codec import STATE
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Status
 from firmware_protocol.messages import NO_COMMAND_YET
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
-from rig import mailbox as mailboxes
-from rig import ring as words
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.loop import supervise
 from rig.loop.letters import letter_of
 from rig.loop.run import LoopThread
 from rig.loop.supervision import SupervisionBuffers
+from rig.realtime import mailbox as mailboxes
+from rig.realtime import ring as words
+from rig.realtime.codec import STATE
 
 BOUNDS = {"fixed": 1, "float32": 2}  # quanta by which the device's current may differ from the host's law
 MANY_SHARE, MANY_TICKS = (
@@ -36,7 +36,7 @@ Live = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How the device's current followed the host's law, which `rig.step` ran on the same counts.
+    """How the device's current followed the host's law, which `rig.control.step` ran on the same counts.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class SupervisedThread(LoopThread):
     arguments, keywords
         Of `LoopThread`.
     live
-        Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.errors.RigError` of it
+        Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.core.errors.RigError` of it
         refuses the set.
     """
 

@@ -9,10 +9,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol import codec
-from firmware_protocol.codec import ACK, BATCH, SAMPLE, SET_BEGIN, STATE
 from rig.loop.layout import RECEIVE_BYTES
-from rig.mailbox import SET_FLOATS
+from rig.realtime import codec
+from rig.realtime.codec import ACK, BATCH, SAMPLE, SET_BEGIN, STATE
+from rig.realtime.mailbox import SET_FLOATS
 
 # One row: how far the streams have come, the conversation about a new wall, and how the two laws agree.
 SUPERVISION = np.dtype(

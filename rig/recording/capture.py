@@ -47,7 +47,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import RecordingError, RigError
+from rig.core.errors import RecordingError, RigError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +44,7 @@ class Recording:
     header
         Everything known before the trial (`rig.recording.header.make_header`).
     rows
-        Structured array, one row a tick; its fields are those of the file (`rig.sample.ROW`, in simulation
+        Structured array, one row a tick; its fields are those of the file (`rig.core.sample.ROW`, in simulation
         also the truth, and whatever columns another version of this package knew).
     trailer
         How and why the trial ended, with its statistics; None when nobody could write it.

@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from rig.errors import RecordingError, RigError
+from rig.core.errors import RecordingError, RigError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.files import refuse_existing, whole_file

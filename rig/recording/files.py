@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
 
 _REMEDIES = {
     errno.ENOENT: "check the path, or make the directory first",

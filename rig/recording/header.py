@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
+from rig.core.sample import COLUMNS, Column, Motion, unit_of
 from rig.recording.canonical import plain
-from rig.sample import COLUMNS, Column, Motion, unit_of
 
 FORMAT = "haptic-rig recording"
 VOLATILE = ("created", "host", "git")

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.clock_fit import ClockFit
-from rig.errors import RecordingError, RigError
+from rig.core.clock_fit import ClockFit
+from rig.core.errors import RecordingError, RigError
 from rig.recording.canonical import plain
 from rig.recording.data import Recording
-from rig.timing import NEEDED, Ledger, ledger, summarise
+from rig.recording.timing import NEEDED, Ledger, ledger, summarise
 
-CLOCK_KEY = "clock"  # of the trailer: `rig.clock_fit.ClockFit.as_mapping`
-TIMING_KEY = "timing"  # of the trailer: `rig.timing.TimingSummary.as_mapping`
+CLOCK_KEY = "clock"  # of the trailer: `rig.core.clock_fit.ClockFit.as_mapping`
+TIMING_KEY = "timing"  # of the trailer: `rig.recording.timing.TimingSummary.as_mapping`
 FITTED = ("sampled_at", "applied_at")
 
 _log = logging.getLogger(__name__)

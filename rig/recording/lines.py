@@ -19,7 +19,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
 from rig.recording.files import disk_error, plain_errors, sync_directory
 
 SYNC_S = 0.5

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.faults import Input
-from rig.errors import RecordingError, RigError
+from rig.core.errors import RecordingError, RigError
+from rig.core.sample import Phase, RowFlag
 from rig.recording.canonical import plain
 from rig.recording.data import Recording
 from rig.recording.ledger import CLOCK_KEY, clock_of, period_ns_of
-from rig.sample import Phase, RowFlag
-from rig.timing import device_times
+from rig.recording.timing import device_times
 
 EDGES_KEY = "sync_edges"  # of the trailer
 NEEDED = ("tick", "elapsed_ticks", "device_time", "host_time", "phase", "flags")

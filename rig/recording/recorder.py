@@ -25,16 +25,16 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol.codec import crc32
-from firmware_protocol.kernel import kernel
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
+from rig.core.sample import ROW
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.codec import crc32
+from rig.realtime.kernel import kernel
+from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS, Ring
+from rig.realtime.system import EIO, descriptor_write, last_error, monotonic_now, sleep_until
 from rig.recording.canonical import plain
 from rig.recording.capture import BLOCK_ROWS, CRC_BYTES, HEAD_BYTES, ROWS_MAGIC, pack_end, pack_header
 from rig.recording.files import disk_error, plain_errors, sync_directory
-from rig.ring import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS, Ring
-from rig.sample import ROW
-from rig.system import EIO, descriptor_write, last_error, monotonic_now, sleep_until
-from rig.words import load_word, store_word
 
 FLUSH_S = 0.25
 SYNC_NS = 500_000_000
@@ -130,7 +130,7 @@ def record(
     Parameters
     ----------
     words, ring_rows
-        Address of the control words and the rows of a `rig.ring.Ring`, as int64.
+        Address of the control words and the rows of a `rig.realtime.ring.Ring`, as int64.
     descriptor
         Open file that already holds the header.
     block
@@ -191,7 +191,7 @@ class Recorder:
     path
         The file to make; it must not exist, its directory must.
     header
-        From `rig.recording.header.make_header`, for rows of `rig.sample.ROW`.
+        From `rig.recording.header.make_header`, for rows of `rig.core.sample.ROW`.
     ring
         What the loop fills.
     virtual

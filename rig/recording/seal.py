@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
+from rig.core.sample import TRUTH_COLUMNS
 from rig.recording.canonical import plain
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
@@ -26,7 +27,6 @@ from rig.recording.ledger import with_ledger
 from rig.recording.marks import with_sync_edges
 from rig.recording.parquet import has_pyarrow, write_parquet
 from rig.recording.reader import open_recording
-from rig.sample import TRUTH_COLUMNS
 
 SEALED_SUFFIX = ".parquet"
 
@@ -50,7 +50,7 @@ def seal(
     capture
         A ``.rigcap`` file whose writer has ended, cleanly or not.
     truth
-        The simulation's truth (`rig.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
+        The simulation's truth (`rig.core.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
     extra_trailer
         Added to the trailer: verdicts, and what else was found after the trial.
     keep_capture

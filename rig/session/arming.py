@@ -1,4 +1,4 @@
-"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
+"""Which walls of a study the arming gate refuses on a rig's link, as measured (`rig.bench.doctor.gate`).
 
 A search for the limit asks for walls that do not hold, so on a real rig there are nearly always some. They are found
 before anybody touches the handle: a session begins with consent to all of them, or it does not begin.
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from rig.config import Experiment
+from rig.core.errors import ConfigError, PlanError
+from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
-from rig.errors import ConfigError, PlanError
 from rig.experiments.plan import Check, Outcome
-from rig.sample import Motion, unit_of
 from rig.session.conditions import experiment_of, own_rates
 from rig.session.protocol import BLINDED, Protocol
 from rig.session.schedule import levels_of
@@ -80,7 +80,7 @@ def refusals(
     """
     if device.link.clock.virtual:
         return ()
-    from rig.doctor import gate as gates  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
+    from rig.bench.doctor import gate as gates  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
 
     found = []
     for (condition, damping), experiments in under.items():
@@ -99,7 +99,7 @@ def refusals(
 
 
 def refuse_unarmable(protocol: Protocol, base: Experiment, bench: Bench) -> None:
-    """Raise `rig.errors.PlanError` when this rig refuses a wall of the session, and nobody consented to those.
+    """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session, and nobody consented to those.
 
     A blinded operator hears how many there are, and nothing of any wall.
     """

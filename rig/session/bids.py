@@ -16,12 +16,12 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
+from rig.core.sample import Motion, unit_of
 from rig.recording.data import Recording
 from rig.recording.files import whole_directory
 from rig.recording.header import checkout
 from rig.recording.reader import open_recording
-from rig.sample import Motion, unit_of
 from rig.session import bids_motion
 from rig.session.analysis.study import Session, Study
 from rig.session.bids_motion import EVENTS, MISSING, TASK, TRACKSYS, Channel

@@ -16,10 +16,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
+from rig.core.sample import Motion, Phase, RowFlag, unit_of
 from rig.recording.data import Recording
 from rig.recording.marks import NEEDED, OUTPUTS, marks
-from rig.sample import Motion, Phase, RowFlag, unit_of
 
 TASK = "wallhit"
 TRACKSYS = "rig"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.config import Experiment
-from rig.errors import PlanError
+from rig.core.errors import PlanError
 from rig.experiments.plan import Outcome
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
@@ -123,7 +123,7 @@ def check(
 
 
 def refuse_walls(protocol: Protocol, base: Experiment) -> None:
-    """Raise `rig.errors.PlanError` when a rule may ask for a wall that must not be hit on this rig."""
+    """Raise `rig.core.errors.PlanError` when a rule may ask for a wall that must not be hit on this rig."""
     under = [_experiments(protocol, base, condition) for condition in protocol.condition]
     walls = [*_walls(protocol, under), *_practice(protocol, base)]
     refused = [one for one in wall_checks(walls) if one.outcome is Outcome.REFUSED]
@@ -158,7 +158,7 @@ def _practice(protocol: Protocol, base: Experiment) -> Iterator[tuple[str, Exper
 
 
 def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:
-    from rig.schemes import Scheme  # noqa: PLC0415  (it knows estimators)
+    from rig.config.schemes import Scheme  # noqa: PLC0415  (it knows estimators)
 
     known: dict[Any, Trials] = {}
     for condition, experiments in zip(protocol.condition, under, strict=True):

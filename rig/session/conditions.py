@@ -10,15 +10,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from rig import config, presets
-from rig.config import Experiment
+from rig import config
+from rig.config import Experiment, presets
 from rig.config.files import preset_names
 from rig.config.load import DEFAULT_PRESET, EXPERIMENT, FREE
 from rig.config.problems import Problem, config_error, did_you_mean
+from rig.config.schemes import Scheme
 from rig.config.table import parameters, shown
-from rig.errors import ConfigError, RigError
-from rig.sample import unit_of
-from rig.schemes import Scheme
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import unit_of
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import levels_of
 
@@ -84,7 +84,7 @@ def experiment_of(
     condition
         One of the protocol's.
     damping, stiffness
-        B and K of the wall (`rig.sample.unit_of`).
+        B and K of the wall (`rig.core.sample.unit_of`).
     changes
         Over everything else, by dotted key: the seed of a trial.
 

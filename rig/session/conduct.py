@@ -13,7 +13,8 @@ from typing import Any, Protocol
 
 from rig import config
 from rig.config import Experiment
-from rig.errors import (
+from rig.control.verdict import Kind
+from rig.core.errors import (
     ConfigError,
     DeviceFaultError,
     DeviceNotFoundError,
@@ -26,7 +27,7 @@ from rig.errors import (
     RigError,
     StoppedError,
 )
-from rig.sample import Phase, unit_of
+from rig.core.sample import Phase, unit_of
 from rig.session.conditions import experiment_of, own_rates
 from rig.session.desk import VERDICTS, Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
@@ -49,7 +50,6 @@ from rig.session.state import (
     Trial,
 )
 from rig.session.telling import line_of_event, outcome
-from rig.verdict import Kind
 
 LINES_SHOWN = 8
 _PHASES = {
@@ -85,7 +85,7 @@ def _wall(
 
 
 class Marks(Protocol):
-    """Who tells other programs what happens, without ever making a session wait (`rig.lsl.session.LslMarks`)."""
+    """Tells other programs what happens and never makes a session wait (`rig.session.lsl.session.LslMarks`)."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
         """Say that something happens now."""

@@ -140,13 +140,13 @@ class Desk(ABC):
     def ask(self, question: Question) -> Reply:
         """Ask, and wait for the answer.
 
-        Raises `rig.errors.StoppedError` when nobody can answer any more.
+        Raises `rig.core.errors.StoppedError` when nobody can answer any more.
         """
 
     def watch(self) -> Callable[[int, int], None] | None:
         """What is called a few times a second while a hit runs, with ticks and phase.
 
-        It may raise `rig.errors.StoppedError`: the hit ends with zero effort.
+        It may raise `rig.core.errors.StoppedError`: the hit ends with zero effort.
         """
         return None
 

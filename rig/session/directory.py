@@ -17,7 +17,7 @@ from typing import Any
 
 from rig import config
 from rig.config import Experiment
-from rig.errors import ConfigError, RecordingError
+from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import make_directories, plain_errors, sync_directory, whole_file
 from rig.session.clock import Clock, WallClock
 from rig.session.desk import VERDICTS

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from rig.config import Experiment
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 from rig.recording.files import plain_errors
 from rig.session.conditions import experiment_of
 from rig.session.expected import likely_trials

@@ -2,8 +2,8 @@
 
 Linear theory knows no Coulomb friction, which holds walls up to `FRICTION_RAISES` times stiffer, and no encoder, whose
 noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range about
-that of theory; observers whose K50 lie at both ends and between (`rig.search.observer`) say how many trials a rule
-takes there.
+that of theory; observers whose K50 lie at both ends and between (`rig.session.search.observer`) say how many trials a
+rule takes there.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from rig.analysis.theory.loop import NO_OPERATOR
 from rig.config import Experiment
-from rig.errors import ConfigError
-from rig.search.observer import Observer, run
+from rig.core.errors import ConfigError
 from rig.session.protocol import Protocol, Search
 from rig.session.schedule import Block, asking, levels_of
-from rig.theory.loop import NO_OPERATOR
+from rig.session.search.observer import Observer, run
 
 FRICTION_RAISES = (
     2.0  # K_max of both papers' rigs over that of the linear loop: 1.4 to 2 times (`rig theory`)
@@ -62,7 +62,7 @@ class Expected:
     Attributes
     ----------
     by_hand
-        Largest stable stiffness of linear theory, by hand: ``none``, and the grips of `rig.operators`.
+        Largest stable stiffness of linear theory, by hand: ``none``, and the grips of `rig.core.operators`.
     limit
         Of a search, friction and encoder allowed for; without theory the whole range of levels.
     note
@@ -99,8 +99,8 @@ def expected_limits(
     wanted
         Whose levels stand in where theory says nothing.
     """
-    from rig.doctor.late_loops import LateLoops  # noqa: PLC0415  (compiles the estimators)
-    from rig.theory import k_max_curve  # noqa: PLC0415
+    from rig.analysis.theory import k_max_curve  # noqa: PLC0415
+    from rig.bench.doctor.late_loops import LateLoops  # noqa: PLC0415  (compiles the estimators)
 
     levels = levels_of(wanted)
     unknown = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])

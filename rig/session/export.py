@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rig.core.sample import unit_of
 from rig.recording.export import export
 from rig.recording.files import whole_directory
-from rig.sample import unit_of
 from rig.session.analysis.study import Study
 from rig.session.trial_facts import FACTS, facts_of, file_name, unusable
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from rig.config import Experiment
-from rig.errors import PlanError
+from rig.core.errors import PlanError
 from rig.experiments.plan import Check, Outcome
 from rig.session.comparisons import SEVERITY
 from rig.session.conditions import experiment_of, own_rates
@@ -36,7 +36,7 @@ def fit_checks(protocol: Protocol, base: Experiment, bench: Bench) -> list[Check
 
 
 def refuse_misfit(protocol: Protocol, base: Experiment, bench: Bench) -> None:
-    """Raise `rig.errors.PlanError` when the device of a session cannot run one of its conditions."""
+    """Raise `rig.core.errors.PlanError` when the device of a session cannot run one of its conditions."""
     refused = [one for one in fit_checks(protocol, base, bench) if one.outcome is Outcome.REFUSED]
     if refused:
         raise PlanError(

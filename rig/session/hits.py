@@ -13,23 +13,23 @@ from typing import Any, Protocol
 import numpy as np
 
 from rig import config, devices
+from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment
+from rig.control.verdict import CRITERIA, Kind
+from rig.core.errors import DeviceFaultError, LinkLostError, RecordingError
+from rig.core.model import RigModel
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
-from rig.doctor.in_effect import in_effect
-from rig.errors import DeviceFaultError, LinkLostError, RecordingError
 from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, hit, vetted
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT, experiment_of, judge, measure
 from rig.experiments.plan import Check, device_checks, link_checks
-from rig.model import RigModel
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
 from rig.session.arming import Refusal, Wall, refusals
 from rig.session.log import without_nan
 from rig.session.place import software
-from rig.verdict import CRITERIA, Kind
 
 NUMBERS = (
     "felt",

@@ -11,8 +11,8 @@ from rig.config.checked import Kind, plain, typed
 from rig.config.files import flatten, preset_names, read_toml, tidy
 from rig.config.problems import Problem, config_error
 from rig.config.table import schema_of
-from rig.errors import ConfigError
-from rig.sample import Motion
+from rig.core.errors import ConfigError
+from rig.core.sample import Motion
 from rig.session.conditions import base_experiment, broken_conditions
 from rig.session.protocol import Protocol
 from rig.session.rules import broken_rules, looks_like_a_name, settings_schema, spells_a_name

@@ -22,7 +22,7 @@ from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
 from rig.recording.files import plain_errors, whole_file
 from rig.recording.lines import LineFile, line_of, object_of
 

@@ -77,7 +77,7 @@ def device_words(opened: Mapping[str, Any]) -> str:
 @cache
 def software() -> dict[str, str]:
     """Versions of what runs a session here."""
-    from rig.sweep.executors import code_version  # noqa: PLC0415  (reads all sources)
+    from rig.experiments.sweep.executors import code_version  # noqa: PLC0415  (reads all sources)
 
     return {
         **versions(f"{MAJOR}.{MINOR}"),

@@ -4,7 +4,7 @@ A protocol says what is compared (conditions), how the limit of each is searched
 people rest, and when it ends. The physics (rig, trial, thresholds) is that of an experiment file, which the protocol
 names and changes by dotted keys. `rig.session.load` reads and checks, `rig.session.schedule` makes the order.
 
-Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.sample.unit_of`).
+Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.core.sample.unit_of`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, MinLen
 
-from rig.quantity import STRICT, Quantity
-from rig.search.catching import MOST_SHARE
+from rig.core.quantity import STRICT, Quantity
+from rig.session.search.catching import MOST_SHARE
 
 Setting = bool | int | float | str
 
@@ -89,7 +89,7 @@ class Order:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Search:
-    """How the stiffest wall is searched: the rule, its levels, and its settings (`rig.search`)."""
+    """How the stiffest wall is searched: the rule, its levels, and its settings (`rig.session.search`)."""
 
     lowest: Annotated[float, Gt(0), Quantity("stiffness", "softest wall that is asked for")]
     highest: Annotated[float, Gt(0), Quantity("stiffness", "stiffest wall that is asked for")]
@@ -124,7 +124,9 @@ class Condition:
     scheme: Annotated[
         str | None,
         MinLen(1),
-        Quantity("", "like dual:20k/2k,estimator=kalman (rig.schemes); left out: the experiment's own"),
+        Quantity(
+            "", "like dual:20k/2k,estimator=kalman (rig.config.schemes); left out: the experiment's own"
+        ),
     ] = None
     damping: Annotated[
         tuple[float, ...], MinLen(1), Quantity("damping", "B of each run; a search for each")

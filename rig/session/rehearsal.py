@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.config.problems import did_you_mean
-from rig.errors import ConfigError
-from rig.search.observer import Observer
+from rig.control.verdict import Kind
+from rig.core.errors import ConfigError
 from rig.session.clock import WallClock
 from rig.session.desk import Desk, Question, Reply, View
 from rig.session.protocol import Protocol
+from rig.session.search.observer import Observer
 from rig.session.state import State, Trial
-from rig.verdict import Kind
 
 if TYPE_CHECKING:
     from rig.session.directory import Session
@@ -40,7 +40,7 @@ class Person:
     thresholds
         K50 by condition; of a condition that is not there, the automatic verdict is theirs.
     spread
-        How gradually verdicts change along stiffness (`rig.search.psychometric`).
+        How gradually verdicts change along stiffness (`rig.session.search.psychometric`).
     slips
         Share of verdicts that are turned round.
     unsure

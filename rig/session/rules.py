@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any
 
-from rig import search
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import shown
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
+from rig.session import search
 from rig.session.console.keymap import KeyMap
 from rig.session.protocol import Protocol, Search
 from rig.session.schedule import level_steps, rule
@@ -124,7 +124,7 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def _scheme(key: str, text: str) -> Iterator[Problem]:
-    from rig.schemes import Scheme  # noqa: PLC0415  (it knows experiments, which a log's reader does not need)
+    from rig.config.schemes import Scheme  # noqa: PLC0415  (it knows experiments, which a log's reader does not need)
 
     try:
         Scheme.parse(text)
@@ -191,7 +191,7 @@ def _number(value: Any) -> bool:
     return _whole(value) or (isinstance(value, float) and math.isfinite(value))
 
 
-# What the settings of `rig.search` are, by their annotation: in words, whether a value is one, and for editors.
+# What the settings of `rig.session.search` are, by their annotation: in words, whether a value is one, and for editors.
 _TYPES: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
     "int": ("a whole number", _whole, {"type": "integer"}),
     "float": ("a number", _number, {"type": "number"}),

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from rig import config
 from rig.config import Experiment
-from rig.errors import ConfigError, RecordingError
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
-from rig.schemes import Scheme
 from rig.session.arming import refuse_unarmable
 from rig.session.check import refuse_walls
 from rig.session.clock import Clock, WallClock
@@ -44,7 +44,7 @@ from rig.session.state import State
 from rig.session.telling import lost
 
 if TYPE_CHECKING:
-    from rig.lsl.session import LslMarks
+    from rig.session.lsl.session import LslMarks
 
 SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 
@@ -127,7 +127,7 @@ def run_session(
     told
         Told each event once it is written.
     lsl
-        Stream samples and markers (`rig.lsl`), without walls where somebody is blinded.
+        Stream samples and markers (`rig.session.lsl`), without walls where somebody is blinded.
 
     Raises
     ------
@@ -358,7 +358,7 @@ def _streams(protocol: Protocol, experiment: Mapping[str, Any], *, wanted: bool)
     if not wanted:
         yield None
         return
-    from rig.lsl.session import LslMarks  # noqa: PLC0415
+    from rig.session.lsl.session import LslMarks  # noqa: PLC0415
 
     rates = {one.scheme and Scheme.parse(one.scheme).position_rate for one in protocol.condition}
     rate = rates.pop() if len(rates) == 1 else None

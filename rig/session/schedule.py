@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, TypeVar
 
-from rig import search
-from rig.search import Answer, Estimate, Probe
+from rig.session import search
 from rig.session.protocol import Protocol, Search
+from rig.session.search import Answer, Estimate, Probe
 
 PRACTICE = 0  # number of the block, and of the run, of the practice trials
 LARGEST_SEED = 2**53  # whole numbers below it survive JSON in any language
@@ -100,7 +100,7 @@ def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
 def rule_of(protocol: Protocol, run: Run) -> search.Rule:
     """The rule of a run, without catch trials: its condition's, with the run's seed. Practice goes through its walls.
 
-    Raises `rig.errors.ConfigError` for settings that are none; `rig.session.load` has refused them before.
+    Raises `rig.core.errors.ConfigError` for settings that are none; `rig.session.load` has refused them before.
     """
     if run.practice:
         return InOrder(protocol.practice.stiffness)
@@ -123,7 +123,7 @@ def asking(wanted: Search, seed: int) -> search.Rule:
 
 
 def rule(wanted: Search, seed: int) -> search.Rule:
-    """The rule of a search without catch trials; raises `rig.errors.ConfigError` for settings that are none."""
+    """The rule of a search without catch trials; raises `rig.core.errors.ConfigError` for settings that are none."""
     levels = levels_of(wanted)
     settings: Mapping[str, Any] = wanted.settings
     start = settings.get("start")

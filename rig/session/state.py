@@ -35,14 +35,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rig.errors import RecordingError
-from rig.search import Answer, Probe, Rule
+from rig.control.verdict import Kind
+from rig.core.errors import RecordingError
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Item, Protocol, Search
 from rig.session.schedule import Block, Run, asking_of, rule_of, schedule
+from rig.session.search import Answer, Probe, Rule
 from rig.session.times import cooling_s
-from rig.verdict import Kind
 
 BOOKKEEPING = (
     "opened",

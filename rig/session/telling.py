@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from rig.control.verdict import Kind
 from rig.session.log import Event
 from rig.session.state import Trial
-from rig.verdict import Kind
 
 _LINES: dict[str, str] = {
     "judged": "trial {trial}: {verdict}",

@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from rig.config.problems import did_you_mean
-from rig.errors import ConfigError, RecordingError
+from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
 from rig.session.load import json_schema
 

@@ -4,8 +4,8 @@
     python -m tests.benchmarks.observers --guide    # the guide alone, from the committed table
     python -m tests.benchmarks.observers --check    # does the guide show the committed table?
 
-Rules × slips × spreads, as in the guide of `rig.search`. Sessions come from seeds, so the same code makes the
-same table; `tests/rig/test_search_observers.py` goes through a few of them again.
+Rules × slips × spreads, as in the guide of `rig.session.search`. Sessions come from seeds, so the same code makes the
+same table; `tests/rig/session/test_search_observers.py` goes through a few of them again.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from rig import search
-from rig.search.observer import Observer, performance
+from rig.session import search
+from rig.session.search.observer import Observer, performance
 from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]

@@ -120,7 +120,7 @@ class Watch:
 
     def look(self, ring: Any, *, last: bool = False) -> None:
         """Take the lateness of the rows since the last look; print a line when a minute is over, or at the end."""
-        from rig import ring as words  # noqa: PLC0415
+        from rig.realtime import ring as words  # noqa: PLC0415
 
         head = ring.get(words.HEAD)
         backlog = head - ring.get(words.TAIL)
@@ -216,9 +216,9 @@ def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
 
 def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: Disk | None) -> dict[str, Any]:
     """The loop over a far end of the benchmarks."""
-    from rig import ring as words  # noqa: PLC0415
+    from rig.realtime import ring as words  # noqa: PLC0415
+    from rig.realtime.ring import Ring  # noqa: PLC0415
     from rig.recording.recorder import Recorder  # noqa: PLC0415
-    from rig.ring import Ring  # noqa: PLC0415
     from tests.benchmarks.realtime import workbench  # noqa: PLC0415
     from tests.conformance.recording import example_header  # noqa: PLC0415
 
@@ -262,8 +262,9 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
 
 def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
     """One long hit on a device, simulated in real time or real."""
-    from rig import config, presets  # noqa: PLC0415
-    from rig.errors import RigError  # noqa: PLC0415
+    from rig import config  # noqa: PLC0415
+    from rig.config import presets  # noqa: PLC0415
+    from rig.core.errors import RigError  # noqa: PLC0415
     from rig.experiments.hit import HitRequest, hit  # noqa: PLC0415
 
     changes: dict[str, Any] = {
@@ -316,7 +317,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
 
 def own_ring() -> Any:
     """The block that the trial of this process shares with others."""
-    from rig.ring import LINK, Ring  # noqa: PLC0415
+    from rig.realtime.ring import LINK, Ring  # noqa: PLC0415
 
     for entry in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):

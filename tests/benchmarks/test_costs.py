@@ -5,12 +5,13 @@ import zlib
 
 import numpy as np
 
-from firmware_protocol import codec
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
-from rig import config, controller, presets
+from rig import config
+from rig.config import controller, presets
+from rig.realtime import codec
 from sim_backend import trial
 from sim_backend.plant import DiscretePlant
 

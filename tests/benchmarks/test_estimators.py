@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig import estimators
-from rig.estimators import fdm_butterworth, foaw, kalman, levant
-from rig.estimators.arrays import quantise, update_all
-from rig.estimators.estimator import PERIOD, RESOLUTION
-from rig.plugs import ESTIMATOR_SIGNATURE, NativeFunction
-from rig.signals import SIGNALS
+from rig.control import estimators
+from rig.control.estimators import fdm_butterworth, foaw, kalman, levant
+from rig.control.estimators.arrays import quantise, update_all
+from rig.control.estimators.estimator import PERIOD, RESOLUTION
+from rig.core.signals import SIGNALS
+from rig.realtime.plugs import ESTIMATOR_SIGNATURE, NativeFunction
 
 SOURCE = Path(__file__).with_name("estimators.c")
 RATE, DELTA = 20_000, 1e-6

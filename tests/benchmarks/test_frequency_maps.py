@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import pytest
 
-from rig import config, presets
+from rig import config
+from rig.config import presets
 from rig.experiments.frequency_ranges import frequency_plan
 from rig.experiments.impedance import Judging
 from rig.experiments.shaking import ShakingBench

@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig import config, controller, laws, presets
+from rig import config
+from rig.analysis.impedance.estimate import periodic
+from rig.config import controller, presets
+from rig.config.schemes import Scheme
+from rig.control import laws
 from rig.experiments.shaking import ShakingBench, multisine_of, ramp_s
-from rig.impedance.estimate import periodic
-from rig.schemes import Scheme
 from sim_backend.plant import DiscretePlant
 from sim_backend.shaken import Shaker
 from tests.benchmarks.test_trial import FAST_MUJOCO, OPTIONS, STEPS, cpu_ns, header, in_mujoco

@@ -9,7 +9,9 @@ import tracemalloc
 
 import pytest
 
-from rig import config, presets, theory
+from rig import config
+from rig.analysis import theory
+from rig.config import presets
 from rig.experiments import bench, ranges
 from rig.experiments.ladder import Search
 from rig.experiments.zwidth import MapPlan, run_climb, zwidth

@@ -19,10 +19,12 @@ from pathlib import Path
 import pytest
 from numba import types
 
-from firmware_protocol.kernel import kernel
 from firmware_protocol.messages import OLDEST_EDGE
-from rig import config, controller, presets, step, wall
-from rig.estimators import estimator, fdm_butterworth
+from rig import config
+from rig.config import controller, presets
+from rig.control import step, wall
+from rig.control.estimators import estimator, fdm_butterworth
+from rig.realtime.kernel import kernel
 from sim_backend import plant as plants
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant, advance

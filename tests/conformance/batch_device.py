@@ -16,9 +16,9 @@ from firmware_protocol.faults import Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, pack_batch_samples, type_id_of, unpack
 from firmware_protocol.transfer import Assembler
-from rig.clock import VirtualClock
 from rig.devices.device import LoopPort
-from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.realtime.clock import VirtualClock
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 
 U32 = 1 << 32
 Mangle = Callable[[int, bytes], Sequence[bytes]]  # number of a BATCH, its bytes → what arrives instead

@@ -1,6 +1,6 @@
 """What every velocity estimator must do, as a function of a factory.
 
-`check_estimator(make)` calls ``make(resolution, period_s)`` for a fresh `rig.estimators.estimator.Prepared`
+`check_estimator(make)` calls ``make(resolution, period_s)`` for a fresh `rig.control.estimators.estimator.Prepared`
 as often as it likes and raises AssertionError with a sentence for the first promise that is broken. It needs
 no test runner, so that a third party calls it from its own tests; known limits of an estimator are arguments,
 not skipped checks.
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.estimators.estimator import PERIOD, RESOLUTION, Prepared
+from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
 
 Make = Callable[[float, float], Prepared]
 Floats = NDArray[np.float64]

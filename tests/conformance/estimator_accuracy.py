@@ -3,7 +3,7 @@
     python -m tests.conformance.estimator_accuracy            # measure, tune anew, write table and guide (minutes)
     python -m tests.conformance.estimator_accuracy --check    # does the guide show the table that is committed?
 
-`tests/rig/test_estimator_accuracy.py` scores every row again and fails when one has become worse. Rows with
+`tests/rig/control/test_estimator_accuracy.py` scores every row again and fails when one has become worse. Rows with
 ``tuned`` carry the settings that `rig estimators tune` found for them; the others run with default settings.
 """
 
@@ -18,12 +18,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rig import estimators
-from rig.errors import ConfigError
+from rig.control import estimators
+from rig.core.errors import ConfigError
+from rig.core.signals import SIGNALS
 from rig.experiments.cases import Case, signal_case
 from rig.experiments.estimators import Score, Variant, cost_ns, score
 from rig.experiments.tuning import tune
-from rig.signals import SIGNALS
 from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]

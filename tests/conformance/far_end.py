@@ -25,7 +25,7 @@ import numpy as np
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend import pty
 from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
@@ -390,8 +390,8 @@ class HostProcess:
 
 
 def _run_host(url: str, experiment: Any, recording: Path, pipe: Any) -> None:
+    from rig.core.errors import RigError  # noqa: PLC0415
     from rig.devices import open_device  # noqa: PLC0415
-    from rig.errors import RigError  # noqa: PLC0415
     from rig.experiments.trial import TrialRequest, run_trial  # noqa: PLC0415
 
     said = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 from sim_backend import firmware_library
 
 

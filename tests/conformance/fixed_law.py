@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from random import Random
 
-from rig.estimators import get
-from rig.estimators.fdm_butterworth_fixed import biquad
-from rig.fixed_point import ROUNDINGS, Biquad
-from rig.fixed_wall import DEPTH, FixedWall, design_wall
+from rig.control.estimators import get
+from rig.control.estimators.fdm_butterworth_fixed import biquad
+from rig.control.fixed_point import ROUNDINGS, Biquad
+from rig.control.fixed_wall import DEPTH, FixedWall, design_wall
 
 
 def rounded(value: Fraction, rounding: int) -> int:

@@ -10,11 +10,11 @@ import pytest
 from numba import types
 
 from firmware_protocol import messages as m
-from firmware_protocol.kernel import kernel
+from rig.core.errors import LinkLostError
+from rig.core.sample import TRUTH
 from rig.devices.device import Link
-from rig.errors import LinkLostError
-from rig.plugs import NOW, TRANSFER, WAIT
-from rig.sample import TRUTH
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import NOW, TRANSFER, WAIT
 from tests.conformance.host import Host
 
 MakeLink = Callable[[], Link]

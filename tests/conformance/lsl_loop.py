@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from rig import ring as words
-from rig.ring import Ring
-from rig.sample import ROW
+from rig.core.sample import ROW
+from rig.realtime import ring as words
+from rig.realtime.ring import Ring
 
 OFFSET_NS = 5_000_000_123  # host clock less device clock
 WAY_NS = 50_000  # each way of an exchange

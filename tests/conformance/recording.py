@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import RecordingError
+from rig.core.errors import RecordingError
+from rig.core.sample import COLUMNS, ROW, TRUTH, TRUTH_COLUMNS, Column
 from rig.recording.data import Loss, Recording
 from rig.recording.header import make_header
-from rig.sample import COLUMNS, ROW, TRUTH, TRUTH_COLUMNS, Column
 
 AWKWARD = (0.1, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, float("nan"), float("inf"), float("-inf"))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rig.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
+from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
 
 
 def rotary_rig(

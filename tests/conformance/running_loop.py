@@ -19,8 +19,8 @@ PROGRAM = """
 import json, sys, threading, time
 import numpy as np
 from rig import ring as words
-from rig.mailbox import SET_FLOATS, take
-from rig.ring import Ring
+from rig.realtime.mailbox import SET_FLOATS, take
+from rig.realtime.ring import Ring
 
 info, kind = json.loads(sys.argv[1]), sys.argv[2]
 ring = Ring.allocate(16, info=info, shared=True)

@@ -22,15 +22,15 @@ from pathlib import Path
 import numpy as np
 from numba import types
 
-from firmware_protocol.kernel import kernel
-from rig import ring as words
+from rig.core.sample import ROW
 from rig.loop.host import ROWS_TYPE
+from rig.realtime import ring as words
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.kernel import kernel
+from rig.realtime.ring import Ring
+from rig.realtime.system import monotonic_now, sleep_until
 from rig.recording.capture import BLOCK_ROWS, pack_header
 from rig.recording.recorder import _HEAD_WORDS, _ROW_WORDS, FLUSH_S, POLL_NS, SYNC_NS, record
-from rig.ring import Ring
-from rig.sample import ROW
-from rig.system import monotonic_now, sleep_until
-from rig.words import load_word, store_word
 from tests.conformance.recording import example_header
 
 # The disk. Arguments: bytes of the header, bytes and dtype of a row, the pauses. It prints "ready", then what it got.

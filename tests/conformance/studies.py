@@ -12,13 +12,12 @@ from unittest.mock import patch
 
 import numpy as np
 
-from rig import presets
-from rig.config import as_mapping
+from rig.config import as_mapping, presets
 from rig.recording.lines import LineFile
-from rig.search.observer import Observer
 from rig.session.load import as_mapping as protocol_as_mapping
 from rig.session.load import protocol_from_mapping
 from rig.session.log import SessionLog
+from rig.session.search.observer import Observer
 from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, State
 
 PRESET = "koul-compliant"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.errors import PlanError
+from rig.core.errors import PlanError
 
 Payload = dict[str, Any]
 

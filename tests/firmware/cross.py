@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.kernel import (
-    CACHE_DIRECTORY,
-)  # carries a hash of every Python file: what generates C, too
-from rig import config, presets
-from rig.firmware import boards
-from rig.firmware.build import BuildRequest, BuildResult, build, sources_hash
-from rig.firmware.toolchain import COMPILER, find_compiler
+from rig import config
+from rig.bench.firmware import boards
+from rig.bench.firmware.build import BuildRequest, BuildResult, build, sources_hash
+from rig.bench.firmware.toolchain import COMPILER, find_compiler
+from rig.config import presets
+from rig.realtime.kernel import CACHE_DIRECTORY, cache_key
+from rig.realtime.source_files import source_files
 from tests.firmware.build import FIRMWARE
 
 RIG = "koul-rigid"
@@ -72,6 +72,7 @@ def sources_of(board: str) -> str:
 
 def cached(key: str, make: Callable[[Path], None]) -> Path:
     """Return a directory that `make` has filled for this key, now or in an earlier run; two may try at once."""
+    key += cache_key(source_files().values())  # every Python file: what generates C, too
     path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     if not path.exists():
         with tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY, prefix="test-") as workplace:

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.sample import RowFlag
+from rig.core.sample import RowFlag
 from tests.firmware.law.exact_law import ExactLaw
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import LawLibrary, inputs

@@ -16,7 +16,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import FORMATS
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.firmware import Core, FirmwareDevice
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import rotary_rig

@@ -9,16 +9,17 @@ from dataclasses import astuple, fields, replace
 import pytest
 
 from firmware_protocol.parameters import PARAMETERS
-from rig import config, presets
-from rig.board import MovedMechanics, moved_mechanics, over_current, peak_current
-from rig.errors import ConfigError, RecordingError, ToolchainError
-from rig.firmware import boards
-from rig.firmware.board_config import configure
-from rig.firmware.build import BuildRequest, build, package_version, sources_hash
-from rig.firmware.elf import read_segments
-from rig.firmware.info import info
-from rig.firmware.toolchain import COMPILER_VARIABLE, find_compiler
-from rig.firmware.uf2 import read_uf2
+from rig import config
+from rig.bench.firmware import boards
+from rig.bench.firmware.board_config import configure
+from rig.bench.firmware.build import BuildRequest, build, package_version, sources_hash
+from rig.bench.firmware.elf import read_segments
+from rig.bench.firmware.info import info
+from rig.bench.firmware.toolchain import COMPILER_VARIABLE, find_compiler
+from rig.bench.firmware.uf2 import read_uf2
+from rig.config import presets
+from rig.core.board import MovedMechanics, moved_mechanics, over_current, peak_current
+from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, compile_c
 

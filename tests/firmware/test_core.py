@@ -17,7 +17,7 @@ from firmware_protocol.messages import Message, Role
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.firmware import Core
 from sim_backend.safety import Thermal
 from tests.conformance.host import RUN_PARAMETERS

@@ -6,7 +6,7 @@ import ctypes
 
 import pytest
 
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.device import check_device

@@ -30,7 +30,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import PARAMETERS, block_crc, encode_block
 from firmware_protocol.transfer import set_parameters
 from firmware_protocol.wire import wire_fields
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware

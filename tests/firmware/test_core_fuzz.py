@@ -12,7 +12,7 @@ import pytest
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.messages import BATCH_LAYOUTS
-from rig.sample import Phase
+from rig.core.sample import Phase
 from tests.firmware import build
 
 STEPS = int(os.environ.get("HAPTIC_RIG_FUZZ_STEPS", "1000000"))

@@ -16,7 +16,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_ID, BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig import config
-from rig.sample import Phase
+from rig.core.sample import Phase
 from tests.conformance.host import RUN_PARAMETERS
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import LawLibrary, Parameters

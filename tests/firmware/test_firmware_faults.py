@@ -24,9 +24,10 @@ from firmware_protocol.messages import DisarmFlag
 from firmware_protocol.packing import pack
 from firmware_protocol.parameters import BY_NAME
 from firmware_protocol.transfer import set_parameters
-from rig import config, controller, presets
-from rig.model import RigModel
-from rig.sample import Phase
+from rig import config
+from rig.config import controller, presets
+from rig.core.model import RigModel
+from rig.core.sample import Phase
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.hardware import Hardware
 from sim_backend.inner import COULOMB, COULOMB_LINK

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.sample import Phase, RowFlag
+from rig.core.sample import Phase, RowFlag
 from tests.firmware import cortex, golden
 from tests.firmware.build import compile_c
 from tests.firmware.law.law_library import SOURCES, LawLibrary, compile_law

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from firmware_protocol.connection import State
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.device import SimulatedDevice
 from sim_backend.real_time import Port, RealTime
 

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from firmware_protocol.connection import State
-from rig import config, presets
-from rig.config import Experiment
+from rig import config
+from rig.config import Experiment, presets
+from rig.core.errors import DeviceFaultError, GuardError, LinkLostError, RigError
 from rig.devices import open_device
-from rig.errors import DeviceFaultError, GuardError, LinkLostError, RigError
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording

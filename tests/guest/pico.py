@@ -17,8 +17,9 @@ from typing import Any
 
 import pytest
 
-from rig import config, presets
-from rig.model import RigModel
+from rig import config
+from rig.config import presets
+from rig.core.model import RigModel
 from tests.firmware.rp2040 import emulator
 from tests.guest.absent import GuestAbsentError
 

@@ -7,7 +7,7 @@ import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rig.model import RigModel
+from rig.core.model import RigModel
 from sim_backend.usb import PRODUCT, VENDOR, UsbPort, UsbShape
 from tests.guest import vhci
 from tests.guest.far_end import RATE, FarEnd, far_end

@@ -11,10 +11,10 @@ from click.testing import CliRunner
 from serial.tools import list_ports
 
 from rig.cli.devices import devices
+from rig.core.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
 from rig.devices import open_device
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import available_ports, open_link
-from rig.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
 from tests.guest import gadget, vhci
 from tests.guest.far_end import far_end
 from tests.guest.gadget import GadgetPort, acm_gadget

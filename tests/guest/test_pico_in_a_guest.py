@@ -16,8 +16,9 @@ import usb.util
 from usb.backend import libusb1
 
 from firmware_protocol import messages as m
-from rig import config, presets
-from rig.controller import device_parameters
+from rig import config
+from rig.config import presets
+from rig.config.controller import device_parameters
 from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
 from rig.experiments import trial

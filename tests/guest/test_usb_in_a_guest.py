@@ -11,9 +11,7 @@ import usb.core
 import usb.util
 from usb.backend import libusb1
 
-from rig.devices import open_link
-from rig.devices.usb import available_devices
-from rig.errors import (
+from rig.core.errors import (
     BlockedError,
     BrokenLineError,
     CutShortError,
@@ -23,6 +21,8 @@ from rig.errors import (
     StalledError,
     UnpluggedError,
 )
+from rig.devices import open_link
+from rig.devices.usb import available_devices
 from sim_backend.usb import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT, VENDOR, VENDOR_CLASS
 from tests.guest import vhci
 from tests.guest.hits import MODEL, check_ended_safely, struck_trial, whole_hit

@@ -19,9 +19,9 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
-from rig.errors import ConfigError
-from rig.model import RigModel
-from rig.sample import TRUTH
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
+from rig.core.sample import TRUTH
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.plant import DiscretePlant, advance

@@ -19,10 +19,11 @@ from hypothesis import strategies as st
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
-from rig import config, presets
+from rig import config
+from rig.config import presets
+from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
-from rig.errors import ConfigError
-from rig.model import RigModel
 from sim_backend import firmware_library
 from sim_backend.channel import DeviceFault, Faults, Happening
 from sim_backend.device import SimulatedDevice

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig import config, presets
+from rig import config
+from rig.config import presets
+from rig.core.errors import ConfigError
 from rig.devices.hand import Wish
-from rig.errors import ConfigError
 from sim_backend.hardware import Hardware
 from sim_backend.led import AHEAD_M, AHEAD_N, BACK_M, BLOCK_S, FOLLOW_HZ, PRESS_N, SILENT_S, Led, follow
 

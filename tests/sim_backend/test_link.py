@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, State
 from firmware_protocol.faults import Fault
+from rig.core.errors import ConfigError, LinkLostError
 from rig.devices.device import DeviceUrl
-from rig.errors import ConfigError, LinkLostError
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import BUFFER_BYTES, MemoryLink, open_link

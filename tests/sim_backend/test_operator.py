@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.model import Mechanics, Operator, Reach, RigModel
-from rig.operators import GRIPS
+from rig.core.model import Mechanics, Operator, Reach, RigModel
+from rig.core.operators import GRIPS
 from sim_backend.hardware import Hardware
 from sim_backend.operator import PRESS_HZ, REPEAT_S, TREMOR_HZ, Script
 from sim_backend.plant import DiscretePlant, advance

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from rig.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
-from rig.operators import GRIPS
+from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
+from rig.core.operators import GRIPS
 from sim_backend.plant import DiscretePlant, advance, energy
 
 Rows = NDArray[np.float64]

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rig.errors import ConfigError
-from rig.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
-from rig.operators import GRIPS
+from rig.core.errors import ConfigError
+from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation, state_space
+from rig.core.operators import GRIPS
 from sim_backend.inner import STEP_S, STEPS, rub_both
 from sim_backend.plant import DiscretePlant, advance, energy
 

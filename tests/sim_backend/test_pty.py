@@ -24,9 +24,9 @@ from firmware_protocol.connection import Connection, State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import unpack
+from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
-from rig.errors import ConfigError
 from sim_backend import pty
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler

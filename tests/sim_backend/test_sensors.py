@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.guard import current_quanta as command_quanta
+from rig.control.guard import current_quanta as command_quanta
 from sim_backend.sensors import cell, current_quanta, encoder_count
 
 RESOLUTION = 2.0 * math.pi / 40_000.0

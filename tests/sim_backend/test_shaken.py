@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_protocol.kernel import kernel
-from rig import config, controller, laws, presets
-from rig.errors import LawError
-from rig.laws import Law
-from rig.plugs import LAW_SIGNATURE
-from rig.sample import Phase
-from rig.step import step
+from rig import config
+from rig.config import controller, presets
+from rig.control import laws
+from rig.control.laws import Law
+from rig.control.step import step
+from rig.core.errors import LawError
+from rig.core.sample import Phase
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
 from sim_backend.plant import DiscretePlant, advance
 from sim_backend.shaken import Shaker
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.session.log import Event
-from tests.rig.session_fakes import decisions
+from tests.rig.session.session_fakes import decisions
 
 PROTOCOL = """
 [study]

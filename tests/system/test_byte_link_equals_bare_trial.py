@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from rig import config, controller, presets
+from rig import config
+from rig.config import controller, presets
+from rig.core.sample import Phase
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 from sim_backend import trial as bare
 from sim_backend.link import open_link
 from sim_backend.operator import Script

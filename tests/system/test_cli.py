@@ -9,7 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from rig import config, presets
+from rig import config
+from rig.config import presets
 from rig.devices.local import serve_locally
 from rig.recording.reader import open_recording
 

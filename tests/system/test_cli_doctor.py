@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 import sim_backend.device
-from rig import config, presets
+from rig import config
+from rig.bench.doctor import examine as examining
+from rig.bench.doctor import gate, ports, round_trip
+from rig.bench.doctor.finding import Finding, Outcome
+from rig.bench.doctor.quantiles import Distribution
+from rig.config import presets
+from rig.core.errors import RealtimeError
 from rig.devices import port_facts
 from rig.devices.port_facts import PortFacts
-from rig.doctor import examine as examining
-from rig.doctor import gate, ports, round_trip
-from rig.doctor.finding import Finding, Outcome
-from rig.doctor.quantiles import Distribution
-from rig.errors import RealtimeError
 from rig.recording.reader import open_recording
 from sim_backend import pty
 

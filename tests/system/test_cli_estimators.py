@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import rig.cli
-from rig import config, estimators
+from rig import config
+from rig.control import estimators
+from rig.core.signals import SIGNALS
 from rig.experiments.tuning import OBJECTIVES
-from rig.signals import SIGNALS
 
 HIT = [
     "--duration",

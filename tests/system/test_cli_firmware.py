@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.firmware import flash as flashing
+from rig.bench.firmware import flash as flashing
 from tests.firmware import cross
 
 

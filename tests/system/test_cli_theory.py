@@ -10,8 +10,8 @@ import sys
 import numpy as np
 import pytest
 
-from rig import theory
-from rig.theory import limits
+from rig.analysis import theory
+from rig.analysis.theory import limits
 
 
 def test_it_prints_limits_and_what_binds_and_draws_a_picture(run, tmp_path):

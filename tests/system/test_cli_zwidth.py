@@ -15,8 +15,8 @@ import pytest
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-from rig.plots import zwidth as pictures
 from rig.recording.reader import open_recording
+from rig.views.plots import zwidth as pictures
 
 ROOT = Path(__file__).parents[2]
 BRIEF = [

@@ -13,14 +13,15 @@ if numba.config.DISABLE_JIT:
     pytest.skip("recordings are made by the compiled loop", allow_module_level=True)
 
 import rig.cli
-from rig import config, presets
-from rig.clock_fit import ClockFit, as_exchanges, fit_clock
+from rig import config
+from rig.config import presets
+from rig.core.clock_fit import ClockFit, as_exchanges, fit_clock
 from rig.devices.framed import FramedDevice
 from rig.experiments.timing import timing
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.capture import write_capture
 from rig.recording.reader import open_recording
-from rig.timing import NEEDED
+from rig.recording.timing import NEEDED
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.rigs import rotary_rig

@@ -9,13 +9,14 @@ import numba
 import numpy as np
 import pytest
 
-from rig import config, presets
-from rig.errors import PlanError
+from rig import config
+from rig.config import presets
+from rig.core.errors import PlanError
+from rig.core.sample import Phase
 from rig.experiments import impedance, live, trial
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 

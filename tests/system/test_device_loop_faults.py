@@ -17,15 +17,16 @@ if numba.config.DISABLE_JIT:
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
-from rig import config, presets
+from rig import config
 from rig.cli import run
+from rig.config import presets
+from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
+from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
-from rig.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.experiments.replay import replay
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
-from rig.sample import Phase
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import compiler

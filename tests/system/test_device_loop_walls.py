@@ -11,16 +11,19 @@ import pytest
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
-from rig import config, controller, device_law, presets, ring
+from rig import config
+from rig.config import controller, device_law, presets
+from rig.core.errors import RigError
+from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
-from rig.errors import RigError
-from rig.experiments.replay import COMPUTED, replay_rows
+from rig.experiments.replay import COMPUTED
 from rig.loop import exchange
 from rig.loop.layout import EndReason
+from rig.loop.replay import replay_rows
 from rig.loop.run import LoopSettings
 from rig.loop.supervised import BOUNDS, SupervisedThread
-from rig.ring import Ring
-from rig.sample import Phase
+from rig.realtime import ring
+from rig.realtime.ring import Ring
 from sim_backend.channel import Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import compiler

@@ -19,11 +19,10 @@ import pytest
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
-from firmware_protocol.kernel import kernel
-from rig import config, presets
-from rig.devices import framed
-from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
-from rig.errors import (
+from rig import config
+from rig.config import presets
+from rig.control.laws import Law
+from rig.core.errors import (
     DeviceFaultError,
     DeviceRefusedError,
     GuardError,
@@ -33,11 +32,13 @@ from rig.errors import (
     RigError,
     StoppedError,
 )
+from rig.core.sample import Phase, RowFlag
+from rig.devices import framed
+from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
 from rig.experiments.trial import TrialRequest, run_trial
-from rig.laws import Law
-from rig.plugs import LAW_SIGNATURE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from rig.sample import Phase, RowFlag
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink

@@ -15,9 +15,9 @@ import pytest
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
-from rig import config, presets
-from rig.devices.framed import FramedDevice
-from rig.errors import (
+from rig import config
+from rig.config import presets
+from rig.core.errors import (
     DeviceFaultError,
     DeviceRefusedError,
     GuardError,
@@ -25,10 +25,11 @@ from rig.errors import (
     RigError,
     StoppedError,
 )
+from rig.core.sample import Phase
+from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 from sim_backend.channel import Faults, Happening
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink

@@ -14,10 +14,10 @@ import pytest
 
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
-from firmware_protocol.kernel import kernel
-from rig import config, presets
-from rig.devices import open_device
-from rig.errors import (
+from rig import config
+from rig.config import presets
+from rig.control.laws import Law
+from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,
     DeviceRefusedError,
@@ -28,11 +28,12 @@ from rig.errors import (
     RigError,
     StoppedError,
 )
+from rig.core.sample import Phase
+from rig.devices import open_device
 from rig.experiments.trial import TrialRequest, run_trial
-from rig.laws import Law
-from rig.plugs import LAW_SIGNATURE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
 

@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from firmware_protocol.faults import Fault
-from rig import config, presets
+from rig import config
+from rig.config import presets
+from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.devices import open_device
-from rig.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.experiments.replay import replay
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from rig import config, presets
+from rig import config
+from rig.config import presets
+from rig.control.verdict import meter, recorded_signals, true_signals
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.bench import Bench
 from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
-from rig.verdict import meter, recorded_signals, true_signals
 from sim_backend.link import open_link
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numba
 import pytest
 
-from rig import presets
-from rig.config import override
+from rig.config import override, presets
+from rig.core.errors import DeviceFaultError, LinkLostError
+from rig.core.sample import Phase
 from rig.devices.hand import SharedHand
-from rig.errors import DeviceFaultError, LinkLostError
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 from tests.conformance.firmware import need_compiler
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")

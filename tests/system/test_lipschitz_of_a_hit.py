@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig import presets
-from rig.errors import RecordingError
+from rig.config import presets
+from rig.core.errors import RecordingError
+from rig.core.sample import Phase
 from rig.experiments.hit import HitRequest, hit
 from rig.experiments.lipschitz import lipschitz_of
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 
 
 @pytest.fixture(scope="module")

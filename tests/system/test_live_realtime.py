@@ -17,12 +17,12 @@ import pytest
 
 import rig.experiments.hit  # noqa: F401  (compiles the loop before anybody waits for it)
 from rig.config import experiment_from_mapping
-from rig.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
+from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.experiments.live import change_wall, parameter_set
 from rig.experiments.recover import Outcome, recover
+from rig.realtime.ring import LINK
+from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
-from rig.ring import LINK
-from rig.running import RunningLoop, running, stop
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 

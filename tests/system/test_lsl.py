@@ -18,17 +18,18 @@ import pytest
 if numba.config.DISABLE_JIT:
     pytest.skip("atomics are intrinsics", allow_module_level=True)
 
-from rig import config, devices, presets
+from rig import config, devices
+from rig.config import presets
+from rig.core.errors import DeviceFaultError, LinkLostError, RigError
+from rig.core.model import Simulation
+from rig.core.sample import Phase
 from rig.devices import local
 from rig.devices.framed import FramedDevice
-from rig.errors import DeviceFaultError, LinkLostError, RigError
 from rig.experiments.trial import TrialRequest, run_trial
-from rig.lsl.session import LslMarks
-from rig.lsl.streams import CHANNELS
-from rig.model import Simulation
 from rig.recording.marks import marks as found_marks
 from rig.recording.reader import open_recording
-from rig.sample import Phase
+from rig.session.lsl.session import LslMarks
+from rig.session.lsl.streams import CHANNELS
 from tests.conformance.lsl_loop import OFFSET_NS, HandTurnedLoop
 
 SHORT = config.override(

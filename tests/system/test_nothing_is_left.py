@@ -16,11 +16,10 @@ import pytest
 
 import rig.cli
 from firmware_protocol.faults import Fault
-from firmware_protocol.kernel import kernel
-from rig import config, presets
-from rig.devices import open_device
-from rig.devices.framed import FramedDevice
-from rig.errors import (
+from rig import config
+from rig.config import presets
+from rig.control.laws import Law
+from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,
     LawError,
@@ -30,9 +29,11 @@ from rig.errors import (
     RigError,
     StoppedError,
 )
+from rig.devices import open_device
+from rig.devices.framed import FramedDevice
 from rig.experiments.trial import TrialRequest, run_trial
-from rig.laws import Law
-from rig.plugs import LAW_SIGNATURE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink

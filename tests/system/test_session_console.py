@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 
 import rig.session.run  # noqa: F401  (compiles the loop before anybody waits for it)
-from rig import running
+from rig.core.sample import Phase
+from rig.realtime import running
 from rig.recording.reader import open_recording
-from rig.sample import Phase
 from rig.session.console.live import snapshot_of
 from rig.session.hits import sha256_of
 from rig.session.log import Event, read

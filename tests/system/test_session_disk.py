@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 from rig.recording.reader import open_recording
 from rig.session.directory import LOG
 from rig.session.hits import RigBench, sha256_of
@@ -16,7 +16,7 @@ from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import State
-from tests.rig.session_fuse import DeadError, Fuse, fused
+from tests.rig.session.session_fuse import DeadError, Fuse, fused
 from tests.system.session_study import PROTOCOL, comparable
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rig.presets import load as preset
+from rig.config.presets import load as preset
 from rig.session import hits
 from rig.session.hits import RigBench
 from rig.session.log import SessionLog, read

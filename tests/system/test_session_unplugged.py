@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from rig import config, presets
-from rig.config import Experiment
+from rig import config
+from rig.config import Experiment, presets
+from rig.core.errors import RigError
 from rig.devices.local import serve_locally
-from rig.errors import RigError
 from rig.experiments import hit as one_hit
 from rig.recording.reader import open_recording
 from rig.session.analysis import analyse
@@ -23,7 +23,7 @@ from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import State, Trial
 from sim_backend.channel import Direction, FrameFault, Kind, Line
-from tests.rig.session_fakes import ScriptedDesk
+from tests.rig.session.session_fakes import ScriptedDesk
 from tests.system.session_study import written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, spread=0.5)

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from rig import sweep
-from rig.errors import ConfigError, RigError
-from rig.sweep import SweepStoppedError, Task, TaskError, executors
-from rig.sweep import cluster as clusters
-from rig.sweep.executors import as_json
+from rig.core.errors import ConfigError, RigError
+from rig.experiments import sweep
+from rig.experiments.sweep import SweepStoppedError, Task, TaskError, executors
+from rig.experiments.sweep import cluster as clusters
+from rig.experiments.sweep.executors import as_json
 from tests.conformance import sweep_work
 
 HERE = sweep_work.__name__
@@ -233,7 +233,7 @@ def test_a_task_that_fails_there_is_named_here(shared):
 @needs_distributed
 def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(shared, monkeypatch):
     ours = executors.code_version()
-    monkeypatch.setattr("rig.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
+    monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
         sweep.run(SINES, sines(4), scheduler=shared.address)
     assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message

@@ -6,9 +6,11 @@ import numba
 import numpy as np
 import pytest
 
-from rig import config, presets
-from rig.config import override
-from rig.errors import ConfigError, GuardError, PlanError
+from rig import config
+from rig.config import override, presets
+from rig.control.verdict import Kind
+from rig.core.errors import ConfigError, GuardError, PlanError
+from rig.core.sample import Phase, RowFlag
 from rig.experiments.baseline import baseline
 from rig.experiments.bench import Bench
 from rig.experiments.hit import HitRequest, hit
@@ -16,8 +18,6 @@ from rig.experiments.judgement import judge
 from rig.experiments.plan import make_plan
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
-from rig.sample import Phase, RowFlag
-from rig.verdict import Kind
 from tests.conformance.firmware import need_compiler
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")

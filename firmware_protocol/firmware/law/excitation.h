@@ -2,7 +2,7 @@
  *
  * A tick looks one number up, so that a hundred lines cost what one costs. The table is in the board's memory:
  * int16_t for each tick of a period, quanta * 2^bits. All arithmetic is in integers, so that a host knows the table
- * to the bit (rig.excitation_table), and it repeats exactly. */
+ * to the bit (rig.control.excitation_table), and it repeats exactly. */
 #ifndef LAW_EXCITATION_H
 #define LAW_EXCITATION_H
 

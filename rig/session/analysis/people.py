@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from rig.search.catching import CatchTrials
 from rig.session.analysis.rows import AnswerRow, ParticipantRow, RunRow, TrialRow
 from rig.session.analysis.study import Session, Study
+from rig.session.search.catching import CatchTrials
 
 
 def participants_of(

@@ -1,6 +1,6 @@
 """Psychometric functions: where verdicts change from stable to not, how gradually, and how often somebody slips.
 
-The posterior on the grid of `rig.search.psychometric`, of all verdicts of a participant's complete runs under a
+The posterior on the grid of `rig.session.search.psychometric`, of all verdicts of a participant's complete runs under a
 condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
 (`rig.session.analysis.trials.half_way`). The interval takes all repeats for those of one K50: somebody who wanders
 between them is known less well than it says, and Student's interval over the repeats' own limits tells that.
@@ -21,12 +21,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.search import psychometric as grids
-from rig.search.rule import told
 from rig.session.analysis.kmax import student
 from rig.session.analysis.rows import RunRow
 from rig.session.analysis.study import Study
 from rig.session.analysis.trials import answers, half_way, levels, with_asked
+from rig.session.search import psychometric as grids
+from rig.session.search.rule import told
 
 Floats = NDArray[np.float64]
 Judge = Literal["person", "automatic"]
@@ -54,8 +54,8 @@ class Psychometric:
     participants
         How many are behind it.
     threshold, spread
-        K50 and s, in the units of stiffness. Beyond the levels K50 is their end, see `rig.search.psychometric.Located`;
-        over participants the mean of theirs.
+        K50 and s, in the units of stiffness. Beyond the levels K50 is their end, see
+        `rig.session.search.psychometric.Located`; over participants the mean of theirs.
     above, below
         How many of the participants behind it have their K50 above or below the levels.
     slips

@@ -1,6 +1,6 @@
 """What an analysis works on: one row for each trial, one for each run (a search through the stiffnesses).
 
-Stiffness, damping, effort, velocity and position are in the units of the rig (`rig.sample.unit_of`).
+Stiffness, damping, effort, velocity and position are in the units of the rig (`rig.core.sample.unit_of`).
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rig.search.catching import CatchTrials
-from rig.search.rule import Censored
+from rig.session.search.catching import CatchTrials
+from rig.session.search.rule import Censored
 
 Measure = Literal["rule", "K50 person", "K50 automatic"]
 # How the limit of a run is told from its verdicts: by the rule that asked for them, from the verdicts that it followed;

@@ -15,9 +15,9 @@ from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ConfigError, RecordingError
+from rig.core.errors import ConfigError, RecordingError
+from rig.core.sample import unit_of
 from rig.recording.files import plain_errors
-from rig.sample import unit_of
 from rig.session.log import Event, read
 from rig.session.place import device_words, differences
 from rig.session.protocol import Protocol

@@ -18,9 +18,9 @@ from typing import Any
 
 from rig.experiments.results import make_directory, write_document
 from rig.recording.files import whole_file
-from rig.search.psychometric import SLIPS
 from rig.session.analysis.analyse import Analysis
 from rig.session.analysis.rows import MEASURES, Limit, Measure, ParticipantRow, RunRow
+from rig.session.search.psychometric import SLIPS
 
 DICTIONARY = "tables.json"
 SLIPS_BEFORE = sum(SLIPS) / len(SLIPS)

@@ -6,16 +6,16 @@ import math
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any
 
-from rig.schemes import Scheme
-from rig.search import Answer, Estimate, psychometric
-from rig.search.ascending import Ascending
-from rig.search.catching import CatchTrials
-from rig.search.rule import Censored
-from rig.search.rule import told as told_of
+from rig.config.schemes import Scheme
 from rig.session.analysis.rows import Limit, Measure, RunRow, TrialRow
 from rig.session.analysis.study import Session, Study
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Run, levels_of
+from rig.session.search import Answer, Estimate, psychometric
+from rig.session.search.ascending import Ascending
+from rig.session.search.catching import CatchTrials
+from rig.session.search.rule import Censored
+from rig.session.search.rule import told as told_of
 from rig.session.state import WALKING, State, Trial
 
 PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
@@ -110,7 +110,7 @@ def half_way(
     """The stiffness with this share of stable verdicts (None: a half), as the median of its posterior.
 
     Verdicts of several runs are taken for those of one limit: where it wanders from run to run, the interval is too
-    narrow. Beyond the levels it is their end, see `rig.search.psychometric.Located`.
+    narrow. Beyond the levels it is their end, see `rig.session.search.psychometric.Located`.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.session.console import terminal
 from rig.session.console.messages import Lines, line_of
 

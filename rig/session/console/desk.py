@@ -13,8 +13,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, cast
 
+from rig.core.errors import ConfigError, StoppedError
 from rig.devices.hand import SharedHand
-from rig.errors import ConfigError, StoppedError
 from rig.session.console import terminal
 from rig.session.console.child import Child, Message
 from rig.session.console.keymap import KeyMap
@@ -32,7 +32,7 @@ RESTARTS = 3  # of the console in one session
 POLL_S = 0.1
 SHORTEST_S = 1e-3  # of a rest that is as good as over
 TERMINAL = Path("/dev/tty")
-PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.operators`)
+PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
 REMEDY = "`rig session resume` goes on; with --plain it needs next to nothing of the terminal"
 
 

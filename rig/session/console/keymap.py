@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from rig.errors import ConfigError
+from rig.core.errors import ConfigError
 from rig.session.console.keyboard import NAMED
 from rig.session.desk import VERDICTS
 from rig.session.protocol import Keys

@@ -1,6 +1,6 @@
 """The newest rows of the loop that runs in another process, as numbers to show. Looks only, and never at its info.
 
-Whoever sits here may have to be blind to stiffness and damping, which stand in the info (`rig.ring`).
+Whoever sits here may have to be blind to stiffness and damping, which stand in the info (`rig.realtime.ring`).
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import running
-from rig.ring import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED, Ring
-from rig.sample import Phase, RowFlag
+from rig.core.sample import Phase, RowFlag
+from rig.realtime import running
+from rig.realtime.ring import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED, Ring
 
 ROWS = 512  # newest rows that are looked at: a small part of what the ring holds, so that the loop does not overtake
 
@@ -24,7 +24,7 @@ class Snapshot:
     Attributes
     ----------
     phase
-        `rig.sample.Phase`, lower case.
+        `rig.core.sample.Phase`, lower case.
     position, velocity, penetration, effort
         Of the newest row (units of the rig's motion): measured, estimated, measured, applied.
     peak_effort

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from rig import running
+from rig.realtime import running
 from rig.session.console import terminal
 from rig.session.console.conversation import Conversation, Outcome, Stop
 from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse

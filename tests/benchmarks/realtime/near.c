@@ -1,4 +1,4 @@
-/* A far end that costs nothing, in the loop's own thread, as plug functions (rig.plugs) of the loop: whenever it is
+/* A far end that costs nothing, in the loop's own thread, as plug functions (rig.realtime.plugs) of the loop: whenever it is
    waited for, it has the next STATE, so that only the loop and its wake-up are measured. */
 #define _GNU_SOURCE
 #include "frames.h"

@@ -23,14 +23,15 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack, pack_batch_samples
-from rig import presets, system
-from rig.clock import MonotonicClock
+from rig.config import presets
+from rig.config.controller import for_experiment
 from rig.config.sections import Host
-from rig.controller import for_experiment
 from rig.devices.device import LoopPort
 from rig.loop.run import LoopSettings
 from rig.loop.supervised import SupervisedThread
-from rig.ring import Ring
+from rig.realtime import system
+from rig.realtime.clock import MonotonicClock
+from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import CURRENT_QUANTUM_A, FULL, SESSION, obtained
 
 SAMPLES = 45  # in a frame

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.realtime.ring import Ring
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
-from rig.ring import Ring
 from tests.benchmarks.realtime.workbench import (
     CPUS,
     FULL,

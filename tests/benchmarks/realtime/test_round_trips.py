@@ -36,13 +36,13 @@ import serial
 from firmware_protocol import messages as m
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import encoded_bytes, unpack
-from rig import ring as words
-from rig import system
-from rig.clock import MonotonicClock
 from rig.devices import open_link
 from rig.devices.device import LoopPort
 from rig.loop.host import SHORTEST_WAIT_NS
-from rig.ring import Ring
+from rig.realtime import ring as words
+from rig.realtime import system
+from rig.realtime.clock import MonotonicClock
+from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import (
     CPUS,
     FULL,

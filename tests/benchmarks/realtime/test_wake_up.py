@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig import ring as words
-from rig.ring import Ring
+from rig.realtime import ring as words
+from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import (
     CPUS,
     FULL,

@@ -24,17 +24,17 @@ from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack, type_id_of
-from rig import controller, presets
-from rig.clock import MonotonicClock
+from rig.config import controller, presets
 from rig.config.sections import Host
+from rig.control.step import TRIAL, Controller
 from rig.devices.device import LoopPort
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopSettings, LoopThread
 from rig.loop.signals import stop_on_signals
-from rig.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
-from rig.ring import Ring
-from rig.scheduling import obtained
-from rig.step import TRIAL, Controller
+from rig.realtime.clock import MonotonicClock
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.realtime.ring import Ring
+from rig.realtime.scheduling import obtained
 
 HERE = Path(__file__).parent
 FULL = os.environ.get("RIG_BENCH_FULL", "") not in ("", "0")

@@ -1,7 +1,8 @@
 """The whole fixed-point law of a device in exact arithmetic: what `law.h` says, written again in fractions.
 
 Nothing is shared with the C code but the integers of the parameters; filter and wall are those of
-`tests.conformance.fixed_law`. Homing, release and slew limit, which `rig.fixed_wall` leaves to the host, are here.
+`tests.conformance.fixed_law`. Homing, release and slew limit, which `rig.control.fixed_wall` leaves to the host, are
+here.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ import math
 from fractions import Fraction
 from typing import Any
 
-from rig.fixed_point import Biquad, Format
-from rig.sample import Phase, RowFlag
+from rig.control.fixed_point import Biquad, Format
+from rig.core.sample import Phase, RowFlag
 from tests.conformance.fixed_law import ExactFilter, clipped, difference
 
 HALF = Fraction(1, 2)

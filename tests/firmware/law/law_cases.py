@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.excitation_table import ExcitationTable
+from rig.control.excitation_table import ExcitationTable
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
 from tests.firmware.law.law_design import ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
 from tests.firmware.law.law_library import Parameters, inputs

@@ -10,14 +10,14 @@ import numpy as np
 
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
-from rig import device_law
-from rig.device_law.estimators import ESTIMATORS, estimator_parameters
-from rig.device_law.walls import designed_wall, options
-from rig.estimators import fdm_butterworth_fixed as fixed
-from rig.estimators.estimator import PERIOD, RESOLUTION, Floats, Prepared
-from rig.fixed_point import Format
-from rig.fixed_wall import FixedWall
-from rig.step import Controller
+from rig.config import device_law
+from rig.config.device_law.estimators import ESTIMATORS, estimator_parameters
+from rig.config.device_law.walls import designed_wall, options
+from rig.control.estimators import fdm_butterworth_fixed as fixed
+from rig.control.estimators.estimator import PERIOD, RESOLUTION, Floats, Prepared
+from rig.control.fixed_point import Format
+from rig.control.fixed_wall import FixedWall
+from rig.control.step import Controller
 from tests.firmware.law.law_library import Parameters
 
 __all__ = ["ESTIMATORS", "FIXED", "FLOAT"]  # of the design: for other tests
@@ -119,12 +119,12 @@ def velocity_format(prepared: Prepared) -> Format:
 
 
 def fixed_wall_of(c: dict[str, Any], law: Floats, velocity: Format) -> FixedWall:
-    """The wall of `rig.fixed_wall` for the values of a controller with a spring and damper."""
+    """The wall of `rig.control.fixed_wall` for the values of a controller with a spring and damper."""
     return designed_wall(c, "spring-damper", np.asarray(law), velocity)
 
 
 def copy_wall(p: Any, wall: FixedWall) -> None:
-    """Set what `rig.fixed_wall` has; where it has it twice, both say the same."""
+    """Set what `rig.control.fixed_wall` has; where it has it twice, both say the same."""
     for name in ("constant", "direction", "side", "surface", "stiffness", "damping", "shift"):
         setattr(p.fixed_wall, name, getattr(wall, name))
     p.current_limit, p.may_pull, p.entry_only = wall.limit, wall.may_pull, wall.entry_only

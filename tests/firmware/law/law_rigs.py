@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig import config, controller, presets
-from rig.config import Experiment
-from rig.sample import Phase, RowFlag
-from rig.step import Controller
-from rig.verdict import Signals, Verdict, judge
+from rig import config
+from rig.config import Experiment, controller, presets
+from rig.control.step import Controller
+from rig.control.verdict import Signals, Verdict, judge
+from rig.core.sample import Phase, RowFlag
 from sim_backend import trial
 from sim_backend.plant import DiscretePlant, advance
 from tests.firmware.law.law_library import LawLibrary

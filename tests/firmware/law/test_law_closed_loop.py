@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rig.fixed_wall import current_quanta
-from rig.sample import Phase
-from rig.verdict import Kind
+from rig.control.fixed_wall import current_quanta
+from rig.control.verdict import Kind
+from rig.core.sample import Phase
 from sim_backend.plant import advance
 from tests.firmware.law.exact_law import ExactLaw
 from tests.firmware.law.law_design import FIXED, fixed_wall_of, parameters_of, velocity_format

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.excitation_table import PHASES, ExcitationTable
-from rig.sample import Phase
+from rig.control.excitation_table import PHASES, ExcitationTable
+from rig.core.sample import Phase
 from tests.firmware.law.law_cases import shaken
 from tests.firmware.law.law_cortex import CORES, PARAMETERS, TABLE, WORK, Simulator, build
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of

@@ -11,8 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.parameters import BY_NAME, LIVE, decode_block, encode_block
-from rig import bilateral, config, controller, device_law, laws, presets
-from rig.errors import ConfigError, PlanError
+from rig import config
+from rig.config import controller, device_law, presets
+from rig.control import bilateral, laws
+from rig.core.errors import ConfigError, PlanError
 from rig.experiments.live import parameter_set
 from rig.experiments.shaking import shaken_law
 from tests.firmware.law.law_design import structure_of

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig import estimators
-from rig.estimators.arrays import inputs as estimator_inputs
-from rig.estimators.arrays import run
+from rig.control import estimators
+from rig.control.estimators.arrays import inputs as estimator_inputs
+from rig.control.estimators.arrays import run
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
 from tests.firmware.law.law_design import FLOAT, scale_of, set_estimator
 from tests.firmware.law.law_library import Parameters, inputs

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.errors import ConfigError
-from rig.excitation_table import PHASES, ExcitationTable, cosine, hashed_phases
-from rig.sample import Phase
+from rig.control.excitation_table import PHASES, ExcitationTable, cosine, hashed_phases
+from rig.core.errors import ConfigError
+from rig.core.sample import Phase
 from tests.firmware.law.law_cases import shaken
 from tests.firmware.law.law_design import FIXED, FLOAT
 from tests.firmware.law.law_library import inputs

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.sample import Phase, RowFlag
+from rig.core.sample import Phase, RowFlag
 from tests.conformance.fixed_law import golden_vectors
 from tests.firmware.law.exact_law import ExactLaw
 from tests.firmware.law.law_cases import BREAKS, broken, golden_parameters

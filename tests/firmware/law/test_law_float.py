@@ -1,4 +1,4 @@
-"""The float32 law of a tick against `rig.step`: the same inputs, and the same hit in a closed loop."""
+"""The float32 law of a tick against `rig.control.step`: the same inputs, and the same hit in a closed loop."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig import estimators, laws
-from rig.sample import Phase, RowFlag
-from rig.step import CONTROL, Controller, new_memory, step
+from rig.control import estimators, laws
+from rig.control.step import CONTROL, Controller, new_memory, step
+from rig.core.sample import Phase, RowFlag
 from tests.firmware.law.law_design import parameters_of
 from tests.firmware.law.law_library import inputs
 from tests.firmware.law.law_rigs import (

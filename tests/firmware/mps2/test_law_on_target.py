@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.excitation_table import ExcitationTable
-from rig.firmware.build import BuildResult
-from rig.sample import Phase
+from rig.bench.firmware.build import BuildResult
+from rig.control.excitation_table import ExcitationTable
+from rig.core.sample import Phase
 from tests.conformance.fixed_law import golden_vectors
 from tests.firmware import cross
 from tests.firmware.law.law_cases import golden_parameters, shaken

@@ -7,9 +7,9 @@ from contextlib import ExitStack
 
 import pytest
 
+from rig.bench.firmware.build import BuildResult
 from rig.config.derive import rig_model
-from rig.firmware.build import BuildResult
-from rig.presets import load
+from rig.config.presets import load
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.session import Session
 

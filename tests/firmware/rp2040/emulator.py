@@ -22,10 +22,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.clock import VirtualClock
-from rig.firmware.build import BuildRequest, BuildResult, build
-from rig.firmware.toolchain import ToolchainError
-from rig.model import RigModel
+from rig.bench.firmware.build import BuildRequest, BuildResult, build
+from rig.bench.firmware.toolchain import ToolchainError
+from rig.core.model import RigModel
+from rig.realtime.clock import VirtualClock
 from sim_backend.plant import DiscretePlant
 
 HERE = Path(__file__).parent

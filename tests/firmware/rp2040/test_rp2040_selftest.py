@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from firmware_protocol.faults import Fault
-from rig import config, presets
+from rig import config
+from rig.bench.firmware import selftest
+from rig.config import presets
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.firmware import selftest
 from tests.firmware.rp2040.session import Session
 
 FLOAT32 = presets.load("koul-rigid")

@@ -12,11 +12,11 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
+from rig.bench.firmware.build import BuildResult
 from rig.config.derive import rig_model
+from rig.config.presets import load
 from rig.devices.framed import FramedDevice
 from rig.experiments.hit import HitRequest, hit
-from rig.firmware.build import BuildResult
-from rig.presets import load
 from rig.recording.reader import open_recording
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET

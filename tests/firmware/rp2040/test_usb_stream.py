@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig.config.derive import rig_model
-from rig.presets import load
+from rig.config.presets import load
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
 from tests.firmware.rp2040.usb_host import BOARD

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rig.clock import VirtualClock
 from rig.devices.device import DeviceUrl
+from rig.realtime.clock import VirtualClock
 from sim_backend.link import MemoryLink
 from tests.firmware.rp2040.usb_line import UsbLine
 

@@ -17,10 +17,7 @@ import pytest
 from numba import types
 
 from firmware_protocol import messages as m
-from firmware_protocol.kernel import kernel
-from rig.devices import open_link
-from rig.devices.usb import UsbLink, available_devices
-from rig.errors import (
+from rig.core.errors import (
     BlockedError,
     BrokenLineError,
     CutShortError,
@@ -30,9 +27,12 @@ from rig.errors import (
     StalledError,
     UnpluggedError,
 )
-from rig.plugs import TRANSFER, WAIT
+from rig.devices import open_link
+from rig.devices.usb import UsbLink, available_devices
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import TRANSFER, WAIT
+from rig.realtime.system import monotonic_now
 from rig.recording.reader import open_recording
-from rig.system import monotonic_now
 from tests.conformance.device import check_device
 from tests.conformance.host import Host
 from tests.conformance.link import check_link, listen
@@ -397,7 +397,8 @@ def round_trips(bench: Bench) -> dict[str, float]:
 
 def unplugged_in_a_trial(bench: Bench, directory: str) -> dict[str, Any]:
     """The plug is pulled in the middle of a run of the loop: one error, and a recording that can be read."""
-    from rig import config, presets  # noqa: PLC0415
+    from rig import config  # noqa: PLC0415
+    from rig.config import presets  # noqa: PLC0415
     from rig.devices import open_device  # noqa: PLC0415
     from rig.experiments.trial import TrialRequest, run_trial  # noqa: PLC0415
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from rig import config, presets
-from rig.errors import DeviceFaultError, LinkLostError
+from rig import config
+from rig.config import presets
+from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.recording.reader import open_recording
 from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.system.usb import checks

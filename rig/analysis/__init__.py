@@ -1,0 +1,1 @@
+"""Linear theory, impedance, identification: arrays in, numbers out."""

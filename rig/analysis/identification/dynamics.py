@@ -1,0 +1,389 @@
+"""Inertia, delay and the first structural mode, from shaken motion: least squares in the frequency domain.
+
+The motor's effort F is known, the position X is measured with an encoder's noise, so the error is counted in X
+(output error: noise in X then biases nothing) and weighted by its own variance at each line, over the realisations:
+
+    X = H·P·F − P·S,    P = 1/(s·(m·s + b)) · (s²/ω_a² + 2ζ_a·s/ω_a + 1)/(s²/ω_r² + 2ζ_r·s/ω_r + 1)
+
+H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is there for a rig of two
+masses: a sensor beside the motor sees the link swing against a motor that stands still (anti-resonance ω_a) and both
+against each other (resonance ω_r), and m·(ω_a/ω_r)² is the motor's own share of the inertia. S is Coulomb friction: the
+levels that sliding told, with the sign of the measured velocity, removed within the fit. It leaves out that friction of
+a handle that stops is less than its level, and that the link behind an elastic drive turns round at other times than
+the motor does; with an effort six times the friction the first costs some 0.2 % of the inertia, the second shows in the
+damping of the modes. That bias is the same in every realisation and so is not in the intervals.
+
+An effort that is held between samples has images around each multiple of the rate, and what they move folds back; the
+first ones are part of the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from rig.analysis.identification.interval import Interval, from_scatter
+from rig.analysis.identification.quality import IdentificationError, check_explained, check_shaken
+from rig.analysis.identification.sliding import Sliding
+from rig.analysis.impedance.signals import Complexes, Floats, Shaken, hold
+
+IMAGES = (-2, -1, 0, 1, 2)
+NEIGHBOURS = 5  # lines over which a variance is averaged
+ROUNDS = 3  # of fit and weights
+MODE_GAIN = 1.5  # by how much a mode must lessen the weighted error, as a factor, to be believed
+LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
+LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
+WHOLE_TICKS = 4  # of delay that are tried beyond those that the first fit suggests: none more
+
+M, B, LAG, F_A, ZETA_A, F_R, ZETA_R = range(7)  # parameters
+RIGID, TWO_MASS = 3, 7  # how many
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """First structural mode, as one sensor beside the motor sees it.
+
+    Attributes
+    ----------
+    antiresonance_hz, resonance_hz
+        The link against a motor that stands still; both against each other (Hz).
+    antiresonance_ratio, resonance_ratio
+        Their damping ratios.
+    motor_inertia, link_inertia
+        m·(f_a/f_r)² and the rest (kg·m² or kg).
+    stiffness
+        Of the transmission: link inertia·ω_a² (N·m/rad or N/m).
+    """
+
+    antiresonance_hz: Interval
+    resonance_hz: Interval
+    antiresonance_ratio: Interval
+    resonance_ratio: Interval
+    motor_inertia: Interval
+    link_inertia: Interval
+    stiffness: Interval
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """What shaking told.
+
+    Attributes
+    ----------
+    inertia
+        Of everything that moves (kg·m² or kg).
+    damping
+        Viscous damping (N·m·s/rad or N·s/m): the given one, or fitted.
+    delay_s
+        From the sample to the effort that answers it, without the half tick for which an effort is held: whole ticks
+        and lag (s).
+    delay_ticks, lag_s
+        How the delay is divided: a whole number of ticks, and a first-order lag (s).
+    mode
+        First structural mode, or None where a rigid body explains as much.
+    lines_hz, coherence
+        Lines (Hz) and γ² of motion and excitation there, shape (n,).
+    measured, fitted
+        Position over effort at the lines, friction removed, delay left in: mean over the realisations, and the model.
+    deviation
+        Standard deviation of `measured` over the realisations, of its magnitude at each line.
+    unexplained
+        Share of the velocity at the lines that the model leaves, rms; the encoder's noise is not counted.
+    """
+
+    inertia: Interval
+    damping: Interval
+    delay_s: Interval
+    delay_ticks: int
+    lag_s: Interval
+    mode: Mode | None
+    lines_hz: Floats
+    coherence: Floats
+    measured: Complexes
+    fitted: Complexes
+    deviation: Floats
+    unexplained: float
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain numbers, for JSON."""
+        names = ("inertia", "damping", "delay_s", "lag_s")
+        mode = self.mode
+        return {
+            **{name: getattr(self, name).as_mapping() for name in names},
+            "delay_ticks": self.delay_ticks,
+            "mode": None
+            if mode is None
+            else {name: getattr(mode, name).as_mapping() for name in Mode.__slots__},
+            "unexplained": self.unexplained,
+            "lines_hz": self.lines_hz.tolist(),
+            "coherence": self.coherence.tolist(),
+            "coherence_median": float(np.median(self.coherence)),
+            "measured": {"real": self.measured.real.tolist(), "imaginary": self.measured.imag.tolist()},
+            "fitted": {"real": self.fitted.real.tolist(), "imaginary": self.fitted.imag.tolist()},
+            "deviation": self.deviation.tolist(),
+        }
+
+
+def fit_dynamics(
+    runs: Sequence[Shaken],
+    *,
+    resolution: float,
+    inertia: float,
+    sliding: Sliding | None = None,
+    damping: Interval | None = None,
+) -> Dynamics:
+    """Fit inertia, delay, and a mode if there is one.
+
+    Parameters
+    ----------
+    runs
+        Realisations of one excitation, whole periods, with the motor's effort and the measured position.
+    resolution
+        Travel for one count (rad or m).
+    inertia
+        A first guess, right within a factor of ten (kg·m² or kg).
+    sliding
+        Coulomb friction to remove; None for a rig without any.
+    damping
+        Viscous damping that is known, such as that of `sliding`; None fits it too.
+
+    Raises
+    ------
+    IdentificationError
+        Data without coherence, or that no model of one or two masses explains.
+    """
+    found = check_shaken(runs, resolution)
+    problem = _Problem.of(runs, resolution, sliding)
+    start = np.array([inertia, 0.0 if damping is None else damping.value, 0.0])
+    free = [M, LAG] if damping is not None else [M, B, LAG]
+    rigid = problem.with_delay(start, free)
+    best, mode_free = rigid, free
+    mode_start = problem.mode_start(rigid.parameters)
+    if mode_start is not None:
+        mode_free = [*free, F_A, ZETA_A, F_R, ZETA_R]
+        two = problem.with_delay(mode_start, mode_free)
+        if _believable(two, rigid, runs[0].lines_hz):
+            best = two
+    free = mode_free if best is not rigid else free
+    check_explained(best.unexplained)
+    return _dynamics(problem, best, free, found, damping)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    parameters: Floats
+    ticks: int
+    weights: Floats  # standard deviation of the position at each line
+    cost: float  # mean square of the error under the weights of the problem's noise
+    unexplained: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Spectra of all realisations at the lines, shape (runs, lines), and what the model needs beside them."""
+
+    lines: Floats
+    rate: float
+    held: float
+    position: Complexes
+    effort: Complexes
+    friction: Complexes
+    floor: float  # the encoder's noise in a line of the position
+
+    @classmethod
+    def of(cls, runs: Sequence[Shaken], resolution: float, sliding: Sliding | None) -> _Problem:
+        spectra = [_spectra(run, sliding) for run in runs]
+        first = runs[0]
+        samples = first.period_samples * first.periods
+        return cls(
+            lines=first.lines_hz,
+            rate=first.rate_hz,
+            held=first.effort_hold_s,
+            position=np.array([one[0] for one in spectra]),
+            effort=np.array([one[1] for one in spectra]),
+            friction=np.array([one[2] for one in spectra]),
+            floor=resolution / math.sqrt(3.0 * samples),  # Δ/√12 of each sample, in a bin of amplitude 2/n
+        )
+
+    def gain(self, parameters: Floats, ticks: int) -> Complexes:
+        """Position over the samples of the effort, delay, hold and images included."""
+        if self.held == 0.0:
+            return _late(self.lines, parameters, ticks / self.rate) * compliance(self.lines, parameters)
+        total = np.zeros(len(self.lines), np.complex128)
+        for image in IMAGES:
+            f = self.lines + image * self.rate
+            total += hold(f, self.held) * _late(f, parameters, ticks / self.rate) * compliance(f, parameters)
+        return total
+
+    def error(self, parameters: Floats, ticks: int, which: slice = slice(None)) -> Complexes:
+        predicted = self.gain(parameters, ticks) * self.effort[which]
+        return self.position[which] - predicted + compliance(self.lines, parameters) * self.friction[which]
+
+    def solve(
+        self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: slice = slice(None)
+    ) -> Floats:
+        """Least squares over the free parameters, each in units of its own size."""
+        size = np.abs(start)
+        size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
+        size[LAG] = 0.1 / self.rate if size[LAG] == 0.0 else size[LAG]
+
+        def parameters(x: Floats) -> Floats:
+            whole = start.copy()
+            whole[free] = x * size[free]
+            return whole
+
+        def weighted(x: Floats) -> Floats:
+            e = (self.error(parameters(x), ticks, which) / weights).ravel()
+            return np.concatenate([e.real, e.imag])
+
+        found = least_squares(weighted, (start / size)[list(free)], x_scale="jac", max_nfev=200)
+        return parameters(found.x)
+
+    def fit(self, start: Floats, free: Sequence[int], ticks: int) -> _Fit:
+        """Fit and weights in turn: the weights follow from what the fit leaves, smoothed over neighbouring lines."""
+        power = np.mean(np.abs(self.position) ** 2, axis=0)
+        first = np.sqrt((0.02**2) * power + self.floor**2)
+        weights, parameters = first, start
+        for _ in range(ROUNDS):
+            parameters = self.solve(parameters, free, ticks, weights)
+            left = np.mean(np.abs(self.error(parameters, ticks)) ** 2, axis=0)
+            weights = np.sqrt(_smooth(left) + (0.3 * self.floor) ** 2)
+        speed = self.lines**2  # shares are of the velocity's power, less what the encoder's noise has in it
+        own = float(np.sum(speed * (left - self.floor**2)))
+        unexplained = math.sqrt(max(0.0, own) / float(np.sum(speed * power)))
+        cost = float(np.mean(left / first**2))
+        return _Fit(parameters, ticks, weights, cost, unexplained)
+
+    def with_delay(self, start: Floats, free: Sequence[int]) -> _Fit:
+        """The best fit over whole ticks of delay, with a lag that is not negative beside them."""
+        first = self.fit(start, free, 0)
+        period = 1.0 / self.rate
+        most = min(WHOLE_TICKS, max(0, math.floor(first.parameters[LAG] / period + 0.5)))
+        fits = [first]
+        for ticks in range(1, most + 1):
+            begin = first.parameters.copy()
+            begin[LAG] = max(first.parameters[LAG] - ticks * period, 0.0)
+            fits.append(self.fit(begin, free, ticks))
+        possible = [fit for fit in fits if fit.parameters[LAG] > -0.1 * period] or [first]
+        return min(possible, key=lambda fit: fit.cost)
+
+    def mode_start(self, rigid: Floats) -> Floats | None:
+        """Where to look for a mode: the deepest notch and, above it, the highest peak of position · m·s²."""
+        level = np.mean(np.abs(self.position), axis=0) / np.mean(np.abs(self.effort + 0.0), axis=0)
+        flat = np.log(level * rigid[M] * (2.0 * np.pi * self.lines) ** 2 + 1e-300)
+        flat = _smooth(flat - np.median(flat[: max(3, len(flat) // 4)]), 3)
+        if len(flat) < 8:
+            return None
+        peak = int(np.argmax(flat[2:])) + 2
+        notch = int(np.argmin(flat[:peak])) if peak > 1 else 0
+        if not self.lines[notch] < self.lines[peak]:
+            return None
+        return np.array([*rigid, self.lines[notch], 0.03, self.lines[peak], 0.03])
+
+
+def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
+    """Position over effort of the free rig: P of the text above."""
+    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    p = 1.0 / (s * (parameters[M] * s + parameters[B]))
+    if len(parameters) == TWO_MASS:
+        a, r = s / (2.0 * np.pi * parameters[F_A]), s / (2.0 * np.pi * parameters[F_R])
+        p = p * (1.0 + 2.0 * parameters[ZETA_A] * a + a**2) / (1.0 + 2.0 * parameters[ZETA_R] * r + r**2)
+    return np.asarray(p)
+
+
+def _late(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes:
+    s = 2j * np.pi * frequency_hz
+    return np.asarray(np.exp(-s * delay_s) / (1.0 + s * parameters[LAG]))
+
+
+def _spectra(run: Shaken, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
+    """Position, effort (its samples, at time 0 of a sample) and Coulomb friction at the lines."""
+    n = run.period_samples
+    whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)
+    shaken = frequency <= run.lines_hz[-1] * (
+        1.0 + 1e-9
+    )  # above it there is noise, which would turn friction round
+    velocity = np.fft.irfft(np.where(shaken, run.velocity_gain(frequency) * whole, 0.0), n)
+    effort = np.fft.rfft(run.effort.reshape(run.periods, n).mean(axis=0))
+    rubbing = np.zeros(n)
+    if sliding is not None:
+        rubbing = np.where(velocity > 0.0, sliding.up.value, -sliding.down.value)
+    friction = np.fft.rfft(rubbing)
+    late = np.exp(2j * np.pi * run.lines_hz * run.position_delay_s)
+    earlier = np.exp(2j * np.pi * run.lines_hz * run.effort_delay_s)
+    scale, k = 2.0 / n, run.bins
+    return scale * whole[k] * late, scale * effort[k] * earlier, scale * friction[k]
+
+
+def _smooth(values: Floats, width: int = NEIGHBOURS) -> Floats:
+    width = min(width, len(values))
+    ends = (width // 2, width - 1 - width // 2)
+    return np.convolve(np.pad(values, ends, mode="edge"), np.full(width, 1.0 / width), "valid")
+
+
+def _believable(two: _Fit, rigid: _Fit, lines_hz: Floats) -> bool:
+    _, _, _, f_a, zeta_a, f_r, zeta_r = two.parameters
+    inside = lines_hz[0] < f_a and LEAST_SPLIT * f_a < f_r < lines_hz[-1]
+    swings = 0.0 < zeta_a < LARGEST_RATIO and 0.0 < zeta_r < LARGEST_RATIO
+    return inside and swings and rigid.cost > MODE_GAIN * two.cost
+
+
+def _dynamics(
+    problem: _Problem, best: _Fit, free: Sequence[int], found: Floats, damping: Interval | None
+) -> Dynamics:
+    runs = len(problem.position)
+    each = np.array(
+        [problem.solve(best.parameters, free, best.ticks, best.weights, slice(i, i + 1)) for i in range(runs)]
+    )
+
+    def interval(of: Callable[[Floats], float]) -> Interval:
+        return from_scatter(of(best.parameters), [of(one) for one in each])
+
+    mode = None
+    if len(best.parameters) == TWO_MASS:
+        mode = Mode(
+            antiresonance_hz=interval(lambda p: float(p[F_A])),
+            resonance_hz=interval(lambda p: float(p[F_R])),
+            antiresonance_ratio=interval(lambda p: float(p[ZETA_A])),
+            resonance_ratio=interval(lambda p: float(p[ZETA_R])),
+            motor_inertia=interval(_motor_inertia),
+            link_inertia=interval(lambda p: float(p[M]) - _motor_inertia(p)),
+            stiffness=interval(_stiffness),
+        )
+    inertia = interval(lambda p: float(p[M]))
+    if not inertia.value > 0.0:
+        raise IdentificationError(
+            f"the fit gives an inertia of {inertia.value:.3g}",
+            remedy="check the signs of motor and encoder, and the delay of the link",
+        )
+    lag = interval(lambda p: float(p[LAG]))
+    gain, path = problem.gain(best.parameters, best.ticks), compliance(problem.lines, best.parameters)
+    ratio = (problem.position + path * problem.friction) / problem.effort
+    return Dynamics(
+        inertia=inertia,
+        damping=damping or interval(lambda p: float(p[B])),
+        delay_s=Interval(best.ticks / problem.rate + lag.value, lag.half_width),
+        delay_ticks=best.ticks,
+        lag_s=lag,
+        mode=mode,
+        lines_hz=problem.lines,
+        coherence=found,
+        measured=ratio.mean(axis=0),
+        fitted=gain,
+        deviation=np.sqrt(0.5 * np.mean(np.abs(ratio - ratio.mean(axis=0)) ** 2, axis=0)),
+        unexplained=best.unexplained,
+    )
+
+
+def _motor_inertia(p: Floats) -> float:
+    return float(p[M] * (p[F_A] / p[F_R]) ** 2)
+
+
+def _stiffness(p: Floats) -> float:
+    return float((p[M] - _motor_inertia(p)) * (2.0 * np.pi * p[F_A]) ** 2)

@@ -1,0 +1,227 @@
+"""Any linear estimator as a discrete state space, found by watching it: probe, check that it is linear, realise.
+
+The theory must not know a formula for each member of the family, third parties' included. So the compiled update
+itself is fed with counts. After it has settled at rest it gets an impulse of many counts, and its answer h is the
+Markov parameters of a state space (A, B, C, D). Three checks decide whether that is all there is to it: the answer
+to an impulse of another size, from another place and at a later time is the same (scale and shift), and the answer to a
+random walk with leaps is its convolution with h (superposition). What adapts its window, has a noise band, rounds
+inside or reads the times of edges fails one of them and is refused by name.
+
+The realisation is that of Ho and Kalman by a singular value decomposition (Juang and Pappa 1985, "ERA"). Rows and
+columns of the Hankel matrix are thinned towards the far end of h: a low pass at a hundredth of the rate rings for a
+thousand samples but has three states. The order is the least that gives h back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.control import estimators
+from rig.control.estimators.arrays import inputs, run
+from rig.core.errors import ConfigError
+from rig.core.model import Matrix
+
+Vector = NDArray[np.float64]
+
+IMPULSE = 1 << 20  # counts
+LATER = 137  # samples by which an impulse is moved to see whether time matters
+PLACE = 4321  # counts by which everything is moved to see whether the place matters
+FIRST_REST, LONGEST_REST = 256, 1 << 16  # samples at rest before an impulse
+FIRST_LENGTH, LONGEST_LENGTH = 512, 1 << 16  # samples of h
+WANDERING = 1024  # samples of the random walk
+SAME = 1e-9  # relative difference that rounding may make
+FADED = 1e-13  # h is over where it stays below this part of its peak
+REALISED = 1e-11  # relative error of h by which the order is chosen
+ACCEPTED = 1e-8  # and the largest one, if no order reaches that
+LARGEST_ORDER = 40
+HANKEL = 96  # rows and columns at most
+
+
+class NotLinearError(ConfigError):
+    """What linear theory is asked about is not linear; `reason` says why."""
+
+    def __init__(self, message: str, *, reason: str, remedy: str = "") -> None:
+        super().__init__(message, remedy=remedy)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Realisation:
+    """x ← A x + B p, v = C x + D p once each velocity period: p position, v velocity, both SI.
+
+    ``a`` is order × order, ``b`` and ``c`` have length order. `error` is the largest difference between the impulse
+    response of these matrices and the estimator's own, relative to its peak.
+    """
+
+    a: Matrix
+    b: Vector
+    c: Vector
+    d: float
+    period_s: float
+    error: float
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.b)
+
+    def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+        """H(e^{jωT2}), velocity over position (1/s), at these frequencies."""
+        z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
+        resolvent = z[:, None, None] * np.eye(self.order) - self.a
+        states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
+        return np.asarray(states[..., 0] @ self.c + self.d)
+
+    def impulse(self, samples: int) -> Vector:
+        """Response to a position of 1 at the first sample and 0 afterwards."""
+        return _impulse(self.a, self.b, self.c, self.d, samples)
+
+
+def realise(
+    name: str, settings: Mapping[str, float | str], period_s: float, resolution: float
+) -> Realisation:
+    """State space of the named estimator with these settings, at a velocity period (s) and travel for one count.
+
+    The resolution matters to estimators whose settings have a unit of position, and to no other.
+
+    Raises
+    ------
+    ConfigError
+        Unknown estimator, or settings that cannot be realised.
+    NotLinearError
+        An estimator that is not linear.
+    """
+    probe = _Probe(name, settings, period_s, resolution)
+    rest, h = _settled_response(probe)
+    reason = _nonlinearity(probe, rest, h)
+    if reason:
+        said = ", ".join(f"{key} = {value}" for key, value in settings.items())
+        raise NotLinearError(
+            f"estimator {name}{f' ({said})' if said else ''} is not linear: {reason}",
+            reason=reason,
+            remedy="linear theory takes fdm, fdm-butterworth, kalman without fading, and whatever else is linear; "
+            "simulate the others",
+        )
+    return _realised(name, h, period_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Probe:
+    """An estimator in its settings, begun anew for each sequence of counts."""
+
+    name: str
+    settings: Mapping[str, float | str]
+    period_s: float
+    resolution: float
+
+    def motion(self, counts: NDArray[np.int64]) -> Vector:
+        """Velocities per unit of travel for one count: 1/s."""
+        prepared = estimators.get(self.name).prepare(self.settings, self.resolution, self.period_s)
+        return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
+
+    def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
+        """Response per count to an impulse of `size` counts after `rest` samples at `place`."""
+        counts = np.full(rest + length, place, np.int64)
+        counts[rest] += size
+        return self.motion(counts)[rest:] / size
+
+
+def _settled_response(probe: _Probe) -> tuple[int, Vector]:
+    """Length of rest after which time no longer matters, and h until it has faded.
+
+    A recursive Kalman filter, say, is linear all along but only settles to one response.
+    """
+    length = FIRST_LENGTH
+    while True:
+        h = probe.impulse(rest=FIRST_REST, length=length)
+        if np.abs(h[length // 2 :]).max() <= FADED * np.abs(h).max() or length >= LONGEST_LENGTH:
+            break
+        length *= 4
+    rest = FIRST_REST
+    while True:
+        h = probe.impulse(rest=rest, length=length)
+        if rest >= LONGEST_REST or _near(h, probe.impulse(rest=rest + LATER, length=length), 0.01 * SAME):
+            return rest, h
+        rest *= 4
+
+
+def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
+    """Why h is not the whole truth about the estimator; empty for a linear one."""
+    if not np.isfinite(h).all() or not h.any():
+        return "it answers an impulse with nothing or with what is no number"
+    length = len(h)
+    others = (
+        (rest, 1, 0, "a single count and a large impulse are answered differently"),
+        (rest, -IMPULSE // 3, 0, "impulses of different size are answered differently"),
+        (rest, IMPULSE, PLACE, "the place of an impulse matters"),
+        (rest + LATER, IMPULSE, 0, "the time of an impulse matters"),
+    )
+    for at, size, place, reason in others:
+        if not _near(h, probe.impulse(rest=at, length=length, size=size, place=place), SAME):
+            return reason
+    motion = _wandering(min(length, WANDERING))
+    after = probe.motion(np.concatenate([np.zeros(rest, np.int64), motion]))[rest:]
+    if not _near(np.convolve(motion, h)[: len(motion)], after, SAME):
+        return "the answer to a motion is not the sum of its answers to the parts of it"
+    return ""
+
+
+def _wandering(samples: int) -> NDArray[np.int64]:
+    """A random walk with leaps: the same one always."""
+    random = np.random.default_rng(1)
+    leaps = random.integers(-300, 301, samples) * (random.random(samples) < 0.1)
+    return np.asarray(np.cumsum(random.integers(-2, 3, samples) + leaps))
+
+
+def _near(one: Vector, other: Vector, tolerance: float) -> bool:
+    return bool(np.abs(one - other).max() <= tolerance * np.abs(one).max())
+
+
+def _impulse(a: Matrix, b: Vector, c: Vector, d: float, samples: int) -> Vector:
+    h = np.empty(samples)
+    h[0] = d
+    x = b
+    for k in range(1, samples):
+        h[k] = c @ x
+        x = a @ x
+    return h
+
+
+def _places(length: int) -> NDArray[np.int64]:
+    """Rows of the Hankel matrix: every sample at first, then farther and farther apart."""
+    far = np.geomspace(1.0, max(2.0, length), HANKEL).round().astype(np.int64)
+    places: NDArray[np.int64] = np.unique(np.concatenate([np.arange(min(LARGEST_ORDER, length)), far]))
+    return places[places < length]
+
+
+def _realised(name: str, h: Vector, period_s: float) -> Realisation:
+    peak = np.abs(h).max()
+    over = int(np.flatnonzero(np.abs(h) > FADED * peak)[-1]) + 1  # first sample at which h is over
+    tail = np.concatenate([h[1:over], np.zeros(max(2 * LARGEST_ORDER, over) + 2)])
+    places = _places(max(LARGEST_ORDER, over // 2))
+    sums = places[:, None] + places[None, :]
+    u, sigma, vt = np.linalg.svd(tail[sums])
+    shifted = tail[sums + 1]
+    best: Realisation | None = None
+    for order in range(LARGEST_ORDER + 1):
+        if order and sigma[order - 1] <= 1e-15 * sigma[0]:
+            break
+        root = np.sqrt(sigma[:order])
+        a = (u[:, :order] / root).T @ shifted @ (vt[:order].T / root)
+        b, c = root * vt[:order, 0], u[0, :order] * root
+        again = _impulse(a, b, c, float(h[0]), over + LARGEST_ORDER)
+        error = float(np.abs(again[: len(h)] - h[: len(again)]).max() / peak)
+        if np.isfinite(error) and (best is None or error < best.error):
+            best = Realisation(a, b, c, float(h[0]), period_s, error)
+        if best is not None and best.error <= REALISED:
+            break
+    if best is None or best.error > ACCEPTED:
+        raise ConfigError(
+            f"estimator {name}: its answer to an impulse is that of no small state space",
+            remedy="choose a higher cut-off or a lower order; or simulate",
+        )
+    return best

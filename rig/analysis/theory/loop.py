@@ -1,0 +1,237 @@
+"""The linear loop that theory speaks of: a plant, a held effort, an estimator and their rates, from a rig and a scheme.
+
+`resolve` takes a rig however it is given; `linear_loop` makes the matrices. Left out, because no matrix holds them:
+Coulomb friction (which raises the real K_max by 1.4 to 2 times), the encoder's quantum (which takes 30 to 50 % off the
+range of damping of a dual-rate wall and nearly all of a uniform 20 kHz one's), saturation, and the release from the
+wall: the handle is pressed against a wall that may pull, τ = −(K·θ + B·v).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig import config
+from rig.analysis.theory.linear import NotLinearError, Realisation, realise
+from rig.config import Controller, Experiment, presets
+from rig.config.schemes import Scheme, usual_settings
+from rig.core.errors import ConfigError
+from rig.core.model import Matrix, Operator, RigModel, StateSpace, state_space
+from rig.core.operators import GRIPS
+
+RigLike = str | Path | Experiment | RigModel
+SchemeLike = str | Scheme
+Vector = NDArray[np.float64]
+
+NO_OPERATOR = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A rig that theory is asked about: its physics, the hand on it, and the experiment it came from, if any."""
+
+    model: RigModel
+    experiment: Experiment | None
+    operator: Operator | None
+
+    @property
+    def damping(self) -> float:
+        """Viscous damping of a rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+
+        The hand is left out: conditions of passivity ask for any hand, the lightest included.
+        """
+        return self.model.damping
+
+    @property
+    def port_damping(self) -> float:
+        """Damping that any motion of the motor side meets, whatever passive thing holds the link.
+
+        On a rigid rig all of it. On two masses the link's damper sits behind the capstan, and the least that the two
+        show together, over all frequencies and all passive hands, is that of both in series: b_m + c·b_l/(c + b_l).
+        """
+        mechanics = self.model.mechanics
+        link, across = mechanics.link_damping, mechanics.transmission_damping
+        if mechanics.structure == "rigid" or link == 0.0:
+            return self.damping
+        return self.damping - link + link * across / (link + across)
+
+    @property
+    def inertia(self) -> float:
+        """Inertia of a rigid motion, without the hand (kg·m² or kg)."""
+        return self.model.mechanics.motor_inertia + self.model.mechanics.loaded_link_inertia
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearLoop:
+    """What `rig.analysis.theory.lifted` multiplies: matrices of the plant over one tick, and the law's timing.
+
+    ``phi``, ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
+    encoder sees. `subject` and `controller` say where all this comes from.
+    """
+
+    subject: Subject
+    controller: Controller
+    estimator: Realisation
+    phi: Matrix
+    gamma: Vector
+    sensed: int
+    tick_s: float
+    divider: int
+    extrapolate: bool
+    delay_ticks: int
+
+    @property
+    def period_s(self) -> float:
+        """Velocity period T2 (s)."""
+        return self.tick_s * self.divider
+
+    @property
+    def late_s(self) -> float:
+        """Electrical lag and computation delay: how late an effort acts beside the hold (s)."""
+        return self.subject.model.amplifier.lag_s + self.delay_ticks * self.tick_s
+
+
+def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
+    """Take a rig as a preset's name, a TOML file, an experiment or a model.
+
+    Parameters
+    ----------
+    rig
+        Text without a suffix that names a preset is that preset, any other text a path.
+    operator
+        The hand on the handle: None for the rig's own (none unless its trial is a human one), ``"none"``, the name
+        of a grip, or an `rig.core.model.Operator`. With a hand the end mass is left off, as in trials by hand.
+
+    Raises
+    ------
+    ConfigError
+        No such preset, file or grip, or an experiment that is wrong.
+    """
+    if isinstance(rig, RigModel):
+        experiment, model = None, rig
+    else:
+        experiment = _experiment(rig)
+        model = config.rig_model(experiment if operator is None else experiment.rig)
+    hand = _hand(operator, model)
+    if hand is not None:
+        model = replace(model, mechanics=replace(model.mechanics, end_mass=0.0))
+    return Subject(model, experiment, hand)
+
+
+def linear_loop(
+    rig: RigLike | Subject,
+    scheme: SchemeLike | None = None,
+    *,
+    operator: str | Operator | None = None,
+    estimator: Realisation | None = None,
+) -> LinearLoop:
+    """Matrices of a rig under a scheme; None for the experiment's own scheme.
+
+    `estimator` is its realisation where that is known already, from another hand on the same rig under the same scheme:
+    finding it takes longer than everything else here.
+
+    Raises
+    ------
+    ConfigError
+        As `resolve`; a scheme that cannot be.
+    NotLinearError
+        An estimator that is not linear, or a velocity rate that adapts to speed.
+    """
+    subject = rig if isinstance(rig, Subject) else resolve(rig, operator)
+    controller = _controller(subject, Scheme.parse(scheme) if isinstance(scheme, str) else scheme)
+    _check_fixed_rates(controller)
+    model = subject.model
+    tick_s = 1.0 / controller.position_rate
+    resolution = model.encoder.sign * model.encoder.resolution
+    continuous = state_space(model.mechanics, model.amplifier, subject.operator)
+    phi, gamma = _over_tick(continuous, tick_s)
+    return LinearLoop(
+        subject=subject,
+        controller=controller,
+        estimator=estimator
+        or realise(controller.estimator, controller.parameters, 1.0 / controller.velocity_rate, resolution),
+        phi=phi,
+        gamma=gamma,
+        sensed=continuous.sensed_position,
+        tick_s=tick_s,
+        divider=controller.position_rate // controller.velocity_rate,
+        extrapolate=controller.prediction == "extrapolate",
+        delay_ticks=model.simulation.computation_delay_ticks,
+    )
+
+
+def _experiment(rig: str | Path | Experiment) -> Experiment:
+    if isinstance(rig, Experiment):
+        return rig
+    named = str(rig)
+    if isinstance(rig, Path) or named.endswith(".toml") or "/" in named:
+        return config.load_experiment(named)
+    return presets.load(named)
+
+
+def _hand(operator: str | Operator | None, model: RigModel) -> Operator | None:
+    if operator is None:
+        return model.operator
+    if not isinstance(operator, str):
+        return operator
+    if operator == NO_OPERATOR:
+        return None
+    if operator not in GRIPS:
+        raise ConfigError(
+            f"there is no grip {operator!r}", remedy=f"choose one of: {', '.join((NO_OPERATOR, *GRIPS))}"
+        )
+    return GRIPS[operator]
+
+
+def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
+    if subject.experiment is not None:
+        experiment = subject.experiment
+        return (experiment if scheme is None else scheme.applied(experiment)).controller
+    if scheme is None:
+        raise ConfigError("a rig without an experiment has no scheme", remedy="give one, like dual:20k/2k")
+    if scheme.position_rate % scheme.velocity_rate:
+        raise ConfigError(
+            f"scheme {scheme.text}: {scheme.position_rate} Hz is no multiple of {scheme.velocity_rate} Hz",
+            remedy="choose rates that divide",
+        )
+    estimator = scheme.estimator or "fdm-butterworth"
+    return Controller(
+        position_rate=scheme.position_rate,
+        velocity_rate=scheme.velocity_rate,
+        estimator=estimator,
+        parameters={**usual_settings(estimator, scheme.velocity_rate), **scheme.parameters},
+        prediction=scheme.prediction or "hold",
+        slow_velocity_rate=scheme.slow_velocity_rate,
+        slow_below=scheme.slow_below or 0.0,
+    )
+
+
+def _check_fixed_rates(controller: Controller) -> None:
+    slow = controller.slow_velocity_rate
+    if controller.slow_below > 0.0 and slow is not None and slow != controller.velocity_rate:
+        raise NotLinearError(
+            f"a velocity rate of {slow} Hz below {controller.slow_below:g} rad/s or m/s is not linear",
+            reason=f"its velocity rate is {slow} Hz below {controller.slow_below:g} rad/s or m/s",
+            remedy=f"ask for both rates by themselves: {controller.velocity_rate} and {slow} Hz; or simulate",
+        )
+
+
+def _over_tick(continuous: StateSpace, tick_s: float) -> tuple[Matrix, Vector]:
+    """Zero-order hold of the command over a tick, exact."""
+    from scipy.linalg import expm  # noqa: PLC0415
+
+    order = continuous.order
+    whole = np.zeros((order + 1, order + 1))
+    whole[:order, :order], whole[:order, order] = continuous.a, continuous.b[:, 0]
+    if not math.isfinite(np.abs(whole).max()):
+        raise ConfigError("the rig's matrices are not finite", remedy="check inertias, lag and stiffness")
+    exact = expm(whole * tick_s)
+    phi, gamma = exact[:order, :order], exact[:order, order]
+    e = continuous.effort
+    if not continuous.a[e].any():  # no lag: the effort state stands alone and nothing reads it
+        phi[e, e] = 0.0
+    return np.ascontiguousarray(phi), np.ascontiguousarray(gamma)

@@ -1,0 +1,125 @@
+"""Linear theory of an experiment whose commands act so many ticks late, in every hand that may hold it.
+
+What theory knows of: the spring and damper of the built-in walls, estimators that are linear. For one that is not, the
+usual filtered difference at the same rates stands in, and everything computed with it says so: without damping an
+estimator plays no part at all, and with damping one that adapts has at best a little less lag than this filter, which
+was made for the same noise. Two velocity rates that take turns are looked at one by one. A law that is not a
+spring and damper is not computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, linear_loop
+from rig.analysis.theory.loop import NO_OPERATOR
+from rig.bench.doctor.round_trip import LinkMeasurement
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError
+from rig.core.model import Operator
+from rig.core.operators import GRIPS
+
+LARGEST_DELAY = 40  # ticks: whatever is later than that has lost its command's lifetime long before
+STAND_IN = "fdm-butterworth"
+SPRING_AND_DAMPER = ("spring-damper", "bilateral", "shaken")  # laws whose wall is K and B, excitation aside
+
+
+def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
+    """No hand, every preset of a hand, and the experiment's own if it is none of them."""
+    hands: dict[str, str | Operator] = {name: name for name in (NO_OPERATOR, *GRIPS)}
+    own = experiment.operator
+    if experiment.trial.kind == "human" and GRIPS.get(own.grip) != own:
+        hands["the experiment's own"] = own
+    return hands
+
+
+def late_by(experiment: Experiment, ticks: int) -> Experiment:
+    """Return the experiment on a rig whose commands act so many ticks late."""
+    simulation = replace(experiment.rig.simulation, computation_delay_ticks=ticks)
+    return replace(experiment, rig=replace(experiment.rig, simulation=simulation))
+
+
+def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
+    """Whole ticks from a sample to its effort: the link's, or none where the device itself runs the law."""
+    if experiment.controller.loop == "device":
+        return 0
+    return measurement.delay_ticks(rate, experiment.host.pacing)
+
+
+@dataclass(frozen=True)
+class LateLoops:
+    """The linear loops of one experiment at one delay: by hand, and by velocity rate where there are two.
+
+    Attributes
+    ----------
+    experiment
+        As it is, its rig late by the delay.
+    stand_in
+        Why the usual filter stands in for the estimator; empty if it does not.
+    """
+
+    experiment: Experiment
+    stand_in: str
+    _free: tuple[tuple[Scheme, LinearLoop], ...]  # in no hand, for each velocity rate
+
+    @classmethod
+    def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
+        """Find what is linear about an experiment.
+
+        Raises `ConfigError` for a law or a delay that theory does not speak of.
+        """
+        law = experiment.wall.law
+        if law not in SPRING_AND_DAMPER:
+            raise ConfigError(
+                f"the law {law} is no spring and damper",
+                remedy="nothing is computed for it: begin with little effort",
+            )
+        if delay_ticks > LARGEST_DELAY:
+            raise ConfigError(
+                f"a delay of {delay_ticks} ticks is beyond what is computed ({LARGEST_DELAY})",
+                remedy="choose a lower rate or a quicker link",
+            )
+        late = late_by(experiment, delay_ticks)
+        schemes, reason = _linear_schemes(late)
+        free = tuple((scheme, linear_loop(late, scheme, operator=NO_OPERATOR)) for scheme in schemes)
+        return cls(late, reason, free)
+
+    @cached_property
+    def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
+        """Loops for each hand, one for each velocity rate."""
+        return {
+            name: tuple(
+                Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
+                for scheme, free in self._free
+            )
+            for name, hand in hands_of(self.experiment).items()
+        }
+
+    def radius(self, stiffness: float, damping: float) -> dict[str, float]:
+        """Spectral radius for each hand, the larger of the rates: below 1 the wall is linearly stable."""
+        return {
+            name: max(float(loop.radius(stiffness, damping)) for loop in loops)
+            for name, loops in self.by_hand.items()
+        }
+
+
+def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
+    """Return the schemes to look at, and why the usual filter stands in for the estimator (empty: it does not)."""
+    own = replace(Scheme.of(experiment), slow_velocity_rate=None, slow_below=0.0)
+    slow = experiment.controller.slow_velocity_rate if experiment.controller.slow_below else None
+    rates = [own.velocity_rate] if slow in (None, own.velocity_rate) else [own.velocity_rate, slow]
+    # at the slow rate the same coefficients run more rarely: without settings a cut-off keeps its share of the rate
+    schemes = [own, *(replace(own, velocity_rate=rate, parameters={}) for rate in rates[1:])]
+    try:
+        linear_loop(experiment, own, operator=NO_OPERATOR)
+    except NotLinearError as error:
+        usual = [replace(scheme, estimator=STAND_IN, parameters=_cutoff_of(scheme)) for scheme in schemes]
+        return tuple(usual), f"{own.estimator} is not linear ({error.reason}): {STAND_IN} stands in for it"
+    return tuple(schemes), ""
+
+
+def _cutoff_of(scheme: Scheme) -> dict[str, float | str]:
+    return {key: value for key, value in scheme.parameters.items() if key == "cutoff_hz"}

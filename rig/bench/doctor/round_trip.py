@@ -1,0 +1,319 @@
+"""The round trip of a link, measured: how long a question and its answer take, how many are lost, what rate it carries.
+
+The device says how long it kept a question (two of the four stamps of a clock exchange). What is left of the round trip
+is the way there and back: what a sample and the command that answers it need in a loop, and what decides its delay. A
+simulated device answers at its next tick, so its round trip is about a tick and its way a fraction of one; a board
+answers at once, and the two are the same.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import messages
+from rig.bench.doctor.ping import EXCHANGE, RECEIVE_BYTES, TALLY, VALUES, ping
+from rig.bench.doctor.quantiles import Distribution, values_needed
+from rig.core.errors import LinkLostError
+from rig.devices.framed import FramedDevice
+from rig.realtime import codec
+from rig.realtime.codec import HEAD, TIME
+
+if TYPE_CHECKING:
+    from rig.realtime.scheduling import Realtime
+
+ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
+TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trial`)
+SLICE_S = 0.05  # the compiled function comes back this often, to be stopped
+POLL_S = 0.05
+WARM_UP = 8  # first exchanges, which touch memory and code for the first time and are not counted
+LARGEST_TABLE = 200_000
+FASTEST_HZ = 50_000.0  # of questions, when no rate is asked: nothing on a wire is faster
+HONEST = (
+    1.01  # a device cannot keep a question longer than the whole trip, but for its clock's drift and steps
+)
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkMeasurement:
+    """What was measured of one link.
+
+    Attributes
+    ----------
+    url, virtual, simulated
+        The device, whether its time is virtual, whether it says that it is simulated.
+    duration_s
+        Length of the measurement (s, the link's clock).
+    asked_rate_hz
+        Questions a second that were allowed at most; None for as fast as answers come.
+    sent, lost, late, unsent, bad_frames
+        Questions; those without an answer in `TIMEOUT_S`; answers after that; those that the line did not take; frames
+        that were broken.
+    round_trip
+        From the question to its answer (s).
+    travel
+        The same without the time that the device kept the question (s): there and back.
+    stamps_trusted
+        Whether the device's stamps make sense; if not, `travel` is the whole round trip.
+    bytes_to_device, bytes_to_host
+        Bytes a second that moved, frames sent unasked included.
+    capacity
+        Bytes a second that the link can carry each way, or None.
+    states
+        STATE frames that came meanwhile.
+    exchanges
+        The four stamps of each answered question (ns; host, device, device, host).
+    """
+
+    url: str
+    virtual: bool
+    simulated: bool
+    duration_s: float
+    asked_rate_hz: float | None
+    sent: int
+    lost: int
+    late: int
+    unsent: int
+    bad_frames: int
+    round_trip: Distribution
+    travel: Distribution
+    stamps_trusted: bool
+    bytes_to_device: float
+    bytes_to_host: float
+    capacity: float | None
+    states: int
+    exchanges: NDArray[np.int64]
+
+    @property
+    def loss_share(self) -> float:
+        """Share of the questions that got no answer in time."""
+        return self.lost / self.sent
+
+    @property
+    def loop_rate_hz(self) -> float:
+        """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time."""
+        return 1.0 / self.travel.almost_all if self.travel.almost_all > 0.0 else math.inf
+
+    def delay_ticks(self, rate: float, pacing: str = "device") -> int:
+        """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases: one at least in real time.
+
+        A command that arrives in the course of a tick is in force from the next one on, hence whole ticks. A loop that
+        the host paces lets a sample wait for its own tick, one more at most.
+        """
+        if self.virtual:
+            return 0
+        return max(1, math.ceil(self.travel.almost_all * rate)) + (1 if pacing == "host" else 0)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON; without the single exchanges."""
+        return {
+            "url": self.url,
+            "virtual": self.virtual,
+            "simulated": self.simulated,
+            "duration_s": self.duration_s,
+            "asked_rate_hz": self.asked_rate_hz,
+            "sent": self.sent,
+            "lost": self.lost,
+            "late": self.late,
+            "unsent": self.unsent,
+            "bad_frames": self.bad_frames,
+            "loss_share": self.loss_share,
+            "round_trip_s": self.round_trip.as_mapping(),
+            "travel_s": self.travel.as_mapping(),
+            "stamps_trusted": self.stamps_trusted,
+            "loop_rate_hz": self.loop_rate_hz if math.isfinite(self.loop_rate_hz) else None,
+            "bytes_to_device_per_s": self.bytes_to_device,
+            "bytes_to_host_per_s": self.bytes_to_host,
+            "capacity_bytes_per_s": self.capacity,
+            "states": self.states,
+        }
+
+
+def measure_link(
+    device: FramedDevice,
+    seconds: float = 2.0,
+    rate: float | None = None,
+    *,
+    realtime: Realtime | None = None,
+    progress: Progress | None = None,
+) -> LinkMeasurement:
+    """Exchange clock stamps with an open device that is not in a run.
+
+    Parameters
+    ----------
+    device
+        Open device; nothing else may use it meanwhile.
+    seconds
+        How long (the link's clock).
+    rate
+        Questions a second at most (Hz); None asks again as soon as the answer is there.
+    realtime
+        Scheduling for the thread that asks, as the loop would have it (`rig.realtime.scheduling.obtained`).
+    progress
+        Told the share that is done, 0 … 1, some times a second.
+
+    Raises
+    ------
+    LinkLostError
+        Nobody answers, or the link is gone.
+    """
+    dictionary = device.dictionary  # a device that has just started answers IDENTIFY only
+    run = _Run(device, seconds, rate)
+    run.warm_up()
+    run.perform(realtime, progress)
+    return run.measured(dictionary.simulated, dictionary.time_unit_ns)
+
+
+class _Run:
+    """Buffers, the thread, and what came of it."""
+
+    def __init__(self, device: FramedDevice, seconds: float, rate: float | None) -> None:
+        self._device = device
+        self._port = device.link.port()
+        self._clock = device.link.clock
+        self._duration_ns = round(seconds * 1e9)
+        self._rate = rate
+        self._period_ns = round(1e9 / (FASTEST_HZ if rate is None else min(rate, FASTEST_HZ)))
+        rows = min(LARGEST_TABLE, self._duration_ns // self._period_ns + 1)
+        self._exchanges = np.zeros((max(1, rows), len(EXCHANGE)), np.int64)
+        self._tally = np.zeros(len(TALLY), np.int64)
+        self._tally[TALLY.session] = device.connection.session
+        self._tally[TALLY.state_sequence] = -1
+        self._buffers = (
+            np.zeros(RECEIVE_BYTES, np.uint8),
+            np.zeros(codec.RAW_BYTES, np.uint8),
+            np.zeros(codec.FRAME_BYTES, np.uint8),
+            np.zeros(len(HEAD), np.int64),
+            np.zeros(VALUES, np.int64),
+            np.zeros(len(TIME), np.int64),
+        )
+        self._begun_ns = self._ended_ns = 0
+        self._stop = threading.Event()
+        self._done = threading.Event()
+        self._error: BaseException | None = None
+
+    def warm_up(self) -> None:
+        """Some exchanges that do not count."""
+        few = np.zeros((WARM_UP, len(EXCHANGE)), np.int64)
+        self._ping(few, self._clock.now_ns() + round(4 * TIMEOUT_S * 1e9))
+        kept = (
+            TALLY.filled,
+            TALLY.session,
+            TALLY.sequence,
+            TALLY.nonce,
+            TALLY.last_sent,
+            TALLY.state_sequence,
+        )
+        for place in set(TALLY) - set(kept):
+            self._tally[place] = 0
+
+    def perform(self, realtime: Realtime | None, progress: Progress | None) -> None:
+        """Run in a thread of its own, as the loop does, and wait for it; then give the link back to Python."""
+        thread = threading.Thread(target=self._body, args=(realtime,), name="rig-ping", daemon=True)
+        self._begun_ns = self._clock.now_ns()
+        thread.start()
+        try:
+            while not self._done.wait(POLL_S):
+                if progress is not None:
+                    progress(min(1.0, (self._clock.now_ns() - self._begun_ns) / self._duration_ns))
+        finally:
+            self._stop.set()
+            self._done.wait()  # a slice and a time-out at most
+            thread.join()
+            self._give_back()
+        if self._error is not None:
+            raise self._error
+        if progress is not None:
+            progress(1.0)
+
+    def _body(self, realtime: Realtime | None) -> None:
+        try:
+            signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+            if realtime is not None:
+                realtime.prefault(self._exchanges)
+                realtime.enter_thread()
+            end_ns = self._begun_ns + self._duration_ns
+            while not self._stop.is_set():
+                now_ns = self._clock.now_ns()
+                if now_ns >= end_ns or self._tally[TALLY.answered] >= len(self._exchanges):
+                    break
+                self._ping(self._exchanges, min(end_ns, now_ns + round(SLICE_S * 1e9)))
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ended_ns = self._clock.now_ns()
+            self._done.set()
+
+    def _ping(self, exchanges: NDArray[np.int64], until_ns: int) -> None:
+        port = self._port
+        arguments: tuple[Any, ...] = (
+            *(port.read, port.write, port.wait, port.now, port.handle, port.clock_handle),
+            *(until_ns, self._period_ns, round(TIMEOUT_S * 1e9), exchanges, self._tally, *self._buffers),
+        )
+        result = ping(*arguments)
+        if result < 0:
+            failure = self._device.link.failure()
+            raise LinkLostError(
+                f"{self._device.link.url.text} is gone ({os.strerror(-result)})",
+                remedy="check cable and power, then start again",
+                statistics=self._device.connection.statistics,
+            ) from failure
+
+    def _give_back(self) -> None:
+        """Tell the connection where the stream of STATE stands, so that what passed here counts as no loss."""
+        connection, newest = self._device.connection, int(self._tally[TALLY.state_sequence])
+        if newest >= 0:
+            self._device.take_back(
+                next_command=connection.sequence_to_send(messages.Command),
+                newest_state=newest,
+                state=int(connection.state),
+                nonce=self._device.nonce,
+            )
+
+    def measured(self, simulated: bool, time_unit_ns: float) -> LinkMeasurement:
+        """Make numbers of the exchanges."""
+        tally = dict(zip(TALLY._fields, self._tally.tolist(), strict=True))
+        if not tally["answered"]:
+            raise LinkLostError(
+                f"the device at {self._device.link.url.text} does not answer GetTime in {TIMEOUT_S * 1e3:g} ms",
+                remedy="check cable and power, and that the right firmware runs there",
+                statistics=self._device.connection.statistics,
+            )
+        exchanges = self._exchanges[: tally["answered"]].copy()
+        on_device = (EXCHANGE.device_received, EXCHANGE.device_sent)
+        exchanges[:, on_device] = np.rint(exchanges[:, on_device] * time_unit_ns).astype(np.int64)
+        whole_ns = exchanges[:, EXCHANGE.host_received] - exchanges[:, EXCHANGE.host_sent]
+        kept_ns = exchanges[:, EXCHANGE.device_sent] - exchanges[:, EXCHANGE.device_received]
+        trusted = bool((kept_ns >= 0).all() and (kept_ns <= HONEST * whole_ns + 2.0 * time_unit_ns).all())
+        travel_ns = np.maximum(whole_ns - kept_ns, 0) if trusted else whole_ns
+        duration_s = max(1, self._ended_ns - self._begun_ns) * 1e-9
+        return LinkMeasurement(
+            url=self._device.link.url.text,
+            virtual=self._clock.virtual,
+            simulated=simulated,
+            duration_s=duration_s,
+            asked_rate_hz=self._rate,
+            sent=tally["sent"],
+            lost=tally["lost"],
+            late=tally["late"],
+            unsent=tally["unsent"],
+            bad_frames=tally["bad_frames"],
+            round_trip=Distribution.of(whole_ns * 1e-9),
+            travel=Distribution.of(travel_ns * 1e-9),
+            stamps_trusted=trusted,
+            bytes_to_device=tally["bytes_out"] / duration_s,
+            bytes_to_host=tally["bytes_in"] / duration_s,
+            capacity=self._device.link.bytes_per_second,
+            states=tally["states"],
+            exchanges=exchanges,
+        )

@@ -1,0 +1,48 @@
+"""The udev rules that rigs want, as text; nobody installs them but the person who asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rig.realtime.scheduling.refusals import GROUP, RULES_COMMAND, RULES_FILE
+
+RIGS = ((0x2E8A, 0x000A),)  # Raspberry Pi Pico with the firmware of this project
+
+_HEAD = f"""\
+# haptic-rig: what the kernel's device manager should know about rigs.
+#     {RULES_COMMAND}
+# The name {RULES_FILE} matters: after 60 (names), before 73 (access of who sits here).
+
+"""
+_RIG = """\
+# Rig {vendor}:{product}: not a modem; yours when you sit here or are in dialout; named after its serial number.
+SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{vendor}", ATTR{{idProduct}}=="{product}", \
+ENV{{ID_MM_DEVICE_IGNORE}}="1", GROUP="dialout", MODE="0660", TAG+="uaccess"
+SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", \
+ENV{{ID_MM_DEVICE_IGNORE}}="1", ENV{{ID_MM_PORT_IGNORE}}="1", GROUP="dialout", MODE="0660", TAG+="uaccess"
+SUBSYSTEM=="tty", ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", ENV{{ID_SERIAL_SHORT}}=="?*", \
+SYMLINK+="haptic-rig-$env{{ID_SERIAL_SHORT}}"
+
+"""
+_TAIL = f"""\
+# FTDI adapters, all of them: hand bytes over after 1 ms, not after 16.
+ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{{latency_timer}}="1"
+
+# Real-time programs may keep processors from deep sleep while they run.
+KERNEL=="cpu_dma_latency", GROUP="{GROUP}", MODE="0660", TAG+="uaccess"
+"""
+
+
+def udev_rules(rigs: Iterable[tuple[int, int]] = RIGS) -> str:
+    """Return the rules for these rigs.
+
+    Parameters
+    ----------
+    rigs
+        USB vendor and product number of each kind of rig.
+    """
+    parts = [
+        _RIG.format(vendor=f"{vendor:04x}", product=f"{product:04x}")
+        for vendor, product in dict.fromkeys(rigs)
+    ]
+    return _HEAD + "".join(parts) + _TAIL

@@ -1,0 +1,220 @@
+"""What a board is to the compiler and to whoever wires it, read from the ``board.toml`` beside its port.
+
+A port is a directory of `firmware_protocol/firmware/boards`: C files, a linker script and this file. A new board needs
+no line of Python.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os.path import normpath
+from pathlib import Path
+from typing import Any
+
+import firmware_protocol
+from rig.core.errors import ConfigError
+
+FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
+BOARDS = FIRMWARE / "boards"
+
+SettingValue = int | float | str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """A pin, a scale or a choice of a board, which the C sources see as ``BOARD_NAME``.
+
+    A whole default asks for a whole number, a default with a point for any number, a text for one of `choices`. With
+    `pins` it is the first of so many pins, which nothing else may use.
+    """
+
+    name: str
+    default: SettingValue
+    meaning: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    pins: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Memory:
+    """A stretch of memory that an image may fill."""
+
+    origin: int
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """One board.
+
+    Attributes
+    ----------
+    name
+        As on the command line; a board with several processors is ``directory-processor``.
+    directory
+        Of its port.
+    description
+        In a few words.
+    processor, compile, link
+        Flags for the compiler; for the linker.
+    linker_script
+        Beside the sources.
+    applications
+        Name of a program → the source files that only it has. ``device`` is the firmware.
+    rate_maximum
+        Most ticks a second (Hz).
+    law_maximum
+        Laws that it can run itself (parameter ``law``).
+    excitation_ticks
+        Room for one period of an excitation.
+    flash, ram
+        What there is room in.
+    uf2_family
+        Of its boot ROM; None when it takes no UF2.
+    drive
+        Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
+    settings
+        By name.
+    reserved_pins
+        Pin → what the port uses it for, whatever the settings are.
+    """
+
+    name: str
+    directory: Path
+    description: str
+    processor: tuple[str, ...]
+    compile: tuple[str, ...]
+    link: tuple[str, ...]
+    linker_script: str
+    applications: Mapping[str, tuple[str, ...]]
+    rate_maximum: int
+    law_maximum: int
+    excitation_ticks: int
+    flash: Memory
+    ram: Memory
+    uf2_family: int | None
+    drive: str
+    settings: Mapping[str, Setting]
+    reserved_pins: Mapping[int, str]
+
+    def sources(self, application: str) -> tuple[Path, ...]:
+        """C and assembler files of one of its programs: those of the port by name, then the program's own."""
+        special = {name for names in self.applications.values() for name in names}
+        found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
+        own = (Path(normpath(self.directory / name)) for name in self.applications[application])
+        return (*(path for path in found if path.name not in special), *own)
+
+
+def names() -> list[str]:
+    """Every board that has a port; of one with several processors the plain name, then each."""
+    found = []
+    for path in sorted(BOARDS.glob("*/board.toml")):
+        found.append(path.parent.name)
+        processors = _content(path).get("processors", {})
+        if len(processors) > 1:
+            found += [f"{path.parent.name}-{processor}" for processor in processors]
+    return found
+
+
+def load(name: str) -> Board:
+    """Return a board; `ConfigError` naming those that there are when it is none of them."""
+    directory, _, processor = name.partition("-")
+    path = BOARDS / directory / "board.toml"
+    if name not in names():
+        raise ConfigError(f"there is no board {name!r}", remedy=f"name one of: {', '.join(names())}")
+    content = _content(path)
+    processors = content["processors"]
+    return Board(
+        name=name,
+        directory=path.parent,
+        description=content["description"],
+        processor=tuple(processors[processor or next(iter(processors))]),
+        compile=tuple(content.get("compile", ("-O2",))),
+        link=tuple(content.get("link", ())),
+        linker_script=content["linker_script"],
+        applications={
+            key: tuple(files) for key, files in content.get("applications", {"device": ()}).items()
+        },
+        rate_maximum=content["rate_maximum"],
+        law_maximum=content["law_maximum"],
+        excitation_ticks=content["excitation_ticks"],
+        flash=Memory(**content["flash"]),
+        ram=Memory(**content["ram"]),
+        uf2_family=content.get("uf2_family"),
+        drive=content.get("drive", ""),
+        settings={key: _setting(key, entry) for key, entry in content.get("settings", {}).items()},
+        reserved_pins={int(pin): use for pin, use in content.get("reserved_pins", {}).items()},
+    )
+
+
+def _content(path: Path) -> dict[str, Any]:
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def _setting(name: str, entry: dict[str, Any]) -> Setting:
+    return Setting(name=name, **{**entry, "choices": tuple(entry.get("choices", ()))})
+
+
+def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:
+    """Return all settings of a board, defaults where nothing was chosen.
+
+    Raises
+    ------
+    ConfigError
+        A setting that the board does not have, or a value that it cannot have.
+    """
+    for name in chosen:
+        if name not in board.settings:
+            known = ", ".join(board.settings) or "none"
+            raise ConfigError(f"board {board.name} has no setting {name!r}", remedy=f"its settings: {known}")
+    values = {
+        name: _checked(board, setting, chosen.get(name, setting.default))
+        for name, setting in board.settings.items()
+    }
+    _check_pins(board, values)
+    return values
+
+
+def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
+    """Refuse two uses of one pin."""
+    used = dict(board.reserved_pins)
+    for name, setting in board.settings.items():
+        for pin in range(int(values[name]), int(values[name]) + setting.pins) if setting.pins else ():
+            if pin in used:
+                raise ConfigError(
+                    f"{used[pin]} and {name} of board {board.name} both use pin {pin}",
+                    remedy=f"choose another pin for one of them: {name} takes {setting.pins} in a row",
+                )
+            used[pin] = name
+
+
+def _checked(board: Board, setting: Setting, value: Any) -> SettingValue:
+    wanted = type(setting.default)
+    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    low, high = setting.minimum, setting.maximum
+    good = type(value) is wanted
+    if good and isinstance(value, str):
+        good = value in setting.choices
+    elif good:
+        good = (low is None or value >= low) and (high is None or value <= high)
+    if not good:
+        raise ConfigError(
+            f"{setting.name} = {value!r} of board {board.name}: {setting.meaning}",
+            remedy=f"give {_allowed(setting)}",
+        )
+    return value  # type: ignore[no-any-return]
+
+
+def _allowed(setting: Setting) -> str:
+    if setting.choices:
+        return " or ".join(setting.choices)
+    kind = "a whole number" if isinstance(setting.default, int) else "a number"
+    bounds = "" if setting.minimum is None else f" from {setting.minimum:g}"
+    bounds += "" if setting.maximum is None else f" to {setting.maximum:g}"
+    return f"{kind}{bounds}{' ' if setting.unit else ''}{setting.unit}"

@@ -1,0 +1,311 @@
+"""Build the firmware of a board for one rig: sources and a generated constant in, files that can be flashed out.
+
+The same inputs give the same bytes: no time, no path and no name of a computer gets into them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from rig.bench.firmware.board_config import BoardConfig, configure
+from rig.bench.firmware.boards import FIRMWARE, Board, load, settings_of
+from rig.bench.firmware.elf import Segment, flat, read_segments
+from rig.bench.firmware.toolchain import Compiler, find_compiler
+from rig.bench.firmware.uf2 import write_uf2
+from rig.core.errors import ConfigError, RecordingError, ToolchainError
+from rig.core.model import RigModel
+
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
+# Floats must round as on the host: no contraction, no reassociation.
+CODE = (
+    "-mthumb",
+    "-g",
+    "-gno-record-gcc-switches",
+    "-ffp-contract=off",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-fno-math-errno",
+    "-fno-common",
+)
+LINK = (
+    "-nostartfiles",
+    "--specs=nosys.specs",
+    "-Wl,--gc-sections",
+    "-Wl,--fatal-warnings",
+    "-Wl,-u,image_record",
+)
+SHARED = ("core", "law")  # directories whose C files belong to every image
+DEVICE = "device"  # the program that is the firmware
+
+Told = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildRequest:
+    """What to build.
+
+    Attributes
+    ----------
+    model
+        The rig: an image belongs to one.
+    board
+        Name of the board (`rig.bench.firmware.boards.names`).
+    output
+        Directory for the files.
+    settings
+        Pins and scales that are not the board's defaults.
+    application
+        Which of the board's programs.
+    """
+
+    model: RigModel
+    board: str
+    output: Path
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    application: str = DEVICE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildResult:
+    """What was built.
+
+    Attributes
+    ----------
+    elf, bin, uf2, facts
+        The files: for a debugger, as plain bytes, for the boot ROM's drive (None: the board takes none), and all of
+        this as JSON.
+    firmware
+        Version, as the device will say it.
+    dictionary_hash
+        As in IDENTITY and ARM.
+    flash_bytes, ram_bytes
+        What the program takes of the board's memory, its stack's reserve as the linker script has it.
+    flash_room, ram_room
+        What there is.
+    """
+
+    board: str
+    rig: str
+    application: str
+    firmware: str
+    protocol: str
+    dictionary_hash: str
+    compiler: str
+    settings: dict[str, int | float | str]
+    elf: Path
+    bin: Path
+    uf2: Path | None
+    facts: Path
+    flash_bytes: int
+    flash_room: int
+    ram_bytes: int
+    ram_room: int
+    sha256: str
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return {
+            name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()
+        }
+
+
+def build(request: BuildRequest, told: Told = lambda _what, _share: None) -> BuildResult:
+    """Build an image.
+
+    Parameters
+    ----------
+    request
+        What to build.
+    told
+        Called with what is being done and the share of the work that is done.
+
+    Raises
+    ------
+    ConfigError
+        No such board, or a setting that it does not have.
+    ToolchainError
+        No compiler, or it refuses the sources, or the image is too large.
+    RecordingError
+        The files cannot be written.
+    """
+    board = load(request.board)
+    if request.application not in board.applications:
+        raise ConfigError(
+            f"board {board.name} has no program {request.application!r}",
+            remedy=f"its programs: {', '.join(board.applications)}",
+        )
+    _make_directory(request.output)
+    compiler = find_compiler()
+    settings = settings_of(board, request.settings)
+    sources = (*shared_sources(), *board.sources(request.application))
+    config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
+    with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
+        content = _compiled(compiler, board, sources, config, Path(scratch), told)
+    segments = read_segments(content, "the new program")
+    return _written(request, board, compiler, config, content, segments)
+
+
+def shared_sources() -> tuple[Path, ...]:
+    """C files that every image has."""
+    return tuple(path for part in SHARED for path in sorted((FIRMWARE / part).glob("*.c")))
+
+
+def sources_hash(board: Board) -> str:
+    """Fingerprint of everything that is compiled for a board, but for the rig: 12 hexadecimal digits."""
+    digest = hashlib.sha256()
+    directories = [*(FIRMWARE / part for part in SHARED), board.directory]
+    for path in sorted(path for directory in directories for path in directory.iterdir() if path.is_file()):
+        name = path.relative_to(FIRMWARE).as_posix()
+        digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:12]
+
+
+def package_version() -> str:
+    """Version of this package."""
+    try:
+        return version("haptic-rig")
+    except PackageNotFoundError:
+        return "0"  # a tree that was never installed
+
+
+def _compiled(
+    compiler: Compiler,
+    board: Board,
+    sources: tuple[Path, ...],
+    config: BoardConfig,
+    scratch: Path,
+    told: Told,
+) -> bytes:
+    """Return the program. Everything is named relative to the scratch directory, so that no path gets into it."""
+    tree = scratch / "firmware"
+    tree.symlink_to(FIRMWARE, target_is_directory=True) if os.name == "posix" else _copied(FIRMWARE, tree)
+    (scratch / "board_config.h").write_text(config.header, encoding="utf-8")
+    (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
+    names = [f"firmware/{path.relative_to(FIRMWARE).as_posix()}" for path in sources] + ["board_config.c"]
+    here = f"firmware/{board.directory.relative_to(FIRMWARE).as_posix()}"
+    include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), f"-I{here}"]
+    nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."  # the debugger's own notes have paths, too
+    common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
+    objects = [f"{number}.o" for number in range(len(names))]
+
+    def compile_one(number: int) -> None:
+        compiler.run([*common, "-c", names[number], "-o", objects[number]], scratch)
+        done.append(number)
+        told("compiling", len(done) / (len(names) + 1))
+
+    done: list[int] = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for _ in pool.map(compile_one, range(len(names))):
+            pass
+    told("linking", len(names) / (len(names) + 1))
+    script = ["-T", f"{here}/{board.linker_script}"]
+    flags = [*board.processor, "-mthumb", *board.compile, *LINK, f"-L{here}", *board.link]
+    compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
+    told("linking", 1.0)
+    return (scratch / "program.elf").read_bytes()
+
+
+def _copied(source: Path, target: Path) -> None:
+    import shutil  # noqa: PLC0415  (where links need a right of their own)
+
+    shutil.copytree(source, target)
+
+
+def _written(
+    request: BuildRequest,
+    board: Board,
+    compiler: Compiler,
+    config: BoardConfig,
+    content: bytes,
+    segments: tuple[Segment, ...],
+) -> BuildResult:
+    flash_bytes, ram_bytes = _sizes(board, segments)
+    pieces = tuple(segment.load for segment in segments if segment.load.data)
+    image = flat(pieces)
+    suffix = "" if request.application == DEVICE else f"-{request.application}"
+    stem = request.output / f"haptic-rig-{board.name}-{_file_name(request.model.name)}{suffix}"
+    paths = {kind: stem.with_name(f"{stem.name}.{kind}") for kind in ("elf", "bin", "uf2", "json")}
+    dictionary = config.record.dictionary
+    result = BuildResult(
+        board=board.name,
+        rig=request.model.name,
+        application=request.application,
+        firmware=dictionary.firmware,
+        protocol=f"{dictionary.major}.{dictionary.minor}",
+        dictionary_hash=f"{config.record.dictionary_hash:016x}",
+        compiler=compiler.version,
+        settings=config.record.facts.settings,
+        elf=paths["elf"],
+        bin=paths["bin"],
+        uf2=None if board.uf2_family is None else paths["uf2"],
+        facts=paths["json"],
+        flash_bytes=flash_bytes,
+        flash_room=board.flash.bytes,
+        ram_bytes=ram_bytes,
+        ram_room=board.ram.bytes,
+        sha256=hashlib.sha256(image).hexdigest(),
+    )
+    said = {
+        name: value
+        for name, value in result.as_mapping().items()
+        if name not in ("elf", "bin", "uf2", "facts")
+    }
+    try:
+        paths["elf"].write_bytes(content)
+        paths["bin"].write_bytes(image)
+        if board.uf2_family is not None:
+            paths["uf2"].write_bytes(write_uf2(pieces, board.uf2_family))
+        paths["json"].write_text(json.dumps(said, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise _not_written(request.output, error) from None
+    return result
+
+
+def _make_directory(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _not_written(directory, error) from None
+
+
+def _not_written(directory: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        f"the image cannot be written to {directory}: {error.strerror or error}",
+        remedy="name another directory with --output",
+    )
+
+
+def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
+    """Bytes of flash and of RAM that a program takes; raises `ToolchainError` when it leaves them."""
+    flash, ram = board.flash, board.ram
+    for segment in segments:
+        inside = any(
+            memory.origin <= at and at + size <= memory.origin + memory.bytes
+            for memory, at, size in (
+                (flash, segment.load.address, len(segment.load.data)),
+                (ram, segment.load.address, len(segment.load.data)),
+            )
+        )
+        if segment.load.data and not inside:
+            raise ToolchainError(
+                f"the program has bytes at {segment.load.address:#x}, where board {board.name} has no memory",
+                remedy="report it: linker script and board.toml do not agree",
+            )
+    stored = [s for s in segments if flash.origin <= s.load.address < flash.origin + flash.bytes]
+    flash_bytes = max((s.load.address + len(s.load.data) - flash.origin for s in stored), default=0)
+    held = [s for s in segments if ram.origin <= s.address < ram.origin + ram.bytes]
+    ram_bytes = sum(s.memory_bytes for s in held)
+    return flash_bytes, ram_bytes
+
+
+def _file_name(rig: str) -> str:
+    return "".join(character if character.isalnum() or character in "-_" else "-" for character in rig)

@@ -1,0 +1,60 @@
+"""As much of ELF as it takes to flash a program: which bytes go where, and how much memory it takes.
+
+32-bit little-endian files of a linker, by their program headers (System V ABI, chapters 4 and 5).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from rig.bench.firmware.uf2 import Piece
+from rig.core.errors import ConfigError
+
+MAGIC = b"\x7fELF\x01\x01"  # 32 bits, little-endian
+_LOAD = 1  # type of a segment that is put into memory
+_HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
+_SEGMENT = struct.Struct("<8I")
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Bytes of the file at their load address, and where and how long they stand in memory when the program runs."""
+
+    load: Piece
+    address: int
+    memory_bytes: int
+
+
+def is_elf(content: bytes) -> bool:
+    """Whether a file begins as a 32-bit ELF does."""
+    return content.startswith(MAGIC)
+
+
+def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
+    """Return what the program in a file of that name consists of, by load address; `ConfigError` when it is damaged."""
+    try:
+        header = _HEADER.unpack_from(content)
+        at, size, count = header[5], header[9], header[10]
+        segments = [_SEGMENT.unpack_from(content, at + number * size) for number in range(count)]
+    except struct.error as error:
+        raise ConfigError(f"{name} is a damaged program: {error}", remedy="build it again") from None
+    found = []
+    for kind, offset, address, load, file_bytes, memory_bytes, *_ in segments:
+        data = content[offset : offset + file_bytes]
+        if len(data) != file_bytes:
+            raise ConfigError(f"{name} is a damaged program: it ends early", remedy="build it again")
+        if kind == _LOAD and memory_bytes:
+            found.append(Segment(Piece(load, data), address, memory_bytes))
+    return tuple(sorted(found, key=lambda segment: segment.load.address))
+
+
+def flat(pieces: tuple[Piece, ...]) -> bytes:
+    """Return the bytes from the first address to the last; what lies between pieces is 0xFF, as erased flash is."""
+    if not pieces:
+        return b""
+    first = min(piece.address for piece in pieces)
+    image = bytearray(b"\xff" * (max(piece.address + len(piece.data) for piece in pieces) - first))
+    for piece in pieces:
+        image[piece.address - first : piece.address - first + len(piece.data)] = piece.data
+    return bytes(image)

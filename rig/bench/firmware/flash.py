@@ -1,0 +1,240 @@
+"""Put an image onto a board whose boot ROM shows itself as a drive.
+
+The board's BOOTSEL button, held while it is plugged in, makes the boot ROM show a small drive with a file INFO_UF2.TXT.
+A UF2 that is copied there is written into the flash, and the board starts it and takes the drive away.
+"""
+
+from __future__ import annotations
+
+import os
+import string
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.bench.firmware import boards
+from rig.bench.firmware.elf import flat
+from rig.bench.firmware.record import Record, find
+from rig.bench.firmware.uf2 import FAMILIES, RP2040, is_uf2, read_uf2
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+
+INFO_FILE = "INFO_UF2.TXT"
+# Board-ID of a boot ROM → families that it takes. RP2040 data sheet, section 2.8.4.1.
+FAMILY_OF_DRIVE = {"RPI-RP2": RP2040, "RP2350": 0xE48BFF59}
+VANISH_S = 20.0  # from the last byte to the drive's end; a Pico takes less than one
+_LOOK_S = 0.05
+_CHUNK = 64 * 1024
+HOLD = "hold BOOTSEL while the board is plugged in, wait for its drive to appear, and start the command again"
+
+Told = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """A boot ROM that shows itself as a drive."""
+
+    path: Path
+    board_id: str
+    model: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlashResult:
+    """What was flashed where."""
+
+    image: Path
+    drive: Path
+    board_id: str
+    board: str
+    rig: str
+    firmware: str
+    bytes: int
+
+
+def flash(image: Path, drive: Path | None = None, told: Told = lambda _what, _share: None) -> FlashResult:
+    """Copy an image to a board's drive, and wait until the board has taken it and started it.
+
+    Parameters
+    ----------
+    image
+        A UF2 of `rig.bench.firmware.build`.
+    drive
+        Where the boot ROM's drive is; None finds it.
+    told
+        Called with what is being done and the share of it that is done.
+
+    Raises
+    ------
+    ConfigError
+        The image is none, or for another processor or board.
+    DeviceNotFoundError
+        No board shows its drive, or several do.
+    LinkLostError
+        The board did not take the image.
+    """
+    content, record = read_image(image)
+    target = _only(find_drives()) if drive is None else drive_at(drive)
+    _check_family(image, content, target)
+    _check_board(image, record, target)
+    _copy(content, target, image.name, told)
+    _wait_until_gone(target, told)
+    return FlashResult(
+        image=image,
+        drive=target.path,
+        board_id=target.board_id,
+        board=record.facts.board,
+        rig=record.facts.rig,
+        firmware=record.dictionary.firmware,
+        bytes=len(content),
+    )
+
+
+def read_image(path: Path) -> tuple[bytes, Record]:
+    """Return a file and the record in it, whatever its format; raises `ConfigError`."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{path} cannot be read: {error.strerror or error}",
+            remedy="name an image: rig firmware build makes one",
+        ) from None
+    plain = flat(read_uf2(content, str(path)).pieces) if is_uf2(content) else content
+    return content, find(plain, str(path))
+
+
+def find_drives() -> list[Drive]:
+    """Return every drive of a boot ROM that is mounted here."""
+    found = []
+    for path in _mounted():
+        drive = _drive(path)
+        if drive is not None:
+            found.append(drive)
+    return found
+
+
+def drive_at(path: Path) -> Drive:
+    """Return the drive at a path; raises `DeviceNotFoundError` when no boot ROM shows itself there."""
+    drive = _drive(path)
+    if drive is None:
+        raise DeviceNotFoundError(f"{path} is no drive of a boot ROM: it has no {INFO_FILE}", remedy=HOLD)
+    return drive
+
+
+def _mounted() -> list[Path]:
+    """Places where systems mount such a drive."""
+    if sys.platform == "win32":
+        return [Path(f"{letter}:\\") for letter in string.ascii_uppercase]
+    parents = ["/Volumes"] if sys.platform == "darwin" else ["/media", "/media/*", "/run/media/*", "/mnt"]
+    root = Path("/")
+    return sorted({path for parent in parents for path in root.glob(f"{parent.lstrip('/')}/*")})
+
+
+def _drive(path: Path) -> Drive | None:
+    try:
+        text = (path / INFO_FILE).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    said = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+    return Drive(path=path, board_id=said.get("Board-ID", "").strip(), model=said.get("Model", "").strip())
+
+
+def _only(drives: list[Drive]) -> Drive:
+    if len(drives) == 1:
+        return drives[0]
+    if drives:
+        listed = ", ".join(str(drive.path) for drive in drives)
+        raise DeviceNotFoundError(
+            f"several boards show their drives: {listed}", remedy="name one of them with --drive"
+        )
+    unmounted = _unmounted()
+    if unmounted:
+        raise DeviceNotFoundError(
+            f"a board shows its drive, but it is not mounted: {unmounted}",
+            remedy=f"mount it: udisksctl mount -b {unmounted}",
+        )
+    raise DeviceNotFoundError("no board shows its drive", remedy=HOLD)
+
+
+def _unmounted() -> Path | None:
+    """Return a boot ROM's drive that the system sees and has not mounted."""
+    labels = Path("/dev/disk/by-label")
+    return next((labels / name for name in FAMILY_OF_DRIVE if (labels / name).exists()), None)
+
+
+def _check_family(image: Path, content: bytes, drive: Drive) -> None:
+    if not is_uf2(content):
+        raise ConfigError(
+            f"{image} is no UF2 file", remedy="flash the .uf2 that rig firmware build made beside it"
+        )
+    family = read_uf2(content, str(image)).family
+    wanted = FAMILY_OF_DRIVE.get(drive.board_id)
+    if wanted is None:
+        raise DeviceNotFoundError(
+            f"the drive at {drive.path} is of a board that is not known: {drive.board_id or 'it says no Board-ID'}",
+            remedy=f"known boards: {', '.join(FAMILY_OF_DRIVE)}",
+        )
+    if family != wanted:
+        is_for = "no processor" if family is None else FAMILIES.get(family, f"family {family:#010x}")
+        raise ConfigError(
+            f"{image} is for {is_for}, the board at {drive.path} is a {drive.model or drive.board_id}",
+            remedy="build the firmware for that board, or plug in the other one",
+        )
+
+
+def _check_board(image: Path, record: Record, drive: Drive) -> None:
+    wanted = boards.load(record.facts.board).drive if record.facts.board in boards.names() else drive.board_id
+    if wanted != drive.board_id:
+        raise ConfigError(
+            f"{image} is for board {record.facts.board}, not for {drive.board_id}",
+            remedy="build the firmware for that board",
+        )
+
+
+def _copy(content: bytes, drive: Drive, name: str, told: Told) -> None:
+    """Write the file; the board may vanish once it has every byte, before the system is done: that is success."""
+    at = 0
+    try:
+        with (drive.path / name).open("wb", buffering=0) as file:
+            while at < len(content):
+                at += file.write(content[at : at + _CHUNK])
+                told("writing", at / len(content))
+            with suppress(OSError):
+                os.fsync(file.fileno())
+    except OSError as error:
+        gone = not _is_there(drive)
+        if gone and at == len(content):
+            return
+        if gone:
+            raise LinkLostError(
+                f"the board at {drive.path} went away in mid-copy, after {at} of {len(content)} bytes",
+                remedy=HOLD,
+            ) from None
+        raise LinkLostError(
+            f"the image cannot be written to {drive.path}: {error.strerror or error}",
+            remedy="check that the drive is mounted for you to write, and not full, and unplug and try again",
+        ) from None
+
+
+def _is_there(drive: Drive) -> bool:
+    """Whether the drive still shows its file; a stale mount, which gives an error, is one that is gone."""
+    try:
+        return (drive.path / INFO_FILE).exists()
+    except OSError:
+        return False
+
+
+def _wait_until_gone(drive: Drive, told: Told) -> None:
+    """Wait for the board to restart: nothing else says that it has taken the image."""
+    deadline = time.monotonic() + VANISH_S
+    while _is_there(drive):
+        left = deadline - time.monotonic()
+        if left <= 0.0:
+            raise LinkLostError(
+                f"the board at {drive.path} did not take the image: its drive is still there after {VANISH_S:g} s",
+                remedy="unplug the board, hold BOOTSEL while plugging it in, and flash again",
+            )
+        told("waiting for the board to start", 1.0 - left / VANISH_S)
+        time.sleep(_LOOK_S)

@@ -1,0 +1,120 @@
+"""The record by which an image says what it is: found in an ELF, a UF2 or plain bytes alike.
+
+Sixteen bytes of magic, then the lengths of a text and of the compressed dictionary, the CRC-32 of both, and both. The
+text is JSON; the dictionary is the one that the device tells its host, so that a file answers what a device would.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import asdict, dataclass
+from typing import Any
+from zlib import crc32
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.errors import RemoteProtocolError
+from rig.core.errors import ConfigError
+
+MAGIC = bytes.fromhex(
+    "6861 7074 6963 2d72 6967 0d0a 1a00 fe01"
+)  # "haptic-rig", what a text transfer breaks, version 1
+_LENGTHS = struct.Struct("<3I")
+HEAD_BYTES = len(MAGIC) + _LENGTHS.size
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageFacts:
+    """What is known of an image when it is built.
+
+    Attributes
+    ----------
+    package
+        Version of the package that built it.
+    sources
+        Fingerprint of the C sources, 12 hexadecimal digits.
+    board
+        What it runs on.
+    rig
+        The rig whose limits it knows: an image belongs to one rig.
+    settings
+        Pins and scales of the board.
+    """
+
+    package: str
+    sources: str
+    board: str
+    rig: str
+    settings: dict[str, int | float | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What an image says of itself."""
+
+    facts: ImageFacts
+    packed: bytes
+
+    @property
+    def dictionary_hash(self) -> int:
+        """As in IDENTITY and ARM."""
+        return dictionaries.dictionary_hash(self.packed)
+
+    @property
+    def dictionary(self) -> dictionaries.Dictionary:
+        """What the device will say of itself; raises `ConfigError` for one that cannot be read."""
+        try:
+            return dictionaries.decode(self.packed)
+        except RemoteProtocolError as error:
+            raise ConfigError(
+                f"the dictionary in the image cannot be read: {error}", remedy="build it again"
+            ) from None
+
+
+def pack(record: Record) -> bytes:
+    """Return the bytes of a record; equal ones for equal facts."""
+    text = json.dumps(
+        asdict(record.facts), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    ).encode()
+    content = text + record.packed
+    return MAGIC + _LENGTHS.pack(len(text), len(record.packed), crc32(content)) + content
+
+
+def find(image: bytes, name: str) -> Record:
+    """Find the record in an image of that name.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or what is there was damaged.
+    """
+    damaged = False
+    at = image.find(MAGIC)
+    while at >= 0:
+        record = _read(image, at)
+        if record is not None:
+            return record
+        damaged = True
+        at = image.find(MAGIC, at + 1)
+    if damaged:
+        raise ConfigError(f"{name} is damaged: its record fails its check", remedy="build it again")
+    raise ConfigError(
+        f"{name} is no firmware of this project: nothing in it says what it is",
+        remedy="name an image that rig firmware build has made (.elf, .uf2 or .bin)",
+    )
+
+
+def _read(image: bytes, at: int) -> Record | None:
+    """Return the record at a place, or None when it is none or damaged."""
+    if len(image) < at + HEAD_BYTES:
+        return None
+    text_bytes, packed_bytes, crc = _LENGTHS.unpack_from(image, at + len(MAGIC))
+    content = image[at + HEAD_BYTES : at + HEAD_BYTES + text_bytes + packed_bytes]
+    if len(content) != text_bytes + packed_bytes or crc32(content) != crc:
+        return None
+    try:
+        said: dict[str, Any] = json.loads(content[:text_bytes])
+        known = {name: said[name] for name in ImageFacts.__dataclass_fields__}  # a newer record says more
+        return Record(ImageFacts(**known), content[text_bytes:])
+    except (ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,83 @@
+"""The cross compiler of the distribution: where it is, what it says, and what to install when there is none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.core.errors import ToolchainError
+
+COMPILER = "arm-none-eabi-gcc"
+COMPILER_VARIABLE = "ARM_NONE_EABI_GCC"  # another one, by its path
+COMPILE_S = 300.0
+INSTALL = (
+    "install it: apt install gcc-arm-none-eabi libnewlib-arm-none-eabi (Debian, Ubuntu), brew install --cask "
+    "gcc-arm-embedded (macOS), winget install Arm.GnuArmEmbeddedToolchain (Windows); or name it by "
+    f"{COMPILER_VARIABLE}=/path/to/{COMPILER}"
+)
+_SHOWN_LINES = 12  # of what the compiler complains about
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A compiler that works, and what it calls itself."""
+
+    path: str
+    version: str
+
+    def run(self, arguments: Sequence[str], directory: Path) -> None:
+        """Compile or link in a directory; raises `ToolchainError` with the first lines of its complaint."""
+        done = _called([self.path, *arguments], directory)
+        if done.returncode != 0:
+            said = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
+            raise ToolchainError(f"the firmware does not build:\n{said}\n", remedy=_remedy(done.stderr))
+
+
+def find_compiler() -> Compiler:
+    """Find the compiler; raises `ToolchainError` that says how to install it, or the C library that it lacks."""
+    named = os.environ.get(COMPILER_VARIABLE)
+    path = shutil.which(named or COMPILER)
+    if path is None:
+        missing = (
+            f"{COMPILER_VARIABLE} names {named}, which does not run"
+            if named
+            else f"{COMPILER} is not installed"
+        )
+        raise ToolchainError(missing, remedy=INSTALL)
+    version = _called([path, "--version"], None)
+    if version.returncode != 0 or not version.stdout:
+        raise ToolchainError(f"{path} does not run: {version.stderr.strip()}", remedy=INSTALL)
+    header = _called([path, "-E", "-include", "string.h", "-x", "c", os.devnull], None)
+    if header.returncode != 0:
+        raise ToolchainError(f"{path} has no C library: string.h is missing", remedy=INSTALL)
+    return Compiler(path, version.stdout.splitlines()[0])
+
+
+def _called(command: list[str], directory: Path | None) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "LC_ALL": "C"}
+    try:
+        return subprocess.run(
+            command,
+            cwd=directory,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=COMPILE_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ToolchainError(f"{command[0]} does not run: {error}", remedy=INSTALL) from None
+
+
+def _remedy(complaint: str) -> str:
+    if "overflowed" in complaint or "will not fit" in complaint:
+        return "it is too large for the board: make what its board.toml sizes smaller, or take a larger board"
+    if "#error" in complaint:
+        return "change the setting that it names (--set)"
+    return "report it, with this output and the compiler's version"

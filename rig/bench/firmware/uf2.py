@@ -1,0 +1,118 @@
+"""UF2, the format in which a boot ROM that shows itself as a drive takes an image.
+
+Blocks of 512 bytes, each complete in itself: two magic numbers, flags, an address in the processor's memory, up to
+476 bytes for it, its number among all blocks, the family of the processor, and a third magic number. Source: the UF2
+specification (github.com/microsoft/uf2). The RP2040's boot ROM wants 256 bytes a block, at addresses that are
+multiples of 256 (RP2040 data sheet, section 2.8.4.2, "UF2 format details").
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from rig.core.errors import ConfigError
+
+BLOCK_BYTES = 512
+PAYLOAD_BYTES = 256
+DATA_ROOM = 476
+MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST = 0x0A324655, 0x9E5D5157, 0x0AB16F30
+FAMILY_PRESENT = 0x00002000  # the last word of the head is a family, not a length
+NOT_FOR_FLASH = 0x00000001  # a comment: skip it
+RP2040 = 0xE48BFF56
+FAMILIES = {RP2040: "RP2040", 0xE48BFF59: "RP2350, Arm, secure", 0xE48BFF57: "RP2xxx, absolute"}
+
+_HEAD = struct.Struct("<8I")
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes and where they belong."""
+
+    address: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Uf2:
+    """What a UF2 file holds: consecutive bytes joined, and the family that all blocks name (None: none does)."""
+
+    pieces: tuple[Piece, ...]
+    family: int | None
+
+
+def is_uf2(content: bytes) -> bool:
+    """Whether a file begins as a UF2 does."""
+    return content[:8] == struct.pack("<2I", MAGIC_FIRST, MAGIC_SECOND)
+
+
+def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
+    """Return the file that writes these pieces; they must not overlap, and are filled up to whole pages with zeroes."""
+    pages: dict[int, bytearray] = {}
+    for piece in pieces:
+        for offset, byte in enumerate(piece.data):
+            at = piece.address + offset
+            pages.setdefault(at - at % PAYLOAD_BYTES, bytearray(PAYLOAD_BYTES))[at % PAYLOAD_BYTES] = byte
+    return b"".join(
+        _HEAD.pack(
+            MAGIC_FIRST,
+            MAGIC_SECOND,
+            FAMILY_PRESENT,
+            address,
+            PAYLOAD_BYTES,
+            number,
+            len(pages),
+            family,
+        )
+        + bytes(page).ljust(DATA_ROOM, b"\0")
+        + struct.pack("<I", MAGIC_LAST)
+        for number, (address, page) in enumerate(sorted(pages.items()))
+    )
+
+
+def read_uf2(content: bytes, name: str) -> Uf2:
+    """Read a file of that name.
+
+    Raises
+    ------
+    ConfigError
+        It is no UF2, or a damaged one: a block without its magic numbers, a block missing, two families.
+    """
+    if not content or len(content) % BLOCK_BYTES:
+        raise _damaged(name, f"{len(content)} bytes are no whole number of blocks of {BLOCK_BYTES}")
+    blocks = [_block(content[at : at + BLOCK_BYTES], name) for at in range(0, len(content), BLOCK_BYTES)]
+    numbers = [number for number, *_ in blocks]
+    totals = {total for _, total, *_ in blocks}
+    if numbers != list(range(len(blocks))) or totals != {len(blocks)}:
+        raise _damaged(name, "blocks are missing, or not in order")
+    families = {family for *_, family, _ in blocks}
+    if len(families) != 1:
+        raise ConfigError(f"{name} is for several processors at once", remedy="flash an image for one")
+    return Uf2(_joined(piece for *_, piece in blocks if piece is not None), families.pop())
+
+
+def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
+    """Number, total, family and content of a block."""
+    first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
+    (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
+    if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):
+        raise _damaged(name, "a block does not begin and end as blocks do")
+    if size > DATA_ROOM:
+        raise _damaged(name, f"block {number} claims {size} bytes")
+    piece = None if flags & NOT_FOR_FLASH else Piece(address, block[_HEAD.size : _HEAD.size + size])
+    return number, total, family if flags & FAMILY_PRESENT else None, piece
+
+
+def _joined(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
+    joined: list[Piece] = []
+    for piece in sorted(pieces, key=lambda piece: piece.address):
+        if joined and joined[-1].address + len(joined[-1].data) == piece.address:
+            joined[-1] = Piece(joined[-1].address, joined[-1].data + piece.data)
+        else:
+            joined.append(piece)
+    return tuple(joined)
+
+
+def _damaged(name: str, why: str) -> ConfigError:
+    return ConfigError(f"{name} is not a whole UF2 file: {why}", remedy="build it again: rig firmware build")

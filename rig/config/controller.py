@@ -1,0 +1,250 @@
+"""From an experiment to the numbers of one run: the controller of the loop, and the parameters of the device.
+
+One place turns configured quantities into ticks, counts and quanta: what the host's law works with
+(`for_experiment`) and what the device is told (`device_parameters`) come from the same values.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import numpy as np
+
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME
+from rig.config import Experiment, device_law, motor_push, verdict_limits
+from rig.control import estimators, friction, laws
+from rig.control.laws import Law
+from rig.control.step import CONTROL, Controller, new_memory
+from rig.control.watch import TRAVEL, TRAVEL_COUNTS
+from rig.core.errors import PlanError
+from rig.core.swings import SWINGS
+
+LIFETIME_PERIODS = 5
+SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
+SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
+FEWEST_PERIODS = 2  # a loop that needs more than the longest lifetime for these is too slow, and refused
+I16_MAXIMUM = 32767
+
+
+def resolution(experiment: Experiment) -> float:
+    """Travel for one count (rad or m), negative when counts fall while the position rises."""
+    encoder = experiment.rig.encoder
+    return encoder.sign * encoder.resolution
+
+
+def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
+    """Effort of one current quantum of the device (N·m or N)."""
+    return experiment.rig.amplifier.effort_per_ampere * current_quantum_a
+
+
+def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
+    """Largest whole number of quanta within the effort limit: what guard and device both clip to."""
+    return math.floor(
+        experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
+    )
+
+
+def swing_limit(experiment: Experiment) -> int:
+    """Swings of the effort in a row that end a trial (`rig.control.watch`); 0: any number."""
+    if experiment.trial.kind == "excitation":  # which swings the effort itself
+        return 0
+    limits = experiment.rig.limits
+    if limits.swings is not None:
+        return limits.swings
+    return SWINGS if limits.human and experiment.trial.kind == "human" else 0
+
+
+def energy_limit(experiment: Experiment) -> float:
+    """Energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it is told to."""
+    return 0.0 if experiment.trial.kind == "excitation" else experiment.rig.limits.energy or 0.0
+
+
+def for_experiment(
+    experiment: Experiment, *, current_quantum_a: float, reference_count: int = 0, law: Law | None = None
+) -> Controller:
+    """Build the controller of one trial.
+
+    Parameters
+    ----------
+    experiment
+        Validated experiment.
+    current_quantum_a
+        What the device declares (A).
+    reference_count
+        Count at position zero.
+    law
+        Stands in for the law that the experiment names.
+
+    Raises
+    ------
+    ConfigError
+        An unknown estimator or law, or settings that cannot be realised at these rates.
+    """
+    rates, wall, homing, trial, limits = (
+        experiment.controller,
+        experiment.wall,
+        experiment.homing,
+        experiment.trial,
+        experiment.rig.limits,
+    )
+    tick_s = 1.0 / rates.position_rate
+    divider = rates.position_rate // rates.velocity_rate
+    delta = resolution(experiment)
+    quantum = effort_quantum(experiment, current_quantum_a)
+    control = np.zeros(1, CONTROL)
+    values = {
+        "resolution": delta,
+        "reference_count": reference_count,
+        "tick_s": tick_s,
+        "velocity_divider": divider,
+        "extrapolate": 1 if rates.prediction == "extrapolate" else 0,
+        "slow_multiple": rates.velocity_rate // (rates.slow_velocity_rate or rates.velocity_rate),
+        "slow_speed": rates.slow_below,
+        "wall_position": wall.position,
+        "wall_side": wall.side,
+        "effort_limit": current_limit(experiment, current_quantum_a) * quantum,
+        "effort_quantum": quantum,
+        "trial_slew": limits.slew * tick_s,
+        "homing_slew": homing.slew * tick_s,
+        "window_minimum": limits.position_minimum,
+        "window_maximum": limits.position_maximum,
+        "speed_limit": limits.speed,
+        "home_target": trial.start,
+        "home_step": homing.speed * tick_s,
+        "home_stiffness": homing.stiffness,
+        "home_damping": homing.damping,
+        "home_effort": homing.effort,
+        "home_tolerance": homing.tolerance_counts * abs(delta),
+        "settle_ticks": _ticks(homing.settle_s, tick_s),
+        "home_timeout_ticks": _ticks(homing.timeout_s, tick_s),
+        "constant_effort": motor_push(experiment),
+        "trial_ticks": _ticks(trial.baseline_s + trial.duration_s, tick_s),
+        "release_ticks": max(1, _ticks(trial.release_s, tick_s)),
+        "energy_limit": energy_limit(experiment),
+        "swing_limit": swing_limit(experiment),
+        "swing_ticks": _ticks(limits.swing_s, tick_s),
+        "swing_travel": max(TRAVEL * verdict_limits(experiment).moved, TRAVEL_COUNTS * abs(delta)),
+    }
+    for name, value in values.items():
+        control[name] = value
+    estimator = estimators.get(rates.estimator)
+    return Controller(
+        control=control,
+        memory=new_memory(),
+        estimator=estimator.prepare(rates.parameters, delta, tick_s * divider),
+        law=_law(experiment, law or laws.get(wall.law)).prepare(asdict(wall)),
+    )
+
+
+def _law(experiment: Experiment, law: Law) -> Law:
+    """The law with friction compensation around it, if the experiment wants that.
+
+    On two masses only the motor side's friction counts: the link's lies behind the capstan, where the motor, if it took
+    that over too, would give more than it removes.
+    """
+    rates, mechanics = experiment.controller, experiment.rig.mechanics
+    if rates.friction_compensation == 0.0:
+        return law
+    behind = mechanics.link_coulomb if mechanics.structure == "rigid" else 0.0
+    level, cutoff = mechanics.motor_coulomb + behind, rates.parameters.get("cutoff_hz", math.inf)
+    usual = friction.dead_band_of(experiment.rig.encoder.resolution, rates.velocity_rate, float(cutoff))
+    wanted = friction.Compensation(
+        up=level,
+        down=level,
+        dead_band=rates.friction_dead_band or usual,
+        share=rates.friction_compensation,
+    )
+    return friction.compensated(law, wanted)
+
+
+def command_lifetime_s(experiment: Experiment) -> float:
+    """How long a command holds without the next: five ticks, 3 ms at least and 20 at most, unless configured (s)."""
+    configured = experiment.controller.command_lifetime_s
+    if configured is not None:
+        return configured
+    period_s = 1.0 / experiment.controller.position_rate
+    wanted = max(LIFETIME_PERIODS * period_s, SHORTEST_LIFETIME_S)
+    return max(min(wanted, LONGEST_LIFETIME_S), FEWEST_PERIODS * period_s)
+
+
+def supervise_lifetime_s(experiment: Experiment) -> float:
+    """How long a law on the device goes on without a word from the host (s)."""
+    configured = experiment.controller.supervise_lifetime_s
+    return SUPERVISE_LIFETIME_S if configured is None else configured
+
+
+def device_parameters(
+    experiment: Experiment,
+    *,
+    current_quantum_a: float,
+    reference_count: int,
+    verified: bool,
+    law: Law | None = None,
+) -> dict[str, Value]:
+    """Values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
+
+    With ``controller.loop = "device"`` the device's law is among them, as `rig.config.device_law` designs it; else it
+    is switched off. `law` stands in for the law that the experiment names, as in `for_experiment`.
+
+    Raises
+    ------
+    PlanError
+        A limit that does not fit the wire: more current than a 16-bit command carries, a window beyond 32-bit counts. A
+        law that the device does not have.
+    """
+    rig, rates, wall = experiment.rig, experiment.controller, experiment.wall
+    limits, delta = rig.limits, abs(rig.encoder.resolution)
+    quantum = effort_quantum(experiment, current_quantum_a)
+    edges = sorted(
+        round(position / resolution(experiment)) + reference_count
+        for position in (limits.position_minimum, limits.position_maximum)
+    )
+    values: dict[str, Value] = {
+        "motion": 0 if rig.motion == "rotary" else 1,
+        "encoder_sign": rig.encoder.sign,
+        "position_rate": rates.position_rate,
+        "velocity_divider": rates.position_rate // rates.velocity_rate,
+        "stiffness": wall.stiffness,
+        "damping": wall.damping,
+        "wall_position": wall.position,
+        "wall_side": wall.side,
+        "wall_pull": 1 if wall.pull == "allow" else 0,
+        "reference_count": reference_count,
+        "verified": 1 if verified else 0,
+        "command_lifetime_us": round(command_lifetime_s(experiment) * 1e6),
+        "current_limit": current_limit(experiment, current_quantum_a),
+        "slew_limit": min(65_535, math.ceil(limits.slew / rates.position_rate / quantum) + 1),
+        "speed_limit": math.ceil(limits.speed / delta),
+        "window_minimum": edges[0],
+        "window_maximum": edges[1],
+        "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
+        "thermal_time_constant": limits.thermal_time_constant_s,
+        # A person can hold the handle still against any effort: only with this does the device not call that a stall.
+        "hold_to_run": 1 if experiment.trial.kind == "human" else 0,
+        "law": 0,
+    }
+    if rates.loop == "device":
+        host = for_experiment(
+            experiment, current_quantum_a=current_quantum_a, reference_count=reference_count, law=law
+        )
+        values |= device_law.law_parameters(host, device_law.arithmetic_of(rates))
+        values |= {
+            "batch_layout": device_law.batch_layout(experiment),
+            "batch_samples": device_law.batch_samples(experiment),
+            "supervise_lifetime_us": round(supervise_lifetime_s(experiment) * 1e6),
+        }
+    for name, value in values.items():
+        if not BY_NAME[name].accepts(value):
+            parameter = BY_NAME[name]
+            raise PlanError(
+                f"{name} = {value:g} {parameter.unit} does not fit the device: it takes "
+                f"{parameter.minimum:g} to {parameter.maximum:g}",
+                remedy="change the limit, the rate or the current quantum behind it",
+            )
+    return values
+
+
+def _ticks(duration_s: float, tick_s: float) -> int:
+    return round(duration_s / tick_s)

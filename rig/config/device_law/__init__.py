@@ -1,0 +1,34 @@
+"""From a controller to the law that a device runs itself: the same designs, scaled to counts, periods and quanta.
+
+`rig.control.step` runs in SI and float64 on a host. A device runs the same law, tick for tick, in integers or in
+float32 (firmware/law): lengths are counts there, velocities counts per velocity period, currents quanta, times ticks.
+Everything is designed and scaled here, once, and leaves as values of `firmware_protocol.law_parameters`.
+
+What the device does not have is refused with `PlanError`: see `rig.config.device_law.estimators` for estimators,
+`walls` for laws. Whether a value fits its parameter is asked in one place, `check_values`.
+"""
+
+from __future__ import annotations
+
+from rig.config.device_law.batch import SUPERVISE_EVERY_S, batch_layout, batch_samples, bytes_per_second
+from rig.config.device_law.parameters import (
+    ARITHMETICS,
+    Arithmetic,
+    arithmetic_of,
+    check_values,
+    law_parameters,
+    live_parameters,
+)
+
+__all__ = [
+    "ARITHMETICS",
+    "SUPERVISE_EVERY_S",
+    "Arithmetic",
+    "arithmetic_of",
+    "batch_layout",
+    "batch_samples",
+    "bytes_per_second",
+    "check_values",
+    "law_parameters",
+    "live_parameters",
+]

@@ -1,0 +1,237 @@
+"""Everything that a device is told of its law, and what of it may change while it runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from firmware_protocol.law_parameters import LAW_PARAMETERS
+from firmware_protocol.parameter import Value
+from firmware_protocol.parameters import BY_NAME
+from rig.config.device_law import walls
+from rig.config.device_law.estimators import estimator_parameters, velocity_format
+from rig.config.device_law.refusal import ELSE_HOST, refusal
+from rig.config.device_law.walls import Control, Values
+from rig.config.sections import Controller as Rates
+from rig.control.step import Controller
+from rig.control.wall import DAMPING, STIFFNESS
+from rig.core.errors import PlanError
+
+Arithmetic = Literal["fixed", "float32"]
+ARITHMETICS: tuple[str, ...] = ("host", "fixed", "float32")  # in the order of the parameter `law`
+FIXED_ESTIMATOR = "fdm-butterworth-fixed"  # the only one in integers
+SETPOINT_BITS = 24
+MOST_TICKS = 2**32 - 1
+I32 = (-(2**31), 2**31 - 1)
+MOST_PERIODS_A_TICK = 8
+MOST_EXCITATION = 2.0**15  # quanta: what a table without fractional bits can hold
+
+# What decides a value that does not fit, by the beginning of its name: the longest that matches.
+_KEYS = {
+    "home_target": "trial.start",
+    "home_step": "homing.speed",
+    "biquad_": "controller.parameters (coefficient_bits, state_bits, cutoff_hz)",
+    "foaw_band": "controller.parameters.band",
+    "levant_": "controller.parameters (lipschitz)",
+    "slow_multiple": "controller.slow_velocity_rate",
+    "float_surface": "wall.position",
+    "fixed_surface": "wall.position",
+    "wall_position": "wall.position",
+    "float_stiffness": "wall.stiffness",
+    "stiffness": "wall.stiffness",
+    "float_damping": "wall.damping",
+    "damping": "wall.damping",
+    "float_constant": "trial.effort",
+    "float_home_stiffness": "homing.stiffness",
+    "float_home_damping": "homing.damping",
+    "float_home_effort": "homing.effort",
+    "excitation_": "[excitation]",
+}
+
+
+def arithmetic_of(rates: Rates) -> Arithmetic:
+    """Arithmetic of the law on a device: what is asked for, else integers where the estimator has them."""
+    if rates.arithmetic != "auto":
+        return rates.arithmetic
+    return "fixed" if rates.estimator == FIXED_ESTIMATOR else "float32"
+
+
+def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
+    """Values of every parameter of the law but those that say how its samples travel.
+
+    Parameters
+    ----------
+    controller
+        As the host would run it (`rig.config.controller.for_experiment`).
+    arithmetic
+        Of the device.
+
+    Raises
+    ------
+    PlanError
+        An estimator, a law or an option that the device does not have, or a value that does not fit.
+    """
+    c, law = _plain(controller), controller.law.parameters
+    _check_arithmetic(c, controller, arithmetic)
+    _check_work(c)
+    values: Values = {parameter.name: parameter.default for parameter in LAW_PARAMETERS}
+    values |= {
+        "law": ARITHMETICS.index(arithmetic),
+        "extrapolate": c["extrapolate"],
+        "slow_multiple": c["slow_multiple"],
+        "settle_ticks": min(c["settle_ticks"], MOST_TICKS),
+        "home_timeout_ticks": min(c["home_timeout_ticks"], MOST_TICKS),
+        "trial_ticks": min(c["trial_ticks"], MOST_TICKS),
+        "release_ticks": max(1, c["release_ticks"]),
+        **_places(c),
+        **estimator_parameters(controller.estimator),
+        **walls.common_parameters(controller.law.law.name, law),
+        **_excitation(controller),
+    }
+    if arithmetic == "float32":
+        values |= {**walls.float_wall(c, law), **walls.float_guard(c)}
+    else:
+        velocity = velocity_format(controller.estimator)
+        added = math.ldexp(MOST_EXCITATION, -int(values["excitation_bits"]))
+        wall = walls.designed_wall(
+            c, controller.law.law.name, law, velocity, added if values["excitation_lines"] else 0.0
+        )
+        values |= {**walls.fixed_wall(wall), **walls.fixed_guard(c, velocity)}
+    check_values(values)
+    return values
+
+
+def live_parameters(controller: Controller, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
+    """Values of the parameters that make another wall while the law runs.
+
+    Parameters
+    ----------
+    controller
+        As the law was armed with.
+    arithmetic
+        Of the device.
+    numbers
+        A set of the loop's mailbox: position of the wall, then the parameters of its law
+        (`rig.experiments.live.parameter_set`).
+
+    Raises
+    ------
+    PlanError
+        A wall that does not fit the device, or an option of it that does not change while it runs.
+    """
+    position, *law = numbers
+    name, before, after = controller.law.law.name, controller.law.parameters, np.array(law, dtype=np.float64)
+    if walls.options(name, before) != walls.options(name, after):
+        raise PlanError(
+            "wall.pull and wall.damping_on do not change while the law runs on the device",
+            remedy="end the run and start it with the other wall",
+        )
+    c: Control = {**_plain(controller), "wall_position": position}
+    values: Values = {
+        "stiffness": float(after[STIFFNESS]),
+        "damping": float(after[DAMPING]),
+        "wall_position": position,
+    }
+    if arithmetic == "float32":
+        values |= walls.float_wall(c, after)
+    else:
+        values |= walls.fixed_wall(walls.designed_wall(c, name, after, velocity_format(controller.estimator)))
+    check_values(values)
+    return values
+
+
+def check_values(values: Mapping[str, Value]) -> None:
+    """Check values against the ranges of the wire.
+
+    Raises `PlanError` for one that does not fit, naming what is behind it.
+    """
+    for name, value in values.items():
+        parameter = BY_NAME[name]
+        if parameter.accepts(value):
+            continue
+        key = max((start for start in _KEYS if name.startswith(start)), key=len, default=None)
+        raise PlanError(
+            f"{name if key is None else _KEYS[key]}: {name} = {value:g} {parameter.unit}".rstrip()
+            + f" does not fit the device: it takes {parameter.minimum:g} to {parameter.maximum:g}",
+            remedy=f"change what is behind it, the rate or the current quantum, or {ELSE_HOST}",
+        )
+
+
+def _check_arithmetic(c: Control, controller: Controller, arithmetic: Arithmetic) -> None:
+    name = controller.estimator.estimator.name
+    if arithmetic != "fixed":
+        return
+    if name != FIXED_ESTIMATOR:
+        raise refusal(
+            "controller.arithmetic",
+            "fixed",
+            f"the estimator {name} has no integers",
+            f'choose controller.estimator = "{FIXED_ESTIMATOR}", or controller.arithmetic = "float32"',
+        )
+    if c["extrapolate"]:
+        raise refusal(
+            "controller.prediction",
+            "extrapolate",
+            "the law in integers holds the velocity",
+            'choose controller.prediction = "hold", or controller.arithmetic = "float32"',
+        )
+
+
+def _check_work(c: Control) -> None:
+    """A filter that was not asked for some periods makes them up in one tick: not too many for a board."""
+    if c["slow_multiple"] > MOST_PERIODS_A_TICK:
+        raise refusal(
+            "controller.slow_velocity_rate",
+            round(1.0 / (c["tick_s"] * c["velocity_divider"] * c["slow_multiple"])),
+            f"{c['slow_multiple']} velocity periods would be made up in one tick, and a board has time for "
+            f"{MOST_PERIODS_A_TICK}",
+            "choose it no lower than that share of controller.velocity_rate",
+        )
+
+
+def _places(c: Control) -> Values:
+    """Window, start and homing in whole counts from the reference, such that they decide as the host does."""
+    delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
+    target_bits = round(target / delta * 2**SETPOINT_BITS)
+    return {
+        "law_window_minimum": _first(lambda t: delta * t >= c["window_minimum"], c["window_minimum"] / delta),
+        "law_window_maximum": _first(lambda t: delta * t > c["window_maximum"], c["window_maximum"] / delta)
+        - 1,
+        "home_minimum": _first(
+            lambda t: delta * t > target or abs(delta * t - target) <= tolerance, (target - tolerance) / delta
+        ),
+        "home_maximum": _first(
+            lambda t: delta * t > target and abs(delta * t - target) > tolerance, (target + tolerance) / delta
+        )
+        - 1,
+        "home_target": target_bits >> SETPOINT_BITS,
+        "home_target_fraction": target_bits & (2**SETPOINT_BITS - 1),
+        "home_step": round(c["home_step"] / delta * 2**SETPOINT_BITS),
+    }
+
+
+def _first(passes: Callable[[int], bool], near: float) -> int:
+    """Least count that passes a test that is false below some count and true from it on, within 32 bits."""
+    if not abs(near) < 2.0**31:
+        return I32[near > 0.0] + (near > 0.0)
+    at = math.floor(near) - 2
+    while not passes(at):
+        at += 1
+    return max(at, I32[0])
+
+
+def _excitation(controller: Controller) -> Values:
+    law = controller.law.law
+    if law.name == "shaken" and not law.device:
+        raise PlanError(
+            'wall.law = "shaken" with controller.loop = "device": a table of the host cannot be sent',
+            remedy=f"measure with rig impedance, whose excitation the device makes itself, or {ELSE_HOST}",
+        )
+    return dict(law.device)
+
+
+def _plain(controller: Controller) -> Control:
+    return dict(zip(controller.control.dtype.names or (), controller.control[0].item(), strict=True))

@@ -1,0 +1,247 @@
+"""A sampling scheme: how often position and velocity are sampled, and what estimates the velocity.
+
+Maps, theory and comparisons differ from one experiment in nothing but schemes (and walls), so a scheme is a value
+of its own, with a text form for the command line::
+
+    dual:20k/2k                        position at 20 kHz, velocity at 2 kHz, the experiment's own estimator
+    uniform:20k                        both at 20 kHz
+    dual:20k/2k,estimator=kalman       another estimator, with its defaults
+    uniform:20k,cutoff_hz=1000         settings of the estimator
+    dual:20k/2k,prediction=extrapolate,slow_velocity_rate=500,slow_below=0.1
+
+A filter keeps its share of the velocity rate: an experiment with a cut-off of 200 Hz at 2 kHz has 2 kHz at 20 kHz,
+unless the scheme says otherwise (Koul et al. give 200 Hz at 2 kHz, and "10 % Nyquist" for other rates, which fits
+neither 200 Hz at 2 kHz nor one reading of 20 kHz: so the cut-off is a setting, and labels show it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+from rig import config
+from rig.config import Experiment
+from rig.core.errors import ConfigError
+
+_KINDS = ("uniform", "dual")
+_OWN = ("prediction", "slow_velocity_rate", "slow_below")  # keys of [controller] that a scheme may set
+_CUTOFF = "cutoff_hz"
+_USUAL_SHARE = 0.1  # of the velocity rate: the cut-off of a filter that the experiment does not have yet
+_SUFFIXES = {"k": 1e3, "M": 1e6, "": 1.0}
+_FORM = "write dual:20k/2k or uniform:20k, then settings like ,estimator=kalman,cutoff_hz=200"
+
+Prediction = Literal["hold", "extrapolate"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scheme:
+    """Rates, estimator and prediction; what is None comes from the experiment that it is applied to.
+
+    Attributes
+    ----------
+    position_rate, velocity_rate
+        1/T1 and 1/T2 (Hz).
+    estimator
+        Name of the velocity estimator.
+    parameters
+        Settings of the estimator, over those of the experiment when the estimator is the same.
+    prediction
+        Velocity between its samples.
+    slow_velocity_rate, slow_below
+        Adaptive T2: velocity rate (Hz) while the handle is slower than `slow_below` (rad/s or m/s).
+    """
+
+    position_rate: int
+    velocity_rate: int
+    estimator: str | None = None
+    parameters: Mapping[str, float | str] = field(default_factory=dict)
+    prediction: Prediction | None = None
+    slow_velocity_rate: int | None = None
+    slow_below: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Scheme:
+        """Read the text form (see the module's text); `ConfigError` says what is wrong with it."""
+        head, *settings = text.split(",")
+        kind, colon, rates = head.strip().partition(":")
+        if kind not in _KINDS or not colon:
+            raise ConfigError(f"scheme {text!r}: no such kind of sampling", remedy=_FORM)
+        position_rate, velocity_rate = parse_rates(rates)
+        if kind == "uniform" and position_rate != velocity_rate:
+            raise ConfigError(
+                f"scheme {text!r}: uniform sampling has one rate", remedy=f"write dual:{rates}, or one rate"
+            )
+        given = dict(_setting(setting, text) for setting in settings)
+        own = {key: given.pop(key) for key in _OWN if key in given}
+        estimator = given.pop("estimator", None)
+        return cls(
+            position_rate=position_rate,
+            velocity_rate=velocity_rate,
+            estimator=None if estimator is None else str(estimator),
+            parameters=given,
+            **_checked(own, text),
+        )
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Scheme:
+        """Return the scheme of an experiment, with everything said."""
+        controller = experiment.controller
+        return cls(
+            position_rate=controller.position_rate,
+            velocity_rate=controller.velocity_rate,
+            estimator=controller.estimator,
+            parameters=dict(controller.parameters),
+            prediction=controller.prediction,
+            slow_velocity_rate=controller.slow_velocity_rate,
+            slow_below=controller.slow_below,
+        )
+
+    @property
+    def kind(self) -> str:
+        """``uniform`` or ``dual``."""
+        return "uniform" if self.position_rate == self.velocity_rate else "dual"
+
+    @cached_property
+    def text(self) -> str:
+        """The text form, which `parse` turns into an equal scheme."""
+        rates = f"{_kilo(self.position_rate)}"
+        if self.kind == "dual":
+            rates += f"/{_kilo(self.velocity_rate)}"
+        settings: dict[str, Any] = {"estimator": self.estimator, **self.parameters}
+        settings |= {key: getattr(self, key) for key in _OWN}
+        shown = [f"{key}={_number(value)}" for key, value in settings.items() if value is not None]
+        return ",".join([f"{self.kind}:{rates}", *shown])
+
+    def label(self, experiment: Experiment) -> str:
+        """What a legend calls the scheme on an experiment: rates, estimator, and the cut-off where there is one."""
+        controller = self.applied(experiment).controller
+        fast, slow = controller.position_rate / 1e3, controller.velocity_rate / 1e3
+        rates = f"{fast:g} kHz" if fast == slow else f"{fast:g}/{slow:g} kHz"
+        text = f"{self.kind} {rates}, {controller.estimator}"
+        others = dict(self.parameters)
+        cutoff = controller.parameters.get(_CUTOFF)
+        if cutoff is not None:
+            text += f" {cutoff:g} Hz"
+            others.pop(_CUTOFF, None)
+        text += "".join(f", {key} {_number(value)}" for key, value in others.items())
+        if controller.prediction != "hold":
+            text += ", extrapolated"
+        if controller.slow_below > 0.0 and controller.slow_velocity_rate is not None:
+            text += f", {controller.slow_velocity_rate:g} Hz below {controller.slow_below:g}"
+        return text
+
+    def applied(self, experiment: Experiment) -> Experiment:
+        """Return the experiment under this scheme.
+
+        Raises
+        ------
+        ConfigError
+            Rates that do not divide, an unknown estimator or setting.
+        """
+        changes: dict[str, Any] = {
+            "controller.position_rate": self.position_rate,
+            "controller.velocity_rate": self.velocity_rate,
+            "controller.estimator": self.estimator or experiment.controller.estimator,
+            **{f"controller.{key}": getattr(self, key) for key in _OWN if getattr(self, key) is not None},
+        }
+        mapping = config.as_mapping(experiment)
+        mapping["controller"]["parameters"] = self._parameters_on(experiment)
+        plain = config.experiment_from_mapping(_changed(mapping, changes), f"scheme {self.text}")
+        config.check_plugins(plain, f"scheme {self.text}")
+        return plain
+
+    def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
+        """Settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""
+        own = experiment.controller
+        if self.estimator in (None, own.estimator):
+            settings = dict(own.parameters)
+            cutoff = settings.get(_CUTOFF)
+            if isinstance(cutoff, int | float):
+                settings[_CUTOFF] = cutoff * (self.velocity_rate / own.velocity_rate)
+        else:
+            settings = usual_settings(self.estimator, self.velocity_rate)
+        return {**settings, **self.parameters}
+
+
+def parse_rates(text: str) -> tuple[int, int]:
+    """Rates of ``20k/2k``, ``20000/2000`` or ``1k`` (uniform), in Hz; `ConfigError` for anything else."""
+    parts = text.split("/")
+    if len(parts) > 2:
+        raise ConfigError(f"rate {text}: too many rates", remedy="give T1/T2, like 20k/2k")
+    rates = [_hertz(part, text) for part in parts]
+    return rates[0], rates[-1]
+
+
+def usual_settings(estimator: str, velocity_rate: int) -> dict[str, float | str]:
+    """Settings of an estimator where nothing is said: a filter cuts off at a tenth of the velocity rate."""
+    return {_CUTOFF: _USUAL_SHARE * velocity_rate} if _has_cutoff(estimator) else {}
+
+
+def _hertz(part: str, text: str) -> int:
+    number = part.strip().removesuffix("Hz").strip()
+    suffix = number[-1:] if number[-1:] in ("k", "M") else ""
+    try:
+        hertz = float(number.removesuffix(suffix)) * _SUFFIXES[suffix]
+    except ValueError:
+        hertz = 0.5
+    if hertz != hertz // 1 or hertz <= 0:
+        raise ConfigError(
+            f"rate {text}: {part!r} is not a whole number of Hz", remedy="write 20k/2k or 20000/2000"
+        )
+    return int(hertz)
+
+
+def _setting(text: str, whole: str) -> tuple[str, float | str]:
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not key or not equals or not value:
+        raise ConfigError(f"scheme {whole!r}: {text!r} is no setting", remedy=_FORM)
+    try:
+        return key, float(value)
+    except ValueError:
+        return key, value
+
+
+def _checked(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
+    """Types of the keys of [controller]; their ranges are the experiment's business."""
+    checked: dict[str, Any] = dict(own)
+    for key in ("slow_velocity_rate", "slow_below"):
+        if isinstance(checked.get(key, 0.0), str):
+            raise ConfigError(f"scheme {text!r}: {key} = {checked[key]!r} is not a number", remedy=_FORM)
+    rate = checked.get("slow_velocity_rate")
+    if rate is not None:
+        if rate != rate // 1:
+            raise ConfigError(
+                f"scheme {text!r}: slow_velocity_rate = {rate:g} is not a whole number of Hz", remedy=_FORM
+            )
+        checked["slow_velocity_rate"] = int(rate)
+    return checked
+
+
+def _changed(mapping: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Set dotted keys in nested tables; what [realtime] says about them no longer holds."""
+    for key, value in changes.items():
+        section, _, name = key.partition(".")
+        mapping[section][name] = value
+    mapping["realtime"] = {
+        key: value for key, value in mapping.get("realtime", {}).items() if not key.startswith("controller.")
+    }
+    return mapping
+
+
+def _has_cutoff(estimator: str) -> bool:
+    from rig.control import estimators  # noqa: PLC0415  (numba only when a scheme is applied)
+
+    known = estimator in estimators.names()  # an unknown one is refused later, with every other problem
+    return known and any(setting.name == _CUTOFF for setting in estimators.get(estimator).settings)
+
+
+def _kilo(rate: int) -> str:
+    if rate < 1000 or rate % 100:
+        return str(rate)
+    return f"{rate // 1000}.{rate % 1000 // 100}k".replace(".0k", "k")
+
+
+def _number(value: float | str) -> str:
+    return value if isinstance(value, str) else repr(float(value)).removesuffix(".0")

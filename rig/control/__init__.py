@@ -1,0 +1,1 @@
+"""Everything inside one tick, and the verdict on it; numbers only."""

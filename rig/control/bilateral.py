@@ -1,0 +1,83 @@
+"""Laws for measuring an impedance: a spring and a damper on both sides of a point, and the same while it is shaken.
+
+A wall with a free side is not linear, so a measurement is made about a point inside a wall that also pulls. The rig's
+own motor may play an excitation on top: one period of efforts in the law's parameters, played by elapsed ticks and
+not by a clock, so that the same law runs without bytes, over the byte link, in real time and in a replay.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from rig.control.excitation import ramp as fade
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
+
+Floats = NDArray[np.float64]
+
+STIFFNESS, DAMPING = range(2)  # parameters of both laws
+RAMP_TICKS, TABLE = (
+    2,
+    3,
+)  # further ones of the shaken wall: length of its beginning, then one period of reactions
+PLAYED = 1  # state of the shaken wall: tick of the excitation, plus one; 0 before the first
+SHAKEN_STATE = 2
+
+
+@kernel(types.float64(types.int64, types.int64), inline=True)
+def ramp(tick: int, ticks: int) -> float:
+    """Share of an excitation that is played at a tick: from 0 to 1 in so many ticks, without a step in its slope."""
+    if tick >= ticks:
+        return 1.0
+    return 0.5 - 0.5 * math.cos(math.pi * tick / ticks)
+
+
+@kernel(LAW_SIGNATURE)
+def bilateral(
+    penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+) -> float:
+    """Reaction K·penetration + B·velocity, wherever the handle is (N·m or N); both may be zero."""
+    state[LAW_CLAMPED] = 0.0
+    return float(parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity)
+
+
+@kernel(LAW_SIGNATURE)
+def shaken(
+    penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+) -> float:
+    """Reaction of the bilateral wall plus that of the table, for the ticks since the law began (N·m or N).
+
+    The table begins with the first tick of the trial, rises with `ramp` and goes round. Ticks that a link lost are
+    skipped in it, as they are in time.
+    """
+    state[LAW_CLAMPED] = 0.0
+    played = int(state[PLAYED])
+    tick = played - 1 + elapsed_ticks if played > 0 else 0
+    state[PLAYED] = tick + 1
+    reaction = parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity
+    excitation = parameters[TABLE + tick % (parameters.shape[0] - TABLE)]
+    return float(reaction + excitation * ramp(tick, int(parameters[RAMP_TICKS])))
+
+
+def design(wall: Mapping[str, Any]) -> list[float]:
+    """Parameters of the bilateral wall from the settings of ``[wall]``."""
+    return [wall["stiffness"], wall["damping"]]
+
+
+def design_shaken(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
+    """Parameters of the shaken wall; see `rig.control.laws.shaken`."""
+    reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
+    return [*design(wall), float(ramp_ticks), *reactions]
+
+
+def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
+    """Excitation that the shaken law with these parameters plays in its first ticks (N·m or N), along the position."""
+    tick, table = np.arange(ticks), parameters[TABLE:]
+    rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
+    return np.asarray(-side * table[tick % len(table)] * rising)

@@ -1,0 +1,206 @@
+"""Any estimator on whole arrays: the loop's own update, run over recorded or made-up counts.
+
+What a rig computes sample by sample, this computes for an array, to the same bits: the update is called through the
+same plug type, so a third party's estimator works here without a compilation.
+
+    counts = quantise(position, 1e-6)
+    velocity = estimate("fdm-butterworth", counts, 1 / 2000, resolution=1e-6, cutoff_hz=150.0)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import ArrayLike, NDArray
+
+from rig.control import estimators
+from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
+from rig.core.errors import ConfigError
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR
+
+OLDEST_EDGE_S = 134.0  # how old an edge looks that nobody has seen: what the wire's 32-bit time can say
+FUTURE_S = 1e-9  # an edge at the sample itself may round to after it
+LARGEST_COUNT = 2.0**62
+
+_FLOATS, _INTS = types.float64[::1], types.int64[::1]
+
+
+def quantise(position: ArrayLike, resolution: float, *, offset: float = 0.5) -> NDArray[np.int64]:
+    """Counts that an ideal encoder shows: sign(resolution) · floor(position / |resolution| + offset).
+
+    Parameters
+    ----------
+    position
+        True positions (rad or m), any shape.
+    resolution
+        Travel for one count (rad or m); negative when counts fall while the position rises.
+    offset
+        Where position zero lies in its cell (count): 0.5 rounds to the nearest count, 0 truncates downwards.
+
+    Returns
+    -------
+    ndarray of int64
+        Counts, in the shape of `position`. They do not wrap at 32 bits as a device's do; estimators take either.
+
+    Raises
+    ------
+    ConfigError
+        A resolution of zero, or a position that is not finite or beyond 2^62 counts.
+    """
+    _check_resolution(resolution)
+    cells = np.floor(np.asarray(position, dtype=np.float64) / abs(resolution) + offset)
+    if not (np.abs(cells) < LARGEST_COUNT).all():
+        raise ConfigError(
+            "a position is not finite or beyond 2^62 counts", remedy="check position and resolution"
+        )
+    return np.asarray(math.copysign(1.0, resolution) * cells).astype(np.int64)
+
+
+def estimate(
+    name: str,
+    counts: ArrayLike,
+    dt: float,
+    *,
+    resolution: float,
+    edge_time: ArrayLike | None = None,
+    elapsed: ArrayLike | None = None,
+    **parameters: float | str,
+) -> Floats:
+    """Velocity at each sample, by the named estimator, as it would have come out of the loop.
+
+    Parameters
+    ----------
+    name
+        Of the estimator (`rig.control.estimators.names`).
+    counts
+        Encoder counts, one a sample: integers, shape (n,). A 32-bit counter may wrap in between.
+    dt
+        Velocity period (s).
+    resolution
+        Travel for one count (rad or m); negative when counts fall while the position rises.
+    edge_time
+        When the last encoder edge before each sample happened (s, shape (n,)), on a clock that is zero at the first
+        sample; −inf where there was none yet. Without it an edge is taken to happen at the sample that first shows
+        it, which is all that counts alone can say.
+    elapsed
+        Velocity periods from the sample before to each sample, shape (n,): above 1 after lost ones. All 1 if not given.
+    **parameters
+        Settings of the estimator; those left out take their default.
+
+    Returns
+    -------
+    ndarray of float64
+        Velocities (rad/s or m/s), shape (n,). The first is zero: it has no predecessor.
+
+    Raises
+    ------
+    ConfigError
+        No such estimator; settings, period or resolution that cannot be meant; counts that are no integers; arrays of
+        different lengths; an edge later than its sample.
+
+    Examples
+    --------
+    >>> estimate("fdm", [0, 2, 4, 6], 0.001, resolution=1e-6).tolist()
+    [0.0, 0.002, 0.002, 0.002]
+    """
+    return estimate_with_window(
+        name, counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, **parameters
+    )[0]
+
+
+def estimate_with_window(
+    name: str,
+    counts: ArrayLike,
+    dt: float,
+    *,
+    resolution: float,
+    edge_time: ArrayLike | None = None,
+    elapsed: ArrayLike | None = None,
+    **parameters: float | str,
+) -> tuple[Floats, Ints]:
+    """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
+    if not (math.isfinite(dt) and dt > 0.0):
+        raise ConfigError(f"dt = {dt!r} s is no period", remedy="give the time between two samples in s")
+    _check_resolution(resolution)
+    prepared = estimators.get(name).prepare(parameters, resolution, dt)
+    return run(prepared, *inputs(counts, dt, edge_time, elapsed))
+
+
+def inputs(
+    counts: ArrayLike, dt: float, edge_time: ArrayLike | None = None, elapsed: ArrayLike | None = None
+) -> tuple[Ints, Floats, Ints]:
+    """Check the arrays of `estimate` and return counts, age of the last edge (s) and elapsed periods."""
+    whole = _integers(counts, "counts")
+    steps = np.ones(len(whole), np.int64) if elapsed is None else _integers(elapsed, "elapsed")
+    if len(steps) != len(whole):
+        raise ConfigError(f"{len(whole)} counts, but {len(steps)} values of elapsed", remedy="give one each")
+    if len(steps) and steps.min() < 1:
+        raise ConfigError("elapsed has a value below 1", remedy="time must advance from sample to sample")
+    time_s = dt * (np.cumsum(steps) - steps[:1].sum())
+    if edge_time is None:
+        return whole, _age_of_last_change(whole, time_s), steps
+    edges = np.array(edge_time, dtype=np.float64)
+    if edges.shape != whole.shape:
+        raise ConfigError(
+            f"{len(whole)} counts, but edge_time of shape {edges.shape}", remedy="give one each"
+        )
+    age = time_s - edges
+    if not (age >= -FUTURE_S).all():  # also finds NaN
+        raise ConfigError(
+            "an edge_time is later than its sample or not a number",
+            remedy="give seconds from the first sample, and -inf where no edge is known",
+        )
+    return whole, np.clip(age, 0.0, OLDEST_EDGE_S), steps
+
+
+def run(prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints) -> tuple[Floats, Ints]:
+    """Run a prepared estimator, whose memory changes, over the arrays of `inputs`: velocities and windows."""
+    velocities, windows = np.empty(len(counts)), np.empty(len(counts), np.int64)
+    memory = (prepared.state_f, prepared.state_i, prepared.parameters)
+    update_all(prepared.estimator.update, counts, edge_age_s, elapsed, *memory, velocities, windows)
+    return velocities, windows
+
+
+@kernel(types.void(ESTIMATOR, _INTS, _FLOATS, _INTS, _FLOATS, _INTS, _FLOATS, _FLOATS, _INTS))
+def update_all(
+    update: Any,
+    counts: Ints,
+    edge_age_s: Floats,
+    elapsed: Ints,
+    state_f: Floats,
+    state_i: Ints,
+    parameters: Floats,
+    velocities: Floats,
+    windows: Ints,
+) -> None:
+    """Call the update once for each sample; all arrays but the memory have the length of `counts`."""
+    for k in range(len(counts)):
+        velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], state_f, state_i, parameters)
+        windows[k] = state_i[WINDOW]
+
+
+def _age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
+    changed = np.zeros(len(counts), dtype=bool)
+    changed[1:] = counts[1:] != counts[:-1]
+    last = np.maximum.accumulate(np.where(changed, time_s, -np.inf)) if len(counts) else time_s
+    return np.minimum(time_s - last, OLDEST_EDGE_S)
+
+
+def _integers(values: ArrayLike, what: str) -> Ints:
+    array = np.asarray(values)
+    if array.ndim != 1:
+        raise ConfigError(f"{what} has {array.ndim} dimensions", remedy="give a flat array")
+    if len(array) and array.dtype.kind not in "iu":
+        raise ConfigError(
+            f"{what} are {array.dtype}, not integers", remedy="make counts of positions with quantise(…)"
+        )
+    return array.astype(np.int64)
+
+
+def _check_resolution(resolution: float) -> None:
+    if not (math.isfinite(resolution) and resolution != 0.0):
+        raise ConfigError(f"resolution = {resolution!r} is no travel of a count", remedy="give rad or m")

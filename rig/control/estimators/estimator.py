@@ -1,0 +1,137 @@
+"""What every velocity estimator is: a compiled update, its memory, and a design of its parameters.
+
+The update is called once for each velocity sample (every N-th tick of a dual-rate loop). It knows nothing of
+rates: the period stands in its parameter vector, whose first two entries are the same for all estimators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.errors import ConfigError
+
+RESOLUTION = 0  # parameters[0]: travel for one count, signed as the encoder counts (rad or m)
+PERIOD = 1  # parameters[1]: velocity period T2 (s)
+COMMON = 2  # parameters from here on belong to the estimator
+WINDOW = 0  # state_i[0]: velocity periods that the last estimate spans, which is what the row shows
+OWN_INTS = 1  # state_i from here on belongs to the estimator
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A number that a user may choose: default (None: must be given), range, unit and meaning."""
+
+    name: str
+    default: float | None
+    minimum: float
+    maximum: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A named option that a user may choose: default, what there is, and meaning; `design` gets the name."""
+
+    name: str
+    default: str
+    choices: tuple[str, ...]
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Estimator:
+    """One row of the family.
+
+    `design(settings, resolution, period_s)` returns the numbers that follow the two common parameters; it
+    raises `ConfigError` when they cannot be realised at that period. `update` has the signature
+    `rig.realtime.plugs.ESTIMATOR_SIGNATURE`. `floats` and `ints` are the sizes of its memory; `ints` counts WINDOW.
+    """
+
+    name: str
+    summary: str
+    source: str
+    update: Any
+    floats: int
+    ints: int
+    settings: tuple[Setting | Choice, ...] = ()
+    design: Callable[[Mapping[str, Any], float, float], list[float]] = field(default=lambda s, r, p: [])
+
+    def prepare(self, given: Mapping[str, float | str], resolution: float, period_s: float) -> Prepared:
+        """Check the settings, design the parameters and allocate a memory of zeros.
+
+        Parameters
+        ----------
+        given
+            Settings by name; those left out take their default.
+        resolution
+            Travel for one count (rad or m), negative when counts fall while the position rises.
+        period_s
+            Velocity period T2.
+
+        Raises
+        ------
+        ConfigError
+            An unknown setting, one out of range, or a design that cannot be realised.
+        """
+        known = {s.name: s for s in self.settings}
+        for name in given:
+            if name not in known:
+                choice = ", ".join(known) or "none"
+                raise ConfigError(
+                    f"estimator {self.name} has no parameter {name!r}", remedy=f"its parameters: {choice}"
+                )
+        values = {
+            name: self._checked(setting, given.get(name, setting.default)) for name, setting in known.items()
+        }
+        own = self.design(values, resolution, period_s)
+        parameters = np.array([resolution, period_s, *own], dtype=np.float64)
+        return Prepared(
+            self,
+            parameters,
+            np.zeros(max(1, self.floats)),
+            np.zeros(max(OWN_INTS, self.ints), dtype=np.int64),
+        )
+
+    def _checked(self, setting: Setting | Choice, value: float | str | None) -> float | str:
+        if isinstance(setting, Choice):
+            if value not in setting.choices:
+                raise ConfigError(
+                    f"estimator {self.name}: {setting.name} = {value!r} is unknown",
+                    remedy=f"choose one of: {', '.join(setting.choices)}",
+                )
+            return str(value)
+        if value is None:
+            raise ConfigError(
+                f"estimator {self.name} needs {setting.name}",
+                remedy=f"give {setting.name} in {setting.unit}: {setting.meaning}",
+            )
+        if isinstance(value, str):
+            raise ConfigError(
+                f"estimator {self.name}: {setting.name} = {value!r} is not a number",
+                remedy=f"give {setting.minimum:g} to {setting.maximum:g} {setting.unit}",
+            )
+        if not setting.minimum <= value <= setting.maximum:
+            raise ConfigError(
+                f"estimator {self.name}: {setting.name} = {value:g} {setting.unit} is out of range",
+                remedy=f"choose {setting.minimum:g} to {setting.maximum:g} {setting.unit}",
+            )
+        return float(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """An estimator ready to run: its parameter vector and its (mutable) memory."""
+
+    estimator: Estimator
+    parameters: Floats
+    state_f: Floats
+    state_i: Ints

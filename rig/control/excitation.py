@@ -1,0 +1,410 @@
+"""Multisines: the efforts that shake a rig to see its impedance, as sums of cosines on whole lines of one period.
+
+    shake = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0)
+    shake.crest_factor, shake.peak
+    effort = shake.period(16_000, offset=0.5)  # one period, at the middle of each step
+
+A multisine repeats exactly, so whole periods of it need no window: every line of the answer stands in one bin of a
+discrete Fourier transform, and what stands between the lines is not the answer (`rig.analysis.impedance`). Schroeder's
+phases give a small crest factor; random ones, a new draw for each realisation, turn what friction distorts from a bias
+that looks like impedance into a scatter that averages out.
+
+Efforts are in N·m or N, times in s, frequencies in Hz. No simulation and no clock here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.core.errors import ConfigError
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Spectrum = Literal["flat", "mass"] | Sequence[float] | Floats
+ImpedanceModel = Callable[[Floats], ArrayLike] | ArrayLike
+
+ON_GRID = 1e-6  # of a line spacing, or of a sample: by how much a whole number may be missed
+OVERSAMPLING = 16  # points for each period of the highest line, where a peak is looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One number of an excitation against its limit; `limit` is None where there is none to keep."""
+
+    name: str
+    quantity: Literal["effort", "position", "velocity"]
+    value: float
+    limit: float | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value is finite and within its limit."""
+        return math.isfinite(self.value) and (self.limit is None or self.value <= self.limit)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain numbers and names."""
+        return {
+            "name": self.name,
+            "quantity": self.quantity,
+            "value": self.value,
+            "limit": self.limit,
+            "holds": self.holds,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Multisine:
+    """A sum of cosines, Σ amplitude · cos(2π·line·t + phase), on whole multiples of 1/period.
+
+    Attributes
+    ----------
+    period_s
+        Period (s); the lines are multiples of its inverse.
+    lines_hz
+        Excited frequencies (Hz), rising, shape (n,).
+    amplitudes
+        Peak of each line (N·m or N; what `through` returns may be a motion), shape (n,).
+    phases
+        Phase of each cosine at time 0 (rad), shape (n,).
+
+    Raises
+    ------
+    ConfigError
+        No lines, lines that are no rising multiples of 1/period, or arrays of different lengths.
+    """
+
+    period_s: float
+    lines_hz: Floats
+    amplitudes: Floats
+    phases: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("lines_hz", "amplitudes", "phases"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64).reshape(-1))
+        if not (math.isfinite(self.period_s) and self.period_s > 0.0):
+            raise ConfigError(f"a period of {self.period_s!r} s", remedy="give a time above zero")
+        n = len(self.lines_hz)
+        if n == 0 or len(self.amplitudes) != n or len(self.phases) != n:
+            raise ConfigError(
+                f"{n} lines, {len(self.amplitudes)} amplitudes and {len(self.phases)} phases",
+                remedy="give one of each for every line, and at least one line",
+            )
+        if not all(np.isfinite(a).all() for a in (self.lines_hz, self.amplitudes, self.phases)):
+            raise ConfigError("a line, an amplitude or a phase is no number", remedy="give finite numbers")
+        off = np.abs(self.lines_hz * self.period_s - self.harmonics)
+        if self.harmonics[0] < 1 or (np.diff(self.harmonics) < 1).any() or off.max() > ON_GRID:
+            raise ConfigError(
+                f"lines that are no rising multiples of 1/{self.period_s:g} s",
+                remedy="choose lines, or a period, that fit",
+            )
+
+    @classmethod
+    def schroeder(
+        cls,
+        band: tuple[float, float],
+        period_s: float = 1.0,
+        *,
+        rms: float | None = None,
+        peak: float | None = None,
+        spacing_lines: int = 1,
+        odd: bool = False,
+        spectrum: Spectrum = "flat",
+        first_phase: float = 0.0,
+    ) -> Multisine:
+        """Multisine with Schroeder's phases: nearly constant envelope, like a sweep.
+
+        Parameters
+        ----------
+        band
+            Lowest and highest frequency (Hz), both included where they are lines.
+        period_s
+            Period (s): lines are multiples of its inverse.
+        rms, peak
+            Size, by exactly one of both (N·m or N); neither when `spectrum` says it.
+        spacing_lines
+            Every n-th line only, counted from the lowest in the band.
+        odd
+            Odd multiples of 1/period only, so that even distortion falls beside the lines; the n-th of these.
+        spectrum
+            Amplitudes: ``"flat"``, ``"mass"`` (∝ frequency, which moves a mass equally fast at each line), or one
+            number for each line, absolute if neither `rms` nor `peak` is given.
+        first_phase
+            Phase of the lowest line (rad).
+
+        Notes
+        -----
+        With shares p of the power, φ_k = φ_1 − 2π·Σ_{l<k} (k − l)·p_l, k counting lines; for equal amplitudes this
+        is φ_1 − π·k·(k − 1)/n. Source: Schroeder, IEEE Trans. Inf. Theory 16 (1970), 85.
+        """
+        lines = _lines(band, period_s, spacing_lines, odd)
+        amplitudes = _spectrum(spectrum, lines)
+        share = amplitudes**2 / np.sum(amplitudes**2)
+        phases = first_phase - 2.0 * np.pi * np.concatenate([[0.0], np.cumsum(np.cumsum(share))[:-1]])
+        return _sized(cls(period_s, lines, amplitudes, _wrapped(phases)), spectrum, rms, peak)
+
+    @classmethod
+    def random(
+        cls,
+        band: tuple[float, float],
+        period_s: float = 1.0,
+        *,
+        seed: int | Sequence[int],
+        rms: float | None = None,
+        peak: float | None = None,
+        spacing_lines: int = 1,
+        odd: bool = False,
+        spectrum: Spectrum = "flat",
+    ) -> Multisine:
+        """Multisine with phases drawn evenly from the circle; the same seed gives the same ones.
+
+        Parameters are those of `schroeder`; a seed may be several numbers, such as (seed, realisation). Sized by
+        `rms`, every realisation has another peak; sized by `peak`, another rms.
+        """
+        lines = _lines(band, period_s, spacing_lines, odd)
+        phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(lines))
+        return _sized(cls(period_s, lines, _spectrum(spectrum, lines), phases), spectrum, rms, peak)
+
+    @property
+    def harmonics(self) -> NDArray[np.int64]:
+        """Which multiple of 1/period each line is, shape (n,)."""
+        return np.rint(self.lines_hz * self.period_s).astype(np.int64)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square over a period."""
+        return float(np.sqrt(0.5 * np.sum(self.amplitudes**2)))
+
+    @cached_property
+    def peak(self) -> float:
+        """Largest magnitude at any time, not only at samples: each crest of a fine grid through a parabola."""
+        points = OVERSAMPLING * int(self.harmonics[-1] + 1)
+        value = np.abs(self._samples(points, 0.0))
+        before, after = np.roll(value, 1), np.roll(value, -1)
+        crest = (value >= before) & (value >= after) & (value > 0.0)
+        if not crest.any():
+            return 0.0
+        top, left, right = value[crest], before[crest], after[crest]
+        bend = 2.0 * top - left - right
+        lift = np.divide((left - right) ** 2, 8.0 * bend, out=np.zeros_like(top), where=bend > 0.0)
+        return float((top + lift).max())
+
+    @property
+    def crest_factor(self) -> float:
+        """Peak over rms: √2 for one line, about 1.7 with Schroeder's phases, 3 to 4 with random ones."""
+        return self.peak / self.rms if self.rms > 0.0 else math.nan
+
+    def at(self, time_s: ArrayLike) -> Floats:
+        """Value at these times (s), in their shape."""
+        time = np.asarray(time_s, dtype=np.float64)
+        total = np.zeros(time.shape)
+        for line, amplitude, phase in zip(self.lines_hz, self.amplitudes, self.phases, strict=True):
+            total += amplitude * np.cos(2.0 * np.pi * line * time + phase)
+        return total
+
+    def period(self, rate_hz: float, offset: float = 0.0) -> Floats:
+        """One period, sampled at (k + offset)/rate.
+
+        Parameters
+        ----------
+        rate_hz
+            Samples in a second (Hz); a period must be a whole number of them, and the lines below half of it.
+        offset
+            Where in its step each sample stands: 0 its start, 0.5 its middle. An effort that is held over a step
+            lags by half of it, and one taken at the middle does not.
+
+        Returns
+        -------
+        ndarray
+            Shape (rate · period,).
+
+        Raises
+        ------
+        ConfigError
+            A period of no whole number of samples, or lines that the rate cannot carry.
+        """
+        samples = round(rate_hz * self.period_s)
+        if samples < 1 or abs(rate_hz * self.period_s - samples) > ON_GRID:
+            raise ConfigError(
+                f"a period of {self.period_s:g} s is no whole number of samples at {rate_hz:g} Hz",
+                remedy="choose a period that is",
+            )
+        if 2 * self.harmonics[-1] >= samples:
+            raise ConfigError(
+                f"{self.lines_hz[-1]:g} Hz cannot be played at {rate_hz:g} Hz",
+                remedy=f"end the band below {rate_hz / 2:g} Hz",
+            )
+        return self._samples(samples, offset)
+
+    def ramped(self, time_s: ArrayLike, ramp_periods: int) -> Floats:
+        """Value at these times (s), faded in over the first periods by `ramp`, and zero before time 0."""
+        time = np.asarray(time_s, dtype=np.float64)
+        return self.at(time) * ramp(time, ramp_periods * self.period_s)
+
+    def scaled(self, factor: float) -> Multisine:
+        """Return the same shape at another size."""
+        return replace(self, amplitudes=factor * self.amplitudes)
+
+    def through(self, response: ArrayLike) -> Multisine:
+        """Steady answer of a linear system with this complex gain at each line (shape (n,))."""
+        gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
+        return replace(
+            self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrapped(self.phases + np.angle(gain))
+        )
+
+    def position(self, impedance: ImpedanceModel) -> Multisine:
+        """Steady position of the handle under this effort, F/(jω·Z), for Z as a function of Hz or at the lines."""
+        return self._divided(self._s * self._impedance(impedance))
+
+    def velocity(self, impedance: ImpedanceModel) -> Multisine:
+        """Steady velocity of the handle under this effort, F/Z."""
+        return self._divided(self._impedance(impedance))
+
+    def check(
+        self,
+        impedance: ImpedanceModel,
+        *,
+        effort_limit: float | None = None,
+        position_limit: float | None = None,
+        speed_limit: float | None = None,
+        wall: ImpedanceModel | None = None,
+        motor_limit: float | None = None,
+        channel: Literal["external", "motor"] = "external",
+    ) -> tuple[Check, ...]:
+        """Compare what the excitation asks for with limits, before anything moves.
+
+        Parameters
+        ----------
+        impedance
+            Z(jω) expected at the handle (damping units), rig and wall: a function of the lines (Hz), or its values
+            there.
+        effort_limit
+            Of what makes the excitation.
+        position_limit
+            Largest distance from where the rig rests that its window allows (rad or m).
+        speed_limit
+            Of the guard (rad/s or m/s).
+        wall
+            Z of the wall alone, if there is one: the effort that the motor renders is checked then.
+        motor_limit
+            Of the motor.
+        channel
+            ``"motor"`` when the rig's own motor makes the excitation and renders the wall as well.
+
+        Returns
+        -------
+        tuple of Check
+            Peaks of the steady motion. A ramp of a whole period or more adds little to them; friction takes away.
+        """
+        whole = self._impedance(impedance)
+        checks = [
+            Check("peak excitation", "effort", self.peak, effort_limit),
+            Check("peak position", "position", self.position(whole).peak, position_limit),
+            Check("peak speed", "velocity", self.velocity(whole).peak, speed_limit),
+        ]
+        if wall is not None or channel == "motor":
+            share = (0.0 if wall is None else self._impedance(wall)) / whole
+            carried = self.through(1.0 - share if channel == "motor" else share)
+            checks.append(Check("peak motor effort", "effort", carried.peak, motor_limit))
+        return tuple(checks)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain numbers: what a recording keeps of an excitation."""
+        return {
+            "period_s": self.period_s,
+            "lines_hz": self.lines_hz.tolist(),
+            "amplitudes": self.amplitudes.tolist(),
+            "phases": self.phases.tolist(),
+            "rms": self.rms,
+            "peak": self.peak,
+            "crest_factor": self.crest_factor,
+        }
+
+    @property
+    def _s(self) -> Complexes:
+        return np.asarray(2j * np.pi * self.lines_hz)
+
+    def _impedance(self, model: ImpedanceModel) -> Complexes:
+        values = model(self.lines_hz) if callable(model) else model
+        return np.broadcast_to(np.asarray(values, dtype=np.complex128), self.lines_hz.shape)
+
+    def _divided(self, by: Complexes) -> Multisine:
+        if not (np.isfinite(by) & (by != 0.0)).all():
+            raise ConfigError(
+                "an impedance of zero, or one that is no number", remedy="check the model at every line"
+            )
+        return self.through(1.0 / by)
+
+    def _samples(self, samples: int, offset: float) -> Floats:
+        """One period of so many samples, by an inverse transform; the lines must lie below half the rate."""
+        spectrum = np.zeros(samples // 2 + 1, np.complex128)
+        shift = 2.0 * np.pi * self.harmonics * offset / samples
+        spectrum[self.harmonics] = 0.5 * samples * self.amplitudes * np.exp(1j * (self.phases + shift))
+        return np.fft.irfft(spectrum, samples)
+
+
+def ramp(time_s: ArrayLike, duration_s: float) -> Floats:
+    """Raised cosine from 0 at time 0 to 1 at `duration_s`, and outside of that what it ends with."""
+    time = np.asarray(time_s, dtype=np.float64)
+    if duration_s <= 0.0:
+        return np.where(time < 0.0, 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(time / duration_s, 0.0, 1.0)))
+
+
+def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) -> Floats:
+    low, high = band
+    if not (math.isfinite(high) and 0.0 < low <= high and period_s > 0.0 and spacing >= 1):
+        raise ConfigError(
+            f"a band of {low:g} to {high:g} Hz in a period of {period_s:g} s, every {spacing} lines",
+            remedy="give 0 < low ≤ high, a period above zero and a spacing of 1 or more",
+        )
+    first, last = math.ceil(low * period_s - ON_GRID), math.floor(high * period_s + ON_GRID)
+    first = max(first, 1)
+    if odd:
+        harmonics = np.arange(first + (first % 2 == 0), last + 1, 2 * spacing)
+    else:
+        harmonics = np.arange(first, last + 1, spacing)
+    if len(harmonics) == 0:
+        raise ConfigError(
+            f"no line between {low:g} and {high:g} Hz: they stand {1.0 / period_s:g} Hz apart",
+            remedy="widen the band or lengthen the period",
+        )
+    return harmonics / period_s
+
+
+def _spectrum(spectrum: Spectrum, lines: Floats) -> Floats:
+    if isinstance(spectrum, str):
+        if spectrum not in ("flat", "mass"):
+            raise ConfigError(f"no spectrum {spectrum!r}", remedy="choose flat, mass, or give amplitudes")
+        return np.ones_like(lines) if spectrum == "flat" else lines / lines[-1]
+    amplitudes = np.array(spectrum, dtype=np.float64).reshape(-1)
+    if len(amplitudes) != len(lines) or not (amplitudes >= 0.0).all() or not amplitudes.any():
+        raise ConfigError(
+            f"{len(amplitudes)} amplitudes for {len(lines)} lines, or one below zero, or none above",
+            remedy="give one amplitude for each line",
+        )
+    return amplitudes
+
+
+def _wrapped(phases: Floats) -> Floats:
+    return np.asarray((phases + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _sized(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float | None) -> Multisine:
+    if rms is not None and peak is not None:
+        raise ConfigError("both an rms and a peak", remedy="give one of them")
+    if rms is None and peak is None:
+        if isinstance(spectrum, str):
+            raise ConfigError("an excitation without a size", remedy="give its rms or its peak (N·m or N)")
+        return shape
+    wanted, has = (rms, shape.rms) if rms is not None else (peak, shape.peak)
+    assert wanted is not None
+    if not (math.isfinite(wanted) and wanted > 0.0):
+        raise ConfigError(f"an excitation of size {wanted!r}", remedy="give a number above zero")
+    return shape.scaled(wanted / has)

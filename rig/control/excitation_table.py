@@ -1,0 +1,316 @@
+"""The multisine that a device plays out of a table: what the firmware works out, to the bit, and what it is.
+
+The rig's own motor is shaken at the device's rate, so nothing is streamed: the device is told a few numbers, works out
+one period as 16-bit numbers (quanta · 2^−bits) before anything moves, and looks one up in each tick. Its arithmetic is
+in integers (firmware/law/excitation.c), so the host knows the table exactly, and `multisine` says which
+`rig.control.excitation.Multisine` it is an approximation of: lines first, first + step, …, equal amplitudes, own
+phases.
+
+How good the approximation is: see `ExcitationTable.error`. It begins with a raised cosine of
+`ramp` ticks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.control.excitation import Floats, Multisine
+from rig.core.errors import ConfigError
+
+Phases = Literal["hashed", "schroeder"]
+PHASES: tuple[Phases, ...] = ("hashed", "schroeder")  # in the order of the parameter excitation_phases
+
+LINE_BITS = 16  # of amplitudes and of what is played (quanta)
+MOST_BITS = 15  # of the table
+MOST_LINES, MOST_PERIOD, MOST_RAMP = 4_096, 65_536, 2**24
+MOST_SUM = 2**38  # of all amplitudes, quanta · 2^16
+GREATEST = 2**15 - 1  # of a number in the table
+
+_TURN = 2**32
+_COSINE_BITS = 24
+_GAIN_BITS = 15
+_QUARTER = np.rint(2**_COSINE_BITS * np.sin(0.5 * np.pi * np.minimum(np.arange(258), 256) / 256)).astype(
+    np.int64
+)
+_COSINE_ERROR = 5.2e-6  # a line between 257 points of a quarter, and a phase cut to 2^-24 turns
+_CHUNK = 1 << 18  # cosines at a time
+
+Integers = NDArray[np.int64]
+Turns = NDArray[np.uint32]
+
+
+def cosine(phase: Turns) -> Integers:
+    """Cosine of phases in 2^−32 turns, times 2^24."""
+    turned = phase + np.uint32(_TURN // 4)
+    within = (turned & np.uint32(2**30 - 1)).astype(np.int64)
+    x = np.where(turned & np.uint32(2**30), 2**30 - within, within)
+    at, share = x >> 22, x >> 8 & 2**14 - 1
+    value = _QUARTER[at] + ((_QUARTER[at + 1] - _QUARTER[at]) * share >> 14)
+    return np.asarray(np.where(turned & np.uint32(2**31), -value, value))
+
+
+def hashed_phases(seed: int, lines: int) -> Turns:
+    """Phases of the lines at tick 0 in 2^−32 turns, even on the circle; excitation.h has the formula."""
+    z = (seed + 0x9E3779B9 * np.arange(1, lines + 1, dtype=np.uint64)).astype(np.uint32)
+    z = (z ^ z >> np.uint32(16)) * np.uint32(0x85EBCA6B)
+    z = (z ^ z >> np.uint32(13)) * np.uint32(0xC2B2AE35)
+    return np.asarray(z ^ z >> np.uint32(16))
+
+
+def schroeder_phases(lines: int) -> Turns:
+    """Schroeder's phases for equal lines, −j(j + 1)/2 of floor(2^32/lines), in 2^−32 turns."""
+    j = np.arange(lines, dtype=np.uint64)
+    return (-(j * (j + np.uint64(1)) // np.uint64(2) * np.uint64(_TURN // lines)).astype(np.int64)).astype(
+        np.uint32
+    )
+
+
+@dataclass(frozen=True)
+class ExcitationTable:
+    """Parameters excitation_* of a device, and the table that it makes of them.
+
+    Parameters
+    ----------
+    lines
+        Number of lines.
+    first, step
+        Harmonic of the first line, and from one to the next.
+    period
+        One period (ticks).
+    amplitude
+        Peak of each line (quanta · 2^16).
+    bits
+        Fractional bits of the table.
+    ramp
+        Ticks in which it rises.
+    phases
+        One of `PHASES`.
+    seed
+        Of hashed phases.
+
+    Raises
+    ------
+    ConfigError
+        Numbers that a device would refuse.
+    """
+
+    lines: int
+    first: int
+    step: int
+    period: int
+    amplitude: int
+    bits: int = 0
+    ramp: int = 0
+    phases: Phases = "schroeder"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("lines", 1, MOST_LINES),
+            ("period", 2, MOST_PERIOD),
+            ("first", 1, MOST_PERIOD),
+            ("step", 1, MOST_PERIOD),
+            ("amplitude", 0, 2**31 - 1),
+            ("bits", 0, MOST_BITS),
+            ("ramp", 0, MOST_RAMP),
+            ("seed", 0, _TURN - 1),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ConfigError(
+                    f"an excitation of the device with {name} = {value}",
+                    remedy=f"choose {name} from {least} to {most}",
+                )
+        if self.phases not in PHASES:
+            raise ConfigError(f"no phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}")
+        if int(self.harmonics[-1]) > (self.period - 1) // 2:
+            raise ConfigError(
+                f"line {int(self.harmonics[-1])} in a period of {self.period} ticks cannot be played",
+                remedy=f"end the band below harmonic {(self.period + 1) // 2}",
+            )
+        if self.lines * self.amplitude > MOST_SUM:
+            raise ConfigError(
+                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta are beyond any amplifier",
+                remedy="choose a smaller excitation",
+            )
+
+    @classmethod
+    def of(
+        cls,
+        multisine: Multisine,
+        rate_hz: float,
+        effort_quantum: float,
+        *,
+        ramp: int = 0,
+        phases: Phases = "schroeder",
+        seed: int = 0,
+    ) -> ExcitationTable:
+        """Return the table with the lines and the amplitude of a multisine, its phases the device's own.
+
+        Parameters
+        ----------
+        multisine
+            Equally spaced lines of equal amplitude (N·m or N).
+        rate_hz
+            Ticks in a second (Hz).
+        effort_quantum
+            Effort of one current quantum (N·m or N).
+        ramp
+            Ticks in which it rises.
+        phases, seed
+            As in the class.
+
+        Raises
+        ------
+        ConfigError
+            Another spectrum, a period of no whole number of ticks, or anything that a device would refuse.
+
+        Notes
+        -----
+        `bits` is the greatest with which the peak fits 16 bits, so the size of the table's steps is between 2^−15
+        and 2^−14 of the peak.
+        """
+        harmonics, ticks = multisine.harmonics, rate_hz * multisine.period_s
+        steps = np.diff(harmonics)
+        if (steps != steps[:1]).any() or np.ptp(multisine.amplitudes) > 1e-9 * multisine.amplitudes.max():
+            raise ConfigError(
+                "the device plays equally spaced lines of equal amplitude only",
+                remedy='choose the spectrum "flat", or let the host run the law',
+            )
+        if abs(ticks - round(ticks)) > 1e-6:
+            raise ConfigError(
+                f"a period of {multisine.period_s:g} s is no whole number of ticks at {rate_hz:g} Hz",
+                remedy="choose a period that is",
+            )
+        table = cls(
+            lines=len(harmonics),
+            first=int(harmonics[0]),
+            step=int(steps[0]) if len(steps) else 1,
+            period=round(ticks),
+            amplitude=round(float(multisine.amplitudes[0]) / effort_quantum * 2**LINE_BITS),
+            ramp=ramp,
+            phases=phases,
+            seed=seed,
+        )
+        return table.with_most_bits()
+
+    def with_most_bits(self) -> ExcitationTable:
+        """Return the same with the most fractional bits that its peak leaves room for.
+
+        Raises `ConfigError` for a peak that does not even fit whole quanta.
+        """
+        for bits in range(MOST_BITS, -1, -1):
+            if np.abs(self._at(bits)).max() <= GREATEST:
+                better = replace(self, bits=bits)
+                better.__dict__["_sums"] = self._sums  # they do not depend on the bits, and take a while
+                return better
+        raise ConfigError(
+            f"an excitation with a peak beyond {GREATEST} current quanta",
+            remedy="choose a smaller excitation",
+        )
+
+    @property
+    def harmonics(self) -> Integers:
+        """Multiple of 1/period that each line is, shape (lines,)."""
+        return self.first + self.step * np.arange(self.lines, dtype=np.int64)
+
+    @property
+    def line_phases(self) -> Turns:
+        """Phase of each line at tick 0 (2^−32 turns), shape (lines,)."""
+        return (
+            schroeder_phases(self.lines)
+            if self.phases == "schroeder"
+            else hashed_phases(self.seed, self.lines)
+        )
+
+    @cached_property
+    def table(self) -> NDArray[np.int16]:
+        """One period as the device keeps it (quanta · 2^bits), shape (period,)."""
+        return np.clip(self._at(self.bits), -GREATEST - 1, GREATEST).astype(np.int16)
+
+    @property
+    def values(self) -> Floats:
+        """One period (quanta), shape (period,)."""
+        return np.asarray(self.table, np.float64) * 2.0**-self.bits
+
+    @property
+    def peak(self) -> float:
+        """Largest magnitude in the table (quanta)."""
+        return float(np.abs(self.values).max())
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the table (quanta)."""
+        return float(np.sqrt(np.mean(self.values**2)))
+
+    @property
+    def error(self) -> float:
+        """Bound on how far a number in the table is from the multisine (quanta).
+
+        Half a step of the table; and for each line the error of its cosine, 5.2e-6 of the amplitude, and of its
+        phase, which is off by at most one part in 2^32 for each line before it, and two.
+        """
+        phase: float = 2.0 * math.pi / _TURN * (self.lines * (self.lines + 3) / 2)
+        return 0.5 * 2.0**-self.bits + self.amplitude * 0.5**LINE_BITS * (self.lines * _COSINE_ERROR + phase)
+
+    def multisine(self, rate_hz: float, effort_quantum: float) -> Multisine:
+        """Return what shakes the rig (N·m or N for one current quantum), at so many ticks a second (Hz)."""
+        amplitude = self.amplitude * 0.5**LINE_BITS * effort_quantum
+        turns = np.asarray(self.line_phases.astype(np.int32), np.float64)  # from -1/2 to 1/2
+        return Multisine(
+            self.period / rate_hz,
+            np.asarray(self.harmonics, np.float64) * (rate_hz / self.period),
+            np.full(self.lines, amplitude),
+            turns * (2.0 * np.pi / _TURN),
+        )
+
+    def efforts(self, effort_quantum: float) -> Floats:
+        """One period of the table (N·m or N), for a law that plays it (`rig.control.laws.shaken`)."""
+        return self.values * effort_quantum
+
+    def played(self, ticks: ArrayLike) -> Integers:
+        """What the device adds at these ticks of the excitation, the ramp with it (quanta · 2^16)."""
+        tick = np.asarray(ticks, dtype=np.int64)
+        gain = np.full(tick.shape, 1 << _GAIN_BITS, np.int64)
+        if self.ramp > 0:
+            rising = tick < self.ramp
+            turned = (tick[rising] * (2**31 // self.ramp)).astype(np.uint32)
+            gain[rising] = 2**_COSINE_BITS - cosine(turned) >> _COSINE_BITS + 1 - _GAIN_BITS
+        sampled = self.table[tick % self.period].astype(np.int64)
+        return np.asarray(sampled * gain * 2 ** (LINE_BITS - _GAIN_BITS) >> self.bits)
+
+    def parameters(self) -> dict[str, int]:
+        """Parameters of the device, by name."""
+        values = asdict(self) | {"phases": PHASES.index(self.phases)}
+        return {f"excitation_{name}": int(value) for name, value in values.items()}
+
+    @cached_property
+    def _sums(self) -> Integers:
+        """Sum of the lines' cosines at each tick (2^−24), shape (period,)."""
+        sums = np.empty(self.period, np.int64)
+        line, own = np.arange(self.lines, dtype=np.uint32), self.line_phases
+        for ticks in _chunks(self.period, self.lines):
+            first, step = (
+                (ticks * harmonic % self.period * _TURN // self.period).astype(np.uint32)
+                for harmonic in (self.first, self.step)
+            )
+            sums[ticks] = cosine(first[:, None] + line * step[:, None] + own).sum(axis=1)
+        return sums
+
+    def _at(self, bits: int) -> Integers:
+        """Numbers of the table with so many bits, before they are clipped."""
+        shift = _COSINE_BITS + LINE_BITS - bits
+        return (self._sums * self.amplitude >> shift - 1) + 1 >> 1
+
+
+def _chunks(period: int, lines: int) -> Iterator[Integers]:
+    length = max(1, _CHUNK // lines)
+    for start in range(0, period, length):
+        yield np.arange(start, min(start + length, period), dtype=np.int64)

@@ -1,0 +1,143 @@
+"""Friction compensation: the motor carries a part of the Coulomb friction that a hand would feel.
+
+    effort = share · level · φ(velocity / dead band),    φ(x) = x·(3 − x²)/2 for |x| ≤ 1, else the sign of x
+
+The level is that of the direction of motion, up or down. Inside the dead band the effort falls smoothly to zero, so
+that a handle at rest gets none and an encoder's noise makes no chatter; it must be wider than that noise.
+
+**It cannot drive the rig.** The effort is never more than share · level, and while the handle slides with velocity v
+friction takes level · |v| out of it. Whatever the estimator says of the velocity, late, wrong or of the wrong sign,
+the power that both put in together is at most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So no energy comes of
+it as long as the rig's own friction is not below share · level (0.8 of what was identified, unless asked otherwise);
+where it is below, by d, at most d · |distance slid|. On a rig of two masses this holds for the mass that the motor acts
+on and its own friction: take levels of the motor side if the link has much friction of its own.
+
+It is off unless somebody wraps a law in it, and it works wherever that law does: in trial and release, inside the wall
+and outside. A recording shows it in the name of the law and in its parameters, the first four of which are its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.laws import Law
+from rig.core.errors import ConfigError
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
+
+Floats = NDArray[np.float64]
+
+SUFFIX = "+friction"  # of the name of a wrapped law
+DEFAULT_SHARE = 0.8
+INWARDS, OUTWARDS, DEAD_BAND, SHARE, OWN = range(5)  # parameters; the wrapped law's own begin at OWN
+
+
+@kernel("f8(f8, f8, f8, f8, f8)", inline=True)
+def compensation(velocity: float, rising: float, falling: float, dead_band: float, share: float) -> float:
+    """Effort along the velocity (N·m or N) for friction levels of rising and falling position; see the module."""
+    level = share * (rising if velocity > 0.0 else falling)
+    x = velocity / dead_band
+    if x >= 1.0:
+        return level
+    if x <= -1.0:
+        return -level
+    return level * 0.5 * x * (3.0 - x * x)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compensation:
+    """What to compensate.
+
+    Attributes
+    ----------
+    up, down
+        Identified friction against rising and against falling position (N·m or N, not negative).
+    dead_band
+        Speed at which the whole share acts (rad/s or m/s, above zero).
+    share
+        Of the levels, 0 to below 1.
+
+    Raises
+    ------
+    ConfigError
+        A value outside of these ranges.
+    """
+
+    up: float
+    down: float
+    dead_band: float
+    share: float = DEFAULT_SHARE
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.up < math.inf and 0.0 <= self.down < math.inf):
+            raise ConfigError(
+                f"friction levels {self.up!r} and {self.down!r}", remedy="give numbers that are not negative"
+            )
+        if not 0.0 < self.dead_band < math.inf:
+            raise ConfigError(
+                f"a dead band of {self.dead_band!r}",
+                remedy="give a speed above the noise of the velocity estimate (`dead_band_of`)",
+            )
+        if not 0.0 <= self.share < 1.0:
+            raise ConfigError(
+                f"a share of {self.share!r} of the friction",
+                remedy=f"choose 0 to below 1; {DEFAULT_SHARE} leaves room for friction that varies",
+            )
+
+
+def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> float:
+    """Dead band of four times the velocity that one count makes in a filtered difference (rad/s or m/s).
+
+    A step of one count is an impulse of resolution·rate in a difference; a second-order filter of that cut-off answers
+    with a peak of about 0.46·2π·cut-off·resolution, and the raw difference with resolution·rate.
+    """
+    return 4.0 * resolution * min(velocity_rate, 0.46 * 2.0 * math.pi * cutoff_hz)
+
+
+def compensated(law: Law, wanted: Compensation) -> Law:
+    """Return a law that does what `law` does, and compensates friction.
+
+    The wrapper is compiled for the law when it is first used (a second or two).
+    """
+
+    def design(wall: Mapping[str, Any]) -> list[float]:
+        inwards, outwards = (wanted.up, wanted.down) if wall["side"] > 0 else (wanted.down, wanted.up)
+        return [inwards, outwards, wanted.dead_band, wanted.share, *law.design(wall)]
+
+    return Law(
+        law.name + SUFFIX,
+        f"{law.summary}, with friction compensation",
+        _wrapped(law.function),
+        law.floats,
+        design,
+    )
+
+
+def around(law: Law) -> Law:
+    """Return the wrapper of a law without numbers of its own: what a replay needs, whose recording has them."""
+    return compensated(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
+
+
+@lru_cache(maxsize=32)  # compiling takes a second or two
+def _wrapped(function: Callable[..., float]) -> Any:
+    @kernel(LAW_SIGNATURE, cache=False)
+    def law_with_compensation(
+        penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+    ) -> float:
+        reaction = function(penetration, penetration_velocity, elapsed_ticks, state, parameters[OWN:])
+        return reaction - compensation(
+            penetration_velocity,
+            parameters[INWARDS],
+            parameters[OUTWARDS],
+            parameters[DEAD_BAND],
+            parameters[SHARE],
+        )
+
+    return law_with_compensation

@@ -1,0 +1,168 @@
+"""Laws that move a rig to learn what it is: a traced path, and small nudges that need no sign to be known.
+
+Both are laws like a wall (`rig.realtime.plugs.LAW`), so that they run without bytes, over the byte link, in real time
+and in a replay. They know no wall: the wall's position is the point from which they count, its side the direction. Time
+is counted in ticks since the law began, lost ones included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.laws import Law
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
+
+Floats = NDArray[np.float64]
+
+TICK = 1  # state of both laws: the present tick, plus one; 0 before the first
+
+SEGMENT, TRACED_STATE = 2, 3  # state of `traced`
+STIFFNESS, DAMPING, LIMIT, TICK_S, PATH = range(5)  # parameters of `traced`; PATH: pairs of tick and position
+
+PULSE, STAGE, STAGE_TICKS, ORIGIN, DRIVE, TURN, NUDGES_STATE = 2, 3, 4, 5, 6, 7, 8  # state of `nudges`
+RATE, MOST, MOVED, REST_TICKS, BRAKE, PULSES = range(6)  # parameters of `nudges`
+RISING, RESTING = 0, 1  # stages
+ALIKE = 2  # pulses of one direction after another
+
+
+@kernel(LAW_SIGNATURE)
+def traced(
+    penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+) -> float:
+    """Servo along straight lines between points (tick, position), holding the last: spring, damper, clipped.
+
+    Source: the homing servo of `rig.control.sources`, with the path's own velocity fed forward.
+    """
+    state[LAW_CLAMPED] = 0.0
+    tick = state[TICK] - 1.0 + elapsed_ticks if state[TICK] > 0.0 else 0.0
+    state[TICK] = tick + 1.0
+    last = (parameters.shape[0] - PATH) // 2 - 1
+    i = int(state[SEGMENT])
+    while i < last and tick >= parameters[PATH + 2 * (i + 1)]:
+        i += 1
+    state[SEGMENT] = i
+    begins, setpoint, slope = parameters[PATH + 2 * i], parameters[PATH + 2 * i + 1], 0.0
+    if i < last:
+        ends, target = parameters[PATH + 2 * i + 2], parameters[PATH + 2 * i + 3]
+        slope = (target - setpoint) / (ends - begins)
+        setpoint += slope * (tick - begins)
+    drive = parameters[STIFFNESS] * (setpoint - penetration)
+    drive += parameters[DAMPING] * (slope / parameters[TICK_S] - penetration_velocity)
+    return float(-min(max(drive, -parameters[LIMIT]), parameters[LIMIT]))
+
+
+@kernel(LAW_SIGNATURE)
+def nudges(
+    penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+) -> float:
+    """Push a little more in each tick until the handle has moved a little, brake, rest, and again.
+
+    Two pushes one way, two the other, and so on. The brake works by the direction in which the handle went, whether or
+    not that is the direction of the push, so that a wrong sign makes nothing run away.
+    """
+    state[LAW_CLAMPED] = 0.0
+    if state[TICK] == 0.0:
+        state[ORIGIN] = penetration
+    state[TICK] += elapsed_ticks
+    if state[PULSE] >= parameters[PULSES]:
+        return 0.0
+    state[STAGE_TICKS] += elapsed_ticks
+    forth = 1.0 if int(state[PULSE]) % (2 * ALIKE) < ALIKE else -1.0
+    if state[STAGE] == RISING:
+        state[DRIVE] = min(parameters[RATE] * state[STAGE_TICKS], parameters[MOST])
+        way = penetration - state[ORIGIN]
+        if abs(way) < parameters[MOVED] and state[DRIVE] < parameters[MOST]:
+            return float(-forth * state[DRIVE])
+        state[STAGE], state[STAGE_TICKS] = RESTING, 0.0
+        state[TURN] = 1.0 if way * forth >= 0.0 else -1.0
+    elif state[STAGE_TICKS] >= parameters[REST_TICKS]:
+        state[PULSE] += 1.0
+        state[STAGE], state[STAGE_TICKS] = RISING, 0.0
+        state[ORIGIN] = penetration
+        return 0.0
+    brake = -state[TURN] * parameters[BRAKE] * penetration_velocity
+    return float(-min(max(brake, -state[DRIVE]), state[DRIVE]))
+
+
+def tracing(
+    path: Sequence[tuple[float, float]], *, stiffness: float, damping: float, limit: float, rate_hz: float
+) -> Law:
+    """Return a law that takes the handle along a path.
+
+    Parameters
+    ----------
+    path
+        Times from the beginning of the trial (s), rising, and positions then (rad or m).
+    stiffness, damping, limit
+        Of the servo: N·m/rad or N/m, N·m·s/rad or N·s/m, and its most effort (N·m or N).
+    rate_hz
+        Of the loop (Hz).
+    """
+
+    def design(wall: Mapping[str, Any]) -> list[float]:
+        parameters = [stiffness, damping, limit, 1.0 / rate_hz]
+        for time_s, position in path:
+            parameters += [float(round(time_s * rate_hz)), wall["side"] * (position - wall["position"])]
+        return parameters
+
+    return Law("traced", "servo along a path", traced, TRACED_STATE, design)
+
+
+def nudging(
+    *,
+    effort_per_s: float,
+    most_effort: float,
+    moved: float,
+    rest_s: float,
+    brake: float,
+    pulses: int,
+    rate_hz: float,
+) -> Law:
+    """Return a law of small pushes, the first two along the position.
+
+    Parameters
+    ----------
+    effort_per_s
+        How fast a push grows (N·m/s or N/s).
+    most_effort
+        Where it gives up (N·m or N).
+    moved
+        Distance after which it ends (rad or m).
+    rest_s
+        Length of the brake and the rest after it (s).
+    brake
+        Damping of the brake (N·m·s/rad or N·s/m), never more effort than the push had.
+    pulses
+        How many.
+    rate_hz
+        Of the loop (Hz).
+    """
+
+    def design(wall: Mapping[str, Any]) -> list[float]:
+        if wall["side"] != 1:
+            raise ValueError("nudges count along the position")
+        return [
+            effort_per_s / rate_hz,
+            most_effort,
+            moved,
+            float(round(rest_s * rate_hz)),
+            brake,
+            float(pulses),
+        ]
+
+    return Law("nudges", "small pushes of both signs", nudges, NUDGES_STATE, design)
+
+
+def traced_law() -> Law:
+    """Return the law of `tracing` without numbers of its own: what a replay needs, whose recording has them."""
+    return tracing((), stiffness=0.0, damping=0.0, limit=0.0, rate_hz=1.0)
+
+
+def nudged_law() -> Law:
+    """Return the law of `nudging` without numbers of its own: what a replay needs, whose recording has them."""
+    return nudging(effort_per_s=0.0, most_effort=0.0, moved=0.0, rest_s=0.0, brake=0.0, pulses=0, rate_hz=1.0)

@@ -1,0 +1,453 @@
+"""The whole controller for one tick. Everything that renders a wall calls this function and nothing else.
+
+The order of one tick is normative:
+
+1. the count becomes a position, and the watch looks at what the last effort did on the way to it (`rig.control.watch`);
+2. penetration = side · (position − wall), inside iff above zero, no half-count correction;
+3. when the sample index enters a new velocity period, the estimator runs, with the number of velocity periods
+   since its last run (also outside the wall: resetting it there changes the first peak by a fifth);
+4. the law gives the wall's reaction from this tick's penetration and the held velocity;
+5. the other sources are added: constant effort or homing servo;
+6. the guard limits the sum once;
+7. the result is rounded to the wire's current quantum;
+8. whoever called applies it.
+
+The sample index is the only clock: nothing here asks what time it is, so a replay of the counts gives the
+same bits.
+
+`Control` (what is wanted) and `Memory` (what is remembered, and what the row shows) are length-1 structured
+arrays: fields have names in compiled code and in plain Python alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from rig.control import estimators, guard, laws, sources, watch
+from rig.control.estimators.estimator import WINDOW, Prepared
+from rig.control.estimators.fdm import count_difference
+from rig.control.laws import Law, PreparedLaw
+from rig.core.errors import ConfigError
+from rig.core.sample import Phase, RowFlag
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR, LAW, LAW_CLAMPED
+
+CONTROL = np.dtype(
+    [
+        ("resolution", "<f8"),  # travel for one count, signed as the encoder counts
+        ("reference_count", "<i8"),  # count at position zero
+        ("tick_s", "<f8"),  # T1
+        ("velocity_divider", "<i8"),  # N = T2/T1
+        ("extrapolate", "<i8"),  # 1: first-order prediction between velocity samples, 0: hold
+        ("slow_multiple", "<i8"),  # velocity periods between samples of a slow handle; 1: always every period
+        ("slow_speed", "<f8"),  # what slow means
+        ("wall_position", "<f8"),
+        ("wall_side", "<f8"),  # +1: the wall is entered with rising position
+        ("effort_limit", "<f8"),
+        ("effort_quantum", "<f8"),  # effort of one current quantum
+        ("trial_slew", "<f8"),  # effort per tick in trial and release: binding spoils the trial
+        ("homing_slew", "<f8"),  # effort per tick while homing
+        ("window_minimum", "<f8"),
+        ("window_maximum", "<f8"),
+        ("speed_limit", "<f8"),
+        ("home_target", "<f8"),
+        ("home_step", "<f8"),  # set-point travel per tick
+        ("home_stiffness", "<f8"),
+        ("home_damping", "<f8"),
+        ("home_effort", "<f8"),
+        ("home_tolerance", "<f8"),
+        ("settle_ticks", "<i8"),
+        ("home_timeout_ticks", "<i8"),
+        ("constant_effort", "<f8"),
+        ("trial_ticks", "<i8"),
+        ("release_ticks", "<i8"),
+        ("energy_limit", "<f8"),  # that the motor may give in a trial (J); 0: any
+        ("swing_limit", "<i8"),  # swings of effort in a row that end the run; 0: any
+        ("swing_ticks", "<i8"),  # within which the next one is in a row
+        ("swing_travel", "<f8"),  # of the handle, below which a swing is none
+    ],
+    align=True,
+)
+
+MEMORY = np.dtype(
+    [
+        ("index", "<i8"),  # law's own sample index, from 0
+        ("velocity_period", "<i8"),  # index // N at the last run of the estimator
+        ("phase", "<i8"),  # rig.core.sample.Phase
+        ("phase_ticks", "<i8"),  # ticks in this phase
+        ("rest_ticks", "<i8"),  # ticks within the homing tolerance
+        ("setpoint", "<f8"),  # of the homing servo
+        (
+            "velocity",
+            "<f8",
+        ),  # what the law sees: held since the last velocity sample, or extrapolated from it
+        ("velocity_sampled", "<f8"),  # the estimate itself
+        ("velocity_slope", "<f8"),  # its change per tick between the last two samples
+        ("velocity_ticks", "<i8"),  # ticks since the last velocity sample
+        ("window", "<i8"),  # velocity periods that the estimate spans
+        ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
+        ("energy", "<f8"),  # that the motor has given in the trial (J)
+        ("swings", "<i8"),  # of the effort, in a row
+        ("swing_age", "<i8"),  # ticks since the last one
+        ("swing_armed", "<i8"),  # 1: the effort has been next to nothing since then
+        ("swing_lowest", "<f8"),  # position since then
+        ("swing_highest", "<f8"),
+        # what the row shows of this tick
+        ("position", "<f8"),
+        ("penetration", "<f8"),
+        ("effort_wall", "<f8"),
+        ("effort_wanted", "<f8"),
+        ("effort_sent", "<f8"),
+        ("current_sent", "<i8"),
+        ("flags", "<i8"),
+    ],
+    align=True,
+)
+
+CONTROL_TYPE = types.Array(numba.from_dtype(CONTROL), 1, "C")
+MEMORY_TYPE = types.Array(numba.from_dtype(MEMORY), 1, "C")
+_FLOATS = types.float64[::1]
+_INTS = types.int64[::1]
+
+# Plain integers: numba reads an enum member of another module as a global constant only when it is one.
+WAIT, HOMING, SETTLE = int(Phase.WAIT), int(Phase.HOMING), int(Phase.SETTLE)
+TRIAL, RELEASE, DONE = int(Phase.TRIAL), int(Phase.RELEASE), int(Phase.DONE)
+INSIDE, VELOCITY_UPDATED = int(RowFlag.INSIDE), int(RowFlag.VELOCITY_UPDATED)
+SATURATED, SLEW_BOUND, CLAMPED = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND), int(RowFlag.CLAMPED)
+NONFINITE, OUT_OF_WINDOW = int(RowFlag.NONFINITE), int(RowFlag.OUT_OF_WINDOW)
+HOMING_FAILED, ENERGY, VIOLENT = (
+    int(RowFlag.HOMING_FAILED),
+    int(RowFlag.ENERGY),
+    int(RowFlag.VIOLENT),
+)
+THROWN_OUT = OUT_OF_WINDOW | ENERGY | VIOLENT  # after contact that is what the wall did
+ENDS_RUN = NONFINITE | HOMING_FAILED | THROWN_OUT
+
+Record = NDArray[np.void]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def new_memory() -> Record:
+    """Memory of a law that has seen nothing: the first call of `step` starts at index 0."""
+    memory = np.zeros(1, dtype=MEMORY)
+    memory["index"] = -1
+    memory["velocity_period"] = -1
+    return memory
+
+
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """Everything that `step` needs besides the sample: what is wanted, what is remembered, and the two plugs."""
+
+    control: Record
+    memory: Record
+    estimator: Prepared
+    law: PreparedLaw
+
+    def arguments(self) -> tuple[Any, ...]:
+        """Return control, memory and the arrays of estimator and law, in the order of `step`."""
+        e, w = self.estimator, self.law
+        return (self.control, self.memory, e.state_f, e.state_i, e.parameters, w.state, w.parameters)
+
+    def fresh(self, wall: Mapping[str, Any]) -> Controller:
+        """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
+        e = self.estimator
+        return Controller(
+            control=self.control,
+            memory=self.memory.copy(),
+            estimator=Prepared(e.estimator, e.parameters, e.state_f.copy(), e.state_i.copy()),
+            law=self.law.law.prepare(wall),
+        )
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""
+        return {
+            "control": dict(zip(CONTROL.names or (), self.control[0].tolist(), strict=True)),
+            "memory": dict(zip(MEMORY.names or (), self.memory[0].tolist(), strict=True)),
+            "estimator": {
+                "name": self.estimator.estimator.name,
+                "parameters": self.estimator.parameters.tolist(),
+                "state_f": self.estimator.state_f.tolist(),
+                "state_i": self.estimator.state_i.tolist(),
+            },
+            "law": {
+                "name": self.law.law.name,
+                "parameters": self.law.parameters.tolist(),
+                "state": self.law.state.tolist(),
+            },
+        }
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> Controller:
+        """Inverse of `as_mapping`; `law` stands in for one that no table knows.
+
+        Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, or when the mapping
+        has other fields than `CONTROL` and `MEMORY`: a field left at zero would be another controller. Only what
+        watches, which earlier versions did not have, may be left out: it did not act then.
+        """
+        estimator, wall = mapping["estimator"], mapping["law"]
+        return cls(
+            control=_record(CONTROL, mapping["control"]),
+            memory=_record(MEMORY, mapping["memory"]),
+            estimator=Prepared(
+                estimators.get(estimator["name"]),
+                np.array(estimator["parameters"], dtype=np.float64),
+                np.array(estimator["state_f"], dtype=np.float64),
+                np.array(estimator["state_i"], dtype=np.int64),
+            ),
+            law=PreparedLaw(
+                law or laws.get(wall["name"]),
+                np.array(wall["parameters"], dtype=np.float64),
+                np.array(wall["state"], dtype=np.float64),
+            ),
+        )
+
+
+def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
+    values = {name: _SINCE[name] for name in dtype.names or () if name in _SINCE} | dict(values)
+    differing = set(dtype.names or ()) ^ set(values)
+    if differing:
+        raise ConfigError(
+            f"a saved controller of another version: {', '.join(sorted(differing))} on one side only",
+            remedy="replay the recording with the version that its header names",
+        )
+    record = np.zeros(1, dtype=dtype)
+    for name, value in values.items():
+        record[name] = value
+    return record
+
+
+# What a controller saved by an earlier version does not have: none of it acted then.
+_SINCE = {"energy_limit": 0.0, "swing_limit": 0, "swing_ticks": 0, "swing_travel": 0.0} | dict.fromkeys(
+    ("energy", "swings", "swing_age", "swing_armed", "swing_lowest", "swing_highest"), 0
+)
+
+
+@kernel(types.void(MEMORY_TYPE, types.int64), inline=True)
+def _enter(memory: Any, phase: int) -> None:
+    memory[0]["phase"] = phase
+    memory[0]["phase_ticks"] = 0
+
+
+@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
+def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
+    """Move through homing, settling, trial and release; on return `phase` is that of this tick."""
+    c, m = control[0], memory[0]
+    phase = m["phase"]
+    m["phase_ticks"] += elapsed_ticks
+    if phase == WAIT:
+        m["setpoint"] = m["position"]
+        _enter(memory, HOMING)
+    elif phase in (HOMING, SETTLE):
+        off_target = abs(m["position"] - c["home_target"]) > c["home_tolerance"]
+        if off_target or m["setpoint"] != c["home_target"]:
+            m["rest_ticks"] = 0
+            m["phase"] = HOMING
+        else:
+            m["rest_ticks"] += elapsed_ticks
+            m["phase"] = SETTLE
+        if m["phase"] == SETTLE and m["rest_ticks"] >= c["settle_ticks"]:
+            _enter(memory, TRIAL)
+        elif m["phase_ticks"] > c["home_timeout_ticks"]:
+            m["flags"] |= HOMING_FAILED
+            _enter(memory, DONE)
+    elif phase == TRIAL and m["phase_ticks"] >= c["trial_ticks"]:
+        _enter(memory, RELEASE)
+    elif phase == RELEASE and m["phase_ticks"] >= c["release_ticks"]:
+        _enter(memory, DONE)
+
+
+@kernel(types.float64(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
+def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
+    """Sum of all efforts of this tick, the wall's included, before the guard."""
+    c, m = control[0], memory[0]
+    phase = m["phase"]
+    if phase in (HOMING, SETTLE):
+        m["setpoint"] = sources.approach(m["setpoint"], c["home_target"], c["home_step"] * elapsed_ticks)
+        return sources.servo(
+            m["setpoint"] - m["position"],
+            m["velocity"],
+            c["home_stiffness"],
+            c["home_damping"],
+            c["home_effort"],
+        )
+    total = c["constant_effort"] - c["wall_side"] * m["effort_wall"]
+    if phase == TRIAL:
+        return float(total)
+    if phase == RELEASE and m["phase_ticks"] < c["release_ticks"]:
+        return float(total * (1.0 - m["phase_ticks"] / c["release_ticks"]))
+    return 0.0
+
+
+@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.float64, types.int64), inline=True)
+def _watched(control: Any, memory: Any, position: float, penetration: float, elapsed_ticks: int) -> None:
+    """Flag what the effort of the last tick has done; `memory` still has the position that it began at."""
+    c, m = control[0], memory[0]
+    if m["phase"] not in (TRIAL, RELEASE):
+        return
+    m["energy"] = watch.energy_given(
+        m["energy"], m["effort_sent"], position - m["position"], penetration <= 0.0
+    )
+    if c["energy_limit"] > 0.0 and m["energy"] > c["energy_limit"]:
+        m["flags"] |= ENERGY
+    if c["swing_limit"] == 0:
+        return
+    if m["phase"] == TRIAL and m["phase_ticks"] == 0:
+        m["swing_lowest"] = m["swing_highest"] = m["position"]
+    m["swing_lowest"] = min(m["swing_lowest"], position)
+    m["swing_highest"] = max(m["swing_highest"], position)
+    m["swing_age"] += elapsed_ticks
+    swung = watch.swung(
+        -c["wall_side"] * m["effort_sent"],
+        c["effort_limit"],
+        m["swing_lowest"],
+        m["swing_highest"],
+        c["swing_travel"],
+    )
+    if swung < 0:
+        m["swing_armed"] = 1
+    elif swung > 0 and m["swing_armed"] == 1:
+        m["swings"] = 1 + (m["swings"] if m["swing_age"] <= c["swing_ticks"] else 0)
+        m["swing_age"] = m["swing_armed"] = 0
+        m["swing_lowest"] = m["swing_highest"] = position
+        if m["swings"] >= c["swing_limit"]:
+            m["flags"] |= VIOLENT
+
+
+@kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
+def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
+    """Steps 6 and 7: limit, slew and round the sum; flag what bound, and cut when the run must end."""
+    c, m = control[0], memory[0]
+    if not math.isfinite(wanted) or not math.isfinite(m["velocity"]):
+        m["flags"] |= NONFINITE
+    if (
+        not c["window_minimum"] <= m["position"] <= c["window_maximum"]
+        or abs(m["velocity"]) > c["speed_limit"]
+    ):
+        m["flags"] |= OUT_OF_WINDOW
+    if m["flags"] & ENDS_RUN:
+        _enter(memory, DONE)
+        m["limited_effort"] = 0.0
+        m["effort_sent"] = 0.0
+        m["current_sent"] = 0
+        return 0
+    effort = wanted
+    if abs(effort) > c["effort_limit"]:  # branches, because a clip that seldom binds would be waited for
+        effort = guard.limited(effort, c["effort_limit"])
+        m["flags"] |= SATURATED
+    slew = elapsed_ticks * (c["homing_slew"] if m["phase"] in (HOMING, SETTLE) else c["trial_slew"])
+    if not m["limited_effort"] - slew <= effort <= m["limited_effort"] + slew:
+        effort = guard.slewed(effort, m["limited_effort"], slew)
+        m["flags"] |= SLEW_BOUND
+    m["limited_effort"] = effort
+    quanta = guard.current_quanta(effort, c["effort_quantum"])
+    m["effort_sent"] = quanta * c["effort_quantum"]
+    m["current_sent"] = int(quanta)
+    return int(quanta)
+
+
+@kernel(
+    types.int64(
+        ESTIMATOR,
+        LAW,
+        types.int64,
+        types.float64,
+        types.int64,
+        CONTROL_TYPE,
+        MEMORY_TYPE,
+        _FLOATS,
+        _INTS,
+        _FLOATS,
+        _FLOATS,
+        _FLOATS,
+    ),
+    inline=True,
+    borrow=True,
+)
+def step(
+    estimator: Any,
+    law: Any,
+    count: int,
+    edge_age_s: float,
+    elapsed_ticks: int,
+    control: Any,
+    memory: Any,
+    estimator_f: Floats,
+    estimator_i: Ints,
+    estimator_parameters: Floats,
+    law_state: Floats,
+    law_parameters: Floats,
+) -> int:
+    """Run the law for one fresh sample.
+
+    Parameters
+    ----------
+    estimator, law
+        Plug points (`rig.realtime.plugs`).
+    count
+        Encoder count of this sample.
+    edge_age_s
+        Age of the last encoder edge at the sample (s).
+    elapsed_ticks
+        Samples since the previous call, 1 when none was lost.
+    control, memory
+        Length-1 arrays of `CONTROL` and `MEMORY`; `memory` changes and holds the quantities of the row.
+    estimator_f, estimator_i, estimator_parameters
+        Memory and parameters of the estimator.
+    law_state, law_parameters
+        Memory and parameters of the law.
+
+    Returns
+    -------
+    int
+        The current to command, in quanta of the wire.
+
+    Source: Koul et al., section II and Fig. 2, for the two rates; the order is ours (see above).
+    """
+    c, m = control[0], memory[0]
+    m["flags"] = 0
+    m["index"] += elapsed_ticks
+    position = c["resolution"] * count_difference(count, c["reference_count"])
+    m["penetration"] = c["wall_side"] * (position - c["wall_position"])
+    _watched(control, memory, position, m["penetration"], elapsed_ticks)
+    m["position"] = position
+    if m["penetration"] > 0.0:
+        m["flags"] |= INSIDE
+
+    m["velocity_ticks"] += elapsed_ticks
+    slow = abs(m["velocity_sampled"]) < c["slow_speed"] and m["velocity_period"] >= 0
+    due_period = m["velocity_period"] + (c["slow_multiple"] if slow else 1)
+    if m["index"] >= due_period * c["velocity_divider"]:
+        elapsed_periods = m["index"] // c["velocity_divider"] - m["velocity_period"]
+        m["velocity_period"] += elapsed_periods
+        sampled = estimator(
+            count, edge_age_s, elapsed_periods, estimator_f, estimator_i, estimator_parameters
+        )
+        m["velocity_slope"] = (sampled - m["velocity_sampled"]) / m["velocity_ticks"]
+        m["velocity_sampled"] = sampled
+        m["velocity_ticks"] = 0
+        m["window"] = estimator_i[WINDOW]
+        m["flags"] |= VELOCITY_UPDATED
+    m["velocity"] = m["velocity_sampled"]
+    if c["extrapolate"] != 0:
+        m["velocity"] += m["velocity_slope"] * m["velocity_ticks"]
+
+    advance_phase(control, memory, elapsed_ticks)
+    m["effort_wall"] = 0.0
+    if m["phase"] in (TRIAL, RELEASE):
+        m["effort_wall"] = law(
+            m["penetration"], c["wall_side"] * m["velocity"], elapsed_ticks, law_state, law_parameters
+        )
+        if law_state[LAW_CLAMPED] != 0.0:
+            m["flags"] |= CLAMPED
+    m["effort_wanted"] = _sources(control, memory, elapsed_ticks)
+    return _guarded(control, memory, m["effort_wanted"], elapsed_ticks)

@@ -1,0 +1,51 @@
+"""The virtual wall: a unilateral spring and damper.
+
+τ = K·θ + B·ω inside, zero outside (Koul et al., equation (1)). K sees the position of this tick, B the
+velocity held since the last velocity sample: that is the whole of dual-rate rendering, and it happens in
+`rig.control.step`, not here.
+
+The papers do not say whether the wall may pull a handle that leaves it faster than K·θ/B; both ways are
+options, as is damping on the way in only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
+
+Floats = NDArray[np.float64]
+
+STIFFNESS, DAMPING, MAY_PULL, ENTRY_ONLY = range(4)  # parameters
+PARAMETERS = 4
+STATE = 1  # only `LAW_CLAMPED`: 1 when this tick's reaction was clamped
+
+
+@kernel(LAW_SIGNATURE)
+def spring_damper(
+    penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
+) -> float:
+    """Reaction of the wall (N·m or N), positive towards free space.
+
+    Parameters
+    ----------
+    penetration
+        Depth inside the wall (rad or m); the wall exists only for values above zero.
+    penetration_velocity
+        Its rate as estimated (rad/s or m/s), positive inwards.
+    parameters
+        K, B, 1 if the wall may pull, 1 if damping acts on entry only.
+    """
+    state[LAW_CLAMPED] = 0.0
+    if penetration <= 0.0:
+        return 0.0
+    velocity = penetration_velocity
+    if parameters[ENTRY_ONLY] != 0.0 and velocity < 0.0:
+        velocity = 0.0
+    reaction = parameters[STIFFNESS] * penetration + parameters[DAMPING] * velocity
+    if reaction < 0.0 and parameters[MAY_PULL] == 0.0:
+        state[LAW_CLAMPED] = 1.0
+        return 0.0
+    return float(reaction)

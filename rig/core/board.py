@@ -1,0 +1,122 @@
+"""What the device of a rig must know of it, as constants of its firmware; simulated devices have the same.
+
+All in the device's own units: current quanta and counts. Only the mechanics stay in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.parameter import Value
+from rig.core.model import RigModel
+
+CURRENT_QUANTA_LIMIT = 2**15 - 1  # of an i16 on the wire
+STALL_COUNTS = 2  # travel that must show an edge wherever the handle stood in its encoder cell
+# Above the amplifier's own peak: noise and ripple of the sensor are no fault, a shorted winding is.
+OVER_CURRENT_MARGIN = 1.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovedMechanics:
+    """What must move how fast under a large effort; SI, rotary or linear. `struct mechanics` of the firmware.
+
+    Attributes
+    ----------
+    effort_quantum
+        Effort of one current quantum (N·m or N).
+    effort_limit
+        Most that the amplifier gives (N·m or N).
+    friction
+        Coulomb friction and weight, which the effort must overcome (N·m or N).
+    travel
+        Way that must show an encoder edge (rad or m).
+    inertia
+        All that moves (kg·m² or kg).
+    damping
+        Viscous, with back-EMF (N·m·s/rad or N·s/m).
+    lag_s
+        Of the amplifier (s).
+    """
+
+    effort_quantum: float
+    effort_limit: float
+    friction: float
+    travel: float
+    inertia: float
+    damping: float
+    lag_s: float
+
+
+def peak_current(model: RigModel) -> int:
+    """Most current that the rig's amplifier gives (quanta)."""
+    whole = (
+        model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
+    )  # 11 quanta, not 10.999…
+    return int(min(whole, CURRENT_QUANTA_LIMIT))
+
+
+def over_current(model: RigModel) -> int:
+    """A measured current above this says that something is broken (quanta)."""
+    return int(OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum)
+
+
+def moved_mechanics(model: RigModel) -> MovedMechanics:
+    """Return the mechanics as the runaway check of a device knows them."""
+    mechanics, amplifier = model.mechanics, model.amplifier
+    return MovedMechanics(
+        effort_quantum=amplifier.effort_quantum,
+        effort_limit=amplifier.effort_limit,
+        friction=mechanics.motor_coulomb + mechanics.link_coulomb + abs(mechanics.gravity_effort),
+        travel=STALL_COUNTS * model.encoder.resolution,
+        inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        damping=mechanics.motor_damping + mechanics.link_damping + amplifier.back_emf_damping,
+        lag_s=amplifier.lag_s,
+    )
+
+
+def describe(
+    model: RigModel,
+    *,
+    firmware: str,
+    simulated: bool,
+    rate_default: int,
+    rate_maximum: int,
+    name: str | None = None,
+    narrower: Mapping[str, tuple[Value, Value]] | None = None,
+) -> dictionaries.Dictionary:
+    """Dictionary of a rig's device: narrower than the parameter table by its motion and its amplifier's peak.
+
+    Parameters
+    ----------
+    model
+        The rig.
+    firmware
+        Version of what runs on the device.
+    simulated
+        Whether there is no real motor behind it.
+    rate_default, rate_maximum
+        Ticks a second (Hz): unless configured, and at most.
+    name
+        Of the device; None: that of the rig.
+    narrower
+        Further ranges, by the name of the parameter.
+    """
+    motion = 0 if model.motion == "rotary" else 1
+    peak = peak_current(model)
+    return dictionaries.build(
+        device=name or model.name,
+        firmware=firmware,
+        simulated=simulated,
+        current_quantum_a=model.amplifier.current_quantum_a,
+        position_rate_default=rate_default,
+        position_rate_maximum=rate_maximum,
+        ranges={
+            "motion": (motion, motion),
+            "encoder_sign": (model.encoder.sign, model.encoder.sign),
+            "current_limit": (0, peak),
+            "continuous_current": (0, peak),
+            **(narrower or {}),
+        },
+    )

@@ -1,0 +1,348 @@
+"""Host clock against device clock: a line through exchanges of four stamps, with what is not known about it.
+
+An exchange is host_sent → device_received → device_sent → host_received. Half the difference of the two ways is
+the offset, host − device, but for the part by which the way out and the way back differ: at most half of the round
+trip. Delays only ever add, so exchanges whose round trip is short say more:
+
+* the excess of an exchange is its round trip less the least one; its offset is uncertain by half of that, and by half
+  of what the least one may have waited too: the excess that the fastest √n of n exchanges have, or 1/n of its round
+  trip if that is more;
+* the offset is a line in device time, plus a share of the excess: where only one way waits, the share is ± ½, and the
+  line is what remains without excess;
+* the drift has a prior of 0 ± 100 ppm (two ordinary crystals) and the share one of 0 ± 0.29 (evenly within ± ½): one
+  exchange, or several within a moment, leave the drift at 0 ± 100 ppm, and a second of them replaces the prior.
+
+An exchange is rejected when it is
+
+1. impossible: a clock ran backwards within it, its round trip is shorter than the stamps can resolve, or a stamp is
+   none (negative, or more than 18 years);
+2. slow: its excess is above `SLOW` times the median excess;
+3. off the line: by more than `OFF_LINE` times what its excess allows, against the median slope and height of the
+   fastest exchange of each stretch of time first, against the fit then. That finds stamps of two different
+   exchanges, and a clock that was set.
+
+The two ways may differ always, and no stamp shows it: `asymmetry_bound_ns`, half of the least round trip, is a bound
+beside the standard uncertainties, not a part of them. One line serves one trial: a crystal that warms up bends it,
+which the residuals then show.
+
+References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope);
+R. T. Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.errors import RigError
+
+EXCHANGE = np.dtype(
+    [(name, "<i8") for name in ("host_sent", "device_received", "device_sent", "host_received")]
+)
+
+STAMP_NS = 125  # two units of the device's clock (1/16 µs): what a difference of its stamps may be off
+LAST_NS = 1 << 59  # sums and differences of stamps below this stay within 64 bits
+CUT_NS = 31.25  # its stamps are cut to a unit, not rounded: half a unit, which no averaging removes
+DRIFT_PRIOR_PPM = 100.0  # two ordinary crystals
+IMPOSSIBLE_PPM = 10_000.0  # the worst oscillator of a microcontroller is an RC one, 1 %
+SHARE_PRIOR = 0.29  # standard deviation of a share that lies evenly in −½ … ½
+SLOW = 10.0
+OFF_LINE = 6.0
+STRETCHES = 64
+ROUNDS = 5
+
+_NO_EXCHANGE = np.array((0, 0, -1, 0), EXCHANGE)  # the device's clock ran backwards: never possible
+
+_Floats = NDArray[np.float64]
+_Ints = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFit:
+    """The host's clock as a line in the device's: host = device + offset + drift · (device − reference).
+
+    Attributes
+    ----------
+    reference_ns
+        Device time at which the errors of offset and drift are independent of each other.
+    offset_ns
+        Host clock minus device clock at the reference.
+    drift_ppm
+        How fast that difference grows; negative when the device's clock runs fast.
+    offset_sd_ns, drift_sd_ppm
+        Standard uncertainties, without what asymmetry may add.
+    asymmetry_bound_ns
+        The offset may be off by at most this if the way out and the way back differ: half of the least round trip.
+    round_trip_ns
+        Least round trip without the time on the device.
+    share
+        Part of the excess of a round trip that lies on the way to the device less ½: −½ where only the way back waits.
+    residual_rms_ns
+        Weighted rms distance of the exchanges from the fit.
+    span_ns
+        Device time from the first to the last exchange used.
+    used, rejected
+        Numbers of exchanges.
+    """
+
+    reference_ns: int
+    offset_ns: int
+    drift_ppm: float
+    offset_sd_ns: float
+    drift_sd_ppm: float
+    asymmetry_bound_ns: int
+    round_trip_ns: int
+    share: float
+    residual_rms_ns: float
+    span_ns: int
+    used: int
+    rejected: int
+
+    def host_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Host time of device times (ns); whole nanoseconds are kept however long the device has been up."""
+        since: _Ints = np.asarray(device_ns, np.int64) - self.reference_ns
+        return since + (self.reference_ns + self.offset_ns) + _rounded(since, self.drift_ppm * 1e-6)
+
+    def device_of(self, host_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Device time of host times (ns): the inverse of `host_of`, to a nanosecond."""
+        since: _Ints = np.asarray(host_ns, np.int64) - (self.reference_ns + self.offset_ns)
+        drift = self.drift_ppm * 1e-6
+        return since + self.reference_ns - _rounded(since, drift / (1.0 + drift))
+
+    def sd_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Standard uncertainty of `host_of` (ns), without what asymmetry may add; grows away from the reference."""
+        since = np.asarray(device_ns, np.int64) - self.reference_ns
+        return np.asarray(np.hypot(self.offset_sd_ns, since * (self.drift_sd_ppm * 1e-6)), np.float64)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return plain numbers, which JSON keeps exactly."""
+        return asdict(self)
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
+        """Return what `as_mapping` gave, from among whatever else the mapping holds.
+
+        Raises `RigError` when a number is missing or is none.
+        """
+        try:
+            return cls(**{f.name: {"int": int, "float": float}[f.type](mapping[f.name]) for f in fields(cls)})  # type: ignore[index]
+        except (KeyError, TypeError, ValueError) as error:
+            raise RigError(
+                f"a clock fit that makes no sense ({error!r})",
+                remedy="read it with the version that wrote it",
+            ) from error
+
+
+def as_exchanges(stamps: Iterable[Sequence[int]]) -> NDArray[np.void]:
+    """Make an array of `EXCHANGE` from fours of numbers, as a recording's trailer has them."""
+    return np.array([tuple(int(stamp) for stamp in four) for four in stamps], EXCHANGE)
+
+
+def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRIOR_PPM) -> ClockFit:
+    """Fit the line; see the module's text for how.
+
+    Parameters
+    ----------
+    exchanges
+        Dtype `EXCHANGE`, in any order; the device's stamps in ns, extended to 64 bits.
+    drift_prior_ppm
+        Standard deviation of the drift that is expected before anything is measured.
+
+    Raises
+    ------
+    RigError
+        No exchange can be used, or the clocks differ in rate as no two clocks do.
+    """
+    usable = exchanges[_possible(exchanges)]
+    if not len(usable):
+        raise RigError(
+            f"none of {len(exchanges)} clock exchanges can be used",
+            remedy="exchange stamps while the link works; report it if the device's stamps run backwards",
+        )
+    points = _Points.of(usable)
+    keep = _not_slow(points, np.ones(len(usable), bool))
+    keep &= _near_line(points, keep, *_median_line(points, keep))
+    line = _fit(points, keep, drift_prior_ppm)
+    if line.least_drift_ppm > IMPOSSIBLE_PPM:
+        raise RigError(
+            f"the device's clock is off by {line.least_drift_ppm * 1e-4:.2g} % against this computer's",
+            remedy="its firmware declares a wrong unit of time: report it",
+        )
+    for _ in range(ROUNDS):
+        allowed = OFF_LINE * line.scale * _sigma(points, keep)
+        nearer = _not_slow(points, keep) & (np.abs(line.residuals(points)) <= allowed)
+        if (nearer == keep).all() or not nearer.any():
+            break
+        keep = nearer
+        line = _fit(points, keep, drift_prior_ppm)
+    return _result(points, keep, line, len(exchanges))
+
+
+def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
+    """Fit the line, or None when `fit_clock` refuses: for callers whose work goes on without."""
+    try:
+        return fit_clock(exchanges)
+    except RigError:
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """Exchanges as device and host time (s) and offset (ns), each from an origin of its own, and round trips (ns)."""
+
+    time_origin: int
+    offset_origin: int
+    time: _Floats
+    host_time: _Floats
+    offset: _Floats
+    trip: _Ints
+
+    @classmethod
+    def of(cls, e: NDArray[np.void]) -> _Points:
+        out, back = e["host_sent"] - e["device_received"], e["host_received"] - e["device_sent"]
+        middle = e["device_received"] + (e["device_sent"] - e["device_received"]) // 2
+        time_origin, offset_origin = int(middle[len(e) // 2]), int(out[len(e) // 2])
+        # Differences of whole numbers first: only they are small enough for floating point.
+        doubled = (out - offset_origin) + (back - offset_origin)
+        time, host_time = (middle - time_origin) * 1e-9, (e["host_sent"] - e["host_sent"].min()) * 1e-9
+        return cls(time_origin, offset_origin, time, host_time, doubled * 0.5, back - out)
+
+    def excess(self, keep: _Mask) -> _Floats:
+        """Round trip above the least of those kept (ns)."""
+        return np.asarray(np.maximum(self.trip - self.trip[keep].min(), 0), np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Line:
+    """Offset (ns) at the origin, drift (ns/s) and share, with their covariance, after `scale` by the residuals.
+
+    The drift is `least_drift_ppm` at least, whatever its prior says.
+    """
+
+    values: _Floats
+    covariance: _Floats
+    scale: float
+    rms: float
+    least_trip: int
+    least_drift_ppm: float
+
+    def residuals(self, points: _Points) -> _Floats:
+        excess = np.maximum(points.trip - self.least_trip, 0)
+        offset, drift, share = self.values
+        return np.asarray(points.offset - (offset + drift * points.time + share * excess), np.float64)
+
+
+def _possible(e: NDArray[np.void]) -> _Mask:
+    stamps = np.stack([e[name] for name in EXCHANGE.names or ()])
+    e = np.where(((stamps >= 0) & (stamps < LAST_NS)).all(axis=0), e, _NO_EXCHANGE)
+    on_device, away = e["device_sent"] - e["device_received"], e["host_received"] - e["host_sent"]
+    return np.asarray((on_device >= 0) & (away >= 0) & (away - on_device >= -STAMP_NS), bool)
+
+
+def _not_slow(points: _Points, keep: _Mask) -> _Mask:
+    excess = points.excess(keep)
+    return np.asarray(keep & (excess <= SLOW * max(float(np.median(excess[keep])), STAMP_NS)), bool)
+
+
+def _sigma(points: _Points, keep: _Mask) -> _Floats:
+    """Standard uncertainty of each offset that its round trip leaves (ns)."""
+    excess = points.excess(keep)
+    fast = np.sort(excess[keep])
+    number = len(fast)
+    unseen = max(fast[min(number - 1, int(np.sqrt(number)))], points.trip[keep].min() / number, STAMP_NS)
+    return np.asarray(np.hypot(0.5 * float(unseen), 0.5 * excess), np.float64)
+
+
+def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
+    """Height (ns) and slope (ns/s) by medians over the fastest exchange of each stretch of the host's time.
+
+    Of the host's, because it is the device's stamps that may lie here; a slope differs by its own square.
+    """
+    chosen = np.flatnonzero(keep)
+    time = points.host_time[chosen]
+    span = np.ptp(time)
+    if span == 0.0:
+        return float(np.median(points.offset[chosen])), 0.0
+    stretch = np.minimum(((time - time.min()) * (STRETCHES / span)).astype(np.int64), STRETCHES - 1)
+    order = np.lexsort((points.trip[chosen], stretch))
+    first = np.diff(stretch[order], prepend=-1) > 0
+    fastest = chosen[order[first]]
+    time, offset = points.host_time[fastest], points.offset[fastest]
+    i, j = np.triu_indices(len(fastest), 1)
+    far = np.abs(time[j] - time[i]) > 0.25 * span  # near neighbours have every slope
+    slopes = (offset[j] - offset[i])[far] / (time[j] - time[i])[far]
+    slope = float(np.median(slopes)) if len(slopes) else 0.0
+    return float(np.median(offset - slope * time)), slope
+
+
+def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
+    """Within `OFF_LINE` times what the excess allows of a line, whose residuals' median says how good it is."""
+    pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
+    scale = max(1.0, 1.4826 * float(np.median(pull[keep])))
+    near = keep & (pull <= OFF_LINE * scale)
+    return near if near.any() else keep
+
+
+def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _Line:
+    """Weighted regression with priors; uncertainties grow with the residuals when those exceed what was allowed."""
+    time, offset = points.time[keep], points.offset[keep]
+    weight = _sigma(points, keep)[keep] ** -2
+    centre = np.sum(weight * time) / np.sum(weight)
+    columns = np.stack([np.ones_like(time), time - centre, points.excess(keep)[keep]])
+    prior = np.array([0.0, (drift_prior_ppm * 1e3) ** -2, SHARE_PRIOR**-2])  # a ppm is 1000 ns/s
+    normal = (columns * weight) @ columns.T
+    right = (columns * weight) @ offset
+    free = prior * np.array([0.0, 1e-8, 1.0])  # a drift far beyond the prior is no fault of the exchanges
+    unbound, spread = _solved(normal, free, 1.0, right)
+    residuals = offset - unbound @ columns
+    chi2 = float(np.sum(weight * residuals**2))
+    scale = 1.0
+    if len(time) > 3:
+        scale = max(1.0, np.sqrt(chi2 / (len(time) - 3)))
+    values, covariance = _solved(normal, prior, scale, right)
+    back = np.array([[1.0, -centre, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # from the centre to the origin
+    rms = float(np.sqrt(chi2 / np.sum(weight)))
+    least_drift = max(0.0, abs(float(unbound[1])) - OFF_LINE * scale * float(np.sqrt(spread[1, 1])))
+    least_trip = int(points.trip[keep].min())
+    return _Line(back @ values, back @ covariance @ back.T, scale, rms, least_trip, least_drift * 1e-3)
+
+
+def _solved(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
+    """Solution and covariance of the normal equations with a prior, in units that make both well conditioned."""
+    matrix = normal / scale**2 + np.diag(prior)
+    unit = 1.0 / np.sqrt(np.diag(matrix))
+    covariance = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
+    return covariance @ right / scale**2, covariance
+
+
+def _result(points: _Points, keep: _Mask, line: _Line, total: int) -> ClockFit:
+    offset, drift, share = line.values
+    var, cross, var_drift = line.covariance[0, 0], line.covariance[0, 1], line.covariance[1, 1]
+    reference_s = -cross / var_drift  # there offset and drift are independent
+    reference = round(reference_s * 1e9)
+    time = points.time[keep]
+    least = max(0, line.least_trip)
+    return ClockFit(
+        reference_ns=points.time_origin + reference,
+        offset_ns=points.offset_origin + round(float(offset + drift * reference * 1e-9)),
+        drift_ppm=float(drift) * 1e-3,
+        offset_sd_ns=float(np.sqrt(max(0.0, var - cross**2 / var_drift) + CUT_NS**2)),
+        drift_sd_ppm=float(np.sqrt(var_drift)) * 1e-3,
+        asymmetry_bound_ns=-(-least // 2),
+        round_trip_ns=least,
+        share=float(share),
+        residual_rms_ns=line.rms,
+        span_ns=round(float(np.ptp(time)) * 1e9),
+        used=int(np.count_nonzero(keep)),
+        rejected=total - int(np.count_nonzero(keep)),
+    )
+
+
+def _rounded(times: _Ints, factor: float) -> _Ints:
+    """Small part of a time, to the nearest nanosecond."""
+    return np.asarray(np.rint(times * factor), np.int64)

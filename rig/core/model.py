@@ -1,0 +1,378 @@
+"""The physics of a rig as data: mechanics, amplifier, encoder, and the continuous matrices that follow.
+
+No time stepping here; `sim_backend.plant` discretises and steps what this file describes, and theory reads
+the same matrices. Everything is reflected to the link (the moving side that a person holds), in SI units; for
+a linear rig read mass for inertia and force for effort.
+
+State of the continuous model, in this order:
+
+* two-mass: motor position, motor velocity, link position, link velocity, motor effort
+* rigid: position, velocity, motor effort
+* held by a person: hand position and hand velocity after these
+
+Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for
+each mass; with a person then the intended position, the intended velocity and the press on the hand. Friction
+enters as an input because its value follows from the velocity in each step, not from a matrix; saturation,
+gravity and computation delay are no part of the matrices either.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
+
+from rig.core.quantity import STRICT, Quantity
+from rig.core.sample import Motion
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Mechanics:
+    """Masses, the transmission between them, and friction, all at the link."""
+
+    structure: Annotated[
+        Literal["rigid", "two-mass"],
+        Quantity("", "one inertia, or motor and link joined by the elastic capstan"),
+    ]
+    motor_inertia: Annotated[
+        float, Gt(0), Quantity("inertia", "rotor and pinion, times the square of the ratio")
+    ]
+    link_inertia: Annotated[float, Ge(0), Quantity("inertia", "link and handle, without the end mass")]
+    motor_damping: Annotated[float, Ge(0), Quantity("damping", "viscous damping of the motor side")] = 0.0
+    link_damping: Annotated[float, Ge(0), Quantity("damping", "viscous damping of the link side")] = 0.0
+    motor_coulomb: Annotated[float, Ge(0), Quantity("effort", "Coulomb friction of the motor side")] = 0.0
+    link_coulomb: Annotated[float, Ge(0), Quantity("effort", "Coulomb friction of the link side")] = 0.0
+    transmission_stiffness: Annotated[
+        float, Ge(0), Quantity("stiffness", "capstan stiffness (two-mass only)")
+    ] = 0.0
+    transmission_damping_ratio: Annotated[
+        float, Ge(0), Lt(1), Quantity("1", "damping ratio of the free-free mode (two-mass only)")
+    ] = 0.0
+    handle_radius: Annotated[float, Gt(0), Quantity("m", "lever arm of the handle; 1 for a linear rig")] = 1.0
+    end_mass: Annotated[float, Ge(0), Quantity("kg", "extra mass at the handle for automated trials")] = 0.0
+    gravity: Annotated[
+        float,
+        Ge(-20),
+        Le(20),
+        Quantity("m/s²", "gravity along the motion, acting on the end mass; 0 for a level rig"),
+    ] = 0.0
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    def __post_init__(self) -> None:
+        two_mass = self.structure == "two-mass"
+        if two_mass and not (self.transmission_stiffness > 0.0 and self.loaded_link_inertia > 0.0):
+            raise ValueError("a two-mass rig needs transmission_stiffness and link_inertia above zero")
+
+    @property
+    def loaded_link_inertia(self) -> float:
+        """Link inertia with the end mass on it (kg·m² or kg)."""
+        return self.link_inertia + self.end_mass * self.handle_radius**2
+
+    @property
+    def gravity_effort(self) -> float:
+        """Constant effort of the end mass's weight on the link (N·m or N), positive along the motion."""
+        return self.end_mass * self.gravity * self.handle_radius
+
+    @property
+    def transmission_damping(self) -> float:
+        """Damping across the capstan (N·m·s/rad or N·s/m) that gives the free-free mode its damping ratio.
+
+        Taken without the end mass, so that hanging a mass on the handle changes no property of the cable.
+        """
+        reduced = self.motor_inertia * self.link_inertia / (self.motor_inertia + self.link_inertia)
+        return 2.0 * self.transmission_damping_ratio * math.sqrt(self.transmission_stiffness * reduced)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Amplifier:
+    """Motor and amplifier: how a commanded current becomes an effort at the link."""
+
+    effort_per_ampere: Annotated[
+        float, Gt(0), Quantity("effort/A", "torque constant times transmission ratio")
+    ]
+    effort_limit: Annotated[float, Gt(0), Quantity("effort", "what the motor can give at most (stall)")]
+    lag_s: Annotated[float, Ge(0), Lt(0.1), Quantity("s", "first-order electrical lag; 0 for none")] = 0.0
+    current_quantum_a: Annotated[
+        float, Gt(0), Quantity("A", "one step of the current command and of its measurement")
+    ] = 0.001
+    drive: Annotated[
+        Literal["current", "voltage"],
+        Quantity("", "current loop, or open voltage (PWM) drive, which adds the back-EMF damping"),
+    ] = "current"
+    back_emf_damping: Annotated[
+        float, Ge(0), Quantity("damping", "added to the motor side under voltage drive")
+    ] = 0.0
+    current_noise_a: Annotated[
+        float, Ge(0), Quantity("A", "rms noise of the current sensor (simulation)")
+    ] = 0.0
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    @property
+    def effort_quantum(self) -> float:
+        """Effort of one current quantum (N·m or N)."""
+        return self.effort_per_ampere * self.current_quantum_a
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Encoder:
+    """Incremental encoder on the motor side.
+
+    A rotary encoder is given by `counts_per_revolution`, `decoding` and `ratio`; a linear one by `quantum`.
+    A position reads as ``sign · floor(position / resolution + offset)`` counts.
+    """
+
+    counts_per_revolution: Annotated[int | None, Quantity("1", "lines of the encoder disc")] = None
+    decoding: Annotated[Literal[1, 4], Quantity("1", "edges counted for each line: ×1 or ×4")] = 4
+    ratio: Annotated[float, Gt(0), Quantity("1", "encoder revolutions for one revolution of the link")] = 1.0
+    quantum: Annotated[float | None, Quantity("m", "travel for one count of a linear encoder")] = None
+    offset: Annotated[
+        float, Ge(0), Lt(1), Quantity("count", "where position zero lies between two edges (simulation)")
+    ] = 0.5
+    sign: Annotated[Literal[-1, 1], Quantity("1", "-1 when counts fall while the position rises")] = 1
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+    def __post_init__(self) -> None:
+        given = [size for size in (self.counts_per_revolution, self.quantum) if size is not None]
+        if len(given) != 1 or not given[0] > 0:
+            raise ValueError("an encoder needs either counts_per_revolution or quantum, above zero")
+
+    @property
+    def resolution(self) -> float:
+        """Travel for one count at the link (rad or m)."""
+        if self.counts_per_revolution is None:
+            assert self.quantum is not None
+            return self.quantum
+        return 2.0 * math.pi / (self.counts_per_revolution * self.decoding * self.ratio)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Simulation:
+    """What only the simulated rig has: where it starts, and what the far end may do."""
+
+    initial_position: Annotated[
+        float | None, Quantity("position", "where the handle rests at power-up; left out: 0")
+    ] = None
+    inner_step_s: Annotated[
+        float, Gt(0), Le(1e-3), Quantity("s", "longest step of the plant; it always divides a tick")
+    ] = 5e-5
+    computation_delay_ticks: Annotated[
+        int, Ge(0), Le(100), Quantity("1", "whole ticks between a command and its effort")
+    ] = 0
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Operator:
+    """A person who holds the handle: finger pads, a hand behind them, and what the hand does in a trial.
+
+    The pads (a spring and a damper, their mass on the link) join the link to the hand; the hand is pulled by a
+    spring and a damper to where it is meant to be, and presses. All numbers are at the handle, for rotary rigs
+    too: `Mechanics.handle_radius` turns them. `rig.core.operators` has the grips.
+    """
+
+    grip: Annotated[
+        Literal["relaxed", "normal", "firm"],
+        Quantity("", "how the handle is held; gives every number of the operator that is not set by itself"),
+    ]
+    pads_mass: Annotated[float, Ge(0), Quantity("kg", "finger pads, which move with the handle")]
+    pads_stiffness: Annotated[float, Ge(0), Quantity("N/m", "pads between handle and hand")]
+    pads_damping: Annotated[float, Ge(0), Quantity("N·s/m", "pads between handle and hand")]
+    hand_mass: Annotated[float, Gt(0), Quantity("kg", "hand behind the pads")]
+    hand_stiffness: Annotated[float, Ge(0), Quantity("N/m", "hand to its intended position")]
+    hand_damping: Annotated[float, Ge(0), Quantity("N·s/m", "hand to its intended velocity")]
+    press: Annotated[
+        float, Ge(0), Quantity("N", "press of the hand into the wall; it ramps in with the reach")
+    ]
+    press_modulation: Annotated[
+        float, Ge(0), Lt(1), Quantity("1", "share of the press by which it slowly swells and ebbs")
+    ]
+    tremor: Annotated[
+        float,
+        Ge(0),
+        Le(0.01),
+        Quantity("m", "rms tremor of the intended position; it ramps in with the reach"),
+    ]
+    depth: Annotated[float, Gt(0), Quantity("m", "how far inside the wall the intended position ends")]
+    begin_s: Annotated[
+        float, Ge(0), Le(60), Quantity("s", "pause at the start of the trial before the reach begins")
+    ]
+    reach_s: Annotated[float, Gt(0), Le(60), Quantity("s", "duration of the reach")]
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reach:
+    """Where an operator goes in one session, at the link: along to the start, and on into the wall."""
+
+    start: float  # where the trial begins (rad or m)
+    target: float  # where the intended position ends, inside the wall (rad or m)
+    pace: float  # at which the hand goes along with the homing servo (rad/s or m/s)
+    wait_s: float  # from the arrival at the start to the beginning of the reach
+    free_s: float = 0.0  # the last part of that, in which the handle only has to stay off the wall
+    seed: int  # of the tremor's phases
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RigModel:
+    """A whole rig, enough to simulate it: see the parts.
+
+    With an `operator` a person holds the handle: still, or on a `reach`.
+    """
+
+    name: str
+    motion: Motion
+    mechanics: Mechanics
+    amplifier: Amplifier
+    encoder: Encoder
+    simulation: Simulation = field(default_factory=Simulation)
+    operator: Operator | None = None
+    reach: Reach | None = None
+
+    @property
+    def damping(self) -> float:
+        """Viscous damping of a rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive."""
+        return _motor_side_damping(self.mechanics, self.amplifier) + self.mechanics.link_damping
+
+    def held_by(self, operator: Operator | None, reach: Reach | None) -> RigModel:
+        """Put the handle into somebody's hand; the end mass, which belongs to automated trials, is off then."""
+        if operator is None:
+            return self
+        bare = replace(self.mechanics, end_mass=0.0)
+        return replace(self, mechanics=bare, operator=operator, reach=reach)
+
+
+@dataclass(frozen=True, slots=True)
+class StateSpace:
+    """ẋ = A x + B u with the indices that give its states a meaning (see the module's text)."""
+
+    a: Matrix
+    b: Matrix
+    sensed_position: int
+    handle_position: int
+    effort: int
+    friction: tuple[float, ...]  # Coulomb level of each friction input, in input order
+    friction_velocity: tuple[int, ...]  # state index of the velocity that each friction input opposes
+    hand_position: int | None = None  # of the operator, if there is one
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return int(self.a.shape[0])
+
+    @property
+    def friction_inputs(self) -> slice:
+        """Columns of ``b`` through which friction acts."""
+        return slice(2, 2 + len(self.friction))
+
+    @property
+    def operator_inputs(self) -> slice:
+        """Columns of ``b`` for intended position, intended velocity and press; empty without an operator."""
+        return slice(2 + len(self.friction), int(self.b.shape[1]))
+
+
+def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator | None = None) -> StateSpace:
+    """Continuous matrices of the rig.
+
+    Parameters
+    ----------
+    mechanics, amplifier
+        The parts of `RigModel`.
+    operator
+        The person who holds the handle, or None.
+
+    Returns
+    -------
+    StateSpace
+        ``a`` is order × order, ``b`` is order × inputs; SI units.
+
+    Notes
+    -----
+    With an electrical lag the effort obeys effort' = (command − effort) / lag_s. Without one (``lag_s = 0``)
+    no finite matrix makes it follow its command at once: the command then drives the velocity directly, and
+    the effort state stands alone, its rows and column zero (`sim_backend.plant` writes the command into it).
+
+    An operator adds the pads' mass to the link and two states. With k₁, b₁ of the pads and m, k₂, b₂ of the hand,
+    turned to the link, y the handle and h the hand: m h″ = k₁(y − h) + b₁(y′ − h′) + k₂(intended position − h) +
+    b₂(intended velocity − h′) + press, and the link feels k₁(h − y) + b₁(h′ − y′).
+
+    Source: Koul et al. 2013, section III (capstan drive 10:1, non-collocated hinge).
+    """
+    pads = 0.0 if operator is None else operator.pads_mass * mechanics.handle_radius**2
+    link = mechanics.loaded_link_inertia + pads
+    free = (_rigid if mechanics.structure == "rigid" else _two_mass)(mechanics, amplifier, link)
+    if operator is None:
+        return free
+    moved = link + (mechanics.motor_inertia if mechanics.structure == "rigid" else 0.0)
+    return _held(free, operator, mechanics.handle_radius, moved)
+
+
+def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
+    inertia = mechanics.motor_inertia + link
+    coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
+    a, b = np.zeros((3, 3)), np.zeros((3, 3))
+    a[0, 1] = 1.0
+    a[1, 1] = -(_motor_side_damping(mechanics, amplifier) + mechanics.link_damping) / inertia
+    b[1, 1] = b[1, 2] = 1.0 / inertia
+    _connect_effort(a, b, effort=2, inertia=inertia, lag=amplifier.lag_s)
+    return StateSpace(
+        a, b, sensed_position=0, handle_position=0, effort=2, friction=(coulomb,), friction_velocity=(1,)
+    )
+
+
+def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
+    k, c, motor = mechanics.transmission_stiffness, mechanics.transmission_damping, mechanics.motor_inertia
+    a, b = np.zeros((5, 5)), np.zeros((5, 4))
+    a[0, 1] = a[2, 3] = 1.0
+    a[1, :4] = np.array([-k, -c - _motor_side_damping(mechanics, amplifier), k, c]) / motor
+    a[3, :4] = np.array([k, c, -k, -c - mechanics.link_damping]) / link
+    b[3, 1] = b[3, 3] = 1.0 / link
+    b[1, 2] = 1.0 / motor
+    _connect_effort(a, b, effort=4, inertia=motor, lag=amplifier.lag_s)
+    coulomb = (mechanics.motor_coulomb, mechanics.link_coulomb)
+    return StateSpace(
+        a, b, sensed_position=0, handle_position=2, effort=4, friction=coulomb, friction_velocity=(1, 3)
+    )
+
+
+def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
+    """Join a hand to the handle, whose inertia includes the pads."""
+    rows, columns = free.b.shape
+    y, h = free.handle_position, rows
+    a, b = np.zeros((rows + 2, rows + 2)), np.zeros((rows + 2, columns + 3))
+    a[:rows, :rows], b[:rows, :columns] = free.a, free.b
+    pads = radius**2 * np.array([operator.pads_stiffness, operator.pads_damping])
+    hand = radius**2 * np.array([operator.hand_stiffness, operator.hand_damping])
+    mass = operator.hand_mass * radius**2
+    a[y + 1, y : y + 2] -= pads / handle_inertia
+    a[y + 1, h : h + 2] = pads / handle_inertia
+    a[h, h + 1] = 1.0
+    a[h + 1, y : y + 2] = pads / mass
+    a[h + 1, h : h + 2] = -(pads + hand) / mass
+    b[h + 1, columns:] = [*hand / mass, 1.0 / mass]
+    return replace(free, a=a, b=b, hand_position=h)
+
+
+def _motor_side_damping(mechanics: Mechanics, amplifier: Amplifier) -> float:
+    return mechanics.motor_damping + (amplifier.back_emf_damping if amplifier.drive == "voltage" else 0.0)
+
+
+def _connect_effort(a: Matrix, b: Matrix, *, effort: int, inertia: float, lag: float) -> None:
+    """Let the effort state drive the motor side through the lag; without a lag the command drives it."""
+    motor_velocity = 1
+    if lag > 0.0:
+        a[effort, effort] = -1.0 / lag
+        b[effort, 0] = 1.0 / lag
+        a[motor_velocity, effort] = 1.0 / inertia
+    else:
+        b[motor_velocity, 0] = 1.0 / inertia

@@ -1,0 +1,23 @@
+"""How a field of a typed description says its unit, its meaning and its range, once.
+
+Descriptions (`rig.core.model`, `rig.config`) are frozen dataclasses whose fields are ``Annotated[float, Gt(0),
+Quantity("inertia", "…")]``. The validator, the error messages, the documentation and the metadata of
+recordings all read these annotations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+# Forbid unknown keys, infinities and silent conversions wherever such a dataclass is validated (see
+# rig.config).
+STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False, "strict": True}
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Unit of a field (or the quantity that decides it, see `rig.core.sample.unit_of`) and meaning."""
+
+    unit: str
+    meaning: str

@@ -1,0 +1,15 @@
+"""Long computations: many independent tasks, on all cores or on a cluster, that survive whatever ends the process.
+
+    results = sweep.run("module:function", [sweep.Task("a", {"x": 1})], journal=Path("journal"))
+
+* `tasks`: what a task is, and running them all
+* `coordinator`: hands tasks out, keeps what comes back, counts
+* `executors`, `cluster`: threads here, a Dask cluster elsewhere
+* `journal`: what is done, on disk
+"""
+
+from rig.experiments.sweep.coordinator import Progress, Task
+from rig.experiments.sweep.executors import code_version
+from rig.experiments.sweep.tasks import Results, SweepStoppedError, TaskError, run, run_here
+
+__all__ = ["Progress", "Results", "SweepStoppedError", "Task", "TaskError", "code_version", "run", "run_here"]

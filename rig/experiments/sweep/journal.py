@@ -1,0 +1,186 @@
+"""The journal of a long computation: what is done stays done, whatever ends the process.
+
+One file of lines (`rig.recording.lines`), one for each thing said, appended and never changed::
+
+    first   : {"sweep": 1, "work": …, "version": …, "tasks": …, "plan": SHA-256 of work, version and tasks, "first": …}
+    others  : {"key": …, "result": …}, one for each task done, in the order in which they were done
+
+A line whose CRC is wrong is as if it had never been written: its task is run again. Floats are written with the
+shortest digits that read back to the same bits; what is not finite is ``NaN``, ``Infinity`` and ``-Infinity``, as
+Python spells it in JSON.
+
+A process that dies loses nothing that was appended; a power cut at most what came after the last sync.
+"""
+
+from __future__ import annotations
+
+import json
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import ConfigError, RecordingError
+from rig.recording.files import plain_errors
+from rig.recording.lines import LineFile, line_of, object_of
+
+VERSION = 1
+NOT_DONE = -1
+SHOWN_DIFFERENCES, SHOWN_LETTERS = 3, 60
+
+
+class Memory:
+    """Results kept in memory: a journal that ends with the process."""
+
+    def __init__(self, total: int) -> None:
+        self._texts: list[str | None] = [None] * total
+        self.damaged = 0
+
+    def done(self) -> list[int]:
+        """Return which tasks are done, in order."""
+        return [index for index, text in enumerate(self._texts) if text is not None]
+
+    def append(self, index: int, key: str, text: str) -> None:
+        """Keep the result of a task; `text` is its JSON."""
+        self._texts[index] = text
+
+    def results(self, indices: Iterable[int]) -> Iterator[Any]:
+        """Yield the results of tasks that are done."""
+        return (json.loads(self._texts[index] or "null") for index in indices)
+
+    def sync(self) -> None:
+        """Nothing to do."""
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+class Journal:
+    """An open journal, locked against other processes.
+
+    Parameters
+    ----------
+    path
+        Of the file, made when it is not there.
+    header
+        The first line but for its format: what is being computed. Two plans are one when their ``plan`` is equal.
+    keys
+        Of all tasks, in their order.
+
+    Raises
+    ------
+    ConfigError
+        It belongs to another plan.
+    RecordingError
+        It is no journal, another process writes it, or the disk refuses.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any], keys: Sequence[str]) -> None:
+        self.path = path
+        self.damaged = 0  # lines that were left out
+        self._places = array("q", [NOT_DONE]) * len(keys)  # where the line of each task begins
+        self._file = LineFile(path, remedy="wait until it has ended, or name another file")
+        try:
+            self._end = self._load({"sweep": VERSION, **header}, keys)
+        except BaseException:
+            self._file.close(sync=False)
+            raise
+
+    def done(self) -> list[int]:
+        """Return which tasks are done, in order."""
+        return [index for index, place in enumerate(self._places) if place != NOT_DONE]
+
+    def append(self, index: int, key: str, text: str) -> None:
+        """Keep the result of a task; `text` is its JSON."""
+        line = line_of(f'{{"key":{json.dumps(key)},"result":{text}}}')
+        self._file.append(line)
+        self._places[index] = self._end
+        self._end += len(line)
+
+    def results(self, indices: Iterable[int]) -> Iterator[Any]:
+        """Yield the results of tasks that are done, one line in memory at a time; the journal may be closed.
+
+        Raises `RecordingError` when the file is no longer what it was.
+        """
+        with plain_errors("read", self.path), open(self.path, "rb") as file:
+            for index in indices:
+                file.seek(self._places[index])
+                found = object_of(file.readline())
+                if found is None:
+                    raise RecordingError(
+                        f"{self.path} was changed by somebody", remedy="run the same command again"
+                    )
+                yield found["result"]
+
+    def sync(self) -> None:
+        """Bring to disk what was appended, now and then."""
+        self._file.sync()
+
+    def close(self) -> None:
+        """Bring everything to disk and let others have the file."""
+        self._file.close()
+
+    def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:
+        """Read what is there, or begin; return the length of the good part."""
+        wanted = line_of(json.dumps(header))
+        with plain_errors("read", self.path), open(self.path, "rb") as file:
+            first = file.readline()
+        if len(first) < len(wanted) and wanted.startswith(first):
+            return self._begin(wanted)  # new, or its first line was torn: either way it holds nothing
+        there = object_of(first)
+        if there is None or "sweep" not in there:
+            raise RecordingError(
+                f"{self.path} is not the journal of a sweep, or its first line is damaged",
+                remedy="name another file, or remove this one to start anew",
+            )
+        _refuse_another(self.path, there, json.loads(json.dumps(header)))
+        end = self._read_results(len(first), {key: index for index, key in enumerate(keys)})
+        self._file.truncate(end)
+        return end
+
+    def _begin(self, first: bytes) -> int:
+        self._file.truncate(0)
+        self._file.append(first)
+        self._file.sync(at_once=True)
+        self._file.sync_name()
+        return len(first)
+
+    def _read_results(self, end: int, index_of: Mapping[str, int]) -> int:
+        for place, line in self._file.lines():
+            if place == 0:
+                continue
+            found = object_of(line)
+            index = None if found is None else index_of.get(found["key"])
+            if index is None:
+                self.damaged += 1
+            elif self._places[index] == NOT_DONE:
+                self._places[index] = place
+            end = place + len(line)
+        return end
+
+
+def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
+    """Raise `ConfigError` that says what differs when a journal's header is not ours."""
+    if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):
+        return
+    said = [text for key in here if key != "plan" for text in _differences(there.get(key), here[key], key)]
+    said = said or ["a task after the first"]
+    more = ["…"] if len(said) > SHOWN_DIFFERENCES else []
+    raise ConfigError(
+        f"{path} belongs to another plan: {'; '.join(said[:SHOWN_DIFFERENCES] + more)}",
+        remedy="give the same options as then, name another journal, or remove this one to start anew",
+    )
+
+
+def _differences(there: Any, here: Any, where: str) -> Iterator[str]:
+    """Say leaf by leaf what differs: ``first.payload.wall.stiffness: 40 there, 50 here``."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in {**there, **here}:
+            yield from _differences(there.get(key), here.get(key), f"{where}.{key}")
+    elif json.dumps(there) != json.dumps(here):
+        yield f"{where}: {_shown(there)} there, {_shown(here)} here"
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= SHOWN_LETTERS else text[:SHOWN_LETTERS] + "…"

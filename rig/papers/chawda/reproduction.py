@@ -1,0 +1,251 @@
+"""Chawda, Celik and O'Malley's comparison of velocity estimators, reproduced: its figures, Table I, and every claim.
+
+`reproduce_chawda` shakes some ten thousand walls and hits some thousand more, as one sweep, and lets rules turn the
+numbers into verdicts (`rig.papers.chawda.claims`) and sentences (`rig.papers.chawda.text`). The paper
+leaves band and tolerance of its passivity test open, and both decide everything: so each wall is read in many ways
+(`rig.papers.chawda.readings`), and claims are counted over readings. Nothing is tuned to Table I.
+
+Source: Chawda et al., "Evaluation of Velocity Estimation Methods Based on their Effect on Haptic Device Performance".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.config.schemes import Scheme
+from rig.experiments.impedance import measure_impedance
+from rig.experiments.ladder import Search
+from rig.experiments.ranges import search_for
+from rig.experiments.sweep import Progress
+from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.papers.chawda import parts as chawda_parts
+from rig.papers.chawda.claims import claims
+from rig.papers.chawda.readings import Grid, Readings
+from rig.papers.chawda.results import Chawda, numbers, provenance, read_all
+from rig.papers.chawda.rigs import (
+    AKF,
+    DUAL_READINGS,
+    FDM,
+    FIGURE_3_RATE,
+    FILTERED,
+    FILTERED_SCHEME,
+    FOAW,
+    FRICTIONLESS,
+    FULL,
+    GAINS,
+    HBA_SC,
+    HIGHEST_HZ,
+    KOUL,
+    LOWEST_HZ,
+    LOWEST_STIFFNESS,
+    MAIN,
+    READINGS,
+    SCHEMES,
+    VARIANT_CONSTANTS,
+    VARIANT_DAMPINGS,
+    VARIANT_FORMS,
+    VARIANT_OUTPUTS,
+    Scale,
+    dual_rig,
+    dual_schemes,
+    levant,
+    pushed_rig,
+    shaken_rig,
+)
+from rig.papers.chawda.text import sections, summary
+from rig.papers.frame import Part, Parts, Reproduction, part, run_parts
+from rig.papers.koul import parts as koul_parts
+
+WALLS = (
+    (20_000.0, 60.0),
+    (50_000.0, 60.0),
+    (100_000.0, 100.0),
+)  # at which C is identified, the nominal one first
+SHOWN_WALL = (20_000.0, 60.0)  # of figures 4 and 6: inside the main reading's region of three estimators
+CONTROL_BAND = (1.0, 400.0)
+CONTROL_SEARCH = Search(way="bisection", lowest=13_000.0, highest=53_000.0, ratio=1.005)
+
+
+def reproduce_chawda(
+    scale: Scale = FULL,
+    *,
+    journal: Path | None = None,
+    workers: int | None = None,
+    watch: Callable[[Progress], None] | None = None,
+) -> Reproduction:
+    """Reproduce the paper; parameters and errors as `rig.papers.koul.reproduction.reproduce_koul`."""
+    plan = _Plan(scale)
+    done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
+    chawda = plan.results(done)
+    judged = claims(chawda)
+    return Reproduction(
+        name="chawda",
+        title="Velocity estimators and virtual walls",
+        source="Chawda, Celik and O'Malley, velocity estimation methods and haptic device performance",
+        summary=summary(chawda, judged),
+        claims=judged,
+        sections=sections(chawda),
+        numbers=numbers(chawda),
+        provenance=provenance(chawda),
+        seconds=done.seconds,
+        kept=done.kept,
+        results=chawda,
+    )
+
+
+class _Plan:
+    """All parts of the work, by name, and the way back from their results."""
+
+    def __init__(self, scale: Scale) -> None:
+        self._scale = scale
+        self._lipschitz = chawda_parts.identified(*WALLS[0])["lipschitz"]
+        self._named_hits = self._hit_schemes()
+        self._hits = self._hit_plan(FIGURE_3_RATE, tuple(self._named_hits.values()), scale.hit_ratio)
+        self._slow_hits = self._hit_plan(1000, tuple(SCHEMES.values()), scale.hit_ratio**0.5)
+        self._variants = {
+            f"C = {c:g} m/s², {form}, {out}": levant(1000, c, GAINS[HBA_SC], form, out)
+            for c, form, out in product(VARIANT_CONSTANTS, VARIANT_FORMS, VARIANT_OUTPUTS)
+        }
+        self._grids = self._all_grids()
+
+    def parts(self) -> dict[str, Part]:
+        """Everything that has to be computed."""
+        parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
+        parts["hits"] = _climbs(self._hits)
+        parts["slow-hits"] = _climbs(self._slow_hits)
+        for stiffness, damping in WALLS:
+            payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
+            parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
+        rig = config.shaken(shaken_rig(self._scale))
+        for name in (FDM, AKF):
+            payload = {
+                "experiment": config.as_mapping(rig),
+                "scheme": SCHEMES[name].text,
+                "dampings": self._linear_dampings(),
+                "low_hz": LOWEST_HZ[0],
+                "highest_hz": list(HIGHEST_HZ),
+            }
+            parts[f"linear/{name}"] = part(chawda_parts.LINEAR, payload, 500.0)
+        # The printed process noise allows no fine encoder; without damping any filter does.
+        for name, scheme in {**SCHEMES, AKF: Scheme.parse("uniform:1k,estimator=kalman")}.items():
+            payload = chawda_parts.control_payload(rig, scheme, CONTROL_SEARCH, CONTROL_BAND)
+            parts[f"control/{name}"] = part(chawda_parts.CONTROL, payload, 20.0)
+        return parts
+
+    def results(self, done: Parts) -> Chawda:
+        """Make sense of what came back."""
+        found = {name: Readings.of(grid, done.results[name]) for name, grid in self._grids.items()}
+        hits = ZWidth.of(self._hits, done.results["hits"])
+        return Chawda(
+            scale=self._scale,
+            lipschitz=self._lipschitz,
+            constants=tuple(done.one(f"constant/{stiffness:g}") for stiffness, _ in WALLS),
+            hits=hits,
+            hit_names=tuple(self._named_hits),
+            adjusted=_adjusted(hits, tuple(self._named_hits)),
+            slow_hits=ZWidth.of(self._slow_hits, done.results["slow-hits"]),
+            map=found["map"],
+            read=read_all(found["map"]),
+            frictionless=found["frictionless"],
+            variants=found["variants"],
+            variant_names=tuple(self._variants),
+            linear={name: done.one(f"linear/{name}") for name in (FDM, AKF)},
+            linear_dampings=tuple(self._linear_dampings()),
+            controls={name: done.one(f"control/{name}") for name in SCHEMES},
+            impedances=_impedances(self._scale),
+            dual={preset: found[f"dual/{preset}"] for preset in KOUL},
+            dual_schemes=dual_schemes(),
+        )
+
+    def _hit_schemes(self) -> dict[str, Scheme]:
+        """The filtered difference, Levant's differentiator with the identified C, and what is tried to adjust it."""
+        named = {FILTERED: FILTERED_SCHEME}
+        named |= {name: levant(FIGURE_3_RATE, self._lipschitz, gains) for name, gains in GAINS.items()}
+        for (name, gains), constant in product(GAINS.items(), self._scale.constants):
+            named[f"{name}, C = {constant:g} m/s²"] = levant(FIGURE_3_RATE, constant, gains)
+        return named
+
+    def _hit_plan(self, rate: int, schemes: tuple[Scheme, ...], ratio: float) -> MapPlan:
+        experiment = pushed_rig(rate)
+        return MapPlan(
+            experiment=experiment,
+            schemes=schemes,
+            dampings=self._scale.hit_dampings,
+            search=search_for(experiment, "ladder", ratio=ratio, lowest=LOWEST_STIFFNESS),
+            offsets=self._scale.offsets,
+        )
+
+    def _all_grids(self) -> dict[str, Grid]:
+        scale, main = self._scale, (READINGS[MAIN],)
+        soft = tuple(b for b in scale.dampings if b <= 200.0)
+        grids = {
+            "map": Grid(
+                experiment=shaken_rig(scale),
+                schemes=tuple(SCHEMES.values()),
+                stiffnesses=scale.stiffnesses,
+                dampings=scale.dampings,
+                readings=READINGS,
+                measurements=scale.measurements,
+            ),
+            "frictionless": Grid(
+                experiment=shaken_rig(replace(scale, measurements=2), FRICTIONLESS),
+                schemes=(SCHEMES[FDM], SCHEMES[FOAW]),
+                stiffnesses=scale.stiffnesses,
+                dampings=soft,
+                readings=READINGS,
+                measurements=2,
+            ),
+            "variants": Grid(
+                experiment=shaken_rig(replace(scale, measurements=1)),
+                schemes=tuple(self._variants.values()),
+                stiffnesses=scale.stiffnesses[:: scale.coarse],
+                dampings=VARIANT_DAMPINGS,
+                readings=main,
+                measurements=1,
+            ),
+        }
+        for preset in KOUL:
+            rig = dual_rig(preset, scale)
+            grids[f"dual/{preset}"] = Grid(
+                experiment=rig,
+                schemes=dual_schemes(),
+                stiffnesses=scale.dual_stiffnesses,
+                dampings=scale.dual_dampings,
+                readings=DUAL_READINGS,
+                measurements=scale.dual_measurements,
+                signal="count" if rig.rig.mechanics.structure == "rigid" else "truth",
+            )
+        return grids
+
+    def _weight(self, name: str) -> float:
+        """Of one run, in hits at 10 kHz."""
+        return 2.0 if name.startswith("dual") else 2.2
+
+    def _linear_dampings(self) -> list[float]:
+        return [float(b) for b in np.linspace(0.0, 400.0, self._scale.theory_points)]
+
+
+def _climbs(plan: MapPlan) -> Part:
+    rate = plan.schemes[0].position_rate
+    tasks = tuple(replace(task, weight=0.5 * len(plan.search.rungs) * rate / 10_000) for task in plan.tasks())
+    return Part(koul_parts.CLIMB, tasks)
+
+
+def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
+    """Levant's gains whose Z-width has the largest area: what somebody would find who tries them on the rig."""
+    tried = [number for number, name in enumerate(names) if name != FILTERED]
+    return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
+
+
+def _impedances(scale: Scale) -> tuple[Any, ...]:
+    """The bare rig, and one wall under each estimator."""
+    rig = shaken_rig(replace(scale, measurements=1))
+    (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[SCHEMES[FDM]])
+    return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(SCHEMES.values())))

@@ -1,0 +1,374 @@
+"""Figures 7 and 8 of Koul et al., under the conditions that the paper leaves open and this project settled.
+
+koul-rigid, nobody holding it, 70 g at its end; K = 40 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and
+outside the wall; from 2 mrad before the wall at 1.5 rad/s; ×4 decoding. The paper gives neither plant nor word length.
+
+In floating point a uniform wall is as well damped as a dual-rate one. What figure 7 shows needs a filter with few
+fractional bits of state that truncates towards zero: then a slow handle reads as rest at a high velocity rate, and
+the damping is gone. Between these two lies a region where the result is a matter of where the counts fall: with 4 bits
+at 10 kHz the peak of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment, presets
+from rig.config.controller import resolution
+from rig.config.schemes import Scheme
+from rig.control.estimators.estimator import Floats
+from rig.core.errors import ConfigError
+from rig.experiments.cases import Case
+from rig.experiments.compare import OFFSETS, Comparison, Entry, Start, compare, simulate
+from rig.experiments.estimators import Variant, delay, estimates
+
+START = Start(position=-2e-3, velocity=1.5, external_effort=0.06)
+WALL = {"wall.stiffness": 40.0, "wall.damping": 0.2}
+POSITION_RATES = (20_000, 10_000)
+VELOCITY_RATE = 2000
+CUTOFF_HZ = 200.0  # of the dual-rate scheme
+UNIFORM_SHARE = 1 / 20  # cut-off of the uniform scheme over its rate: "10 % Nyquist"
+FLOAT, FIXED = "floating point", "fixed point"
+ESTIMATORS = {FLOAT: "fdm-butterworth", FIXED: "fdm-butterworth-fixed"}
+COEFFICIENT_BITS, STATE_BITS, ROUNDING = 14, 4, "zero"
+FIRST_IMPACT_S = 0.05
+
+EARLY, LATE = (1.0, 0.25), (0.25, 0.02)  # parts of the impact, by speed over that of the first contact
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panel:
+    """One panel of figure 7: none, uniform and dual at a position rate, in one arithmetic."""
+
+    position_rate: int
+    arithmetic: str
+    comparison: Comparison
+
+    @property
+    def peaks(self) -> tuple[float, float, float]:
+        """Mean peak penetration for none, uniform and dual (counts)."""
+        none, uniform, dual = (self.comparison[name].numbers.peak for name in ("none", "uniform", "dual"))
+        return none, uniform, dual
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "position_rate": self.position_rate,
+            "arithmetic": self.arithmetic,
+            **self.comparison.as_mapping(),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WordLength:
+    """Mean peaks (counts) for one number of state bits and one cut-off of the uniform scheme."""
+
+    state_bits: int
+    uniform_share: float  # cut-off over velocity rate
+    none: dict[int, float]  # by position rate (Hz)
+    uniform: dict[int, float]
+    dual: dict[int, float]
+
+    @property
+    def as_in_the_paper(self) -> bool:
+        """Whether the peaks are ordered as in figure 7.
+
+        At 20 kHz the uniform wall is like an undamped one (within 5 %), at 10 kHz it lies between the others (by 10 %
+        at least), and the dual-rate peak is at most 0.6 of the undamped one at both.
+        """
+        fast, slow = POSITION_RATES
+        return (
+            self.uniform[fast] >= 0.95 * self.none[fast]
+            and 1.1 * self.dual[slow] <= self.uniform[slow] <= 0.9 * self.none[slow]
+            and all(self.dual[rate] <= 0.6 * self.none[rate] for rate in POSITION_RATES)
+        )
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**asdict(self), "as_in_the_paper": self.as_in_the_paper}
+
+
+def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Experiment:
+    """Rig, wall and dual-rate filter of figures 7 and 8, in `FLOAT` or `FIXED` point."""
+    words = {"coefficient_bits": COEFFICIENT_BITS, "state_bits": state_bits, "rounding": ROUNDING}
+    parameters = {"cutoff_hz": CUTOFF_HZ, **(words if arithmetic == FIXED else {})}
+    changes = {
+        **WALL,
+        "controller.position_rate": POSITION_RATES[0],
+        "controller.velocity_rate": VELOCITY_RATE,
+        "controller.estimator": ESTIMATORS[arithmetic],
+        "controller.parameters": parameters,
+        "trial.duration_s": 0.4,
+        "verdict.tail_s": 0.1,
+    }
+    return config.override(presets.load("koul-rigid"), changes, "figure 7")
+
+
+def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> tuple[Entry, Entry, Entry]:
+    """Return no damping, uniform and dual-rate damping at a position rate."""
+    uniform = Scheme(
+        position_rate=position_rate,
+        velocity_rate=position_rate,
+        parameters={"cutoff_hz": uniform_share * position_rate},
+    )
+    dual = Scheme(
+        position_rate=position_rate, velocity_rate=VELOCITY_RATE, parameters={"cutoff_hz": CUTOFF_HZ}
+    )
+    return (
+        Entry(name="none", scheme=uniform, damping=0.0),
+        Entry(name="uniform", scheme=uniform),
+        Entry(name="dual", scheme=dual),
+    )
+
+
+def koul_figure_7(
+    *,
+    state_bits: int = STATE_BITS,
+    uniform_share: float = UNIFORM_SHARE,
+    position_rates: Sequence[int] = POSITION_RATES,
+    offsets: Sequence[float] = OFFSETS,
+) -> tuple[Panel, ...]:
+    """Depth of penetration after the first impact, at each position rate in floating and in fixed point.
+
+    Parameters
+    ----------
+    state_bits
+        Fractional bits of the fixed-point filter's input and output.
+    uniform_share
+        Cut-off of the uniform scheme over its velocity rate; the dual-rate one has 200 Hz at 2 kHz.
+    position_rates
+        Of the panels (Hz).
+    offsets
+        See `rig.experiments.compare.compare`.
+    """
+    return tuple(
+        Panel(
+            position_rate=rate,
+            arithmetic=arithmetic,
+            comparison=compare(
+                koul_experiment(arithmetic, state_bits),
+                koul_entries(rate, uniform_share),
+                start=START,
+                offsets=offsets,
+            ),
+        )
+        for arithmetic in (FLOAT, FIXED)
+        for rate in position_rates
+    )
+
+
+def word_lengths(
+    state_bits: Sequence[int] = (0, 1, 2, 3, 4, 5, 6, 8, 16),
+    uniform_shares: Sequence[float] = (1 / 20, 1 / 10),
+    *,
+    offsets: Sequence[float] = OFFSETS,
+) -> tuple[WordLength, ...]:
+    """Peaks of figure 7 against the word length of the filter, for both readings of the uniform scheme's cut-off."""
+    none = {rate: _peak(koul_experiment(), koul_entries(rate)[0], offsets) for rate in POSITION_RATES}
+    table: list[WordLength] = []
+    for bits in state_bits:
+        experiment = koul_experiment(FIXED, bits)
+        dual = {rate: _peak(experiment, koul_entries(rate)[2], offsets) for rate in POSITION_RATES}
+        for share in uniform_shares:
+            uniform = {
+                rate: _peak(experiment, koul_entries(rate, share)[1], offsets) for rate in POSITION_RATES
+            }
+            table.append(
+                WordLength(state_bits=bits, uniform_share=share, none=none, uniform=uniform, dual=dual)
+            )
+    return tuple(table)
+
+
+def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> float:
+    """Mean over the offsets of the deepest count of the first impact."""
+    short = config.override(experiment, {"trial.duration_s": FIRST_IMPACT_S, "verdict.tail_s": 0.02})
+    applied = entry.applied(short)
+    return float(np.mean([simulate(applied, START, offset)[2].counts.max() for offset in offsets]))
+
+
+# --- figure 8 ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """What one estimator makes of the motion, and how far it is from the true velocity shifted by its delay.
+
+    Attributes
+    ----------
+    velocity_rate, arithmetic, cutoff_hz
+        Of the estimator.
+    time_s, velocity
+        From the first contact (s), and the estimate (rad/s), one a velocity sample.
+    delay_s
+        Shift of the truth that leaves the least error over the impact; None when the estimate shows too little to tell.
+    noise_early, noise_late
+        Rms of what is left (rad/s) while the handle is fast and while it is slow (`EARLY`, `LATE`); without a delay
+        against the truth as it is.
+    reading_early, reading_late
+        Rms of the estimate over that of the truth: 1 if all is seen, 0 for a null reading.
+    """
+
+    velocity_rate: int
+    arithmetic: str
+    cutoff_hz: float
+    time_s: Floats
+    velocity: Floats
+    delay_s: float | None
+    noise_early: float
+    noise_late: float
+    reading_early: float
+    reading_late: float
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values without the traces, for JSON."""
+        return {key: value for key, value in asdict(self).items() if key not in ("time_s", "velocity")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profiles:
+    """Figure 8: one motion and what estimators at two rates make of it.
+
+    Attributes
+    ----------
+    time_s, velocity_true, counts
+        The motion, one value a tick from the first contact on: (s), (rad/s), penetration (counts).
+    early_s, late_s
+        When the handle is fast and when it is slow: begin and end (s).
+    speed_early, speed_late
+        Rms of the true velocity then (rad/s).
+    """
+
+    time_s: Floats
+    velocity_true: Floats
+    counts: Floats
+    early_s: tuple[float, float]
+    late_s: tuple[float, float]
+    speed_early: float
+    speed_late: float
+    profiles: tuple[Profile, ...]
+
+    def __getitem__(self, key: tuple[int, str]) -> Profile:
+        """Return the profile at a velocity rate (Hz) in an arithmetic; `KeyError` if there is none."""
+        for profile in self.profiles:
+            if (profile.velocity_rate, profile.arithmetic) == key:
+                return profile
+        raise KeyError(key)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values without the traces, for JSON."""
+        names = ("early_s", "late_s", "speed_early", "speed_late")
+        numbers = {name: getattr(self, name) for name in names}
+        return {**numbers, "profiles": [profile.as_mapping() for profile in self.profiles]}
+
+
+def koul_figure_8(
+    *, offset: float = OFFSETS[1], state_bits: int = STATE_BITS, uniform_share: float = UNIFORM_SHARE
+) -> Profiles:
+    """Velocity after the impact as estimated at 2 and at 20 kHz, in floating and in fixed point, beside the true one.
+
+    All estimators listen to one motion, that of the wall without damping at 20 kHz: none of them acts on what it sees.
+
+    Parameters
+    ----------
+    offset
+        Where position zero lies in its encoder cell (count).
+    state_bits, uniform_share
+        As in `koul_figure_7`.
+    """
+    rate = POSITION_RATES[0]
+    experiment = koul_entries(rate)[0].applied(koul_experiment())
+    _, plant, trace = simulate(experiment, START, offset)
+    counts, true = trace.counts, trace.states[:, plant.sensed_position + 1]
+    edge_age = trace.states[:, plant.edge_age]
+    first = int(np.flatnonzero(counts > 0)[0])
+    time_s = (np.arange(len(counts)) - first) / rate
+    early, late = _parts(time_s[first:], true[first:])
+    profiles: list[Profile] = []
+    for arithmetic in (FLOAT, FIXED):
+        for velocity_rate in (VELOCITY_RATE, rate):
+            cutoff_hz = CUTOFF_HZ if velocity_rate == VELOCITY_RATE else uniform_share * velocity_rate
+            settings = {
+                **koul_experiment(arithmetic, state_bits).controller.parameters,
+                "cutoff_hz": cutoff_hz,
+            }
+            every = slice(None, None, rate // velocity_rate)
+            case = Case(
+                name="impact",
+                motion="rotary",
+                dt=1.0 / velocity_rate,
+                resolution=resolution(experiment),
+                time_s=time_s[every],
+                counts=counts[every],
+                edge_time=time_s[every] - time_s[0] - edge_age[every],
+                elapsed=np.ones(len(counts[every]), np.int64),
+                judged=(time_s[every] >= early[0]) & (time_s[every] < late[1]),
+                truth=lambda t: np.interp(t, time_s, true),
+                reference="the simulation's truth",
+            )
+            profiles.append(_profile(case, arithmetic, settings, early, late))
+    shown = slice(first, None)
+    return Profiles(
+        time_s=time_s[shown],
+        velocity_true=true[shown],
+        counts=counts[shown].astype(np.float64),
+        early_s=early,
+        late_s=late,
+        speed_early=_rms(true[_within(time_s, early)]),
+        speed_late=_rms(true[_within(time_s, late)]),
+        profiles=tuple(profiles),
+    )
+
+
+def _parts(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """When the handle is fast, and when it is slow but not yet at rest; each ends with the last sample at a speed."""
+
+    def last(share: float) -> float:
+        above = np.flatnonzero(np.abs(velocity) >= share * abs(velocity[0]))
+        return float(time_s[above[-1]])
+
+    if last(LATE[1]) <= last(LATE[0]):
+        raise ConfigError("the impact has no late part", remedy="give the trial more time")
+    return (0.0, last(EARLY[1])), (last(LATE[0]), last(LATE[1]))
+
+
+def _profile(
+    case: Case,
+    arithmetic: str,
+    settings: dict[str, float | str],
+    early: tuple[float, float],
+    late: tuple[float, float],
+) -> Profile:
+    velocity = estimates(case, Variant(ESTIMATORS[arithmetic], settings))
+    found = delay(case, velocity)
+    delay_s = None if np.isnan(found) else found
+    truth = case.truth(case.time_s - (delay_s or 0.0))
+    error = velocity - truth
+    parts = [_within(case.time_s, part) for part in (early, late)]
+    noise = [_rms(error[part]) for part in parts]
+    reading = [_rms(velocity[part]) / _rms(truth[part]) for part in parts]
+    seen = case.time_s >= 0.0
+    return Profile(
+        velocity_rate=round(case.rate_hz),
+        arithmetic=arithmetic,
+        cutoff_hz=float(settings["cutoff_hz"]),
+        time_s=case.time_s[seen],
+        velocity=velocity[seen],
+        delay_s=delay_s,
+        noise_early=noise[0],
+        noise_late=noise[1],
+        reading_early=reading[0],
+        reading_late=reading[1],
+    )
+
+
+def _within(time_s: Floats, part: tuple[float, float]) -> Any:
+    return (time_s >= part[0]) & (time_s < part[1])
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,305 @@
+"""Koul, Manivannan and Saha's dual-rate sampling, reproduced: every figure, every claim, and its open ideas.
+
+`reproduce_koul` plans some hundred climbs, ranges and pieces of theory, runs them as one sweep, and lets rules turn the
+numbers into verdicts (`rig.papers.koul.claims`) and sentences (`rig.papers.koul.text`). Nothing is tuned
+here: rigs are the two presets, one of which is fitted on the paper and says so.
+
+Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-rate sampling" (2013), Figs. 5 to 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.analysis import theory
+from rig.config import Experiment
+from rig.config.schemes import Scheme
+from rig.experiments.kmax import KMax, kmax_plan
+from rig.experiments.ladder import Search, Way
+from rig.experiments.ranges import highest_stiffness, search_for
+from rig.experiments.sweep import Progress
+from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.papers.frame import Part, Parts, Reproduction, part, run_parts
+from rig.papers.koul import compare as compare_koul
+from rig.papers.koul import ideas as koul_ideas
+from rig.papers.koul import parts as koul_parts
+from rig.papers.koul.claims import claims
+from rig.papers.koul.ideas import Idea
+from rig.papers.koul.parts import Range
+from rig.papers.koul.results import Effect, Koul, numbers, provenance
+from rig.papers.koul.rigs import (
+    DUAL,
+    EFFECTS,
+    FULL,
+    HELD,
+    HIGHEST_STIFFNESS,
+    LAGS,
+    LOWEST_STIFFNESS,
+    MAIN,
+    PRESETS,
+    QUICK,
+    SCHEMES,
+    SEED,
+    SLOW,
+    Held,
+    Scale,
+)
+from rig.papers.koul.rules import DAMPING_RANGE, DAMPING_RANGE_FAST
+from rig.papers.koul.text import sections, summary
+
+
+def reproduce_koul(
+    scale: Scale = FULL,
+    *,
+    journal: Path | None = None,
+    workers: int | None = None,
+    watch: Callable[[Progress], None] | None = None,
+) -> Reproduction:
+    """Reproduce the paper.
+
+    Parameters
+    ----------
+    scale
+        `FULL`, or the coarse `QUICK`.
+    journal, workers, watch
+        As in `rig.experiments.sweep.run`; with a journal a stopped reproduction goes on.
+
+    Raises
+    ------
+    SweepStoppedError
+        Ctrl-C; what is done stays in the journal.
+    """
+    plan = _Plan(scale)
+    done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
+    koul = plan.results(done)
+    judged = claims(koul)
+    return Reproduction(
+        name="koul",
+        title="Dual-rate sampling for virtual walls",
+        source="Koul, Manivannan and Saha, dual-rate sampling and Z-width, 2013",
+        summary=summary(koul, judged),
+        claims=judged,
+        sections=sections(koul),
+        numbers=numbers(koul),
+        provenance=provenance(koul),
+        seconds=done.seconds,
+        kept=done.kept,
+        results=koul,
+    )
+
+
+class _Plan:
+    """All parts of the work, by name, and the way back from their results."""
+
+    def __init__(self, scale: Scale) -> None:
+        self._scale = scale
+        self._dampings = {held.preset: _dampings(held.experiment(), scale.columns) for held in MAIN}
+        self._kmax = {(p, lag): self._kmax_plan(p, lag) for p in PRESETS for lag in LAGS}
+        self._maps = {held.name: self._map_plan(held) for held in HELD}
+        self._ideas = koul_ideas.ideas()
+        self._idea_maps = {idea.key: self._idea_plan(idea) for idea in self._ideas}
+        self._effects = {
+            name: MAIN[0].experiment({**changes, "trial.duration_s": scale.effect_s})
+            for name, changes in EFFECTS.items()
+        }
+        self._effect_maps = {name: self._effect_plan(x) for name, x in self._effects.items()}
+
+    def parts(self) -> dict[str, Part]:
+        """Everything that has to be computed."""
+        scale, parts = self._scale, {}
+        for (preset, lag), plan in self._kmax.items():
+            parts[f"kmax/{preset}/{lag}"] = _climbs(plan)
+            parts[f"kmax-theory/{preset}/{lag}"] = part(
+                koul_parts.LINEAR,
+                {"experiment": config.as_mapping(plan.experiment), "rates": scale.rates},
+                5.0 * len(scale.rates),
+            )
+        for name, plan in self._maps.items():
+            parts[f"map/{name}"] = _climbs(plan)
+        for held in HELD:
+            parts[f"range/{held.name}"] = self._ranges(held.experiment())
+            for key, scheme in SCHEMES.items():
+                parts[f"linear/{held.name}/{key}"] = self._linear(held, scheme)
+        for name, experiment in self._effects.items():
+            parts[f"effect-range/{name}"] = self._ranges(experiment)
+            parts[f"effect/{name}"] = _climbs(self._effect_maps[name])
+        for idea in self._ideas:
+            parts[f"idea/{idea.key}"] = _climbs(self._idea_maps[idea.key])
+            parts[f"idea-linear/{idea.key}"] = part(
+                koul_parts.LINEAR,
+                {
+                    "experiment": config.as_mapping(idea.experiment()),
+                    "scheme": idea.scheme.text,
+                    "dampings": np.linspace(0.0, scale.idea_dampings[-1], scale.idea_points).tolist(),
+                    "islands": False,
+                },
+                20.0,
+            )
+            parts[f"idea-range/{idea.key}"] = self._ranges(idea.experiment(), (idea.scheme,))
+        chunks = np.array_split(np.arange(scale.plants), max(1, scale.plants // 10))
+        for number, chunk in enumerate(chunks):
+            payload = {
+                "schemes": [s.text for s in SCHEMES.values()],
+                "numbers": chunk.tolist(),
+                "islands": [list(SCHEMES).index(key) for key in (DUAL, SLOW)],
+                "seed": SEED,
+            }
+            parts[f"plants/{number}"] = part(koul_parts.PLANTS, payload, 50.0 * len(chunk))
+        parts["noise"] = part(koul_parts.NOISE, {"offsets": scale.impact_offsets}, 60.0)
+        for bits in scale.state_bits:
+            payload = {"bits": bits, "offsets": scale.impact_offsets}
+            parts[f"words/{bits}"] = part(koul_parts.WORDS, payload, 60.0)
+        return parts
+
+    def results(self, done: Parts) -> Koul:
+        """Make sense of what came back."""
+        scale = self._scale
+        maps = {name: _map(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
+        kmax = {
+            (p, lag): KMax.of(_map(plan, done.results[f"kmax/{p}/{lag}"]))
+            for (p, lag), plan in self._kmax.items()
+        }
+        ideas = {}
+        for idea in self._ideas:
+            found = _map(self._idea_maps[idea.key], done.results[f"idea/{idea.key}"])
+            (of_idea,) = koul_parts.ranges_of(done.results[f"idea-range/{idea.key}"], len(scale.offsets))
+            linear = done.one(f"idea-linear/{idea.key}")
+            known = None if "not_linear" in linear else {name: linear[name] for name in ("peak", "range")}
+            ideas[idea.key] = koul_ideas.Tried(idea, found, of_idea, known)
+        ranges = {held.name: self._ranges_of(done.results[f"range/{held.name}"]) for held in HELD}
+        effects = {
+            name: Effect(
+                undamped={
+                    key: _map(plan, done.results[f"effect/{name}"]).curve(number, "felt")[0].stiffness
+                    for number, key in enumerate((DUAL, SLOW))
+                },
+                ranges=self._ranges_of(done.results[f"effect-range/{name}"]),
+            )
+            for name, plan in self._effect_maps.items()
+        }
+        return Koul(
+            scale=scale,
+            kmax=kmax,
+            kmax_theory={(p, lag): done.one(f"kmax-theory/{p}/{lag}")["stiffness"] for p, lag in self._kmax},
+            maps=maps,
+            ranges=ranges,
+            linear={
+                held.name: {key: done.one(f"linear/{held.name}/{key}") for key in SCHEMES} for held in HELD
+            },
+            effects=effects,
+            figure_7=compare_koul.koul_figure_7(offsets=scale.impact_offsets),
+            words=tuple(row for bits in scale.state_bits for row in done.one(f"words/{bits}")),
+            figure_8=compare_koul.koul_figure_8(),
+            noise=done.one("noise"),
+            plants=tuple(
+                row
+                for name, results in done.results.items()
+                if name.startswith("plants/")
+                for rows in results
+                for row in rows
+            ),
+            ideas=ideas,
+            hits=sum(found.hits for found in (*maps.values(), *(t.map for t in ideas.values())))
+            + sum(found.map.hits for found in kmax.values()),
+        )
+
+    def _kmax_plan(self, preset: str, lag: str) -> MapPlan:
+        experiment = Held(preset=preset, grip="normal").experiment(LAGS[lag])
+        search = search_for(experiment, "bisection", ratio=self._scale.kmax_ratio, lowest=1.0)
+        return kmax_plan(experiment, search, rates=self._scale.rates, offsets=self._scale.offsets)
+
+    def _map_plan(self, held: Held) -> MapPlan:
+        experiment, scale = held.experiment(), self._scale
+        main = held in MAIN
+        way: Way = "grid" if held == MAIN[0] else "ladder"
+        return MapPlan(
+            experiment=experiment,
+            schemes=tuple(SCHEMES.values()),
+            dampings=self._dampings[held.preset][:: 1 if main else 2],
+            search=_search(experiment, way, scale.ratio if main else scale.ratio**1.5),
+            offsets=scale.offsets if main else scale.offsets[:1],
+        )
+
+    def _idea_plan(self, idea: Idea) -> MapPlan:
+        scale, experiment = self._scale, idea.experiment()
+        return MapPlan(
+            experiment=experiment,
+            schemes=(idea.scheme,),
+            dampings=scale.idea_dampings,
+            search=_search(experiment, "ladder", scale.idea_ratio),
+            offsets=scale.idea_offsets,
+        )
+
+    def _effect_plan(self, experiment: Experiment) -> MapPlan:
+        return MapPlan(
+            experiment=experiment,
+            schemes=(SCHEMES[DUAL], SCHEMES[SLOW]),
+            dampings=(0.0,),
+            search=_search(experiment, "bisection", self._scale.kmax_ratio),
+            offsets=self._scale.offsets,
+        )
+
+    def _ranges(self, experiment: Experiment, schemes: Sequence[Scheme] | None = None) -> Part:
+        search = Search(way="bisection", lowest=0.02, highest=10.0, ratio=self._scale.range_ratio)
+        tasks = koul_parts.range_tasks(
+            experiment,
+            schemes or tuple(SCHEMES.values()),
+            self._scale.offsets,
+            stiffness=LOWEST_STIFFNESS,
+            search=search,
+            weight=15.0,
+        )
+        return Part(koul_parts.RANGE, tasks)
+
+    def _ranges_of(self, results: Sequence[Any]) -> dict[str, dict[str, Range]]:
+        found = koul_parts.ranges_of(results, len(self._scale.offsets))
+        return dict(zip(SCHEMES, found, strict=True))
+
+    def _linear(self, held: Held, scheme: Scheme) -> Part:
+        plan = self._maps[held.name]
+        main = held in MAIN
+        points = self._scale.theory_points if main else self._scale.theory_points // 4
+        payload = {
+            "experiment": config.as_mapping(plan.experiment),
+            "scheme": scheme.text,
+            "dampings": np.linspace(0.0, max(plan.dampings), points).tolist(),
+            "islands": main and self._scale.theory_points > QUICK.theory_points,
+        }
+        return part(koul_parts.LINEAR, payload, 100.0 if main else 30.0)
+
+
+def _search(experiment: Experiment, way: Way, ratio: float) -> Search:
+    highest = min(HIGHEST_STIFFNESS, highest_stiffness(experiment))
+    return search_for(experiment, way, ratio=ratio, lowest=LOWEST_STIFFNESS, highest=highest)
+
+
+def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
+    """Evenly to beyond the linear range of each scheme, those of almost the same range together; and the paper's."""
+    widest: list[float] = []
+    for scheme in SCHEMES.values():
+        own = koul_parts.linear_range(theory.as_lifted(experiment, scheme))
+        if not any(abs(own - other) < 0.2 * other for other in widest):
+            widest.append(own)
+    widest.sort(reverse=True)
+    columns_of = [columns, *(max(2, columns // 2) for _ in widest[1:])]
+    several = [np.linspace(0.0, 1.15 * b, n + 1) for b, n in zip(widest, columns_of, strict=True)]
+    ends = (DAMPING_RANGE_FAST, DAMPING_RANGE) if widest[0] > DAMPING_RANGE else ()
+    return tuple(sorted({*ends, *(round(float(b), 4) for some in several for b in some)}))
+
+
+def _climbs(plan: MapPlan) -> Part:
+    """The tasks of a map, weighed in hits of a 20 kHz rig."""
+    rungs = len(plan.search.rungs)
+    hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
+    tasks = tuple(replace(task, weight=float(hits) * task.weight / 20_000) for task in plan.tasks())
+    return Part(koul_parts.CLIMB, tasks)
+
+
+def _map(plan: MapPlan, climbs: Sequence[Any]) -> ZWidth:
+    return ZWidth.of(plan, climbs)

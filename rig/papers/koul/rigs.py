@@ -1,0 +1,143 @@
+"""What Koul et al. are reproduced with: rigs, hands and pushes, sampling schemes, and how fine all of it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rig import config
+from rig.config import Experiment, presets
+from rig.config.schemes import Scheme
+from rig.experiments.compare import OFFSETS
+
+COMPLIANT, RIGID = "koul-compliant", "koul-rigid"
+PRESETS = (COMPLIANT, RIGID)
+NAMES = {COMPLIANT: "koul-compliant (fitted)", RIGID: "koul-rigid (nothing fitted)"}
+
+# The schemes of Fig. 6. For a uniform 20 kHz wall the paper fits two cut-offs: both are shown.
+DUAL, FAST, FAST_1K, SLOW = "d", "u20", "u20/1k", "u2"
+SCHEMES = {
+    DUAL: Scheme.parse("dual:20k/2k"),
+    FAST: Scheme.parse("uniform:20k,cutoff_hz=2000"),
+    FAST_1K: Scheme.parse("uniform:20k,cutoff_hz=1000"),
+    SLOW: Scheme.parse("uniform:2k"),
+}
+LABELS = {
+    DUAL: "dual-rate 20/2 kHz, 200 Hz",
+    FAST: "uniform 20 kHz, 2 kHz",
+    FAST_1K: "uniform 20 kHz, 1 kHz",
+    SLOW: "uniform 2 kHz, 200 Hz",
+}  # rates, and the cut-off of the filter
+
+LOWEST_STIFFNESS = 15.0  # N·m/rad, of every map; ranges of damping are those of this wall
+HIGHEST_STIFFNESS = 2500.0  # N·m/rad, of fine encoders, which could show more
+PUSH_EFFORT, PUSH_START = (
+    0.4,
+    -0.004,
+)  # N·m, as hard as the hand; rad, so close that the motor does not saturate
+PUSH = {"trial.kind": "constant-effort", "trial.effort": PUSH_EFFORT, "trial.start": PUSH_START}
+SEED = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scale:
+    """How fine everything is computed."""
+
+    name: str
+    rates: tuple[int, ...]
+    kmax_ratio: float
+    columns: int  # dampings of a map, for each scheme that has a range of its own
+    ratio: float  # between rungs of maps
+    offsets: tuple[float, ...]
+    range_ratio: float
+    idea_dampings: tuple[float, ...]
+    effect_s: float  # of trials that are compared with linear theory: slow growth takes its time
+    idea_points: int  # dampings of their linear theory
+    idea_ratio: float
+    idea_offsets: tuple[float, ...]
+    plants: int
+    state_bits: tuple[int, ...]
+    theory_points: int
+    impact_offsets: tuple[float, ...]
+
+
+FULL = Scale(
+    name="full",
+    rates=(100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000),
+    kmax_ratio=1.02,
+    columns=9,
+    ratio=1.08,
+    offsets=(0.1, 0.6),
+    range_ratio=1.015,
+    idea_dampings=(0.0, 0.1, 0.2, 0.4, 0.8, 1.4, 2.0, 2.6, 3.2, 4.0),
+    effect_s=3.0,
+    idea_points=17,
+    idea_ratio=1.1,
+    idea_offsets=(0.1, 0.6),
+    plants=200,
+    state_bits=(0, 1, 2, 3, 4, 5, 6, 8, 16),
+    theory_points=41,
+    impact_offsets=OFFSETS,
+)
+QUICK = Scale(
+    name="quick",
+    rates=(500, 2000, 10_000, 20_000, 50_000),
+    kmax_ratio=1.15,
+    columns=2,
+    ratio=1.35,
+    offsets=(0.1,),
+    range_ratio=1.2,
+    idea_dampings=(0.0, 0.4, 2.0),
+    effect_s=1.5,
+    idea_points=4,
+    idea_ratio=1.4,
+    idea_offsets=(0.1,),
+    plants=20,
+    state_bits=(2, 4, 16),
+    theory_points=9,
+    impact_offsets=(0.1, 0.7),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """A rig in somebody's hand, or pushed by its motor."""
+
+    preset: str
+    grip: str | None
+
+    @property
+    def name(self) -> str:
+        """Its name in results."""
+        return f"{self.preset}, {self.push}"
+
+    @property
+    def push(self) -> str:
+        """Who pushes."""
+        return "automated" if self.grip is None else f"{self.grip} hand"
+
+    def experiment(self, changes: Mapping[str, Any] | None = None) -> Experiment:
+        """The preset, held or pushed, under some changes."""
+        held = PUSH if self.grip is None else {"trial.kind": "human", "operator.grip": self.grip}
+        return config.override(
+            presets.load(self.preset), {**held, "trial.seed": SEED, **(changes or {})}, "the reproduction"
+        )
+
+
+MAIN = tuple(Held(preset=preset, grip="normal") for preset in PRESETS)
+OTHERS = tuple(Held(preset=preset, grip=grip) for preset in PRESETS for grip in ("relaxed", "firm", None))
+HELD = (*MAIN, *OTHERS)
+WITH_LAG, WITHOUT_LAG = "with lag", "without lag"
+LAGS: dict[str, dict[str, Any]] = {WITH_LAG: {}, WITHOUT_LAG: {"rig.amplifier.lag_s": 0.0}}
+
+# Friction and quantiser by themselves: what each takes from, or adds to, the linear limits.
+NO_FRICTION = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.link_coulomb": 0.0}
+NO_QUANTUM = {"rig.encoder.counts_per_revolution": 64_000, "rig.amplifier.current_quantum_a": 2e-4}
+NEITHER, FRICTION, QUANTISER, BOTH = "neither", "friction alone", "quantiser alone", "both"
+EFFECTS: dict[str, dict[str, Any]] = {
+    NEITHER: {**NO_FRICTION, **NO_QUANTUM},
+    FRICTION: NO_QUANTUM,
+    QUANTISER: NO_FRICTION,
+    BOTH: {},
+}

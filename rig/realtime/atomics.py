@@ -1,0 +1,90 @@
+"""Atomic 64-bit words by address: how the two sides of a ring or a stop flag publish to each other.
+
+Plain stores are ordered on x86 by luck and not at all on ARM, and a compiler may hoist a plain load out of
+a loop, which then never stops. Both sides, Python's too, go through these functions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from rig.realtime.kernel import kernel
+
+_WORD = ir.IntType(64)
+
+
+def _pointer(builder: Any, address: Any) -> Any:
+    return builder.inttoptr(address, _WORD.as_pointer())
+
+
+@intrinsic
+def load_word(typingctx: Any, address: Any) -> Any:
+    """Load an int64 with acquire order: what the other side wrote before its store is visible afterwards."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load_atomic(_pointer(builder, args[0]), ordering="acquire", align=8)
+
+    return types.int64(types.uintp), codegen
+
+
+@intrinsic
+def store_word(typingctx: Any, address: Any, value: Any) -> Any:
+    """Store an int64 with release order: everything written before is visible to whoever loads it."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.store_atomic(args[1], _pointer(builder, args[0]), ordering="release", align=8)
+        return context.get_dummy_value()
+
+    return types.void(types.uintp, types.int64), codegen
+
+
+@intrinsic
+def exchange_word(typingctx: Any, address: Any, value: Any) -> Any:
+    """Swap an int64 and return the old one, ordered both ways."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.atomic_rmw("xchg", _pointer(builder, args[0]), args[1], "acq_rel")
+
+    return types.int64(types.uintp, types.int64), codegen
+
+
+@intrinsic
+def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: Any) -> Any:
+    """Store an int64 if the word still is `expected`, ordered both ways: 1 when it was stored, else 0."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        pair = builder.cmpxchg(_pointer(builder, args[0]), args[1], args[2], "acq_rel", "acquire")
+        return builder.zext(builder.extract_value(pair, 1), _WORD)
+
+    return types.int64(types.uintp, types.int64, types.int64), codegen
+
+
+def stack_words(count: int) -> Any:
+    """Make an intrinsic for the address of `count` int64 on the stack: a timespec without an allocation."""
+
+    @intrinsic
+    def words(typingctx: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            memory = cgutils.alloca_once(builder, ir.ArrayType(_WORD, count))
+            return builder.ptrtoint(memory, _WORD)
+
+        return types.uintp(), codegen
+
+    return words
+
+
+@kernel(types.int64(types.uintp))
+def read_word(address: int) -> int:
+    """`load_word` for Python."""
+    return int(load_word(address))
+
+
+@kernel(types.void(types.uintp, types.int64))
+def write_word(address: int, value: int) -> None:
+    """`store_word` for Python."""
+    store_word(address, value)

@@ -1,0 +1,108 @@
+"""Time as an object: the kernel's monotonic clock, or a virtual one that jumps.
+
+Both carry what the compiled loop needs (`handle` and `now_plug`), so that the same loop runs in real and in
+virtual time.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Protocol
+
+import numpy as np
+
+
+class Clock(Protocol):
+    """What Python and the loop ask of a clock. All times are nanoseconds from an arbitrary origin."""
+
+    virtual: bool
+
+    def now_ns(self) -> int:
+        """Return the time now."""
+        ...
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at the deadline or later, never much later than it takes to wake."""
+        ...
+
+    @property
+    def handle(self) -> int:
+        """First argument of `now_plug`."""
+        ...
+
+    @property
+    def now_plug(self) -> Any:
+        """Compiled function of type `rig.realtime.plugs.NOW`."""
+        ...
+
+    @property
+    def sleep_plug(self) -> Any:
+        """Compiled `sleep_until`, of type `rig.realtime.plugs.WAIT`."""
+        ...
+
+
+class MonotonicClock:
+    """CLOCK_MONOTONIC: never set back, not stopped by NTP."""
+
+    virtual = False
+    handle = 0
+
+    def now_ns(self) -> int:
+        """Return the time now."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Sleep until the deadline; absolute, so that waking late does not add up."""
+        remaining = deadline_ns - time.monotonic_ns()
+        if remaining > 0:
+            time.sleep(remaining * 1e-9)
+
+    @property
+    def now_plug(self) -> Any:
+        """Compiled clock_gettime."""
+        from rig.realtime.system import monotonic_now  # noqa: PLC0415  (numba only when a loop is built)
+
+        return monotonic_now
+
+    @property
+    def sleep_plug(self) -> Any:
+        """Compiled clock_nanosleep."""
+        from rig.realtime.system import monotonic_sleep  # noqa: PLC0415
+
+        return monotonic_sleep
+
+
+class VirtualClock:
+    """A number that moves when told to; one second of it costs what its events cost."""
+
+    virtual = True
+
+    def __init__(self, start_ns: int = 0) -> None:
+        self._time = np.array([start_ns], dtype=np.int64)
+
+    def now_ns(self) -> int:
+        """Return the time now."""
+        return int(self._time[0])
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Jump to the deadline, or stay when it has passed."""
+        self._time[0] = max(self._time[0], deadline_ns)
+
+    @property
+    def handle(self) -> int:
+        """Address of the number, which compiled code reads."""
+        return int(self._time.ctypes.data)
+
+    @property
+    def now_plug(self) -> Any:
+        """Compiled read of the number."""
+        from rig.realtime.system import virtual_now  # noqa: PLC0415
+
+        return virtual_now
+
+    @property
+    def sleep_plug(self) -> Any:
+        """Compiled write of the number."""
+        from rig.realtime.system import virtual_sleep  # noqa: PLC0415
+
+        return virtual_sleep

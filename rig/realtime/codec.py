@@ -1,0 +1,438 @@
+"""The compiled codec of what a loop says and hears, equal byte for byte to the readable one (framing.py, packing.py).
+
+That is COMMAND and STATE; GET_TIME and TIME, by which it compares the clocks while it runs; BATCH, where the law runs
+on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall of such a law changes.
+
+Nothing about the bytes is written here a second time: the tables of offsets are made from the
+annotations of messages.py when this module is imported, and the compiler takes them as constants. All
+integers are int64, a u64 as far as it fits there. Kernels check what comes from the wire and return negative
+numbers for what is wrong; buffers are the caller's and must be as large as said.
+
+`STATE`, `COMMAND`, `GET_TIME` and so on name the places in an array of field values (``values[STATE.count]``), `HEAD`
+those in an array of header values, `SAMPLE` those in a row of a batch; all can be used inside kernels.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol import framing, messages
+from firmware_protocol.framing import Defect
+from firmware_protocol.packing import Header, data_limit, type_id_of
+from firmware_protocol.wire import FORMATS, fixed_fields
+from rig.realtime.kernel import kernel
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+_bytes = types.uint8[::1]
+_ints = types.int64[::1]
+_i64 = types.int64
+_table = types.Array(types.int64, 2, "C", readonly=True)
+_rows = types.int64[:, ::1]
+
+# Negative results. The first four are those of `framing.Defect`.
+COBS_ERROR = -int(Defect.COBS)
+CRC_ERROR = -int(Defect.CRC)
+TOO_LONG = -int(Defect.TOO_LONG)
+TOO_SHORT = -int(Defect.TOO_SHORT)
+FOREIGN_MAJOR = -5  # header of another major version
+OTHER_TYPE = -6  # a good frame, but of another type
+BAD_PAYLOAD = -7  # right type, impossible length
+BAD_VALUE = -8  # a value that its C type cannot hold
+
+RAW_BYTES = framing.RAW_LIMIT  # room that `decode_frame` may need
+FRAME_BYTES = framing.SHORT_RAW_LIMIT + 2  # room that `encode_command` and `encode_state` may need
+
+
+def field_indices(name: str) -> Any:
+    """Return a named tuple: field name of a message → its place in an array of values."""
+    names = list(fixed_fields(getattr(messages, name)))
+    return namedtuple(f"{name}Fields", names)(*range(len(names)))
+
+
+def _layout(cls: type) -> Ints:
+    """Rows of (bytes, signed) for each field, in wire order."""
+    rows = []
+    for wire in fixed_fields(cls).values():
+        size = np.dtype(FORMATS[wire.ctype]).itemsize
+        rows.append((size, int(wire.ctype.startswith("i"))))
+    return np.array(rows, dtype=np.int64)
+
+
+COMMAND = field_indices("Command")
+STATE = field_indices("State")
+GET_TIME = field_indices("GetTime")
+TIME = field_indices("Time")
+BATCH = field_indices("Batch")  # without the samples
+SET_BEGIN = field_indices("SetBegin")
+SET_CHUNK = field_indices("SetChunk")  # without the data
+SET_COMMIT = field_indices("SetCommit")
+ACK = field_indices("Ack")
+SAMPLE: Any = namedtuple("SampleFields", ("count", "current_commanded", "current_measured"))(*range(3))
+HEAD: Any = namedtuple("HeaderFields", Header._fields)(*range(len(Header._fields)))
+
+_HEADER_BYTES = framing.HEADER_BYTES
+_CRC_BYTES = framing.CRC_BYTES
+_RAW_MINIMUM = framing.RAW_MINIMUM
+_ENCODED_LIMIT = framing.ENCODED_LIMIT
+_PAYLOAD_LIMIT = framing.SHORT_RAW_LIMIT - _CRC_BYTES - _HEADER_BYTES
+_BATCH_LIMIT = framing.RAW_LIMIT - _CRC_BYTES - _HEADER_BYTES
+_MAJOR = messages.MAJOR
+_COMMAND_TYPE = type_id_of(messages.Command)
+_STATE_TYPE = type_id_of(messages.State)
+_GET_TIME_TYPE = type_id_of(messages.GetTime)
+_TIME_TYPE = type_id_of(messages.Time)
+_BATCH_TYPE = type_id_of(messages.Batch)
+_ACK_TYPE = type_id_of(messages.Ack)
+SET_BEGIN_TYPE = type_id_of(messages.SetBegin)
+SET_CHUNK_TYPE = type_id_of(messages.SetChunk)
+SET_COMMIT_TYPE = type_id_of(messages.SetCommit)
+_COMMAND_LAYOUT = _layout(messages.Command)
+_STATE_LAYOUT = _layout(messages.State)
+_GET_TIME_LAYOUT = _layout(messages.GetTime)
+_TIME_LAYOUT = _layout(messages.Time)
+_BATCH_LAYOUT = _layout(messages.Batch)
+_ACK_LAYOUT = _layout(messages.Ack)
+_SET_BEGIN_LAYOUT = _layout(messages.SetBegin)
+_SET_CHUNK_LAYOUT = _layout(messages.SetChunk)
+_SET_COMMIT_LAYOUT = _layout(messages.SetCommit)
+_BATCH_FIXED = int(_BATCH_LAYOUT[:, 0].sum())
+CHUNK_BYTES = data_limit(messages.SetChunk)
+
+
+def _sample_bytes() -> Ints:
+    """Bytes of each field of a sample, a row for each layout; 0 for a field that is absent."""
+    rows = np.zeros((len(messages.BATCH_LAYOUTS), len(SAMPLE)), dtype=np.int64)
+    for layout, ctypes in messages.BATCH_LAYOUTS.items():
+        assert all(ctype.startswith("i") for ctype in ctypes)  # what `_signed` reads
+        rows[layout, : len(ctypes)] = [np.dtype(FORMATS[ctype]).itemsize for ctype in ctypes]
+    return rows
+
+
+_SAMPLE_BYTES = _sample_bytes()
+MOST_SAMPLES = (_BATCH_LIMIT - _BATCH_FIXED) // int(_SAMPLE_BYTES.sum(axis=1).min())
+"""Rows that `decode_batch` may fill."""
+
+
+def _crc_tables(slices: int) -> Ints:
+    """Tables of the reflected polynomial 0xEDB88320: row k holds the CRC of a byte followed by k zeros."""
+    tables = np.zeros((slices, 256), dtype=np.int64)
+    for byte in range(256):
+        remainder = byte
+        for _ in range(8):
+            remainder = (remainder >> 1) ^ (0xEDB88320 if remainder & 1 else 0)
+        tables[0, byte] = remainder
+    for row in range(1, slices):
+        before = tables[row - 1]
+        tables[row] = (before >> 8) ^ tables[0, before & 0xFF]
+    return tables
+
+
+_CRC = _crc_tables(8)
+
+
+@kernel(_i64(_bytes, _i64, _i64, _i64))
+def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
+    """CRC-32/ISO-HDLC of ``buffer[start:stop]``, continuing from `seed` (0 at first), as `zlib.crc32`.
+
+    Eight bytes a step ("slicing by 8", Kounavis and Berry 2005), so that whole blocks of recordings are
+    cheap too.
+    """
+    crc = seed ^ 0xFFFFFFFF
+    at = start
+    while at + 8 <= stop:
+        crc = (
+            _CRC[7, (crc ^ np.int64(buffer[at])) & 0xFF]
+            ^ _CRC[6, ((crc >> 8) ^ np.int64(buffer[at + 1])) & 0xFF]
+            ^ _CRC[5, ((crc >> 16) ^ np.int64(buffer[at + 2])) & 0xFF]
+            ^ _CRC[4, ((crc >> 24) ^ np.int64(buffer[at + 3])) & 0xFF]
+            ^ _CRC[3, np.int64(buffer[at + 4])]
+            ^ _CRC[2, np.int64(buffer[at + 5])]
+            ^ _CRC[1, np.int64(buffer[at + 6])]
+            ^ _CRC[0, np.int64(buffer[at + 7])]
+        )
+        at += 8
+    while at < stop:
+        crc = (crc >> 8) ^ _CRC[0, (crc ^ np.int64(buffer[at])) & 0xFF]
+        at += 1
+    return crc ^ 0xFFFFFFFF
+
+
+@kernel(_i64(_bytes, _i64, _bytes))
+def cobs_encode(raw: Bytes, length: int, out: Bytes) -> int:
+    """Stuff ``raw[:length]``, at most RAW_LIMIT bytes, into `out` with its delimiter; return length + 2."""
+    code_at = 0
+    for i in range(length):
+        if raw[i] == 0:
+            out[code_at] = i + 1 - code_at
+            code_at = i + 1
+        else:
+            out[i + 1] = raw[i]
+    out[code_at] = length + 1 - code_at
+    out[length + 1] = 0
+    return length + 2
+
+
+@kernel(_i64(_bytes, _i64, _i64))
+def find_delimiter(buffer: Bytes, start: int, end: int) -> int:
+    """Place of the first 0x00 in ``buffer[start:end]``, or -1."""
+    for i in range(start, end):
+        if buffer[i] == 0:
+            return i
+    return -1
+
+
+@kernel(_i64(_bytes, _i64, _i64, _bytes))
+def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
+    """Undo the stuffing of ``buffer[start:stop]`` (a frame without its delimiter) and check its CRC.
+
+    Header and payload go to `raw`, which needs RAW_BYTES of room. Returns their length, or the negative
+    `Defect`, found in the same order as by `framing.decode_frame`.
+    """
+    size = stop - start
+    if size > _ENCODED_LIMIT:
+        return TOO_LONG
+    if size < _RAW_MINIMUM + 1:
+        return TOO_SHORT
+    code_at = 0
+    next_code = np.int64(buffer[start])
+    for i in range(1, size):
+        byte = np.int64(buffer[start + i])
+        if byte == 0:
+            return COBS_ERROR
+        if i == code_at + next_code:
+            code_at = i
+            next_code = byte
+            raw[i - 1] = 0
+        else:
+            raw[i - 1] = byte
+    if code_at + next_code != size:
+        return COBS_ERROR
+    length = size - 1 - _CRC_BYTES
+    sent = np.int64(0)
+    for i in range(_CRC_BYTES):
+        sent |= np.int64(raw[length + i]) << (8 * i)
+    if crc32(raw, 0, length, 0) != sent:
+        return CRC_ERROR
+    return length
+
+
+@kernel(_i64(_ints, _table, _i64, _i64, _i64, _bytes))
+def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int, out: Bytes) -> int:
+    """Header and fields into `out`, behind room for the first COBS code: the place behind them, or BAD_VALUE."""
+    if session < 0 or session > 0xFF or sequence < 0 or sequence > 0xFFFF:
+        return BAD_VALUE
+    out[1] = _MAJOR
+    out[2] = type_id
+    out[3] = 0
+    out[4] = session
+    out[5] = sequence & 0xFF
+    out[6] = sequence >> 8
+    at = 1 + _HEADER_BYTES
+    for field in range(layout.shape[0]):
+        size = layout[field, 0]
+        signed = layout[field, 1]
+        value = values[field]
+        bits = min(8 * size - signed, 63)
+        if (value >> bits) != 0 and not (signed == 1 and (value >> bits) == -1):
+            return BAD_VALUE
+        for k in range(size):
+            out[at + k] = (value >> (8 * k)) & 0xFF
+        at += size
+    return at
+
+
+@kernel(_i64(_bytes, _i64))
+def _seal(out: Bytes, at: int) -> int:
+    """CRC and stuffing, in place, of what stands in ``out[1:at]``; return the bytes with delimiter."""
+    crc = crc32(out, 1, at, 0)
+    for k in range(_CRC_BYTES):
+        out[at + k] = (crc >> (8 * k)) & 0xFF
+    end = at + _CRC_BYTES
+    code_at = 0
+    for i in range(1, end):
+        if out[i] == 0:
+            out[code_at] = i - code_at
+            code_at = i
+    out[code_at] = end - code_at
+    out[end] = 0
+    return end + 1
+
+
+@kernel(_i64(_ints, _table, _i64, _i64, _i64, _bytes))
+def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: int, out: Bytes) -> int:
+    at = _open(values, layout, type_id, session, sequence, out)
+    return int(at) if at < 0 else int(_seal(out, at))
+
+
+@kernel(_i64(_bytes, _i64, _i64), inline=True)
+def _number(raw: Bytes, at: int, size: int) -> int:
+    """Unsigned number of `size` bytes."""
+    value = np.int64(0)
+    for k in range(size):
+        value |= np.int64(raw[at + k]) << (8 * k)
+    return int(value)
+
+
+@kernel(_i64(_bytes, _i64, _i64), inline=True)
+def _signed(raw: Bytes, at: int, size: int) -> int:
+    """Signed number of `size` bytes, fewer than eight."""
+    value = _number(raw, at, size)
+    return int(value - ((value >> (8 * size - 1)) << (8 * size)))
+
+
+@kernel(_i64(_bytes, _i64, _table, _i64, _i64, _ints, _ints))
+def _decode(
+    raw: Bytes, length: int, layout: Ints, limit: int, type_id: int, header: Ints, values: Ints
+) -> int:
+    """Header and fixed fields of a message whose payload has at most `limit` bytes."""
+    header[HEAD.major] = np.int64(raw[0])
+    header[HEAD.type_id] = np.int64(raw[1])
+    header[HEAD.flags] = np.int64(raw[2])
+    header[HEAD.session] = np.int64(raw[3])
+    header[HEAD.sequence] = np.int64(raw[4]) | (np.int64(raw[5]) << 8)
+    if header[HEAD.major] != _MAJOR:
+        return FOREIGN_MAJOR
+    if header[HEAD.type_id] != type_id:
+        return OTHER_TYPE
+    needed = np.int64(0)
+    for field in range(layout.shape[0]):
+        needed += layout[field, 0]
+    payload = length - _HEADER_BYTES
+    if payload < needed or payload > limit:
+        return BAD_PAYLOAD
+    at = _HEADER_BYTES
+    for field in range(layout.shape[0]):
+        size = layout[field, 0]
+        values[field] = _signed(raw, at, size) if layout[field, 1] == 1 else _number(raw, at, size)
+        at += size
+    return 0
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes))
+def encode_command(session: int, sequence: int, values: Ints, out: Bytes) -> int:
+    """Frame of a COMMAND into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    return _encode(values, _COMMAND_LAYOUT, _COMMAND_TYPE, session, sequence, out)
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes))
+def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
+    """Frame of a STATE into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    return _encode(values, _STATE_LAYOUT, _STATE_TYPE, session, sequence, out)
+
+
+@kernel(_i64(_bytes, _i64, _ints, _ints))
+def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
+    """Header and fields of a COMMAND from what `decode_frame` gave.
+
+    Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD.
+    The header is filled in every case, the values (one for each field) only with 0.
+    """
+    return _decode(raw, length, _COMMAND_LAYOUT, _PAYLOAD_LIMIT, _COMMAND_TYPE, header, values)
+
+
+@kernel(_i64(_bytes, _i64, _ints, _ints))
+def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
+    """Header and fields of a STATE from what `decode_frame` gave; return as `decode_command`."""
+    return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes))
+def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
+    """Frame of a GET_TIME into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
+
+
+@kernel(_i64(_bytes, _i64, _ints, _ints))
+def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
+    """Header and fields of a TIME from what `decode_frame` gave; return as `decode_command`."""
+    return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
+
+
+@kernel(_i64(_bytes, _i64, _ints, _ints))
+def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
+    """Header and fields of an ACK from what `decode_frame` gave; return as `decode_command`."""
+    return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes))
+def encode_set_begin(session: int, sequence: int, values: Ints, out: Bytes) -> int:
+    """Frame of a SET_BEGIN into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    return _encode(values, _SET_BEGIN_LAYOUT, SET_BEGIN_TYPE, session, sequence, out)
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes))
+def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> int:
+    """Frame of a SET_COMMIT into `out` (FRAME_BYTES of room); return its bytes with delimiter, or BAD_VALUE."""
+    return _encode(values, _SET_COMMIT_LAYOUT, SET_COMMIT_TYPE, session, sequence, out)
+
+
+@kernel(_i64(_i64, _i64, _ints, _bytes, _i64, _i64, _bytes))
+def encode_set_chunk(
+    session: int, sequence: int, values: Ints, block: Bytes, start: int, stop: int, out: Bytes
+) -> int:
+    """Frame of a SET_CHUNK with ``block[start:stop]`` into `out` (FRAME_BYTES of room).
+
+    Returns its bytes with delimiter, or BAD_VALUE, also for more data than a frame carries (`CHUNK_BYTES`).
+    """
+    if stop - start > CHUNK_BYTES:
+        return BAD_VALUE
+    at = _open(values, _SET_CHUNK_LAYOUT, SET_CHUNK_TYPE, session, sequence, out)
+    if at < 0:
+        return int(at)
+    for i in range(start, stop):
+        out[at] = block[i]
+        at += 1
+    return int(_seal(out, at))
+
+
+@kernel(_i64(_bytes, _i64, _ints, _ints, _rows))
+def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: Ints) -> int:
+    """Header, fields and samples of a BATCH from what `decode_frame` gave.
+
+    Parameters
+    ----------
+    raw, length
+        From `decode_frame`.
+    header, values
+        As in `decode_command`.
+    samples
+        Room for `MOST_SAMPLES` rows of `SAMPLE`: the count itself, which may wrap at 32 bits, and the two currents;
+        what the layout lacks is 0.
+
+    Returns
+    -------
+    int
+        Samples, at least one; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no whole number of samples, or none),
+        BAD_VALUE (an unknown layout).
+    """
+    found = _decode(raw, length, _BATCH_LAYOUT, _BATCH_LIMIT, _BATCH_TYPE, header, values)
+    if found != 0:
+        return int(found)
+    layout = values[BATCH.layout]
+    if layout >= _SAMPLE_BYTES.shape[0]:
+        return BAD_VALUE
+    difference = _SAMPLE_BYTES[layout, SAMPLE.count]
+    commanded = _SAMPLE_BYTES[layout, SAMPLE.current_commanded]
+    measured = _SAMPLE_BYTES[layout, SAMPLE.current_measured]
+    size = difference + commanded + measured
+    data = length - _HEADER_BYTES - _BATCH_FIXED
+    if data == 0 or data % size != 0:
+        return BAD_PAYLOAD
+    count = values[BATCH.base_count]
+    at = _HEADER_BYTES + _BATCH_FIXED
+    for i in range(data // size):
+        count += _signed(raw, at, difference)
+        samples[i, SAMPLE.count] = ((count + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
+        samples[i, SAMPLE.current_commanded] = _signed(raw, at + difference, commanded)
+        samples[i, SAMPLE.current_measured] = (
+            _signed(raw, at + difference + commanded, measured) if measured > 0 else 0
+        )
+        at += size
+    return int(data // size)

@@ -1,0 +1,251 @@
+"""How parameters reach a running loop: a triple buffer that neither side ever waits for.
+
+Three slots hold one parameter set each: one is the writer's to fill, one lies in the mail, one is the reader's
+to copy from. Who has which stands in **one** word, and every change of hands is one compare-and-exchange of it::
+
+    bits 0–1  the writer's slot       bits 4–5  the reader's slot
+    bits 2–3  the slot in the mail    bit  6    FRESH: the mail has not been read
+    bits 8–62 number of the newest set posted
+
+The writer fills its slot and swaps it with the mail; the reader, when the mail is fresh, swaps its own with it. So
+a slot has one owner at any moment, and a set is never torn. Nobody spins: the reader gives up after `ATTEMPTS`
+and keeps what it has (a newer set is on its way), and the writer fails at most once, because the reader only moves
+fresh mail, and it is the writer who makes mail fresh. A writer that is killed in between leaves its own slot half
+filled, which nobody reads: because the word is all there is, there is nothing to repair.
+
+Layout from the address of the mailbox: that word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number
+and length as int64, `SET_FLOATS` float64, padding. What the numbers in a set mean is between writer and reader.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import ArrayLike
+
+from rig.core.errors import ConfigError, RigError
+from rig.realtime.atomics import compare_exchange_word, load_word, read_word, store_word, write_word
+from rig.realtime.kernel import kernel
+
+SET_FLOATS = 64
+SLOTS = 3
+HEAD_BYTES = 64  # a cache line: the word shares it with nothing
+SLOT_BYTES = 576  # two words, the numbers, padding to cache lines
+MAILBOX_BYTES = HEAD_BYTES + SLOTS * SLOT_BYTES
+ATTEMPTS = 4
+PATIENCE_S = 1.0  # how long a writer waits for another one, who needs microseconds
+
+FRESH = 1 << 6
+NUMBER = 8  # shift
+EMPTY = 0 | 1 << 2 | 2 << 4  # each slot where it begins, nothing posted
+
+_WORD = 8
+_VALUES = 2 * _WORD  # place of the numbers in a slot
+_i64, _address, _floats = types.int64, types.uintp, types.float64[::1]
+_writers = threading.Lock()  # a lock on a descriptor does not keep threads of one process apart
+
+
+@kernel(_i64(_address, _i64), inline=True)
+def slot_address(mailbox: int, slot: int) -> int:
+    """Where a slot begins."""
+    return mailbox + HEAD_BYTES + SLOT_BYTES * slot
+
+
+@kernel(_i64(_i64), inline=True)
+def writers_slot(state: int) -> int:
+    """Slot that the writer may fill."""
+    return state & 3
+
+
+@kernel(_i64(_i64), inline=True)
+def readers_slot(state: int) -> int:
+    """Slot that the reader may copy from."""
+    return state >> 4 & 3
+
+
+@kernel(_i64(_i64), inline=True)
+def published(state: int) -> int:
+    """State after the writer's slot has been posted: the mail is fresh, and what lay there is the writer's."""
+    mail = state >> 2 & 3
+    return (state >> NUMBER) + 1 << NUMBER | FRESH | (state & 3 << 4) | writers_slot(state) << 2 | mail
+
+
+@kernel(_i64(_i64), inline=True)
+def claimed(state: int) -> int:
+    """State after the reader has taken the fresh mail and left its own slot there."""
+    mail = state >> 2 & 3
+    return state >> NUMBER << NUMBER | mail << 4 | readers_slot(state) << 2 | writers_slot(state)
+
+
+@kernel(_i64(_address, _floats))
+def fill(mailbox: int, values: Any) -> int:
+    """Write a set into the writer's slot; returns the number that it will have."""
+    state = load_word(mailbox)
+    number = (state >> NUMBER) + 1
+    slot = slot_address(mailbox, writers_slot(state))
+    source = values.ctypes.data
+    store_word(slot, number)
+    store_word(slot + _WORD, len(values))
+    for i in range(len(values)):
+        store_word(slot + _VALUES + _WORD * i, load_word(source + _WORD * i))
+    return int(number)
+
+
+@kernel(_i64(_address))
+def publish(mailbox: int) -> int:
+    """Post the writer's slot; returns its number."""
+    while True:  # twice at most: see above
+        state = load_word(mailbox)
+        after = published(state)
+        if compare_exchange_word(mailbox, state, after) != 0:
+            return int(after >> NUMBER)
+
+
+@kernel(_i64(_address))
+def claim(mailbox: int) -> int:
+    """Take the mail if it is fresh; returns the reader's slot, or -1 when there is nothing new."""
+    for _ in range(ATTEMPTS):
+        state = load_word(mailbox)
+        if state & FRESH == 0:
+            return -1
+        after = claimed(state)
+        if compare_exchange_word(mailbox, state, after) != 0:
+            return int(readers_slot(after))
+    return -1
+
+
+@kernel(_i64(_address, _i64, _floats))
+def copy_set(mailbox: int, slot: int, into: Any) -> int:
+    """Copy the numbers of a slot, as many as there are and fit; returns the number of the set."""
+    place = slot_address(mailbox, slot)
+    target = into.ctypes.data
+    count = min(load_word(place + _WORD), len(into))
+    for i in range(count):
+        store_word(target + _WORD * i, load_word(place + _VALUES + _WORD * i))
+    return int(load_word(place))
+
+
+@kernel(_i64(_address, _floats))
+def take(mailbox: int, into: Any) -> int:
+    """Take the newest parameter set, if there is one that was not taken before. For the loop: it never waits.
+
+    Parameters
+    ----------
+    mailbox
+        Address (`rig.realtime.ring.Ring.mailbox`).
+    into
+        Where the numbers go; what the set does not fill stays as it is, what does not fit is left out.
+
+    Returns
+    -------
+    int
+        Number of the set, from 1 on; 0 when nothing is new, and `into` is as it was.
+    """
+    slot = claim(mailbox)
+    if slot < 0:
+        return 0
+    return int(copy_set(mailbox, slot, into))
+
+
+@kernel(_i64(_address, _floats))
+def post_set(mailbox: int, values: Any) -> int:
+    """`fill` and `publish`: one writer at a time."""
+    fill(mailbox, values)
+    return int(publish(mailbox))
+
+
+def clear(mailbox: int) -> None:
+    """Make an empty mailbox of zeroed memory."""
+    write_word(mailbox, EMPTY)
+
+
+class Mailbox:
+    """The writer's side.
+
+    Parameters
+    ----------
+    address
+        Of the mailbox.
+    descriptor
+        Of the shared memory that it lies in, to keep writers of several processes apart; -1 for memory that only this
+        process sees.
+    keep
+        What must live as long as this object: the owner of the memory.
+    """
+
+    def __init__(self, address: int, *, descriptor: int = -1, keep: object = None) -> None:
+        self._address = address
+        self._descriptor = descriptor
+        self._keep = keep
+
+    @property
+    def posted(self) -> int:
+        """Number of the newest set posted by anybody; 0 before the first."""
+        return int(read_word(self._address)) >> NUMBER
+
+    def post(self, values: ArrayLike) -> int:
+        """Hand a set of parameters to the loop; a newer one replaces one that was not taken yet.
+
+        Returns
+        -------
+        int
+            Its number: 1 for the first set ever posted here, and so on.
+
+        Raises
+        ------
+        ConfigError
+            More than `SET_FLOATS` numbers, or one that is NaN.
+        RigError
+            Another process holds the mailbox, stopped in the middle.
+        """
+        with self.alone():
+            return self.post_alone(values)
+
+    def post_alone(self, values: ArrayLike) -> int:
+        """`post`, for whoever is `alone` already."""
+        numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+        if len(numbers) > SET_FLOATS:
+            raise ConfigError(
+                f"{len(numbers)} parameters for a running loop, which takes {SET_FLOATS}",
+                remedy="use a law with fewer parameters",
+            )
+        if np.isnan(numbers).any():
+            raise ConfigError("a parameter for a running loop is not a number", remedy="give finite values")
+        return int(post_set(self._address, numbers))
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other writers away, of this process and of others, for as long as the block takes."""
+        with _writers:
+            if self._descriptor < 0:
+                yield
+                return
+            _lock(self._descriptor)
+            try:
+                yield
+            finally:
+                fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+
+
+def _lock(descriptor: int) -> None:
+    """Wait for the other writers, who may be stopped in the middle but not for ever."""
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                raise RigError(
+                    "another process holds the parameters of this loop and does not let go",
+                    remedy="end the other `rig set`, and try again",
+                ) from None
+            time.sleep(0.001)
+        else:
+            return

@@ -1,0 +1,50 @@
+"""Calls of C functions by address from compiled code: for libraries that are loaded while the program runs.
+
+`rig.realtime.system` names its functions, which the linker must find when the code is compiled. A library such as
+libusb is found later, and perhaps not at all; its functions are numbers in a block of memory then, the compiled code
+stays the same, and numba can keep it on disk.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+
+def native_call(arity: int) -> Any:
+    """Make an intrinsic ``call(address, arguments…)`` for C functions ``int f(…)`` of word-sized arguments.
+
+    The address must be that of such a function: nothing checks it. No GIL is taken.
+    """
+    word, answer = ir.IntType(64), ir.IntType(32)
+    function = ir.FunctionType(answer, [word] * arity)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        target = builder.inttoptr(args[0], function.as_pointer())
+        return builder.sext(builder.call(target, args[1:]), word)
+
+    if arity == 1:
+
+        @intrinsic
+        def call_one(typingctx: Any, address: Any, first: Any) -> Any:
+            return types.int64(types.uintp, types.uintp), codegen
+
+        return call_one
+    if arity == 2:
+
+        @intrinsic
+        def call_two(typingctx: Any, address: Any, first: Any, second: Any) -> Any:
+            return types.int64(types.uintp, types.uintp, types.uintp), codegen
+
+        return call_two
+    if arity == 3:
+
+        @intrinsic
+        def call_three(typingctx: Any, address: Any, first: Any, second: Any, third: Any) -> Any:
+            return types.int64(types.uintp, types.uintp, types.uintp, types.uintp), codegen
+
+        return call_three
+    raise ValueError(f"no call of {arity} arguments is written")

@@ -1,0 +1,63 @@
+"""The plug points of the compiled loop: each signature, written once.
+
+A plug point is a numba first-class function type. The loop is compiled once against the type; what is
+plugged in later (any estimator, law or far end, also a third party's, also a C function pointer) costs a
+few nanoseconds a call and no compilation. Pass a function made by `rig.realtime.kernel.kernel` with
+the signature (an exception in it then reaches the caller of the loop), or a `NativeFunction` for an
+address.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+
+_floats = types.float64[::1]
+_ints = types.int64[::1]
+
+# Estimator: (count, edge_age_s, elapsed_ticks, state_f, state_i, parameters) -> velocity in position units
+# per second. Called once for each velocity sample; elapsed_ticks counts velocity periods since the previous
+# call (1 when none is lost). parameters[0] is the resolution, parameters[1] the velocity period in s, the
+# rest belongs to the estimator.
+ESTIMATOR_SIGNATURE = types.float64(types.int64, types.float64, types.int64, _floats, _ints, _floats)
+ESTIMATOR = types.FunctionType(ESTIMATOR_SIGNATURE)
+
+# Law: (penetration, penetration_velocity, elapsed_ticks, state, parameters) -> reaction effort, positive
+# out of the wall. Called in every tick of trial and release; penetration is negative outside the wall.
+# state[LAW_CLAMPED] is the row's: non-zero when this tick's reaction was clamped; the rest is the law's own.
+LAW_CLAMPED = 0
+LAW_SIGNATURE = types.float64(types.float64, types.float64, types.int64, _floats, _floats)
+LAW = types.FunctionType(LAW_SIGNATURE)
+
+# Link: read and write return bytes moved, 0 for none, negative -errno; wait blocks until something can be
+# read or the deadline (ns, link's clock) and returns 1, 0 at the deadline, negative -errno. First argument:
+# the link's own handle.
+TRANSFER_SIGNATURE = types.int64(types.int64, types.int64, types.int64)
+TRANSFER = types.FunctionType(TRANSFER_SIGNATURE)
+WAIT_SIGNATURE = types.int64(types.int64, types.int64)
+WAIT = types.FunctionType(WAIT_SIGNATURE)
+
+# Clock: (handle) -> ns.
+NOW_SIGNATURE = types.int64(types.int64)
+NOW = types.FunctionType(NOW_SIGNATURE)
+
+
+class NativeFunction(types.WrapperAddressProtocol):
+    """A function pointer (ctypes callback, C library, libusb) with its signature, ready for a plug point.
+
+    Keep the object alive as long as the loop runs: it owns nothing but remembers `keep`, for example the
+    ctypes callback.
+    """
+
+    def __init__(self, address: int, signature: Any, keep: object = None) -> None:
+        self._address = address
+        self._signature = signature
+        self._keep = keep
+
+    def __wrapper_address__(self) -> int:
+        return self._address
+
+    def signature(self) -> Any:
+        """Return the numba signature."""
+        return self._signature

@@ -1,0 +1,388 @@
+"""One block of memory between the loop, the recorder and whoever supervises them.
+
+Layout (version 3), every part at a multiple of 64 bytes::
+
+    control words   `WORDS` int64                                 what they say stands below
+    info            2 × `INFO_BYTES`; one is UTF-8 JSON, the other is free
+    mailbox         `MAILBOX_BYTES` for `rig.realtime.mailbox`: parameters on their way to the loop
+    rows            `capacity` rows of `rig.core.sample.ROW`
+
+Every word has one writer; all sides load and store words through `rig.realtime.atomics`. Words 0 to 3 and 7 keep their
+places in all versions, so that a run can be stopped whatever version started it. The info says which experiment runs,
+on which device, into which recording; who posts parameters writes the info that goes with them into the free half, and
+then changes the word INFO: the length of the JSON in bits 0–19, which half in bit 20, above them how often it was
+changed.
+
+The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and
+publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
+must never delay a tick) or waits for room (virtual time: nothing is ever lost, and runs are repeatable).
+
+Shared, the block is an anonymous file in memory (memfd) that lives as long as somebody has it open or mapped: nothing
+stays behind whoever dies. Other processes of the user find it as ``/proc/PID/fd/N``, a link to `LINK`
+(`rig.realtime.running`). It cannot be resized, so that nobody's access can fault.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import mmap
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.core.errors import RigError
+from rig.core.sample import ROW
+
+if TYPE_CHECKING:
+    from rig.realtime.mailbox import Mailbox
+
+LAYOUT_VERSION = 3
+WORDS = 64
+INFO_BYTES = 65536
+MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded to find the rows
+NAME = "haptic-rig"
+LINK = f"/memfd:{NAME} (deleted)"
+
+ABANDONED = 2  # STOP of a loop that its owner has given up: link and descriptors are somebody else's by now
+
+# word                 writer       meaning
+VERSION = 0  # creator     layout version, stored last
+HEAD = 1  # loop        rows written so far
+TAIL = 2  # recorder    rows drained so far
+STOP = 3  # anybody     non-zero: the loop ends within one tick; ABANDONED: it touches nothing more
+DROPPED = 4  # loop        rows lost because the ring was full
+TICKS = 5  # loop        steps of the law so far
+PHASE = 6  # loop        rig.core.sample.Phase now
+LOOP_DONE = 7  # loop        1 when the loop has returned and will write nothing more
+HEARTBEAT = 8  # supervisor  time (ns, loop's clock) until which the loop may run; 0 switches the check off
+RECORDER_ERROR = 9  # recorder    0, or the errno that stopped the recorder
+RECORDED = 10  # recorder    rows that are in the file
+END_REASON = 11  # loop        why the loop ended (rig.loop.layout.EndReason)
+END_ERRNO = 12  # loop        errno behind a broken link, else 0
+INFO = 13  # who posts   length and place of the info
+CREATED = 14  # creator     when the block was made (ns, CLOCK_REALTIME)
+ROW_BYTES = 15  # creator     bytes of a row
+# Counters of the link, written by the loop.
+FRAMES = 16  # frames received whole
+BAD_FRAMES = 17  # frames with a wrong checksum, encoding or length
+OTHER_FRAMES = 18  # frames that were not STATE of this session
+DUPLICATED = 19  # samples received twice
+REORDERED = 20  # samples older than one already seen
+LOST = 21  # samples that never arrived
+COMMANDS = 22  # commands sent
+UNSENT = 23  # commands that the link did not take whole
+LATE = 24  # samples received more than one period after the grid
+SKIPPED = 25  # samples that arrived, but behind a newer one that the law saw instead
+STALE = 26  # ticks of a host-paced loop without a fresh sample
+OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
+EXCHANGES = 28  # clock exchanges completed
+PARAMETER_SET = 29  # number of the parameter set in force
+CLOCK = 30  # loop        stamps of the last two clock exchanges, 8 words (`Ring.clock_exchange`)
+CREATOR = 63  # creator     its process, as it calls itself
+
+_INFO_AT = WORDS * 8
+_MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES
+_ROWS_AT = _MAILBOX_AT + MAILBOX_BYTES
+_MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
+_INFO_LENGTH = 0xFFFFF
+_INFO_HALF = 1 << 20
+_INFO_CHANGES = 32
+_INFO_TRIES = 10
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
+
+
+class Ring:
+    """The block and its views: `words` (int64) and `rows` (`rig.core.sample.ROW`).
+
+    `Ring.allocate` makes one, `Ring.attach` opens that of another process. As a context manager it closes itself.
+
+    Parameters
+    ----------
+    buffer
+        The whole block; it starts at a multiple of 8.
+    descriptor
+        Of the shared memory, which `close` closes; -1 when it is not shared.
+    """
+
+    def __init__(self, buffer: NDArray[np.uint8], descriptor: int = -1) -> None:
+        self.buffer = buffer
+        self.descriptor = descriptor
+        self.words: NDArray[np.int64] = buffer[:_INFO_AT].view(np.int64)
+        rows = max(0, (len(buffer) - _ROWS_AT) // ROW.itemsize)
+        self.rows: NDArray[np.void] = buffer[_ROWS_AT : _ROWS_AT + rows * ROW.itemsize].view(ROW)
+        self._closed = False
+
+    @classmethod
+    def allocate(cls, capacity: int, *, info: Mapping[str, Any] | None = None, shared: bool = False) -> Ring:
+        """Make a zeroed ring.
+
+        Parameters
+        ----------
+        capacity
+            Rows that it holds.
+        info
+            What other processes should know about the run: plain values for JSON.
+        shared
+            In memory that other processes of this user can find and open.
+
+        Raises
+        ------
+        RigError
+            More info than fits, or no memory.
+        """
+        from rig.realtime.mailbox import clear  # noqa: PLC0415  (numba only when a loop is built)
+
+        text = _json_of(info or {})
+        size = _ROWS_AT + capacity * ROW.itemsize
+        ring = cls(*_shared_memory(size)) if shared else cls(_plain_memory(size))
+        _write_info(ring, text)
+        ring.put(CREATED, time.time_ns())
+        ring.put(CREATOR, os.getpid())
+        ring.put(ROW_BYTES, ROW.itemsize)
+        clear(ring.mailbox)
+        ring.put(VERSION, LAYOUT_VERSION)
+        return ring
+
+    @classmethod
+    def attach(cls, path: str, *, writable: bool = True) -> Ring:
+        """Open the ring of another process by its ``/proc/PID/fd/N``; not writable, it can only be looked at.
+
+        Raises
+        ------
+        OSError
+            The process is gone, or belongs to somebody else.
+        RigError
+            It is no such block, not yet complete, or of a version that keeps its words elsewhere.
+        """
+        descriptor = os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
+        try:
+            if (
+                os.readlink(path) != LINK
+                or not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK
+            ):
+                raise RigError(f"{path} is not the memory of a running loop", remedy="nothing is to be done")
+            size = os.fstat(descriptor).st_size
+            if size < _INFO_AT:
+                raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
+            ring = cls(_mapped(descriptor, size, writable=writable), descriptor)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        if ring.peek(VERSION) == 0:
+            ring.close()
+            raise RigError(f"{path} is still being made", remedy="try again")
+        return ring
+
+    @property
+    def capacity(self) -> int:
+        """Rows that fit."""
+        return len(self.rows)
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    @property
+    def mailbox(self) -> int:
+        """Address of the mailbox (`rig.realtime.mailbox.take`); valid until `close`.
+
+        Raises `RigError` afterwards: what is behind it may be gone.
+        """
+        if self._closed:
+            raise RigError("the memory of this loop is closed", remedy="the run is over")
+        return int(self.buffer.ctypes.data) + _MAILBOX_AT
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What the creator said about the run; empty when it said nothing, or in another version's words."""
+        return self.info_and_word()[0]
+
+    def info_and_word(self) -> tuple[dict[str, Any], int]:
+        """The info, and the word INFO that it was read by: what `replace` wants to see unchanged."""
+        word = self.peek(INFO)
+        for _ in range(_INFO_TRIES):
+            text = self._info_text(word)
+            before, word = word, self.peek(INFO)
+            if before == word:  # else it was written to twice meanwhile, perhaps where we read
+                with suppress(ValueError):
+                    value = json.loads(text)
+                    return (value if isinstance(value, dict) else {}), word
+                break
+        return {}, word
+
+    def get(self, word: int) -> int:
+        """Load a control word; once closed, what it was then."""
+        from rig.realtime.atomics import read_word  # noqa: PLC0415
+
+        return int(read_word(self.words.ctypes.data + 8 * word))
+
+    def put(self, word: int, value: int) -> None:
+        """Store a control word; once closed, nobody else sees it."""
+        from rig.realtime.atomics import write_word  # noqa: PLC0415
+
+        write_word(self.words.ctypes.data + 8 * word, value)
+
+    def peek(self, word: int) -> int:
+        """Load a control word without compiled code, which a command that must act at once has no time to load.
+
+        Never torn, but nothing may be concluded from it about other memory that is being written.
+        """
+        return int(self.words[word])
+
+    def clock_exchange(self) -> tuple[int, tuple[int, ...] | None]:
+        """How many clock exchanges there were, and the four stamps of the last (`rig.core.clock_fit.EXCHANGE`, ns).
+
+        None before the first, and when the loop was about to overwrite them.
+        """
+        done = self.get(EXCHANGES)
+        place = CLOCK + 4 * ((done - 1) % 2)
+        stamps = tuple(self.get(place + i) for i in range(4))
+        return done, stamps if done > 0 and self.get(EXCHANGES) == done else None
+
+    def ask_to_stop(self) -> None:
+        """Set the stop word, unless it is set. Without compiled code, as `peek`: nothing else is published by it."""
+        if self.words[STOP] == 0:
+            self.words[STOP] = 1
+
+    def writer(self) -> Mailbox:
+        """The mailbox to post into."""
+        from rig.realtime.mailbox import Mailbox  # noqa: PLC0415
+
+        return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
+
+    def post(self, values: ArrayLike) -> int:
+        """Hand the loop a set of parameters; returns its number (`rig.realtime.mailbox.Mailbox.post`)."""
+        return self.writer().post(values)
+
+    def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
+        """Post a set together with the info that goes with it, unless somebody else has changed the info meanwhile.
+
+        Parameters
+        ----------
+        values
+            The set.
+        info
+            Makes all of the new info, given the number of the set; it is called at once or never.
+        word
+            From `info_and_word`, when what is changed here was read.
+
+        Returns
+        -------
+        int
+            Number of the set; 0 when the info was changed meanwhile and nothing was posted.
+        """
+        writer = self.writer()
+        with writer.alone():
+            if self.get(INFO) != word:
+                return 0
+            # The info first: killed in between, the next set makes good what this one did not say.
+            _write_info(self, _json_of(info(writer.posted + 1)))
+            return writer.post_alone(values)
+
+    def _info_text(self, word: int) -> bytes:
+        if self._closed or self.peek(VERSION) != LAYOUT_VERSION:
+            return b"{}"
+        place = _INFO_AT + (INFO_BYTES if word & _INFO_HALF else 0)
+        return self.buffer[place : place + min(word & _INFO_LENGTH, INFO_BYTES)].tobytes()
+
+    def last_rows(self, count: int) -> NDArray[np.void]:
+        """Copy the newest `count` rows, oldest first: the black box that an error carries."""
+        head = self.get(HEAD)
+        first = max(0, head - min(count, self.capacity))
+        return self.rows[np.arange(first, head) % max(1, self.capacity)].copy()
+
+    def close(self) -> None:
+        """Let go of the memory; may be called twice.
+
+        The control words stay readable, as they are now. Memory goes with the last array that looks at it, so that a
+        thread that still holds `rows` cannot crash; whoever holds nothing but an address must have ended before.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self.words = self.words.copy()
+        self.rows = np.zeros(0, ROW)
+        self.buffer = np.zeros(0, np.uint8)
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1
+
+    def __enter__(self) -> Ring:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        with suppress(Exception):  # half made, or at the end of the interpreter
+            self.close()
+
+
+def _json_of(info: Mapping[str, Any]) -> bytes:
+    text = json.dumps(dict(info)).encode()
+    if len(text) > INFO_BYTES:
+        raise RigError(
+            f"{len(text)} bytes of information about a run, where {INFO_BYTES} fit",
+            remedy="shorten the tables of the experiment",
+        )
+    return text
+
+
+def _write_info(ring: Ring, text: bytes) -> None:
+    """Write the free half, then say that it is the one."""
+    word = ring.get(INFO)
+    half = ~word & _INFO_HALF
+    place = _INFO_AT + (INFO_BYTES if half else 0)
+    ring.buffer[place : place + len(text)] = np.frombuffer(text, np.uint8)
+    ring.put(INFO, (word >> _INFO_CHANGES) + 1 << _INFO_CHANGES | half | len(text))
+
+
+def _plain_memory(size: int) -> NDArray[np.uint8]:
+    """Zeroed bytes that begin at a cache line."""
+    memory = np.zeros(size + 64, np.uint8)
+    start = -memory.ctypes.data % 64
+    return memory[start : start + size]
+
+
+def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
+    """Zeroed bytes of an anonymous file, all of them there: later there is nobody to tell that memory is short."""
+    descriptor = -1
+    try:
+        descriptor = _memfd()
+        os.posix_fallocate(descriptor, 0, size)
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)
+        return _mapped(descriptor, size), descriptor
+    except OSError as error:
+        if descriptor >= 0:
+            os.close(descriptor)
+        raise RigError(
+            f"no shared memory of {size / 1e6:.0f} MB: {error.strerror}", remedy="free some memory"
+        ) from error
+
+
+def _memfd() -> int:
+    """An anonymous file, never to be run as a program: newer kernels want that said, older ones do not know it."""
+    flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
+    try:
+        return os.memfd_create(NAME, flags | _MFD_NOEXEC_SEAL)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        return os.memfd_create(NAME, flags)
+
+
+def _mapped(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
+    """The file as an array, which owns the mapping: it is unmapped with the last view of it."""
+    access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
+    return np.frombuffer(mmap.mmap(descriptor, size, access=access), np.uint8)

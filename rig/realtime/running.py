@@ -1,0 +1,317 @@
+"""The loops that run on this computer, found and stopped from any terminal.
+
+A loop in real time keeps its ring in shared memory (`rig.realtime.ring`), which shows among the open files of its
+process. So there is no registry that could be wrong: what is listed is what lives. Nothing here loads compiled code,
+since a command that must stop a rig has no second to lose.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import Phase
+from rig.realtime.ring import (
+    CREATED,
+    CREATOR,
+    LAYOUT_VERSION,
+    LINK,
+    LOOP_DONE,
+    PHASE,
+    STOP,
+    TICKS,
+    VERSION,
+    Ring,
+)
+
+PATIENCE_S = 3.0  # how long a stopped loop may take to say so: it needs a tick
+POLL_S = 0.002
+_PROC = Path("/proc")
+
+
+@dataclass(frozen=True, slots=True)
+class RunningLoop:
+    """One loop as it was when looked at.
+
+    Attributes
+    ----------
+    pid
+        Process that it runs in.
+    since
+        When its memory was made (s, as `time.time`).
+    ticks, phase
+        Steps of the law so far, and what it was doing (`rig.core.sample.Phase`, lower case).
+    stopping
+        Whether somebody has asked it to stop.
+    done
+        The loop has returned; its process still writes or seals the recording.
+    version
+        Layout of its memory; of another version only `pid`, `stopping` and `done` are known.
+    info
+        What its program said about the run: url, recording, experiment.
+    path
+        Where its memory can be opened.
+    """
+
+    pid: int
+    since: float
+    ticks: int
+    phase: str
+    stopping: bool
+    done: bool
+    version: int
+    info: dict[str, Any] = field(repr=False)
+    path: str
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON; of the info what fits on a line."""
+        return {
+            "pid": self.pid,
+            "since": self.since,
+            "url": self.info.get("url"),
+            "recording": self.info.get("recording"),
+            "ticks": self.ticks,
+            "phase": self.phase,
+            "stopping": self.stopping,
+            "version": self.version,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedLoop:
+    """A loop that was asked to stop, and whether it had ended when we looked last."""
+
+    loop: RunningLoop
+    ended: bool
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {**self.loop.as_mapping(), "ended": self.ended}
+
+
+def running(*, done: bool = False) -> list[RunningLoop]:
+    """Loops of this user (of all users for root), the oldest first; with `done` also those about to seal."""
+    found = []
+    for pid, path in _memories():
+        with suppress(OSError, RigError), Ring.attach(path) as ring:
+            found.append(_look(pid, path, ring))
+    return sorted((loop for loop in found if done or not loop.done), key=lambda loop: loop.since)
+
+
+def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[StoppedLoop]:
+    """Stop the loop of a process, or all loops of this user: zero effort within one tick of each.
+
+    Parameters
+    ----------
+    pid
+        Process; all when left out.
+    patience_s
+        How long to wait for each to say that it has ended.
+
+    Returns
+    -------
+    list
+        The loops that ran; empty when none did.
+
+    Raises
+    ------
+    ConfigError
+        The named process runs no loop, or belongs to somebody else.
+    """
+    asked: list[tuple[RunningLoop, Ring]] = []
+    try:
+        for owner, path in _memories(pid):
+            with suppress(OSError, RigError):
+                ring = Ring.attach(path)
+                ran = not ring.peek(LOOP_DONE)  # it may end before anybody looks again
+                ring.ask_to_stop()  # before anything that takes time
+                if ran:
+                    asked.append((_look(owner, path, ring), ring))
+                else:
+                    ring.close()
+        if pid is not None and not asked:
+            raise _not_here(pid)
+        _wait([ring for _, ring in asked], patience_s)
+        return [StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or _gone(loop)) for loop, ring in asked]
+    finally:
+        for _, ring in asked:
+            ring.close()
+
+
+def memory_of(pid: int) -> Ring | None:
+    """The newest loop of a process that still runs, to look at only; None when it runs none. The caller closes it.
+
+    For whoever may see how a run goes but not what it is: nothing of its info is read.
+    """
+    newest: Ring | None = None
+    for _, path in _memories(pid):
+        with suppress(OSError, RigError):
+            ring = Ring.attach(path, writable=False)
+            if ring.peek(VERSION) != LAYOUT_VERSION or ring.peek(LOOP_DONE):
+                ring.close()
+            elif newest is None or newest.peek(CREATED) < ring.peek(CREATED):
+                if newest is not None:
+                    newest.close()
+                newest = ring
+            else:
+                ring.close()
+    return newest
+
+
+def ask_to_stop(pid: int) -> int:
+    """Set the stop word of a process's loops and return at once: how many were asked. Nothing of theirs is read."""
+    asked = 0
+    for _, path in _memories(pid):
+        with suppress(OSError, RigError), Ring.attach(path) as ring:
+            ring.ask_to_stop()
+            asked += not ring.peek(LOOP_DONE)
+    return asked
+
+
+def hidden() -> list[int]:
+    """Processes that were started as ``rig`` and that this user may not look into: they may run a loop too."""
+    found = []
+    for directory in _PROC.iterdir():
+        if not directory.name.isdecimal():
+            continue
+        with suppress(OSError):
+            words = (directory / "cmdline").read_bytes().split(b"\0")
+            if _is_rig(words) and not os.access(directory / "fd", os.R_OK | os.X_OK):
+                found.append(int(directory.name))
+    return sorted(found)
+
+
+def _is_rig(words: list[bytes]) -> bool:
+    """Whether a command line is ``rig …``, ``python …/rig …`` or ``python … -m rig …``."""
+    started = [os.path.basename(word) for word in words[:2]]
+    return b"rig" in started or any(pair == (b"-m", b"rig") for pair in pairwise(words))
+
+
+def the_loop(pid: int | None = None) -> RunningLoop:
+    """The only loop that runs, or that of a process.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or several and none is named.
+    """
+    loops = [loop for loop in running() if pid is None or loop.pid == pid]
+    if len(loops) == 1:
+        return loops[0]
+    if loops:
+        names = ", ".join(str(loop.pid) for loop in loops)
+        raise ConfigError(f"{len(loops)} loops run: {names}", remedy="name one with --pid")
+    if pid is not None:
+        raise _not_here(pid)
+    raise ConfigError("no loop runs in real time on this computer", remedy="start one: rig hit --realtime")
+
+
+@contextmanager
+def opened(loop: RunningLoop) -> Iterator[Ring]:
+    """Open the memory of a loop.
+
+    Raises
+    ------
+    RigError
+        It has ended meanwhile, or was started by another version of this package.
+    """
+    if loop.version != LAYOUT_VERSION:
+        raise RigError(
+            f"process {loop.pid} was started by another version of haptic-rig (layout {loop.version})",
+            remedy="use that version, or `rig stop`, which works with all",
+        )
+    try:
+        ring = Ring.attach(loop.path)
+    except (OSError, RigError) as error:
+        raise RigError(f"the loop of process {loop.pid} has ended", remedy="start another one") from error
+    with ring:
+        yield ring
+
+
+def _memories(pid: int | None = None) -> Iterator[tuple[int, str]]:
+    """Process and path of each ring, once, under the process that made it; what vanishes meanwhile is left out."""
+    known: set[tuple[int, int]] = set()
+    for directory in _PROC.iterdir() if pid is None else (_PROC / str(pid),):
+        if not directory.name.isdecimal():
+            continue
+        with suppress(OSError):  # the process ended, or is somebody else's
+            for link in os.scandir(directory / "fd"):
+                path = _memory_path(link.path)
+                if path is None:
+                    continue
+                place = os.stat(path)
+                if (place.st_dev, place.st_ino) not in known and _made_by(int(directory.name), path):
+                    known.add((place.st_dev, place.st_ino))
+                    yield int(directory.name), path
+
+
+def _memory_path(path: str) -> str | None:
+    try:
+        return path if os.readlink(path) == LINK else None
+    except OSError:
+        return None
+
+
+def _made_by(pid: int, path: str) -> bool:
+    """Whether a process made the ring that it has open: others look at it too, and forks inherit it without its loop.
+
+    In a container the creator calls itself by another number; the kernel knows both.
+    """
+    with suppress(OSError, RigError), Ring.attach(path) as ring:
+        if ring.peek(VERSION) != LAYOUT_VERSION:
+            return True
+        creator = ring.peek(CREATOR)
+        if creator == pid:
+            return True
+        for line in (_PROC / str(pid) / "status").read_text().splitlines():
+            if line.startswith("NSpid:"):
+                return creator in [int(number) for number in line.split()[1:]]
+    return False
+
+
+def _look(pid: int, path: str, ring: Ring) -> RunningLoop:
+    version = ring.peek(VERSION)
+    ours = version == LAYOUT_VERSION
+    phase = ring.peek(PHASE) if ours else -1
+    return RunningLoop(
+        pid=pid,
+        since=ring.peek(CREATED) * 1e-9 if ours else 0.0,
+        ticks=ring.peek(TICKS) if ours else 0,
+        phase=Phase(phase).name.lower() if phase in set(Phase) else "unknown",
+        stopping=ring.peek(STOP) != 0,
+        done=ring.peek(LOOP_DONE) != 0,
+        version=version,
+        info=ring.info,
+        path=path,
+    )
+
+
+def _wait(rings: list[Ring], patience_s: float) -> None:
+    """Return when all loops have ended, or patience has."""
+    deadline = time.monotonic() + patience_s
+    while not all(ring.peek(LOOP_DONE) for ring in rings) and time.monotonic() < deadline:
+        time.sleep(POLL_S)
+
+
+def _gone(loop: RunningLoop) -> bool:
+    """Whether the memory is no longer its process's: it died before it could say anything."""
+    return _memory_path(loop.path) is None
+
+
+def _not_here(pid: int) -> ConfigError:
+    try:
+        os.listdir(_PROC / str(pid) / "fd")
+    except PermissionError:
+        return ConfigError(
+            f"process {pid} is not yours to look into", remedy=f"say it as its owner, or: sudo rig stop {pid}"
+        )
+    except OSError:
+        return ConfigError(f"there is no process {pid}", remedy="rig stop --list shows what runs")
+    return ConfigError(f"process {pid} runs no loop in real time", remedy="rig stop --list shows what runs")

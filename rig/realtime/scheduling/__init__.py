@@ -1,0 +1,22 @@
+"""Real-time scheduling for the loop: asked for aloud, reported as obtained, undone afterwards.
+
+    with obtained(experiment.host) as realtime:  # the process: memory, idle states; and what the thread may have
+        ...
+        realtime.enter_thread()                  # in the loop's own thread: policy, processor, stack
+
+* `realtime`: the context and what it reports
+* `memory`, `idle`: locked pages, and processors kept from deep sleep; of the process, counted
+* `thread`: policy, processor and timer slack of the calling thread, and its stack
+* `rights`, `refusals`: what this process may do, and what would mend it when it may not
+* `facts`: what the kernel says about itself
+* `calls`: the C library
+
+Linux only, as the compiled loop is. Nothing here loads numba.
+"""
+
+from rig.realtime.scheduling.realtime import Realtime, Request, obtained
+from rig.realtime.scheduling.refusals import Refusal
+from rig.realtime.scheduling.rights import Rights
+from rig.realtime.scheduling.thread import ThreadState
+
+__all__ = ["Realtime", "Refusal", "Request", "Rights", "ThreadState", "obtained"]

@@ -1,0 +1,132 @@
+"""What the kernel refuses: why, and the one command that mends it."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.realtime.scheduling.facts import (
+    ROOT,
+    idle_driver,
+    number_of,
+    online_cpus,
+    rt_runtime_us,
+    status_kilobytes,
+    text_of,
+)
+from rig.realtime.scheduling.rights import Rights
+
+GROUP = "realtime"
+LIMITS_FILE = "/etc/security/limits.d/95-haptic-rig.conf"
+LIMITS_COMMAND = (
+    f"sudo groupadd -f {GROUP} && sudo usermod -aG {GROUP} $USER && "
+    f"printf '@{GROUP} - rtprio 98\\n@{GROUP} - memlock unlimited\\n' | sudo tee {LIMITS_FILE}"
+)
+RULES_FILE = "/etc/udev/rules.d/70-haptic-rig.rules"
+RULES_COMMAND = (
+    f"sudo groupadd -f {GROUP} && rig doctor --print-udev | sudo tee {RULES_FILE}"
+    " && sudo udevadm control --reload && sudo udevadm trigger"
+)
+AGAIN = "log in again"
+ROOM = 256 * 2**20  # bytes that a run may still map; beyond its limit the kernel refuses memory altogether
+_MIB = 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """One thing not granted: what and why, the command that mends it, and what to do after it."""
+
+    text: str
+    command: str = ""
+    afterwards: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}. {self.remedy}" if self.command else self.text
+
+    @property
+    def remedy(self) -> str:
+        """The command as a sentence."""
+        return f"To mend it: {self.command}" + (f", then {self.afterwards}" if self.afterwards else "")
+
+
+def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Refusal:
+    """Say why SCHED_FIFO was refused with this errno."""
+    what = f"SCHED_FIFO {priority} is refused"
+    if not rights.may_schedule(priority):
+        return Refusal(
+            f"{what}: the limit of real-time priorities is {rights.priority_limit}", LIMITS_COMMAND, AGAIN
+        )
+    return group_refusal(what, root) or Refusal(
+        f"{what}: {os.strerror(number)}, though the limits allow it; a container or a control group stands before it",
+        "echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs",
+        "start again from the same shell (in a container: run it with --cap-add=SYS_NICE --ulimit rtprio=98)",
+    )
+
+
+def group_refusal(what: str, root: Path = ROOT) -> Refusal | None:
+    """Say whether this process' control group has no share of real time (RT_GROUP_SCHED); None when it has."""
+    group = real_time_group(root)
+    if group is None or (rt_runtime_us(root) or 0) < 0:
+        return None
+    name, share = group
+    if number_of(root / share.lstrip("/")) != 0:
+        return None
+    return Refusal(
+        f"{what}: control group {name} has no share of real time (cpu.rt_runtime_us is 0)",
+        f"echo 100000 | sudo tee {share}",
+    )
+
+
+def real_time_group(root: Path = ROOT) -> tuple[str, str] | None:
+    """Return the control group of this process, and the file with its share of real time, if groups have shares.
+
+    Only version 1 has such a file; in version 2 real-time tasks of a kernel with RT_GROUP_SCHED live in the
+    root group.
+    """
+    for line in text_of(root / "proc/self/cgroup").splitlines():
+        _, controllers, name = [*line.split(":", 2), "", ""][:3]
+        if "cpu" in controllers.split(","):
+            for place in (controllers, "cpu"):
+                # Inside a container the group's own directory may be the root of the mount.
+                for below in (name.strip("/"), ""):
+                    file = Path("sys/fs/cgroup") / place / below / "cpu.rt_runtime_us"
+                    if (root / file).exists():
+                        return name, f"/{file}"
+    return None
+
+
+def of_processor(cpu: int, number: int, root: Path = ROOT) -> Refusal:
+    """Say why the loop may not be kept on a processor."""
+    online = sorted(online_cpus(root))
+    if online and cpu not in online:
+        listed = ", ".join(map(str, online))
+        return Refusal(
+            f"processor {cpu} is not running: this machine has {listed}; set host.cpu to one of them"
+        )
+    return Refusal(f"processor {cpu} is refused: {os.strerror(number)}; the program may use some others only")
+
+
+def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Refusal:
+    """Say why memory is not locked; `number` is 0 when it was not even tried, for want of room under the limit."""
+    if rights.locked_limit is not None and (number in (0, errno.ENOMEM, errno.EPERM)):
+        size = status_kilobytes("VmSize", root) // 1024
+        limit = rights.locked_limit // _MIB
+        return Refusal(
+            f"memory is not locked: the limit is {limit} MiB, for {size} MiB and more", LIMITS_COMMAND, AGAIN
+        )
+    return Refusal(f"memory is not locked: {os.strerror(number)}")
+
+
+def of_idle(number: int, root: Path = ROOT) -> Refusal | None:
+    """Say why processors are not kept from deep sleep; None where there is no deep sleep."""
+    if number == errno.ENOENT:
+        if not idle_driver(root):
+            return None
+        return Refusal("idle processors sleep deeply: there is no /dev/cpu_dma_latency here (a container?)")
+    return Refusal(
+        f"idle processors sleep deeply: /dev/cpu_dma_latency does not open ({os.strerror(number)})",
+        RULES_COMMAND,
+        AGAIN,
+    )

@@ -1,0 +1,75 @@
+"""What this process may ask of the kernel: its user, groups, limits and capabilities."""
+
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+import re
+import resource
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.realtime.scheduling.facts import ROOT, text_of
+
+CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rights:
+    """Limits are None where there is none; `groups` are those in force, not those of the next login."""
+
+    user: str
+    groups: frozenset[str]
+    priority_limit: int | None  # RLIMIT_RTPRIO
+    locked_limit: int | None  # RLIMIT_MEMLOCK, bytes
+    capabilities: int = 0  # effective, one bit each
+
+    @classmethod
+    def here(cls, root: Path = ROOT) -> Rights:
+        """Return what this process has."""
+        return cls(
+            user=_name_of_user(os.geteuid()),
+            groups=frozenset(name_of_group(number) for number in {*os.getgroups(), os.getegid()}),
+            priority_limit=_limit(resource.RLIMIT_RTPRIO),
+            locked_limit=_limit(resource.RLIMIT_MEMLOCK),
+            capabilities=_capabilities(root),
+        )
+
+    def may_schedule(self, priority: int) -> bool:
+        """Whether limits allow SCHED_FIFO at this priority; a control group or a container may still refuse."""
+        allowed = self.priority_limit is None or self.priority_limit >= priority
+        return allowed or self.has(CAP_SYS_NICE)
+
+    def may_lock(self, size: int) -> bool:
+        """Whether limits allow `size` bytes of locked memory."""
+        return self.locked_limit is None or self.locked_limit >= size or self.has(CAP_IPC_LOCK)
+
+    def has(self, capability: int) -> bool:
+        """Whether a capability is in force."""
+        return bool(self.capabilities >> capability & 1)
+
+
+def _limit(which: int) -> int | None:
+    soft, _ = resource.getrlimit(which)
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
+def _capabilities(root: Path) -> int:
+    match = re.search(r"^CapEff:\s*([0-9a-fA-F]+)", text_of(root / "proc/self/status"), re.MULTILINE)
+    return int(match[1], 16) if match else 0
+
+
+def _name_of_user(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)
+
+
+def name_of_group(number: int) -> str:
+    """Return the name of a group, or its number where it has none."""
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)

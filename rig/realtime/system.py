@@ -1,0 +1,164 @@
+"""The system calls of the compiled loop, by name, without Python and without the GIL.
+
+Symbols are named through `numba.types.ExternalFunction` (a ctypes pointer would silently switch the disk
+cache off) and looked up before anything is compiled, because compiling against a missing symbol ends the
+interpreter. Linux only: clock_nanosleep, ppoll and __errno_location do not exist elsewhere under these
+names.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+from numba import carray, types
+
+from rig.core.errors import RigError
+from rig.realtime.atomics import load_word, stack_words, store_word
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import NOW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE
+
+_NAMES = ("read", "write", "ppoll", "clock_gettime", "clock_nanosleep", "__errno_location")
+_MISSING = [name for name in _NAMES if not hasattr(ctypes.CDLL(None), name)]
+if _MISSING:
+    raise RigError(
+        f"this platform has no {', '.join(_MISSING)}",
+        remedy="the compiled loop runs on Linux; recordings and plots work everywhere",
+    )
+
+_i32, _i64, _u64, _ptr = types.int32, types.int64, types.uint64, types.uintp
+_read = types.ExternalFunction("read", _i64(_i32, _ptr, _u64))
+_write = types.ExternalFunction("write", _i64(_i32, _ptr, _u64))
+_ppoll = types.ExternalFunction("ppoll", _i32(_ptr, _u64, _ptr, _ptr))
+_clock_gettime = types.ExternalFunction("clock_gettime", _i32(_i32, _ptr))
+_clock_nanosleep = types.ExternalFunction("clock_nanosleep", _i32(_i32, _i32, _ptr, _ptr))
+_errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
+_one_word = stack_words(1)
+_two_words = stack_words(2)
+
+CLOCK_MONOTONIC = 1
+TIMER_ABSTIME = 1
+POLLIN = 0x001
+POLL_BROKEN = 0x008 | 0x010 | 0x020  # POLLERR, POLLHUP, POLLNVAL
+EINTR, EIO, EAGAIN, ENODEV = 4, 5, 11, 19
+BILLION = 1_000_000_000
+SIGHUP, SIGINT, SIGQUIT, SIGTERM = 1, 2, 3, 15
+
+
+@kernel(_i64())
+def last_error() -> int:
+    """Errno of the last call on this thread."""
+    return int(carray(_errno_location(), 1)[0])
+
+
+@kernel(NOW_SIGNATURE)
+def monotonic_now(handle: int) -> int:
+    """CLOCK_MONOTONIC in ns; `handle` is not used."""
+    timespec = _two_words()
+    _clock_gettime(CLOCK_MONOTONIC, timespec)
+    return int(load_word(timespec) * BILLION + load_word(timespec + 8))
+
+
+@kernel(NOW_SIGNATURE)
+def virtual_now(handle: int) -> int:
+    """Time of a `rig.realtime.clock.VirtualClock` in ns; `handle` is the address of its word."""
+    return int(load_word(handle))
+
+
+@kernel(types.void(_i64))
+def sleep_until(deadline_ns: int) -> None:
+    """Sleep on CLOCK_MONOTONIC until an absolute time; a signal does not wake it early."""
+    timespec = _two_words()
+    store_word(timespec, deadline_ns // BILLION)
+    store_word(timespec + 8, deadline_ns % BILLION)
+    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, timespec, 0) == EINTR:
+        pass
+
+
+@kernel(WAIT_SIGNATURE)
+def monotonic_sleep(handle: int, deadline_ns: int) -> int:
+    """`sleep_until` as a plug (`rig.devices.device.LoopPort.sleep`); `handle` is not used."""
+    sleep_until(deadline_ns)
+    return 0
+
+
+@kernel(WAIT_SIGNATURE)
+def virtual_sleep(handle: int, deadline_ns: int) -> int:
+    """Jump to a deadline on a `rig.realtime.clock.VirtualClock`; `handle` is the address of its word."""
+    store_word(handle, max(load_word(handle), deadline_ns))
+    return 0
+
+
+@kernel(TRANSFER_SIGNATURE)
+def descriptor_read(descriptor: int, address: int, size: int) -> int:
+    """read(2): bytes read, 0 when nothing is there, negative errno; the end of the file is -ENODEV.
+
+    The descriptor is polled first, so that a zero from read(2) can only mean that the other side is gone.
+    """
+    pollfd = _one_word()
+    timespec = _two_words()
+    store_word(pollfd, descriptor | (POLLIN << 32))
+    store_word(timespec, 0)
+    store_word(timespec + 8, 0)
+    if _ppoll(pollfd, 1, timespec, 0) < 1:
+        return 0
+    got = _read(descriptor, address, size)
+    if got > 0:
+        return int(got)
+    if got == 0:
+        return -ENODEV
+    error = last_error()
+    return 0 if error in (EAGAIN, EINTR) else -error
+
+
+@kernel(_i64(_i64))
+def woken_by_signal(descriptor: int) -> int:
+    """Number of a signal that means the end and that was written to a wake-up descriptor, else 0.
+
+    The interpreter writes the number of each signal there from within its C handler
+    (`signal.set_wakeup_fd`), so this needs nobody to hold the GIL. `descriptor` is non-blocking, or negative: none.
+    """
+    if descriptor < 0:
+        return 0
+    word = _one_word()
+    store_word(word, 0)
+    got = descriptor_read(descriptor, word, 8)
+    numbers = load_word(word)
+    for i in range(got):
+        number = (numbers >> (8 * i)) & 0xFF
+        if number in (SIGHUP, SIGINT, SIGQUIT, SIGTERM):
+            return int(number)
+    return 0
+
+
+@kernel(TRANSFER_SIGNATURE)
+def descriptor_write(descriptor: int, address: int, size: int) -> int:
+    """write(2), tried once on a non-blocking descriptor: bytes written, 0 when full, negative errno."""
+    done = _write(descriptor, address, size)
+    if done >= 0:
+        return int(done)
+    error = last_error()
+    return 0 if error in (EAGAIN, EINTR) else -error
+
+
+@kernel(WAIT_SIGNATURE)
+def descriptor_wait(descriptor: int, deadline_ns: int) -> int:
+    """ppoll(2) for input until a deadline on CLOCK_MONOTONIC: 1 readable, 0 deadline, negative errno."""
+    pollfd = _one_word()
+    timespec = _two_words()
+    while True:
+        remaining = deadline_ns - monotonic_now(0)
+        remaining = max(remaining, 0)
+        store_word(pollfd, descriptor | (POLLIN << 32))
+        store_word(timespec, remaining // BILLION)
+        store_word(timespec + 8, remaining % BILLION)
+        ready = _ppoll(pollfd, 1, timespec, 0)
+        if ready > 0:
+            events = load_word(pollfd) >> 48
+            if events & POLLIN:
+                return 1
+            return -EIO
+        if ready == 0:
+            return 0
+        error = last_error()
+        if error != EINTR:
+            return -error

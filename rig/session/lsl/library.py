@@ -1,0 +1,68 @@
+"""The library: pylsl on its first use, with a clear word where it is missing, and its clock beside ours."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rig.core.errors import ConfigError
+
+TRIES = 101
+_QUIET = "[log]\nlevel = -2\n"  # errors alone, on a terminal that shows other things
+_CONFIGURATIONS = (
+    Path("lsl_api.cfg"),
+    Path.home() / "lsl_api" / "lsl_api.cfg",
+    Path("/etc/lsl_api/lsl_api.cfg"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """LSL's clock less CLOCK_MONOTONIC, on which a loop has its times (s), and by how much that may be off.
+
+    liblsl uses the same clock on Linux: an offset that cannot be told from zero is zero.
+    """
+
+    offset_s: float
+    uncertainty_s: float
+
+
+def load() -> Any:
+    """Import pylsl; without a configuration of the user's own it logs errors only.
+
+    Raises
+    ------
+    ConfigError
+        It is not installed, or finds no liblsl.
+    """
+    try:
+        pylsl = import_module("pylsl")
+    except ImportError as error:
+        raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'") from error
+    except (RuntimeError, OSError) as error:
+        raise ConfigError(
+            "pylsl finds no liblsl: its package has one for Linux on x86-64 with glibc 2.35 or newer only",
+            remedy="install liblsl from github.com/sccn/liblsl and set PYLSL_LIB to its path",
+        ) from error
+    if "LSLAPICFG" not in os.environ and not any(path.exists() for path in _CONFIGURATIONS):
+        pylsl.set_config_content(_QUIET)
+    return pylsl
+
+
+def clock_offset(pylsl: Any) -> ClockOffset:
+    """Measure the offset: the narrowest of some readings of our clock around one of LSL's."""
+    best: tuple[int, float] | None = None
+    for _ in range(TRIES):
+        before = time.monotonic_ns()
+        theirs = pylsl.local_clock()
+        width = time.monotonic_ns() - before
+        if best is None or width < best[0]:
+            best = width, theirs - (before + 0.5 * width) * 1e-9
+    assert best is not None
+    uncertainty_s = 0.5e-9 * best[0] + 1e-9
+    offset_s = best[1] if abs(best[1]) > uncertainty_s else 0.0
+    return ClockOffset(offset_s, uncertainty_s)

@@ -1,0 +1,185 @@
+"""What a session says to the process that streams: markers, without ever waiting for it."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import time
+from bisect import bisect_right
+from contextlib import suppress
+from importlib.util import find_spec
+from tempfile import TemporaryFile
+from types import TracebackType
+from typing import Any
+
+from rig.core.errors import ConfigError, RigError
+from rig.core.sample import Motion
+
+NAME = "haptic-rig"
+PATIENCE_S = 5.0
+READY_S = 30.0
+LINE_BYTES = 4096  # PIPE_BUF: written whole or not at all
+CUT = "…"  # what stands for the rest of a text
+
+_log = logging.getLogger(__name__)
+
+
+def marker_line(at_ns: int, content: dict[str, Any]) -> bytes:
+    """A marker as a line of at most `LINE_BYTES`, its `text` cut for that; longer only where the rest is too long."""
+
+    def line(**changed: Any) -> bytes:
+        said = {"at": at_ns, "marker": {**content, **changed}}
+        return json.dumps(said, default=str, ensure_ascii=False).encode(errors="replace") + b"\n"
+
+    whole, text = line(), content.get("text")
+    if len(whole) <= LINE_BYTES or not isinstance(text, str):
+        return whole
+    fits = bisect_right(range(len(text)), LINE_BYTES, key=lambda length: len(line(text=text[:length] + CUT)))
+    return line(text=text[: max(0, fits - 1)] + CUT)
+
+
+class LslMarks:
+    """``rig lsl`` for the loops of this process, with markers of this process's own; a context manager.
+
+    Once it has started nothing here raises or blocks but `wait`: a session does not end because a stream did. What
+    could not be said is counted (`lost`), and each reason for it is warned of once. A `text` that is too long is cut.
+
+    Parameters
+    ----------
+    name
+        First word of the streams' names.
+    rate
+        Samples a second at most; None: every row.
+    blind
+        Markers say nothing of walls and conditions, whatever `push` is given.
+    expected
+        Motion and position rate of the loops to come, so that the samples' stream is there when `wait` returns.
+
+    Raises
+    ------
+    ConfigError
+        pylsl is missing.
+    RigError
+        The process cannot be started.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str = NAME,
+        rate: float | None = None,
+        blind: bool = True,
+        expected: tuple[Motion, float] | None = None,
+    ) -> None:
+        if find_spec("pylsl") is None:
+            raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
+        command = [sys.executable, "-m", "rig", "lsl", "--json", "--markers", "--pid", str(os.getpid())]
+        command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
+        command += ["--blind"] if blind else []
+        command += [] if expected is None else ["--expect", expected[0], repr(expected[1])]
+        self._said, self._complained = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)
+        try:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=self._said,
+                stderr=self._complained,
+                start_new_session=True,  # a Ctrl-C on the terminal is the session's to answer
+            )
+        except OSError as error:
+            raise RigError(
+                f"the process for LSL does not start: {error.strerror}", remedy="free some memory"
+            ) from error
+        assert self._process.stdin is not None
+        self._descriptor = self._process.stdin.fileno()
+        os.set_blocking(self._descriptor, False)
+        self.lost = 0
+        self._warned: set[str] = set()
+        self._streams = 1 if expected is None else 2
+        self._closed = False
+
+    def wait(self, timeout_s: float = READY_S) -> None:
+        """Return when the streams are open, so that a recorder can find them before the first trial.
+
+        Raises
+        ------
+        RigError
+            The process ended, or did not get there in time.
+        """
+        deadline = time.monotonic() + timeout_s
+        while sum("stream" in news for news in self._news()) < self._streams:
+            if self._process.poll() is not None:
+                raise RigError(
+                    f"LSL does not start: {self._complaint()}", remedy="`rig lsl` alone shows more"
+                )
+            if time.monotonic() > deadline:
+                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="go on without --lsl")
+            time.sleep(0.02)
+
+    def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
+        """Say that something happened, at a time on CLOCK_MONOTONIC (ns), or now.
+
+        A `trial` in the content becomes part of all markers that follow, the loop's own too.
+        """
+        at = time.monotonic_ns() if at_ns is None else at_ns
+        line = marker_line(at, {"mark": mark, **content})
+        if len(line) > LINE_BYTES:
+            self._lose(f"a marker of more than {LINE_BYTES} bytes is not sent to LSL")
+            return
+        try:
+            if self._closed:
+                raise BrokenPipeError
+            os.write(self._descriptor, line)
+        except OSError:
+            self._lose("the process for LSL does not take markers; the session goes on without")
+
+    def _lose(self, why: str) -> None:
+        self.lost += 1
+        if why not in self._warned:
+            self._warned.add(why)
+            _log.warning(why)
+
+    def close(self) -> dict[str, Any] | None:
+        """Let it send what it has, and end it: what it sent (`serve.Served`), or None if it does not say."""
+        if self._closed:
+            return None
+        self._closed = True
+        process = self._process
+        assert process.stdin is not None
+        with suppress(OSError):
+            process.stdin.close()
+        try:
+            process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        with self._said, self._complained:
+            if process.returncode != 0:
+                _log.warning("the process for LSL ended with %d: %s", process.returncode, self._complaint())
+            return next((dict(news["served"]) for news in self._news() if "served" in news), None)
+
+    def _news(self) -> list[dict[str, Any]]:
+        """What it has printed so far, read without moving the place at which it writes."""
+        descriptor = self._said.fileno()
+        lines = os.pread(descriptor, os.fstat(descriptor).st_size, 0).splitlines(keepends=True)
+        found = []
+        for line in lines:
+            with suppress(ValueError):
+                found += [json.loads(line)] if line.endswith(b"\n") else []
+        return [news for news in found if isinstance(news, dict)]
+
+    def _complaint(self) -> str:
+        self._complained.seek(0)
+        lines = self._complained.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it does not say why"
+
+    def __enter__(self) -> LslMarks:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,54 @@
+"""Search rules: which stiffness a person is to judge next, and where the limit lies.
+
+A rule is a value. It is asked with all answers so far and says the next probe, or that it has enough; it keeps nothing
+itself, so a session's log is all that is needed to go on after a crash, and any other rule can be asked about the same
+answers afterwards.
+
+    rule = search.make("staircase", levels=range(100, 900, 25), seed=7)
+    probe = rule.next(answers)          # None when it has enough
+    estimate = rule.estimate(answers)   # with an interval
+
+Verdicts are about walls: `stable` or not. Along rising stiffness the share of stable verdicts falls from one to zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rig.core.errors import ConfigError
+from rig.session.search.ascending import Ascending
+from rig.session.search.catching import Catching
+from rig.session.search.grid import Grid
+from rig.session.search.interleaved import Interleaved
+from rig.session.search.psi import Psi
+from rig.session.search.rule import Answer, Estimate, Probe, Rule
+from rig.session.search.staircase import Staircase
+
+__all__ = ["RULES", "Answer", "Catching", "Estimate", "Probe", "Rule", "make"]
+
+RULES: dict[str, Callable[..., Rule]] = {
+    "ascending": Ascending,
+    "staircase": Staircase,
+    "interleaved": Interleaved,
+    "psi": Psi,
+    "grid": Grid,
+}
+
+
+def make(name: str, **settings: Any) -> Rule:
+    """Return a rule by its name and settings.
+
+    Raises `rig.core.errors.ConfigError` for a name, a setting or a value that is none.
+    """
+    rule = RULES.get(name)
+    if rule is None:
+        raise ConfigError(
+            f"there is no search rule {name!r}", remedy=f"choose one of {', '.join(sorted(RULES))}"
+        )
+    try:
+        return rule(**settings)
+    except TypeError as error:
+        raise ConfigError(
+            f"search rule {name}: {error}", remedy="see its settings in the documentation"
+        ) from error

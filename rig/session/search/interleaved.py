@@ -1,0 +1,82 @@
+"""Two staircases that come from below and from above, in random turns.
+
+Nobody can follow a track whose turn is drawn, so an answer says more of the wall and less of the last answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rig.session.search import psychometric
+from rig.session.search.rule import Answer, Censored, Estimate, Probe, told
+from rig.session.search.staircase import Staircase
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interleaved:
+    """Tracks from the softest and the stiffest level; see `Staircase` for the settings that they share.
+
+    Parameters
+    ----------
+    seed
+        Of the turns.
+    """
+
+    levels: Sequence[float]
+    stable_to_rise: int = 1
+    steps: Sequence[int] = (4, 2, 1)
+    turns: int = 6
+    most: int = 40
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "levels", self._staircase.levels)
+
+    @property
+    def _staircase(self) -> Staircase:
+        return Staircase(
+            levels=self.levels,
+            stable_to_rise=self.stable_to_rise,
+            steps=self.steps,
+            turns=self.turns,
+            most=self.most,
+        )
+
+    @property
+    def _tracks(self) -> tuple[Staircase, Staircase]:
+        one = self._staircase
+        return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
+
+    def next(self, answers: Sequence[Answer]) -> Probe | None:
+        """A draw among the tracks that go on; an empty answer is asked again."""
+        probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
+        going = [probe for probe in probes if probe is not None]
+        if not going:
+            return None
+        drawn = np.random.default_rng([self.seed, len(told(answers))])
+        return going[int(drawn.integers(len(going)))]
+
+    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+        """Mean of both tracks, and the interval that all verdicts together give."""
+        single = [
+            track.estimate_of(track.walk(told(answers, number)), told(answers, number), len(answers))
+            for number, track in enumerate(self._tracks)
+        ]
+        share = single[0].share
+        low, high = psychometric.interval(tuple(self.levels), told(answers), share)
+        values = [one.value for one in single if math.isfinite(one.value)]
+        value = sum(values) / len(values) if values else math.nan
+        censored: Censored = next((one.censored for one in single if one.censored), "")
+        low, high = psychometric.opened(censored, value, low, high)
+        return Estimate(
+            value=value,
+            low=low,
+            high=high,
+            share=share,
+            censored=censored,
+            hits=len(answers),
+        )

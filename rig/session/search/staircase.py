@@ -1,0 +1,134 @@
+"""Up-down rules: stiffer after stable verdicts, softer after another, with steps that shrink at each turn.
+
+With `stable_to_rise` = 1 it settles where half of the verdicts are stable; with n, where their share to the n-th power
+is a half: 0.71 for 2, 0.79 for 3 (Levitt, Journal of the Acoustical Society of America 49, 1971; "1-up-1-down",
+"1-up-2-down", "1-up-3-down", where up means softer).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from rig.core.errors import ConfigError
+from rig.session.search import psychometric
+from rig.session.search.rule import Answer, Censored, Estimate, Probe, check_whole, checked_levels, told
+
+EDGE_VERDICTS = 3  # in a row at an end of the levels, where it cannot go on: the limit lies beyond
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Where a staircase stands after some verdicts."""
+
+    place: int
+    step: int = 0  # number of turns so far, which is the place in `steps`
+    direction: int = 0
+    run: int = 0  # stable verdicts since the last move
+    pressed: int = 0  # verdicts in a row that wanted beyond the end
+    turns: list[tuple[int, bool]] = field(
+        default_factory=list
+    )  # place, and whether the smallest step was in force
+    hits: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Staircase:
+    """One track.
+
+    Parameters
+    ----------
+    levels
+        Stiffnesses, rising.
+    stable_to_rise
+        Stable verdicts in a row before the wall gets stiffer.
+    start
+        Level to begin with; the middle one unless given.
+    steps
+        Sizes of steps in levels, one for each turn, the last one for all that follow.
+    turns
+        Turns at the smallest step that are enough.
+    most
+        Verdicts that are enough in any case.
+    seed
+        Not used: the rule draws nothing.
+    """
+
+    levels: Sequence[float]
+    stable_to_rise: int = 1
+    start: float | None = None
+    steps: Sequence[int] = (4, 2, 1)
+    turns: int = 8
+    most: int = 60
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        levels = checked_levels(self.levels)
+        object.__setattr__(self, "levels", levels)
+        object.__setattr__(self, "steps", tuple(self.steps))
+        check_whole("stable_to_rise", self.stable_to_rise, 1, 10)
+        check_whole("turns", self.turns, 2, 1000)
+        check_whole("most", self.most, 1, 100_000)
+        if not self.steps:
+            raise ConfigError("a staircase without steps", remedy="give steps, like [4, 2, 1]")
+        for step in self.steps:
+            check_whole("steps", step, 1, len(levels) - 1)
+        if self.start is not None and self.start not in levels:
+            raise ConfigError(f"start = {self.start:g} is none of the levels", remedy="choose one of them")
+
+    @property
+    def share(self) -> float:
+        """Share of stable verdicts where it settles."""
+        return float(0.5 ** (1.0 / self.stable_to_rise))
+
+    def next(self, answers: Sequence[Answer], track: int = 0) -> Probe | None:
+        """The level where the track stands, or None when it has turned often enough."""
+        walk = self.walk(told(answers, track))
+        return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
+
+    def estimate(self, answers: Sequence[Answer]) -> Estimate:
+        """Mean of the turns at the smallest step, and the interval that all verdicts together give."""
+        verdicts = told(answers, 0)
+        return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
+
+    def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:
+        """Where these verdicts lead."""
+        middle = len(self.levels) // 2
+        walk = _Walk(middle if self.start is None else list(self.levels).index(self.start))
+        for _, stable in verdicts:
+            walk.hits += 1
+            walk.run = walk.run + 1 if stable else 0
+            if stable and walk.run < self.stable_to_rise:
+                continue
+            walk.run = 0
+            self._move(walk, 1 if stable else -1)
+        return walk
+
+    def _move(self, walk: _Walk, direction: int) -> None:
+        if walk.direction not in (0, direction):
+            walk.turns.append((walk.place, walk.step >= len(self.steps) - 1))
+            walk.step = min(walk.step + 1, len(self.steps) - 1)
+        walk.direction = direction
+        wanted = walk.place + direction * self.steps[walk.step]
+        at_end = walk.place == (len(self.levels) - 1 if direction > 0 else 0)
+        walk.pressed = walk.pressed + 1 if at_end else 0
+        walk.place = min(max(wanted, 0), len(self.levels) - 1)
+
+    def has_ended(self, walk: _Walk) -> bool:
+        """Whether it knows enough, or cannot know more on these levels."""
+        fine = sum(1 for _, smallest in walk.turns if smallest)
+        return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
+
+    def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
+        """The limit that a walk shows."""
+        fine = [self.levels[place] for place, smallest in walk.turns if smallest]
+        places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]
+        low, high = psychometric.interval(tuple(self.levels), verdicts, self.share)
+        value = sum(places) / len(places) if places else math.nan
+        censored: Censored = ""
+        if walk.pressed >= EDGE_VERDICTS:
+            censored = "above" if walk.direction > 0 else "below"
+            value = self.levels[-1] if walk.direction > 0 else self.levels[0]
+        low, high = psychometric.opened(censored, value, low, high)
+        return Estimate(value=value, low=low, high=high, share=self.share, censored=censored, hits=hits)

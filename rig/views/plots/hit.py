@@ -1,0 +1,172 @@
+"""The picture of a hit: position against the wall, velocity, and effort, on one time axis that starts at contact."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.sample import Phase, RowFlag, unit_of
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from rig.views.plots import style
+
+BEFORE_CONTACT_S = 0.02
+SHORTEST_IMPACT_S, LONGEST_IMPACT_S = 0.05, 0.2
+
+
+def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
+    """Draw a recording.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    picture
+        PNG to write; beside the recording unless given.
+
+    Returns
+    -------
+    Path
+        The picture.
+    """
+    recording = open_recording(path)
+    target = Path(picture) if picture else Path(path).with_suffix(".png")
+    return style.save(hit_figure(recording), target)
+
+
+def main() -> None:
+    """Draw every recording whose path comes as a JSON string on a line; answer each with a line of JSON."""
+    for line in sys.stdin:
+        try:
+            answer = {"picture": str(draw_hit(json.loads(line)))}
+        except Exception as error:
+            answer = {"error": str(error)}
+        print(json.dumps(answer), flush=True)
+
+
+def hit_figure(recording: Recording) -> Any:
+    """Return the figure of a recording (`matplotlib.figure.Figure`): impact at the left, whole push at the right."""
+    rows, time_s = _trial(recording)
+    figure = style.new_figure(width=11.0)
+    grid = figure.subplots(3, 2, sharey="row", height_ratios=(3, 2, 3), width_ratios=(1, 1), squeeze=False)
+    for column, until_s in enumerate((_impact_end(recording, time_s), None)):
+        shown = slice(None) if until_s is None else slice(0, max(2, int(np.searchsorted(time_s, until_s))))
+        _draw_column(grid[:, column], recording, rows[shown], time_s[shown], _scale(rows))
+        grid[2, column].set_xlabel("time from first contact (s)")
+    grid[0, 0].set_title("impact", fontsize=9)
+    grid[0, 1].set_title("whole push", fontsize=9)
+    for axes, place in zip(grid[:, 1], ("lower right", "upper right", "lower right"), strict=True):
+        axes.legend(loc=place, framealpha=0.85, edgecolor="none", fontsize=8, ncols=2)
+    _label(grid[:, 0], recording, rows)
+    _title(figure, recording)
+    return figure
+
+
+def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]:
+    """Rows from shortly before contact to the end of the push, and their time from it; all rows without contact."""
+    rows, time_s = recording.rows, recording.time_s
+    trial = rows["phase"] == Phase.TRIAL
+    contact = np.flatnonzero(trial & (rows["penetration"] > 0.0))
+    if not len(contact):
+        return rows, time_s
+    time_s = time_s - time_s[contact[0]]
+    shown = slice(int(np.searchsorted(time_s, -BEFORE_CONTACT_S)), int(np.flatnonzero(trial)[-1]) + 1)
+    return rows[shown], time_s[shown]
+
+
+def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
+    """How long the impact lasts (s): a bit longer than it took to settle, if it settled."""
+    verdict = (recording.trailer or {}).get("verdict") or {}
+    settling_s = verdict.get("settling_s")
+    wanted = LONGEST_IMPACT_S if settling_s is None else 1.5 * settling_s
+    last = float(time_s[-1]) if len(time_s) else 0.0
+    return min(last, max(SHORTEST_IMPACT_S, min(wanted, LONGEST_IMPACT_S)))
+
+
+def _draw_column(
+    panels: Any, recording: Recording, rows: NDArray[np.void], time_s: NDArray[np.float64], scale: float
+) -> None:
+    """Position, velocity and effort of some rows; the same side of the transmission has the same colour everywhere."""
+    top, middle, bottom = panels
+    wall, limit = recording.experiment["wall"], recording.experiment["rig"]["limits"]["effort"]
+    if recording.has_truth:
+        top.plot(
+            time_s,
+            scale * rows["handle_position_true"],
+            color=style.TRUE,
+            linewidth=0.9,
+            label="true, handle",
+        )
+        middle.plot(
+            time_s, rows["handle_velocity_true"], color=style.TRUE, linewidth=0.9, label="true, handle"
+        )
+    top.plot(time_s, scale * rows["position"], color=style.MEASURED, linewidth=1.0, label="measured")
+    middle.plot(time_s, rows["velocity"], color=style.MEASURED, linewidth=1.0, label="estimated")
+    reaction = -wall["side"] * rows["effort_wall"]
+    bottom.plot(time_s, reaction, color=style.OTHER, linewidth=0.8, label="wall alone")
+    bottom.plot(time_s, rows["effort_sent"], color=style.SENT, linewidth=0.9, label="sent: wall and push")
+    saturated = (rows["flags"] & int(RowFlag.SATURATED)) != 0
+    if saturated.any():
+        bottom.plot(
+            time_s[saturated], rows["effort_sent"][saturated], "x", color=style.BAD, label=f"at ±{limit:g}"
+        )
+    gaps = time_s[(rows["flags"] & int(RowFlag.GAP)) != 0]
+    if len(gaps):
+        low = top.get_ylim()[0]
+        top.plot(
+            gaps, np.full(len(gaps), low), "|", color=style.BAD, label="gap in the samples", clip_on=False
+        )
+    _shade_wall(top, rows, wall, scale)
+    for axes in panels:
+        style.lighten(axes)
+
+
+def _scale(rows: NDArray[np.void]) -> float:
+    return 1e3 if len(rows) and np.ptp(rows["position"]) < 0.5 else 1.0
+
+
+def _label(panels: Any, recording: Recording, rows: NDArray[np.void]) -> None:
+    motion = recording.header["motion"]
+    prefix = "m" if _scale(rows) != 1.0 else ""
+    names = ("position", "velocity", "effort")
+    for axes, name, before in zip(panels, names, (prefix, "", ""), strict=True):
+        axes.set_ylabel(f"{name} ({before}{unit_of(name, motion)})")
+
+
+def _shade_wall(axes: Any, rows: NDArray[np.void], wall: dict[str, Any], scale: float) -> None:
+    if not len(rows):
+        return
+    surface = scale * wall["position"]
+    low, high = scale * rows["position"].min(), scale * rows["position"].max()
+    margin = 0.1 * max(high - low, 1e-12)
+    low, high = min(low, surface) - margin, max(high, surface) + margin
+    inside = (surface, high) if wall["side"] > 0 else (low, surface)
+    axes.axhspan(*inside, color=style.WALL, alpha=0.2, linewidth=0, label="wall")
+    axes.axhline(surface, color=style.WALL, linewidth=0.8)
+    axes.set_ylim(low, high)
+
+
+def _title(figure: Any, recording: Recording) -> None:
+    wall, rates, motion = (
+        recording.experiment["wall"],
+        recording.experiment["controller"],
+        recording.header["motion"],
+    )
+    scheme = "uniform" if rates["position_rate"] == rates["velocity_rate"] else "dual-rate"
+    trailer = recording.trailer or {}
+    verdict = trailer.get("verdict") or {"kind": trailer.get("reason", "not finished"), "reasons": []}
+    stiffness, damping = (f"{wall[q]:g} {unit_of(q, motion)}" for q in ("stiffness", "damping"))
+    law = f"K = {stiffness}, B = {damping}" if wall["law"] == "spring-damper" else f"law {wall['law']}"
+    rate = f"{scheme} {rates['position_rate'] / 1e3:g}/{rates['velocity_rate'] / 1e3:g} kHz"
+    kind, because = verdict["kind"], "".join(f": {reason}" for reason in verdict["reasons"][:1])
+    text = f"{recording.header['rig']}: {kind}{because}\n{law}; {rate}, {rates['estimator']}"
+    figure.suptitle(text, fontsize=11, color=style.KINDS.get(kind, "#333333"))
+
+
+if __name__ == "__main__":
+    main()

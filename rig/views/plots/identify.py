@@ -1,0 +1,87 @@
+"""An identification as one picture: pushes, friction over velocity, the shaken rig's response, each with its fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.sample import unit_of
+from rig.experiments.identify import Identification, trial_rows
+from rig.recording.reader import open_recording
+from rig.views.plots import style
+
+
+def draw_identification(found: Identification, picture: str | Path) -> Path:
+    """Draw data, fits and residuals into a PNG; returns its path."""
+    figure = style.new_figure(12.0, 8.5)
+    (pushes, response), (sliding, phase), (left, residual) = figure.subplots(3, 2, height_ratios=(3, 3, 2))
+    _draw_pushes(pushes, found)
+    _draw_sliding(sliding, left, found)
+    _draw_response(response, phase, residual, found)
+    x = found.experiment
+    figure.suptitle(f"{x.rig.name}: identification, lines are fits", fontsize=12)
+    return style.save(figure, Path(picture))
+
+
+def _draw_pushes(axes: Any, found: Identification) -> None:
+    x = found.experiment
+    recording = open_recording(found.recordings["signs"][0])
+    rows = trial_rows(recording)
+    rate = recording.experiment["controller"]["position_rate"]
+    time_s = np.arange(len(rows)) / rate
+    busy = np.flatnonzero(rows["effort_sent"])
+    end = min(len(rows), int(busy[-1]) + rate // 5) if len(busy) else len(rows)
+    axes.plot(time_s[:end], rows["position"][:end], color=style.MEASURED, linewidth=1.0)
+    style.tidy(axes, f"position ({unit_of('position', x.rig.motion)})")
+    effort = axes.twinx()
+    effort.plot(time_s[:end], rows["effort_sent"][:end], color=style.SENT, linewidth=0.8)
+    effort.set_ylabel(f"effort ({unit_of('effort', x.rig.motion)})", color=style.SENT)
+    effort.spines["top"].set_visible(False)
+    axes.set_xlabel("time (s)")
+    axes.set_title("pushes", fontsize=11)
+
+
+def _draw_sliding(axes: Any, left: Any, found: Identification) -> None:
+    x, fit = found.experiment, found.sliding
+    speed = np.geomspace(1e-3, 1.05, 60) * float(np.abs(fit.velocity).max())
+    for velocity in (speed, -speed):
+        axes.plot(velocity, fit.at(velocity), color=style.SENT, linewidth=1.2)
+    axes.plot(fit.velocity, fit.effort, "o", color=style.MEASURED, markersize=4)
+    style.tidy(axes, f"effort ({unit_of('effort', x.rig.motion)})")
+    axes.set_title("friction while sliding", fontsize=11)
+    left.plot(fit.velocity, fit.effort - fit.at(fit.velocity), "o", color=style.MEASURED, markersize=4)
+    left.axhline(0.0, color=style.SENT, linewidth=1.0)
+    style.tidy(left, f"residual ({unit_of('effort', x.rig.motion)})")
+    left.set_xlabel(f"velocity ({unit_of('velocity', x.rig.motion)})")
+
+
+def _draw_response(response: Any, phase: Any, residual: Any, found: Identification) -> None:
+    x, fit = found.experiment, found.dynamics
+    lines, scale = fit.lines_hz, (2.0 * np.pi * fit.lines_hz) ** 2
+    acceleration = f"{unit_of('acceleration', x.rig.motion)} per {unit_of('effort', x.rig.motion)}"
+    response.loglog(lines, np.abs(fit.fitted) * scale, color=style.SENT, linewidth=1.2)
+    response.errorbar(
+        lines,
+        np.abs(fit.measured) * scale,
+        2.0 * fit.deviation * scale,
+        fmt="o",
+        color=style.MEASURED,
+        markersize=3,
+        elinewidth=0.7,
+    )
+    style.tidy(response, f"acceleration over effort ({acceleration})")
+    response.set_title("shaken, friction removed (bars: 2 deviations of one realisation)", fontsize=11)
+    phase.semilogx(lines, _degrees(-fit.fitted), color=style.SENT, linewidth=1.2)
+    phase.semilogx(lines, _degrees(-fit.measured), "o", color=style.MEASURED, markersize=3)
+    style.tidy(phase, "phase (°)")
+    share = np.abs(fit.measured - fit.fitted) / np.abs(fit.fitted)
+    residual.loglog(lines, 100.0 * share, "o", color=style.MEASURED, markersize=3)
+    residual.loglog(lines, 100.0 * fit.deviation / np.abs(fit.fitted), color=style.WALL, linewidth=1.0)
+    style.tidy(residual, "residual (%)")
+    residual.set_xlabel("frequency (Hz); grey: scatter of one realisation")
+
+
+def _degrees(values: Any) -> Any:
+    return np.degrees(np.unwrap(np.angle(values)))

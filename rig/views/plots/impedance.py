@@ -1,0 +1,103 @@
+"""Measured impedances, like figures 4 and 6 of Chawda et al.: magnitude, phase, real part, and the ideal wall's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.analysis.impedance.estimate import Impedance
+from rig.analysis.impedance.ideal import ideal_wall
+from rig.core.errors import RecordingError
+from rig.core.sample import unit_of
+from rig.experiments.impedance import ImpedanceResult
+from rig.views.plots import style
+
+Z_SCORE = 2.0  # of the shaded bands
+HEADROOM = 1.3  # of the real part's axis, over what was measured
+
+
+def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
+    """Draw results into a PNG, one colour each; returns its path.
+
+    Solid with a band of two standard deviations: measured. Thin and dark: closed form of rig and wall, without friction
+    and quantum. Dashed: the ideal wall K/(jω) + B.
+
+    Raises `RecordingError` when nothing was measured, or the file cannot be written.
+    """
+    shown = [result for result in results if result.impedance is not None]
+    if not shown:
+        raise RecordingError(
+            "no impedance to draw: the guard ended every run",
+            remedy="take a softer wall or a smaller excitation",
+        )
+    figure = style.new_figure(9.0, 10.0)
+    size, phase, real = figure.subplots(3, 1, sharex=True, height_ratios=(2, 1.4, 1.4))
+    for i, result in enumerate(shown):
+        assert result.impedance is not None
+        _draw(size, phase, real, result, result.impedance, style.SERIES[i % len(style.SERIES)])
+    _limits(phase, real, shown)
+    damping = unit_of("damping", shown[0].experiment.rig.motion)
+    size.set_xscale("log")
+    size.set_yscale("log")
+    style.tidy(size, f"|Z| ({damping})")
+    style.tidy(phase, "phase of Z (degrees)")
+    style.tidy(real, f"Re Z ({damping})")
+    real.set_xlabel("frequency (Hz)")
+    size.legend(loc="best", fontsize=8, framealpha=0.85, edgecolor="none")
+    first = shown[0]
+    excitation, count = first.experiment.excitation, first.impedance.realisations if first.impedance else 0
+    who = "own motor" if excitation.channel == "motor" else "second actuator"
+    figure.suptitle(
+        f"{first.experiment.rig.name}, shaken by its {who}" if excitation.channel == "motor"
+        else f"{first.experiment.rig.name}, shaken by a {who}",
+        fontsize=11,
+    )  # fmt: skip
+    size.set_title(
+        f"{first.method}, {count} × {excitation.periods} periods of {excitation.period_s:g} s; bands: {Z_SCORE:g} "
+        "standard deviations; thin: closed form; dashed: K/(jω) + B",
+        fontsize=8,
+        loc="left",
+    )
+    return style.save(figure, Path(picture))
+
+
+def _draw(
+    size: Any, phase: Any, real: Any, result: ImpedanceResult, measured: Impedance, colour: str
+) -> None:
+    f, spread = measured.lines_hz, np.nan_to_num(measured.spread(Z_SCORE))
+    magnitude, angle = measured.magnitude, measured.phase_deg
+    turn = np.degrees(np.arcsin(np.clip(spread / np.maximum(magnitude, 1e-300), 0.0, 1.0)))
+    for axes, value, band in (
+        (size, magnitude, spread),
+        (phase, angle, turn),
+        (real, measured.z.real, spread),
+    ):
+        low = np.maximum(value - band, 0.1 * value) if axes is size else value - band
+        axes.fill_between(f, low, value + band, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(f, value, color=colour, linewidth=1.2, label=result.label if axes is size else None)
+    closed = result.expected(f)
+    if closed is not None:
+        _plain(size, phase, real, f, closed, color="#222222", linewidth=0.6)
+    if not result.bare:
+        _plain(size, phase, real, f, ideal_wall(*result.wall, f), color=colour, linewidth=1.0, linestyle="--")
+
+
+def _plain(size: Any, phase: Any, real: Any, f: Any, z: Any, **look: Any) -> None:
+    for axes, value in ((size, np.abs(z)), (phase, np.degrees(np.angle(z))), (real, z.real)):
+        axes.plot(f, value, **look)
+
+
+def _limits(phase: Any, real: Any, shown: Sequence[ImpedanceResult]) -> None:
+    """Mark ±90° and zero, between which a wall is passive, and let no stray line flatten the real part."""
+    for level in (-90.0, 90.0):
+        phase.axhline(level, color=style.BAD, linewidth=0.8)
+    real.axhline(0.0, color=style.BAD, linewidth=0.8)
+    phase.set_ylim(-135.0, 135.0)
+    phase.set_yticks((-90, -45, 0, 45, 90))
+    values = np.concatenate([r.impedance.z.real for r in shown if r.impedance is not None])
+    low, high = np.percentile(values, (1.0, 99.0))
+    middle, half = 0.5 * (low + high), 0.5 * max(high - low, 1e-12)
+    real.set_ylim(min(middle - HEADROOM * half, -0.1 * half), max(middle + HEADROOM * half, 0.1 * half))

@@ -1,0 +1,31 @@
+"""The picture of a replay: recorded and replayed velocity and effort on one time axis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rig.core.sample import unit_of
+from rig.experiments.replay import ReplayResult
+from rig.recording.data import Recording
+from rig.views.plots import style
+
+
+def draw_replay(recording: Recording, result: ReplayResult, picture: str | Path) -> Path:
+    """Draw velocity and effort, recorded against replayed, into a PNG; returns its path."""
+    motion, time_s = recording.header["motion"], recording.time_s
+    figure = style.new_figure(height=5.0)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    for axes, column, quantity in ((top, "velocity", "velocity"), (bottom, "effort_sent", "effort")):
+        axes.plot(time_s, result.recorded[column], color=style.MEASURED, linewidth=0.9, label="recorded")
+        axes.plot(
+            time_s,
+            result.rows[column],
+            color=style.SENT,
+            linewidth=0.9,
+            label=f"replayed: {result.estimator}",
+        )
+        style.tidy(axes, f"{quantity} ({unit_of(quantity, motion)})")
+        axes.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
+    bottom.set_xlabel("time (s)")
+    figure.suptitle(f"{recording.header['rig']}, replayed", fontsize=11)
+    return style.save(figure, Path(picture))

@@ -1,0 +1,89 @@
+"""K_max over B by theory: the edge of stability of each scheme, the islands beyond, and what passivity alone allows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.analysis.theory import SchemeTheory, Theory
+from rig.core.sample import unit_of
+from rig.views.plots import style
+
+COLOURS = (style.MEASURED, style.SENT, style.OTHER, style.TRUE, "#cc79a7", "#56b4e9")
+HEADROOM = 1.15  # above the highest curve
+PASSIVE = ("passive below the dashed line", "passive below the dashed line, and only there")
+CORNER = 1.5  # width and height of the right panel, in what passivity allows
+
+
+def draw_theory(theory: Theory, picture: str | Path) -> Path:
+    """Draw a result of `rig.analysis.theory.theory_of` into a PNG; returns its path.
+
+    Solid lines are K_max of the linear loop, connected from the lowest stiffness; islands beyond are shaded. The right
+    panel shows the corner in which the wall can be passive: below the dashed lines it is, lag and delay counted, and on
+    a rigid rig above them it is not.
+    """
+    figure = style.new_figure(12.0, 6.0)
+    whole, corner = figure.subplots(1, 2, width_ratios=(2, 1))
+    for i, scheme in enumerate(theory.schemes):
+        colour = COLOURS[i % len(COLOURS)]
+        for axes in (whole, corner):
+            _draw_edge(axes, scheme, colour)
+        _draw_islands(whole, scheme, colour)
+        _draw_passivity(corner, scheme, colour)
+    if theory.damping > 0.0:
+        whole.axvline(theory.damping, color=style.WALL, linewidth=1.0, label="B of the experiment")
+    whole.set_xlim(left=0.0)
+    whole.set_ylim(0.0, HEADROOM * _highest(theory))
+    corner.set_xlim(0.0, CORNER * max((_passive_damping(s) for s in theory.schemes), default=1.0) or 1.0)
+    corner.set_ylim(0.0, CORNER * max((_passive_stiffness(s) for s in theory.schemes), default=1.0) or 1.0)
+    for axes in (whole, corner):
+        axes.set_xlabel(f"damping B of the wall ({unit_of('damping', theory.motion)})")
+        style.lighten(axes)
+    style.tidy(whole, f"stiffness K of the wall ({unit_of('stiffness', theory.motion)})")
+    hand = "no hand" if theory.operator == "none" else f"{theory.operator} hand"
+    whole.set_title(f"{theory.rig}, {hand}: linear theory, no friction, no quantum", fontsize=11)
+    corner.set_title(PASSIVE[theory.structure == "rigid"], fontsize=11)
+    whole.legend(loc="upper right", fontsize=8)
+    return style.save(figure, Path(picture))
+
+
+def _draw_edge(axes: Any, scheme: SchemeTheory, colour: str) -> None:
+    b = np.array([limit.damping for limit in scheme.curve])
+    edge = np.array([limit.stiffness for limit in scheme.curve])
+    capped = np.array([limit.capped for limit in scheme.curve])
+    shown = np.flatnonzero(edge > 0.0)
+    end = min(int(shown[-1]) + 2, len(b)) if len(shown) else 0  # down to the axis, and no farther
+    axes.plot(b[:end], edge[:end], color=colour, linewidth=1.6, label=scheme.label)
+    axes.plot(b[capped], edge[capped], "^", color=colour, markersize=5)  # the scan ended before the wall did
+
+
+def _draw_islands(axes: Any, scheme: SchemeTheory, colour: str) -> None:
+    """Shade the first islands beyond the edge, the second ones, and so on."""
+    b = np.array([limit.damping for limit in scheme.curve])
+    most = max((len(limit.islands) for limit in scheme.curve), default=0)
+    for n in range(most):
+        there = np.array([len(limit.islands) > n for limit in scheme.curve])
+        low = [limit.islands[n].low if len(limit.islands) > n else 0.0 for limit in scheme.curve]
+        high = [limit.islands[n].high if len(limit.islands) > n else 0.0 for limit in scheme.curve]
+        label = f"island of the {scheme.label.split(',')[0]} wall" if n == 0 else None
+        axes.fill_between(b, low, high, where=there, color=colour, alpha=0.25, linewidth=0, label=label)
+
+
+def _draw_passivity(axes: Any, scheme: SchemeTheory, colour: str) -> None:
+    axes.plot(*np.array(scheme.passive).T, "--", color=colour, linewidth=1.0)
+
+
+def _passive_stiffness(scheme: SchemeTheory) -> float:
+    return max(stiffness for _, stiffness in scheme.passive)
+
+
+def _passive_damping(scheme: SchemeTheory) -> float:
+    return scheme.passive[-1][0]
+
+
+def _highest(theory: Theory) -> float:
+    limits = [limit for scheme in theory.schemes for limit in scheme.curve]
+    top = max((limit.highest for limit in limits if not limit.capped), default=0.0)
+    return top or max((limit.stiffness for limit in limits), default=1.0)

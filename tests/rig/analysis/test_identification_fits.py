@@ -1,0 +1,354 @@
+"""Fits of an identification on data of an independent integrator (scipy's), whose parameters they must find."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from rig.analysis.identification.dynamics import fit_dynamics
+from rig.analysis.identification.interval import Interval, from_scatter
+from rig.analysis.identification.quality import IdentificationError, check_explained, check_shaken
+from rig.analysis.identification.signs import check_signs, stiction_warning
+from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
+from rig.analysis.impedance.signals import Shaken
+from rig.control.excitation import Multisine
+
+MASS, DAMPING, UP, DOWN = 0.5, 8.0, 0.3, 0.2  # kg, N·s/m, N
+RATE = 1000.0
+QUANTUM = 1e-6
+SLIP = 2e-4  # m/s in which friction turns round: a regularised law, unlike that of the simulated plant
+
+
+def friction(v):
+    return 0.5 * (UP - DOWN) + 0.5 * (UP + DOWN) * np.tanh(
+        (v - SLIP * math.atanh((DOWN - UP) / (UP + DOWN))) / SLIP
+    )
+
+
+def integrate(efforts, derivative, state):
+    """States at the samples under efforts that are held between them."""
+    states = [np.array(state)]
+    for effort in efforts:
+        end = solve_ivp(
+            lambda t, y, u=effort: derivative(y, u),
+            (0.0, 1.0 / RATE),
+            states[-1],
+            rtol=1e-7,
+            atol=1e-11,
+            method="RK45",
+        )
+        states.append(end.y[:, -1])
+    return np.array(states[:-1])
+
+
+def counted(position):
+    return QUANTUM * np.floor(position / QUANTUM + 0.5)
+
+
+def known_sliding(up=UP, down=DOWN, damping=DAMPING):
+    def exact(value):
+        return Interval(value, 0.0)
+
+    return Sliding(
+        exact(up), exact(down), exact(damping), exact(0.5 * (up + down)), exact(0.5 * (up - down)),
+        np.zeros(1), np.zeros(1), 0.0,
+    )  # fmt: skip
+
+
+# ---------------------------------------------------------------------- intervals
+
+
+def test_an_interval_from_scatter_is_students():
+    samples = [1.0, 2.0, 3.0, 4.0]
+    found = from_scatter(2.5, samples)
+    assert found.half_width == pytest.approx(3.182446 * np.std(samples, ddof=1) / 2.0, rel=1e-6)
+    assert found.holds(2.5)
+    assert not found.holds(10.0)
+    assert from_scatter(1.0, [1.0]).half_width == math.inf
+    assert from_scatter(1.0, [1.0]).as_mapping() == {"value": 1.0, "ci95": None}
+
+
+def test_95_per_cent_of_intervals_hold_the_truth():
+    rng = np.random.default_rng(1)
+    draws = rng.normal(3.0, 0.5, (2000, 5))
+    held = np.mean([from_scatter(draw.mean(), draw).holds(3.0) for draw in draws])
+    assert held == pytest.approx(0.95, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        (Interval(3.2042e-4, 3.5e-7), "(3.2042 ± 0.0035)e-04 kg"),
+        (Interval(13.203, 0.011), "13.203 ± 0.011 kg"),
+        (Interval(0.0, 0.0), "0 kg"),
+        (Interval(587.08, 0.15), "587.08 ± 0.15 kg"),
+        (Interval(5.0, math.inf), "5 kg"),
+    ],
+)
+def test_an_interval_is_written_with_the_digits_it_deserves(interval, text):
+    assert interval.text("kg") == text
+
+
+# ---------------------------------------------------------------------- pushes
+
+
+def pushed(sign=1.0, mass=MASS, growth=2.0, gap=False):
+    """Pushes up to 30 counts of a handle with friction, two each way; `gap`: after a reversal a tenth of the mass."""
+    time_s, effort, position = [], [], []
+    t, x, v, before = 0.0, 0.0, 0.0, 1.0
+    for direction in (1.0, 1.0, -1.0, -1.0, 1.0, 1.0):
+        moved, start, u = 0.0, x, 0.0
+        m = mass * (0.1 if gap and direction != before else 1.0)
+        before = direction
+        while abs(moved) < 30 * QUANTUM:
+            u += growth / RATE
+            time_s.append(t), effort.append(direction * u), position.append(sign * x)
+            net = u - (UP if direction > 0 else DOWN)
+            if net > 0.0:
+                v += direction * net / m / RATE
+            x += v / RATE
+            t += 1.0 / RATE
+            moved = x - start
+        v = 0.0
+        for _ in range(100):
+            time_s.append(t), effort.append(0.0), position.append(sign * x)
+            t += 1.0 / RATE
+    return np.array(time_s), np.array(effort), counted(np.array(position))
+
+
+def signs_of(data, expected=MASS):
+    return check_signs(*data, resolution=QUANTUM, expected_inertia=expected, rest_s=0.05)
+
+
+def test_pushes_tell_sign_breakaway_and_scale():
+    found = signs_of(pushed())
+    assert (found.sign, found.ok, found.warnings, len(found.pushes)) == (1, True, (), 6)
+    assert found.scale == pytest.approx(1.0, rel=0.3)
+    assert found.breakaway_up == pytest.approx(UP, rel=0.2), "two counts later than the very first motion"
+    assert found.breakaway_down == pytest.approx(DOWN, rel=0.2)
+    assert [push.after_reversal for push in found.pushes] == [False, False, True, False, True, False]
+
+
+def test_an_encoder_that_counts_the_other_way_is_found():
+    found = signs_of(pushed(sign=-1.0))
+    assert found.sign == -1
+    assert not found.ok
+    assert "other way round" in found.warnings[0]
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_a_wrong_scale_is_found(factor):
+    found = signs_of(pushed(), expected=factor * MASS)
+    assert found.sign == 1
+    assert not found.ok
+    assert "times the inertia described" in found.warnings[0]
+
+
+def test_backlash_shows_as_a_light_handle_after_each_reversal():
+    assert any("backlash" in warning for warning in signs_of(pushed(gap=True)).warnings)
+
+
+def test_a_handle_that_does_not_move_says_nothing():
+    time_s = np.arange(1000) / RATE
+    effort = np.where(time_s % 0.5 < 0.3, time_s % 0.5, 0.0)
+    found = signs_of((time_s, effort, np.zeros(1000)))
+    assert found.sign == 0
+    assert math.isnan(found.inertia)
+    assert "nothing moved, up to 0.299" in found.warnings[0]
+    silent = signs_of((time_s, np.zeros(1000), np.zeros(1000)))
+    assert silent.pushes == ()
+    assert not silent.ok
+
+
+def test_stiction_is_breakaway_well_above_sliding():
+    assert stiction_warning(0.3, 0.25) is None
+    assert "0.6" in stiction_warning(0.6, 0.3)
+    assert stiction_warning(math.nan, 0.3) is None
+
+
+# ---------------------------------------------------------------------- sliding
+
+
+@pytest.fixture(scope="module")
+def slid():
+    """Strokes by a servo, integrated by scipy; effort and position as a rig would record them."""
+    strokes, time_s, setpoint = [], 0.0, []
+    for length in (0.4, 0.8):
+        for way in (0.02, -0.02):
+            strokes.append(Stroke(time_s, time_s + length, way / length))
+            start = -0.01 if way > 0 else 0.01
+            setpoint += [
+                (start + way * k / (length * RATE), way / length) for k in range(round(length * RATE))
+            ]
+            time_s += length
+    state, states, efforts = np.array([-0.01, 0.0]), [], []
+    for target, speed in setpoint:
+        effort = 2000.0 * (target - counted(state[0])) + 60.0 * (speed - state[1])
+        states.append(state)
+        efforts.append(effort)
+        end = solve_ivp(
+            lambda t, y, u=effort: (y[1], (u - DAMPING * y[1] - friction(y[1])) / MASS),
+            (0.0, 1.0 / RATE), state, rtol=1e-6, atol=1e-10,
+        )  # fmt: skip
+        state = end.y[:, -1]
+    return np.arange(len(efforts)) / RATE, np.array(efforts), counted(np.array(states)[:, 0]), strokes
+
+
+def test_sliding_recovers_friction_each_way_and_damping(slid):
+    found = fit_sliding(*slid, resolution=QUANTUM)
+    assert found.up.value == pytest.approx(UP, rel=0.02)
+    assert found.down.value == pytest.approx(DOWN, rel=0.02)
+    assert found.damping.value == pytest.approx(DAMPING, rel=0.03)
+    assert found.coulomb.value == pytest.approx(0.5 * (UP + DOWN), rel=0.02)
+    assert found.bias.value == pytest.approx(0.5 * (UP - DOWN), abs=0.005)
+    for interval, true in ((found.up, UP), (found.down, DOWN), (found.damping, DAMPING)):
+        assert 0.0 < interval.half_width < 0.1 * true
+    assert found.at(np.array([0.05]))[0] == pytest.approx(UP + 0.05 * DAMPING, rel=0.03)
+
+
+def test_what_did_not_slide_is_refused(slid):
+    time_s, effort, position, strokes = slid
+    with pytest.raises(IdentificationError, match="0 pieces slid up and 0 down"):
+        fit_sliding(time_s, effort, np.zeros_like(position), strokes, resolution=QUANTUM)
+    with pytest.raises(IdentificationError, match="down"):
+        fit_sliding(time_s, effort, position, strokes[::2], resolution=QUANTUM)
+    noise = np.random.default_rng(0).normal(0.0, 50.0, len(effort))
+    with pytest.raises(IdentificationError, match="scatters"):
+        fit_sliding(time_s, effort + noise, position, strokes, resolution=QUANTUM)
+
+
+# ---------------------------------------------------------------------- shaking
+
+
+def multisine(realisation, top=150.0):
+    lines = np.unique(np.rint(np.geomspace(4.0, top, 36) * 0.5)) / 0.5
+    phases = np.random.default_rng(realisation).uniform(-np.pi, np.pi, len(lines))
+    return Multisine(0.5, lines, 2.0 * np.minimum(lines / 25.0, 1.0), phases)
+
+
+def record(derivative, state, realisation, *, late=0, periods=1, settle=2):
+    """One realisation, `late` ticks after it was sent, the settling periods cut."""
+    shaking = multisine(realisation)
+    n = round(RATE * shaking.period_s)
+    sent = np.tile(shaking.period(RATE), settle + periods)
+    acting = np.concatenate([np.zeros(late), sent])[: len(sent)]
+    position = counted(integrate(acting, derivative, state)[:, 0])
+    kept = slice(settle * n, None)
+    return Shaken(
+        RATE, n, periods, sent[kept], sent[kept], position[kept], shaking.lines_hz, effort_hold_s=1.0 / RATE
+    )
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    """A mass with friction that differs by direction, late by two ticks."""
+
+    centring = MASS * (2.0 * np.pi * 2.5) ** 2  # keeps it near the middle, and is an effort like any other
+
+    def derivative(y, u):
+        spring = centring * y[0]
+        return (y[1], (u - spring - DAMPING * y[1] - friction(y[1])) / MASS)
+
+    runs = []
+    for realisation in range(3):
+        run = record(derivative, (0.0, 0.0), realisation, late=2, settle=3)
+        effort = run.effort - centring * np.roll(run.position, -2)
+        runs.append(Shaken(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, "effort": effort}))
+    return runs
+
+
+def test_shaking_recovers_mass_damping_and_delay_in_spite_of_friction(rubbing):
+    found = fit_dynamics(rubbing, resolution=QUANTUM, inertia=2.0 * MASS, sliding=known_sliding())
+    assert found.inertia.value == pytest.approx(MASS, rel=0.005)
+    assert found.damping.value == pytest.approx(DAMPING, rel=0.03)
+    assert found.delay_s.value == pytest.approx(2.0 / RATE, abs=2e-5)
+    assert found.delay_ticks == 2
+    assert found.mode is None
+    assert found.inertia.half_width < 0.005 * MASS
+    assert found.coherence.min() > 0.95
+    assert found.unexplained < 0.03
+
+
+def test_leaving_friction_in_biases_the_damping(rubbing):
+    """What the fit is for: without the levels, Coulomb friction reads as viscous damping."""
+    naive = fit_dynamics(rubbing, resolution=QUANTUM, inertia=MASS)
+    assert naive.damping.value > 1.05 * DAMPING
+
+
+def test_a_known_damping_is_kept(rubbing):
+    damping = Interval(DAMPING, 0.1)
+    found = fit_dynamics(rubbing, resolution=QUANTUM, inertia=MASS, sliding=known_sliding(), damping=damping)
+    assert found.damping == damping
+    assert found.inertia.value == pytest.approx(MASS, rel=0.005)
+
+
+def test_two_masses_show_their_mode_and_how_the_inertia_splits():
+    motor, link, stiffness, damper = 0.1, 0.4, 8000.0, 1.5
+
+    def derivative(y, u):
+        across = stiffness * (y[2] - y[0]) + damper * (y[3] - y[1])
+        return (y[1], (u + across - 1.0 * y[1]) / motor, y[3], -across / link)
+
+    runs = [record(derivative, (0.0,) * 4, realisation, settle=6) for realisation in range(3)]
+    found = fit_dynamics(runs, resolution=QUANTUM, inertia=0.3)
+    mode = found.mode
+    assert mode is not None
+    assert found.inertia.value == pytest.approx(motor + link, rel=0.01)
+    assert mode.resonance_hz.value == pytest.approx(math.sqrt(stiffness * 12.5) / (2 * np.pi), rel=0.003)
+    assert mode.antiresonance_hz.value == pytest.approx(math.sqrt(stiffness / link) / (2 * np.pi), rel=0.003)
+    assert mode.motor_inertia.value == pytest.approx(motor, rel=0.02)
+    assert mode.link_inertia.value == pytest.approx(link, rel=0.02)
+    assert mode.stiffness.value == pytest.approx(stiffness, rel=0.02)
+    omega = 2.0 * np.pi * mode.resonance_hz.value
+    ratio = damper / (2.0 * math.sqrt(stiffness * motor * link / (motor + link)))
+    ratio += 1.0 * link / (motor + link) / (2.0 * omega * motor)  # what the motor's viscous damping adds
+    assert mode.resonance_ratio.value == pytest.approx(ratio, rel=0.05)
+    assert set(found.as_mapping()["mode"]) == set(mode.__slots__)
+
+
+# ---------------------------------------------------------------------- data that say nothing
+
+
+def changed(run, **changes):
+    return Shaken(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, **changes})
+
+
+def test_one_realisation_is_refused(rubbing):
+    with pytest.raises(IdentificationError, match="one realisation"):
+        fit_dynamics(rubbing[:1], resolution=QUANTUM, inertia=MASS)
+
+
+def test_motion_that_does_not_follow_the_excitation_is_refused(rubbing):
+    rng = np.random.default_rng(3)
+    noisy = [changed(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in rubbing]
+    with pytest.raises(IdentificationError, match="coherence of the median line"):
+        check_shaken(noisy, QUANTUM)
+
+
+def test_a_held_handle_is_refused(rubbing):
+    held = [changed(run, position=np.zeros(len(run.position))) for run in rubbing]
+    with pytest.raises(IdentificationError, match=r"moved 0\.0 counts"):
+        check_shaken(held, QUANTUM)
+
+
+def test_motion_that_has_not_settled_is_refused(rubbing):
+    run = rubbing[0]
+    twice = {name: np.tile(getattr(run, name), 2) for name in ("excitation", "effort", "position")}
+    twice["position"][: run.period_samples] *= 0.5
+    with pytest.raises(IdentificationError, match="from one period to the next"):
+        check_shaken([changed(run, periods=2, **twice)] * 2, QUANTUM)
+
+
+def test_a_motion_that_no_model_explains_is_refused(rubbing):
+    with pytest.raises(IdentificationError, match="50 % of the motion"):
+        check_explained(0.5)
+    bent = []
+    for run in rubbing:
+        spectrum = np.fft.rfft(run.position)
+        spectrum[run.bins] *= 1.0 + 1.5 * np.sin(run.lines_hz)
+        bent.append(changed(run, position=np.fft.irfft(spectrum, len(run.position))))
+    with pytest.raises(IdentificationError, match="unexplained"):
+        fit_dynamics(bent, resolution=QUANTUM, inertia=MASS, sliding=known_sliding())

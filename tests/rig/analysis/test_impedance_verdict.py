@@ -1,0 +1,230 @@
+"""Passivity, residual, fidelity and fits: identities of the physics, and noise of known size."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.analysis.impedance.estimate import Impedance
+from rig.analysis.impedance.fitting import Device, fit
+from rig.analysis.impedance.verdict import fidelity, judge, passive
+from rig.core.errors import ConfigError
+
+M, B = 0.52, 13.2  # the carriage of Chawda et al.
+DEVICE = Device(M, B)
+LINES = np.arange(1.0, 401.0)
+
+
+def rig_with_wall(stiffness, damping, lines=LINES):
+    return Impedance.exact(lines, DEVICE.impedance(lines) + stiffness / (2j * np.pi * lines) + damping)
+
+
+def noisy(exact: Impedance, deviation, seed=0) -> Impedance:
+    """The impedance with circular noise of this standard deviation in each of real and imaginary part."""
+    random = np.random.default_rng(seed)
+    n = len(exact.z)
+    size = np.broadcast_to(deviation, n)
+    noise = size * (random.standard_normal(n) + 1j * random.standard_normal(n))
+    return replace(exact, z=exact.z + noise, variance=2.0 * size**2)
+
+
+@given(
+    real=st.floats(-50, 50),
+    imaginary=st.floats(-1000, 1000),
+    deviation=st.floats(0, 30),
+    z_score=st.floats(0, 4),
+)
+def test_phase_within_90_degrees_is_a_real_part_that_is_not_negative(real, imaginary, deviation, z_score):
+    one = Impedance.exact([5.0], [complex(real, imaginary)])
+    one = replace(one, variance=np.array([2.0 * deviation**2]))
+    found = passive(one, z_score=z_score)
+    assert found.passive is (found.margin >= 0.0)
+    if abs(found.margin) > 1e-9:
+        assert (found.margin > 0.0) is (found.phase_margin_deg > 0.0)
+    if z_score == 0.0 and abs(real) > 1e-9:
+        assert found.passive == (abs(np.degrees(np.angle(complex(real, imaginary)))) <= 90.0)
+
+
+def test_the_worst_line_and_all_that_fail_are_named():
+    z = rig_with_wall(0.0, 0.0, np.arange(1.0, 11.0)).z
+    z[3] -= 15.0
+    z[6] -= 20.0
+    found = passive(Impedance.exact(np.arange(1.0, 11.0), z))
+    assert not found.passive
+    assert found.failed_hz == (4.0, 7.0)
+    assert found.worst_hz == 7.0
+    assert found.margin == found.worst_real == pytest.approx(B - 20.0)
+    assert abs(found.worst_phase_deg) > 90.0 > 90.0 + found.phase_margin_deg
+    inside = passive(Impedance.exact(np.arange(1.0, 11.0), z), (1.0, 3.0))
+    assert inside.passive
+    assert inside.tested == 3
+
+
+def test_the_tolerance_is_that_of_the_noise_and_declared():
+    """A line at Re Z = 0 is active by chance half the time; with two deviations of tolerance once in 44."""
+    at_limit = replace(rig_with_wall(0.0, -B, np.arange(1.0, 2001.0)))
+    strict = passive(noisy(at_limit, 3.0), z_score=0.0)
+    tolerant = passive(noisy(at_limit, 3.0), z_score=2.0)
+    assert len(strict.failed_hz) / 2000 == pytest.approx(0.5, abs=0.04)
+    assert len(tolerant.failed_hz) / 2000 == pytest.approx(0.0228, abs=0.01)
+    assert (strict.z_score, tolerant.z_score) == (0.0, 2.0)
+    assert tolerant.worst_tolerance == pytest.approx(6.0)
+
+
+def test_conditioning_angles_of_a_free_rig_and_of_a_wall():
+    """How many degrees are left to ±90°: PHYSICS 2f."""
+    free = Impedance.exact([10, 50, 100, 200, 500], DEVICE.impedance([10, 50, 100, 200, 500]))
+    assert 90.0 - free.phase_deg == pytest.approx([22.0, 4.6, 2.3, 1.16, 0.46], abs=0.05)
+    wall = rig_with_wall(24e3, 100.0, np.array([2.0, 5.0, 10.0, 20.0]))
+    assert 90.0 + wall.phase_deg == pytest.approx([3.4, 8.6, 18.0, 42.0], abs=0.05)
+
+
+def test_margin_of_a_stiff_wall_at_low_frequency_is_a_fraction_of_a_degree():
+    """(b + B − K·T/2)·ω/K rad, as REPRODUCTION has it, for a sampled wall at 1 Hz."""
+    k, t, w = 2e4, 1e-3, 2 * np.pi
+    z = DEVICE.impedance([1.0]) + k / (1j * w) * np.exp(-0.5j * w * t)
+    assert passive(Impedance.exact([1.0], z)).phase_margin_deg == pytest.approx(
+        np.degrees((B - k * t / 2) * w / k), rel=5e-3
+    )
+
+
+def test_fidelity_of_no_wall_is_the_rigs_own_impedance():
+    """√mean(b² + (2πmf)²) over the lines, exactly."""
+    for top in (50, 156, 400):
+        lines = np.arange(1.0, top + 1.0)
+        found = fidelity(rig_with_wall(0.0, 0.0, lines), 0.0, 0.0)
+        assert found.rms == pytest.approx(np.sqrt(np.mean(B**2 + (2 * np.pi * M * lines) ** 2)), rel=1e-12)
+        assert np.isnan(found.distortion)
+        assert np.isnan(found.stiffness_percent)
+
+
+@pytest.mark.parametrize(("top", "above"), [(50.0, 0.025), (400.0, 0.002)])
+def test_fidelity_of_no_wall_grows_with_the_band(top, above):
+    """1.886 N·s/m for each Hz of the band's upper end: + 2.5 % at 50 Hz, + 0.2 % at 400 Hz."""
+    found = fidelity(rig_with_wall(0.0, 0.0), 0.0, 0.0, (1.0, top))
+    assert 2 * np.pi * M / np.sqrt(3) == pytest.approx(1.886, abs=5e-4)
+    assert found.rms / (1.886 * top) - 1.0 == pytest.approx(above, abs=5e-4)
+    assert (found.lines, found.band_hz) == (int(top), (1.0, top))
+
+
+def test_fidelity_compares_magnitudes_and_not_phases():
+    mirrored = replace(rig_with_wall(2e4, 30.0), z=rig_with_wall(2e4, 30.0).z.conj())
+    assert fidelity(mirrored, 2e4, 30.0).rms == fidelity(rig_with_wall(2e4, 30.0), 2e4, 30.0).rms
+    s = 2j * np.pi * LINES
+    perfect = Impedance.exact(LINES, 2e4 / s + 30.0)
+    found = fidelity(perfect, 2e4, 30.0)
+    assert found.rms == pytest.approx(0.0, abs=1e-9)
+    assert found.distortion == pytest.approx(0.0, abs=1e-12)
+    assert found.stiffness_percent == pytest.approx(100.0)
+    assert found.damping_percent == pytest.approx(100.0)
+
+
+def test_fidelity_says_how_sure_it_is():
+    exact = rig_with_wall(2e4, 60.0)
+    values = [fidelity(noisy(exact, 20.0, seed), 2e4, 60.0, (20.0, 200.0)) for seed in range(300)]
+    assert np.std([v.rms for v in values]) == pytest.approx(
+        np.mean([v.rms_deviation for v in values]), rel=0.1
+    )
+    assert values[0].noise_rms == pytest.approx(20.0)
+
+
+def test_an_inertia_left_in_makes_a_wall_seem_soft():
+    with_rig = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0))
+    without = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE)
+    as_lines = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE.impedance(LINES))
+    assert with_rig.stiffness_percent < 60.0
+    assert without.stiffness_percent == pytest.approx(100.0)
+    assert without.damping_percent == pytest.approx(100.0)
+    assert as_lines.stiffness == pytest.approx(without.stiffness)
+    assert with_rig.rms == without.rms  # the paper's number keeps the rig
+
+
+def test_distortion_weighs_relative_errors():
+    s = 2j * np.pi * LINES
+    wall = 2e4 / s + 30.0
+    tenth = Impedance.exact(LINES, 1.1 * wall)
+    assert fidelity(tenth, 2e4, 30.0).distortion == pytest.approx(0.1)
+    assert fidelity(tenth, 2e4, 30.0, weight=lambda f: (f <= 100.0) * 1.0).distortion == pytest.approx(0.025)
+
+
+def test_fits_give_numbers_and_honest_intervals():
+    deviation = 5.0 + 0.1 * LINES
+    exact = rig_with_wall(2e4, 60.0)
+    terms = ("inertia", "damping", "stiffness")
+    fits = [fit(noisy(exact, deviation, seed), terms) for seed in range(300)]
+    for name, truth in zip(terms, (M, B + 60.0, 2e4), strict=True):
+        values = np.array([f.values[name] for f in fits])
+        stated = fits[0].deviations[name]
+        assert values.mean() == pytest.approx(truth, abs=4 * stated / np.sqrt(300))
+        assert values.std() == pytest.approx(stated, rel=0.15)
+    assert np.mean([f.misfit for f in fits]) == pytest.approx(1.0, abs=0.02)
+    wrong = fit(noisy(exact, deviation), ("inertia", "damping"))
+    assert wrong.misfit > 5.0  # a model without a wall
+
+
+def test_a_fit_without_variances_reads_them_off_the_misfit():
+    unknown = replace(noisy(rig_with_wall(0.0, 0.0), 5.0), variance=np.full(400, np.nan))
+    found = fit(unknown)
+    assert found.deviations["damping"] == pytest.approx(5.0 / np.sqrt(400), rel=0.1)
+    assert np.isnan(found.misfit)
+    assert fit(rig_with_wall(0.0, 0.0)).values == pytest.approx({"inertia": M, "damping": B})
+
+
+def test_a_fit_passes_over_lines_that_say_nothing():
+    one = rig_with_wall(2e4, 60.0)
+    z, variance = one.z.copy(), np.ones(400)
+    z[5], variance[7] = complex(np.inf, np.nan), np.inf
+    z[7] = 1e9
+    found = fit(replace(one, z=z, variance=variance), ("stiffness", "damping"), subtract=DEVICE)
+    assert found.values["stiffness"] == pytest.approx(2e4)
+
+
+def test_a_judgement_gives_every_reason():
+    good = rig_with_wall(2e4, 60.0)
+    assert judge(good).passive
+    assert judge(good).reasons == ()
+    bad = rig_with_wall(2e4, -100.0)
+    incoherent = np.ones(400)
+    incoherent[9] = 0.2
+    found = judge(replace(bad, residual=0.4, coherence_motion=incoherent))
+    assert not found.passive
+    real, residual, coherence = found.reasons
+    assert "Re Z is -86.8" in real
+    assert "40%" in residual
+    assert "0.20 at 10 Hz" in coherence
+    assert not judge(replace(good, residual=0.4)).passive
+    assert judge(replace(good, residual=0.4), residual_threshold=0.5).passive
+    unknown = replace(good, residual=np.nan, coherence_motion=np.full(400, np.nan))
+    assert judge(unknown).passive
+    assert np.isnan(judge(unknown).least_coherence)
+
+
+def test_a_rig_that_does_not_move_is_not_passive():
+    stuck = replace(rig_with_wall(0.0, 0.0), z=np.full(400, complex(np.inf, np.nan)))
+    found = passive(replace(stuck, variance=np.full(400, np.nan)))
+    assert not found.passive
+    assert found.phase_margin_deg < 0.0
+
+
+def test_mappings_are_json():
+    one = noisy(rig_with_wall(2e4, 0.0), 1.0)
+    for result in (passive(one), judge(one), fidelity(one, 2e4, 0.0, device=DEVICE), fit(one)):
+        mapping = json.loads(json.dumps(result.as_mapping(), allow_nan=False))
+        assert mapping
+    assert fidelity(one, 2e4, 0.0).as_mapping()["damping_percent"] is None
+
+
+def test_what_cannot_be_meant_is_refused():
+    with pytest.raises(ConfigError, match="no line"):
+        passive(rig_with_wall(0.0, 0.0), (500.0, 600.0))
+    with pytest.raises(ConfigError, match="terms"):
+        fit(rig_with_wall(0.0, 0.0), ())
+    with pytest.raises(ConfigError, match="1 lines for 3"):
+        fit(rig_with_wall(0.0, 0.0), ("inertia", "damping", "stiffness"), band=(5.0, 5.0))
+    with pytest.raises(ConfigError, match="subtract"):
+        fit(rig_with_wall(0.0, 0.0), subtract=np.zeros(3))

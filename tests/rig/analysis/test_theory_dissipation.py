@@ -1,0 +1,215 @@
+"""Passivity with lag and delay: against the work of motions in fine steps, and against other definitions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import butter, freqz
+
+from rig import config
+from rig.analysis import theory
+from rig.analysis.theory.dissipation import passive_stiffness
+from rig.config import presets
+from rig.core.operators import GRIPS
+
+RIGID = config.rig_model(presets.load("koul-rigid"))
+COMPLIANT = config.rig_model(presets.load("koul-compliant"))
+
+
+def late_rig(damping=3e-3, lag_s=1e-4, ticks=0, **mechanics):
+    return replace(
+        RIGID,
+        mechanics=replace(RIGID.mechanics, motor_damping=damping, link_damping=0.0, **mechanics),
+        amplifier=replace(RIGID.amplifier, lag_s=lag_s),
+        simulation=replace(RIGID.simulation, computation_delay_ticks=ticks),
+    )
+
+
+def passive_k(model, scheme, damping):
+    return theory.passivity_bound(model, scheme, damping).stiffness
+
+
+FINE = 24  # steps of a tick
+
+
+def work_matrix(k, b, theta, *, n, lag_s, ticks, cutoff_hz, extrapolate=False, tick_s=5e-5):
+    """Mean effort in each fine step for a unit of velocity in each, where all repeats but for a phase θ each period.
+
+    One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag; commands on
+    their way] stepped in time with the velocities as inputs; no harmonic, no closed form.
+    """
+    coefficients = butter(2, cutoff_hz, fs=1.0 / (n * tick_s), output="sos")[0]
+    b0, b1, b2, _, a1, a2 = coefficients
+    step = tick_s / FINE
+    rho = math.exp(-step / lag_s) if lag_s else 0.0
+    mean = lag_s / step * (1.0 - rho) if lag_s else 0.0
+    size, steps = 8 + ticks, n * FINE
+    x = np.hstack([np.eye(size), np.zeros((size, steps))]).astype(
+        complex
+    )  # rows: states in states and inputs
+    efforts = []
+    for i in range(n):
+        if i == 0:
+            raw = (x[0] - x[1]) / (n * tick_s)
+            new = b0 * raw + x[2]
+            x[1], x[2], x[3] = x[0].copy(), b1 * raw - a1 * new + x[3], b2 * raw - a2 * new
+            x[5], x[4], x[6] = (new - x[6]) / n, new, new
+        elif extrapolate:
+            x[4] = x[4] + x[5]
+        command = k * x[0] + b * x[4]
+        if ticks:
+            acting = x[8].copy()
+            x[8:-1] = x[9:]
+            x[-1] = command
+        else:
+            acting = command.copy()
+        for j in range(FINE):
+            efforts.append(acting + (x[7] - acting) * mean)
+            x[7] = acting + (x[7] - acting) * rho
+            x[0, size + i * FINE + j] += step
+    efforts = np.array(efforts)
+    begin = np.linalg.solve(np.exp(1j * theta) * np.eye(size) - x[:, :size], x[:, size:])
+    return efforts[:, :size] @ begin + efforts[:, size:]
+
+
+def worst_work(k, b, **case):
+    """Damping that a rig must have lest some motion gets work out of it: the largest eigenvalue over all phases."""
+
+    def needed(theta):
+        matrix = work_matrix(k, b, theta, **case)
+        return float(np.linalg.eigvalsh(-(matrix + matrix.conj().T) / 2)[-1])
+
+    phases = np.concatenate([np.geomspace(1e-3, 0.3, 8), np.linspace(0.35, math.pi, 24)])
+    worst = np.array([needed(theta) for theta in phases])
+    at = int(worst.argmax())
+    near = np.linspace(phases[max(at - 1, 0)], phases[min(at + 1, len(phases) - 1)], 15)
+    return max(worst[at], *(needed(theta) for theta in near))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "n", "lag_s", "ticks", "cutoff_hz"),
+    [
+        ("uniform:20k,cutoff_hz=2000", 1, 1e-4, 0, 2000.0),
+        ("uniform:20k,cutoff_hz=2000", 1, 1e-5, 1, 2000.0),
+        ("uniform:20k,cutoff_hz=1000", 1, 1e-3, 0, 1000.0),
+        ("dual:20k/4k,cutoff_hz=400", 5, 1.09e-4, 0, 400.0),
+        ("dual:20k/4k,cutoff_hz=400", 5, 0.0, 2, 400.0),
+        ("dual:20k/4k,cutoff_hz=400", 5, 1e-3, 1, 400.0),
+        ("dual:20k/4k,cutoff_hz=400,prediction=extrapolate", 5, 1.09e-4, 1, 400.0),
+        ("dual:20k/4k,cutoff_hz=400,prediction=extrapolate", 5, 0.0, 0, 400.0),
+    ],
+)
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_at_the_limit_the_worst_motion_gets_just_the_work_that_the_rig_eats(
+    scheme, n, lag_s, ticks, cutoff_hz, share
+):
+    """Brute force on the definition: every motion in steps of 1/24 tick, nothing known about where the worst one is.
+
+    Necessary and sufficient: a little less damping, and that motion gets work out.
+    """
+    model = late_rig(lag_s=lag_s, ticks=ticks)
+    b = share * theory.passivity_bound(model, scheme).largest_damping
+    k = passive_k(model, scheme, b)
+    case = {"n": n, "lag_s": lag_s, "ticks": ticks, "cutoff_hz": cutoff_hz, "extrapolate": "extra" in scheme}
+    assert worst_work(k, b, **case) == pytest.approx(3e-3, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "cutoff_hz", "k", "b", "needed"),
+    [(1e-4, 2000, 1.0, 1e-4, 1.10e-4), (1e-3, 2000, 1.0, 1e-3, 1.55e-4), (5e-5, 1000, 1.0, 1e-2, 4.483e-3)],
+)
+def test_a_uniform_wall_with_lag_has_the_limit_of_the_aliased_sums(lag_s, cutoff_hz, k, b, needed):
+    """|2b + H·S| > |H|·R over aliases: with R = Σ|S_k| for hands that are linear, with norms for any passive one."""
+    w = np.geomspace(1e-4, 0.9999, 800) * math.pi * 20e3
+    aliases = w[:, None] + 2.0 * math.pi * 20e3 * np.arange(-300, 301)
+    hold = (1.0 - np.exp(-1j * w * 5e-5))[:, None] * 20e3
+    lag = 1.0 / (1.0 + 1j * aliases * lag_s)
+    terms = hold * lag / (1j * aliases) ** 2
+    velocity = freqz(*butter(2, cutoff_hz, fs=20e3), worN=w * 5e-5)[1] * (1.0 - np.exp(-1j * w * 5e-5)) * 20e3
+    h = k + b * velocity
+    centre = (h * terms.sum(axis=1)).real
+    at_least = abs(h) ** 2 * abs(terms.sum(axis=1)) ** 2
+
+    def largest(radius):
+        return float((0.5 * (-centre + np.sqrt(centre**2 - at_least + abs(h) ** 2 * radius**2))).max())
+
+    linear = largest(abs(terms).sum(axis=1))
+    norms = np.sqrt((abs(hold * lag / aliases) ** 2).sum(axis=1) * (1.0 / aliases**2).sum(axis=1))
+    passive = largest(norms)
+    assert linear == pytest.approx(needed, rel=5e-3)
+    assert linear <= passive <= 1.014 * linear
+    scheme = f"uniform:20k,cutoff_hz={cutoff_hz}"
+    assert passive_k(late_rig(passive, lag_s), scheme, b) == pytest.approx(k, rel=5e-3)
+
+
+@pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "dual:20k/2k,prediction=extrapolate"])
+def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(scheme):
+    """K·T1/2 asks the same of every motion of a period, so what K and B ask for adds: exact, with N > 1 too."""
+    loop = theory.linear_loop(late_rig(lag_s=0.0), scheme)
+    for b in (0.0, 1e-3, 4e-3, 6e-3):
+        closed = (3e-3 - theory.beta(loop) * b) / 0.25e-4
+        assert passive_stiffness(loop, [b], 3e-3)[0] == pytest.approx(closed, rel=1e-5)
+        first = theory.passivity_bound(late_rig(lag_s=0.0), scheme, b).bounds[0]
+        assert (first.meaning, first.stiffness) == ("exact", pytest.approx(closed, rel=1e-9))
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "ticks", "scheme"),
+    [(1e-4, 0, "dual:20k/2k"), (0.0, 1, "uniform:20k"), (1e-3, 0, "uniform:20k"), (3e-4, 2, "dual:20k/2k")],
+)
+def test_a_passive_wall_with_lag_and_delay_is_stable_with_any_passive_hand(lag_s, ticks, scheme):
+    """And an active one is not with some: masses and springs from next to nothing to bolted down are tried."""
+    growing = False
+    for share in (0.0, 0.7):
+        b = share * theory.passivity_bound(late_rig(lag_s=lag_s, ticks=ticks), scheme).largest_damping
+        k = passive_k(late_rig(lag_s=lag_s, ticks=ticks), scheme, b)
+        assert k > 0.0
+        for inertia in np.geomspace(1e-7, 1e-1, 10):
+            model = late_rig(lag_s=lag_s, ticks=ticks, motor_inertia=inertia, link_inertia=0.0, end_mass=0.0)
+            for spring in (0.0, 1e3, 1e7):
+                hand = replace(
+                    GRIPS["normal"], pads_mass=0.0, pads_stiffness=spring, pads_damping=0.0, hand_mass=1e6
+                )
+                radii = theory.spectral_radius(
+                    model, scheme, [0.99 * k, 1.1 * k], b, operator=hand if spring else "none"
+                )
+                assert radii[0] < 1.0 + 1e-9
+                growing = growing or bool(radii[1] > 1.0 + 1e-9)
+    assert growing
+
+
+def test_the_passive_walls_form_a_convex_set_that_ends_at_the_largest_damping():
+    model = late_rig(lag_s=1.09e-4, ticks=1)
+    found = theory.passivity_bound(model, "dual:20k/2k")
+    b = np.linspace(0.0, found.largest_damping, 9)
+    k = np.array([passive_k(model, "dual:20k/2k", damping) for damping in b[:-1]] + [0.0])
+    assert (np.diff(k, 2) <= 1e-3 * k[0]).all()
+    assert passive_k(model, "dual:20k/2k", 1.001 * found.largest_damping) == 0.0
+    assert passive_k(model, "dual:20k/2k", 0.999 * found.largest_damping) > 0.0
+
+
+def test_the_line_with_lag_errs_to_either_side_and_is_called_necessary_at_b_zero_only():
+    scheme = "uniform:20k,cutoff_hz=2000"
+    for lag_s, b in ((1e-4, 0.0), (1e-4, 2e-3), (1e-3, 1e-3)):
+        model = late_rig(lag_s=lag_s)
+        bounds = {bound.name: bound for bound in theory.passivity_bound(model, scheme, b).bounds}
+        exact = bounds["passivity, lag and delay counted"]
+        line, ideal = bounds["Colgate and Schenkel, lag and delay"], bounds["Colgate and Schenkel"]
+        assert exact.meaning == "exact"
+        assert {line.meaning, ideal.meaning} == {"necessary" if b == 0.0 else "approximate"}
+        if b == 0.0:
+            assert 0.99 * line.stiffness < exact.stiffness <= line.stiffness <= ideal.stiffness
+        else:
+            assert exact.stiffness > 1.5 * line.stiffness
+    compliant = theory.passivity_bound(COMPLIANT, "dual:20k/2k", 1e-3)
+    assert [bound.meaning for bound in compliant.bounds[:3]] == ["sufficient", "approximate", "approximate"]
+    assert compliant.binding is compliant.bounds[0]
+
+
+def test_a_rig_without_damping_has_no_passive_wall():
+    assert passive_k(late_rig(damping=0.0), "uniform:20k", 0.0) == 0.0
+    assert passive_k(late_rig(), "uniform:20k", 1.0) == 0.0
+    assert passive_k(late_rig(), "uniform:20k", -1.0) == 0.0

@@ -1,0 +1,318 @@
+"""The lifted loop against simulations written out here, and against closed forms and characteristic polynomials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, cont2discrete, ss2tf
+
+from rig import config
+from rig.analysis import theory
+from rig.config import presets
+from rig.core.errors import ConfigError
+from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
+from rig.core.operators import GRIPS
+
+KOUL = config.rig_model(presets.load("koul-compliant"))
+RIGID = config.rig_model(presets.load("koul-rigid"))
+
+
+def with_delay(model, ticks):
+    return replace(model, simulation=replace(model.simulation, computation_delay_ticks=ticks))
+
+
+def without_lag(model):
+    return replace(model, amplifier=replace(model.amplifier, lag_s=0.0))
+
+
+def plant(model, hand=None):
+    """Continuous matrices for a command, written out anew; the first state is the sensed position."""
+    m, lag = model.mechanics, model.amplifier.lag_s
+    radius = m.handle_radius
+    link = m.link_inertia + (m.end_mass if hand is None else hand.pads_mass) * radius**2
+    masses = [m.motor_inertia, link] + ([] if hand is None else [hand.hand_mass * radius**2])
+    dampers = [m.motor_damping, m.link_damping] + ([] if hand is None else [hand.hand_damping * radius**2])
+    springs = [0.0, 0.0] + ([] if hand is None else [hand.hand_stiffness * radius**2])
+    joints = [(0, 1, m.transmission_stiffness, m.transmission_damping)]
+    if hand is not None:
+        joints.append((1, 2, hand.pads_stiffness * radius**2, hand.pads_damping * radius**2))
+    if m.structure == "rigid":
+        assert hand is None
+        masses, dampers, springs, joints = [sum(masses)], [sum(dampers)], [0.0], []
+    n = len(masses)
+    stiffness, damping = np.diag(springs), np.diag(dampers)
+    for i, j, k, c in joints:
+        pair = np.zeros(n)
+        pair[i], pair[j] = 1.0, -1.0
+        stiffness, damping = stiffness + k * np.outer(pair, pair), damping + c * np.outer(pair, pair)
+    inverse = np.diag(1.0 / np.array(masses))
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
+    b = np.zeros((2 * n, 1))
+    b[n] = 1.0 / masses[0]
+    if lag > 0.0:
+        a = np.block([[a, b], [np.zeros((1, 2 * n)), np.array([[-1.0 / lag]])]])
+        b = np.zeros((2 * n + 1, 1))
+        b[-1] = 1.0 / lag
+    return a, b
+
+
+def envelopes(model, k, b, *, rates, cutoff_hz, seconds, hand=None, extrapolate=False):
+    """Weighted rms of position and effort in two windows at the end, for walls k, b, by stepping tick for tick."""
+    fast, slow = rates
+    every = fast // slow
+    a, into = plant(model, hand)
+    order = len(a)
+    phi, gamma = cont2discrete((a, into, np.eye(order), np.zeros((order, 1))), 1.0 / fast)[:2]
+    ((b0, b1, b2, _, a1, a2),) = butter(2, cutoff_hz, fs=slow, output="sos")
+    x = np.zeros((order, len(k)))
+    x[0] = 1e-3
+    queue = [np.zeros(len(k)) for _ in range(model.simulation.computation_delay_ticks)]
+    s1 = s2 = estimate = slope = np.zeros(len(k))
+    before = x[0].copy()
+    ticks = round(seconds * fast)
+    seen = np.empty((ticks, len(k)))
+    for i in range(ticks):
+        if i % every == 0:
+            raw, before = (x[0] - before) * slow, x[0].copy()
+            last, estimate = estimate, b0 * raw + s1
+            s1, s2 = b1 * raw - a1 * estimate + s2, b2 * raw - a2 * estimate
+            slope = (estimate - last) / every
+        velocity = estimate + slope * (i % every) if extrapolate else estimate
+        queue.append(-(k * x[0] + b * velocity))
+        seen[i] = queue[-1]
+        x = phi @ x + gamma * queue.pop(0)
+        scale = np.maximum(np.abs(x).max(axis=0), 1.0)  # a loop that grows stays within numbers
+        assert (scale < 1e250).all()
+    window = np.hanning(ticks // 3)[:, None]
+    parts = seen[-2 * len(window) : -len(window)], seen[-len(window) :]
+    return [np.sqrt((window * part**2).mean(axis=0)) for part in parts]
+
+
+CASES = {
+    "rigid, dual": (RIGID, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 0.3, 1.0, None),
+    "rigid, no lag, uniform": (
+        without_lag(RIGID), "uniform:2k,cutoff_hz=200", {"rates": (2_000, 2_000), "cutoff_hz": 200.0}, 0.3, 1.0, None,
+    ),
+    "two masses, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 1.0, 0.6, None),
+    "two masses, two ticks late": (
+        with_delay(KOUL, 2), "dual:20k/2k,cutoff_hz=200",
+        {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 1.0, 0.6, None,
+    ),
+    "two masses, extrapolated": (
+        KOUL, "dual:20k/2k,cutoff_hz=200,prediction=extrapolate",
+        {"rates": (20_000, 2_000), "cutoff_hz": 200.0, "extrapolate": True}, 0.8, 0.6, None,
+    ),
+    "two masses, one tick late, extrapolated, no lag": (
+        with_delay(without_lag(KOUL), 1), "dual:10k/2k,cutoff_hz=200,prediction=extrapolate",
+        {"rates": (10_000, 2_000), "cutoff_hz": 200.0, "extrapolate": True}, 0.5, 1.0, None,
+    ),
+    "by hand, uniform, undamped": (
+        KOUL, "uniform:20k", {"rates": (20_000, 20_000), "cutoff_hz": 2_000.0}, 0.0, 0.6, "normal",
+    ),
+    "by hand, one tick late, undamped": (
+        with_delay(KOUL, 1), "uniform:20k", {"rates": (20_000, 20_000), "cutoff_hz": 2_000.0}, 0.0, 2.0, "normal",
+    ),
+    "by hand, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 2.0, 0.6, "firm"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_simulation_grows_two_percent_beyond_the_limit_and_decays_two_percent_below(case):
+    model, scheme, timing, damping, seconds, grip = CASES[case]
+    timing = {**timing, "seconds": seconds, "hand": None if grip is None else GRIPS[grip]}
+    limit = theory.k_max(model, scheme, damping, operator=grip)
+    assert 10.0 < limit.stiffness < 5000.0
+    k = limit.stiffness * np.array([0.98, 1.02])
+    before, after = envelopes(model, k, np.full(2, damping), **timing)
+    assert after[0] < before[0]
+    assert after[1] > before[1]
+
+
+def test_a_simulation_finds_the_end_of_the_range_of_damping_and_the_island_beyond():
+    """At 3.5 N·m·s/rad a soft wall grows, a stiff one decays, and a stiffer one grows again."""
+    limit = theory.k_max("koul-compliant", "dual:20k/2k", 3.5)
+    (island,) = limit.islands
+    assert limit.stiffness == 0.0
+    k = np.array([0.9 * island.low, 1.1 * island.low, 0.98 * island.high, 1.02 * island.high])
+    before, after = envelopes(KOUL, k, np.full(4, 3.5), rates=(20_000, 2_000), cutoff_hz=200.0, seconds=0.6)
+    assert (after > before).tolist() == [True, False, False, True]
+
+
+def characteristic_radius(model, k, b, *, rate, cutoff_hz=None):
+    """Uniform loop without lifting: largest root of den·q + num·p, for the law p/q on the held plant num/den."""
+    a, into = plant(model)
+    order = len(a)
+    sensed = np.eye(order)[:1]
+    phi, gamma = cont2discrete((a, into, sensed, np.zeros((1, 1))), 1.0 / rate)[:2]
+    num, den = ss2tf(phi, gamma, sensed, np.zeros((1, 1)))
+    upper, lower = rate * np.array([1.0, -1.0]), np.array([1.0, 0.0])  # (z − 1)/(T z)
+    if cutoff_hz is not None:
+        filtered = butter(2, cutoff_hz, fs=rate)
+        upper, lower = np.polymul(upper, filtered[0]), np.polymul(lower, filtered[1])
+    law = np.polyadd(k * lower, b * upper)
+    lower = np.concatenate([lower, np.zeros(model.simulation.computation_delay_ticks)])
+    return np.abs(np.roots(np.polyadd(np.polymul(den, lower), np.polymul(num[0], law)))).max()
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 3])
+@pytest.mark.parametrize("model", [RIGID, without_lag(RIGID), KOUL, without_lag(KOUL)])
+@pytest.mark.parametrize(("rate", "cutoff_hz"), [(1_000, 100.0), (2_000, None), (4_000, 800.0)])
+def test_a_uniform_loop_has_the_roots_of_its_characteristic_polynomial(model, ticks, rate, cutoff_hz):
+    delayed = with_delay(model, ticks)
+    scheme = f"uniform:{rate},estimator=fdm" if cutoff_hz is None else f"uniform:{rate},cutoff_hz={cutoff_hz}"
+    walls = [(30.0, 0.0), (300.0, 0.5), (1500.0, 0.1), (5.0, 3.0)]
+    k, b = np.array(walls).T
+    exact = [characteristic_radius(delayed, *wall, rate=rate, cutoff_hz=cutoff_hz) for wall in walls]
+    assert theory.spectral_radius(delayed, scheme, k, b) == pytest.approx(exact, rel=1e-6)
+
+
+def test_dual_rate_with_one_rate_is_uniform():
+    k, b = np.geomspace(1.0, 1e4, 30)[:, None], np.linspace(0.0, 2.0, 7)
+    dual = theory.spectral_radius("koul-compliant", "dual:5k/5k", k, b)
+    assert dual == pytest.approx(theory.spectral_radius("koul-compliant", "uniform:5k", k, b), rel=1e-12)
+    assert dual.shape == (30, 7)
+
+
+def test_without_damping_the_velocity_rate_does_not_matter():
+    """ρ is that of one velocity period, so N uniform ticks make one dual-rate period."""
+    k = np.geomspace(1.0, 3e3, 20)
+    dual = theory.spectral_radius("koul-compliant", "dual:20k/2k,cutoff_hz=200", k, 0.0)
+    uniform = theory.spectral_radius("koul-compliant", "uniform:20k", k, 0.0)
+    filter_pole = 0.642496  # of the filter that runs and is not listened to
+    assert dual == pytest.approx(np.maximum(uniform**10, filter_pole), rel=1e-5)
+
+
+def toy(scale=1.0, **kinds):
+    two_mass = kinds.get("two_mass", False)
+    return RigModel(
+        name="toy",
+        motion="rotary",
+        mechanics=Mechanics(
+            structure="two-mass" if two_mass else "rigid",
+            motor_inertia=2e-4 * scale,
+            link_inertia=1e-3 * scale,
+            motor_damping=4e-3 * scale,
+            link_damping=2e-3 * scale,
+            transmission_stiffness=2000.0 * scale,
+            transmission_damping_ratio=0.05,
+        ),
+        amplifier=Amplifier(effort_per_ampere=0.2, effort_limit=1.0, lag_s=kinds.get("lag", 0.0)),
+        encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
+        simulation=Simulation(computation_delay_ticks=kinds.get("delay", 0)),
+    )
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    scale=st.floats(1e-3, 1e6),
+    k=st.floats(1.0, 3e3),
+    b=st.floats(0.0, 3.0),
+    two_mass=st.booleans(),
+    lag=st.sampled_from([0.0, 1e-4]),
+    delay=st.integers(0, 2),
+    scheme=st.sampled_from(["dual:10k/2k,cutoff_hz=200", "uniform:4k", "dual:8k/2k,prediction=extrapolate"]),
+)
+def test_scaling_inertias_efforts_and_wall_by_one_factor_changes_no_motion(scale, k, b, scheme, **kinds):
+    """So the paper's K and B could be overstated ten times and nothing in its text would tell."""
+    one = theory.spectral_radius(toy(**kinds), scheme, k, b)
+    other = theory.spectral_radius(toy(scale, **kinds), scheme, scale * k, scale * b)
+    assert other == pytest.approx(one, rel=1e-6)
+
+
+@settings(deadline=None, max_examples=20)
+@given(ratio=st.floats(0.02, 50.0), n=st.sampled_from([1, 5]))
+def test_only_products_with_the_period_count(ratio, n):
+    """T → r·T with K → K/r², B and b → B/r, b/r and the filter's share kept is the same loop (a rigid rig, no lag)."""
+    slow = round(20_000 / ratio / n) * n
+    r = 20_000 / slow
+    base, stretched = toy(), toy()
+    stretched = replace(
+        stretched,
+        mechanics=replace(stretched.mechanics, motor_damping=4e-3 / r, link_damping=2e-3 / r),
+    )
+    k, b = 200.0, 0.3
+    one = theory.spectral_radius(base, f"dual:20000/{20_000 // n}" if n > 1 else "uniform:20000", k, b)
+    text = f"dual:{slow}/{slow // n}" if n > 1 else f"uniform:{slow}"
+    other = theory.spectral_radius(stretched, text, k / r**2, b / r)
+    assert other == pytest.approx(one, rel=1e-6)
+
+
+def test_a_free_handle_stays_where_it_is():
+    assert theory.spectral_radius("koul-rigid", "dual:20k/2k", 0.0, 0.0) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "damping"),
+    [("uniform:20k", 0.0), ("dual:20k/2k", 0.1), ("dual:20k/1k", 0.0), ("dual:20k/400,cutoff_hz=40", 0.0)],
+)
+def test_the_frequency_of_the_mode_is_not_aliased_to_the_velocity_rate(scheme, damping):
+    """The capstan mode near 628 Hz is told as such also where T2 cannot tell it from 372 Hz (1 kHz) or 172 Hz."""
+    limit = theory.k_max("koul-compliant", scheme, damping, operator="normal")
+    assert limit.frequency_hz == pytest.approx(628.2, rel=1e-3)
+
+
+def test_the_frequency_is_that_of_a_simulation():
+    """Zero crossings of the wall that has just begun to grow."""
+    limit = theory.k_max("koul-rigid", "dual:20k/2k", 0.3)
+    a, into = plant(RIGID)
+    phi, gamma = cont2discrete((a, into, np.eye(3), np.zeros((3, 1))), 5e-5)[:2]
+    ((b0, b1, b2, _, a1, a2),) = butter(2, 200.0, fs=2000, output="sos")
+    x, before, s1, s2, v, crossings = np.array([1e-3, 0.0, 0.0]), 1e-3, 0.0, 0.0, 0.0, []
+    for i in range(20_000):
+        if i % 10 == 0:
+            raw, before = (x[0] - before) * 2000.0, x[0]
+            v = b0 * raw + s1
+            s1, s2 = b1 * raw - a1 * v + s2, b2 * raw - a2 * v
+        after = phi @ x - gamma[:, 0] * (limit.stiffness * x[0] + 0.3 * v)
+        if x[0] < 0.0 <= after[0]:
+            crossings.append(i)
+        x = after
+    measured = 20_000 * (len(crossings[10:]) - 1) / (crossings[-1] - crossings[10])
+    assert limit.frequency_hz == pytest.approx(measured, rel=5e-3)
+
+
+def test_a_rig_may_be_a_name_a_file_an_experiment_or_a_model(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')
+    experiment = presets.load("koul-rigid")
+    radii = [
+        float(theory.spectral_radius(rig, "dual:20k/2k,cutoff_hz=200", 100.0, 0.1))
+        for rig in ("koul-rigid", str(file), file, experiment, config.rig_model(experiment))
+    ]
+    assert radii == pytest.approx([radii[0]] * 5, rel=1e-12)
+    assert float(theory.spectral_radius("koul-rigid", None, 100.0, 0.1)) == pytest.approx(radii[0], rel=1e-12)
+
+
+def test_a_hand_takes_the_end_mass_off_and_none_leaves_it_on():
+    held, free = theory.resolve("koul-compliant", "normal"), theory.resolve("koul-compliant", "none")
+    assert held.operator == GRIPS["normal"]
+    assert held.model.mechanics.end_mass == 0.0
+    assert free.model.mechanics.end_mass == 0.07
+    assert theory.resolve("koul-compliant").operator is None
+    assert theory.resolve(KOUL, GRIPS["firm"]).operator == GRIPS["firm"]
+
+
+def test_what_cannot_be_meant_is_said():
+    for rig, scheme, operator, message in (
+        ("koul-stiff", "uniform:1k", None, "koul-stiff"),
+        ("nowhere/rig.toml", "uniform:1k", None, "nowhere"),
+        ("koul-rigid", "uniform:1k", "iron", "no grip 'iron'"),
+        ("koul-rigid", "dual:20k/3k", None, "multiple"),
+        ("koul-rigid", "uniform:1k,estimator=levant", None, "levant is not linear"),
+        ("koul-rigid", "dual:20k/2k,slow_velocity_rate=500,slow_below=0.1", None, "500 Hz below 0.1"),
+        (RIGID, None, None, "no scheme"),
+        (RIGID, "dual:20k/3k", None, "no multiple"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            theory.spectral_radius(rig, scheme, 1.0, 0.0, operator=operator)
+
+
+def test_a_model_without_an_experiment_has_the_usual_filter():
+    loop = theory.linear_loop(RIGID, "dual:20k/2k")
+    assert loop.controller.parameters == {"cutoff_hz": 200.0}
+    kalman = theory.linear_loop(RIGID, "dual:20k/2k,estimator=kalman,bandwidth_hz=100")
+    assert kalman.controller.parameters == {"bandwidth_hz": 100.0}

@@ -1,0 +1,194 @@
+"""Estimators as state spaces: the realisation against scipy's filters and closed forms, and who is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.signal import butter, freqz_zpk, lfilter, sosfilt
+
+from rig.analysis.theory import linear
+from rig.control import estimators
+from rig.control.estimators.estimator import Estimator
+from rig.control.estimators.kalman_model import steady_gain
+from rig.core.errors import ConfigError
+
+RESOLUTION = 1.5708e-4
+BUTTERWORTH = [
+    (2_000, 200.0, 2),
+    (20_000, 2_000.0, 2),
+    (20_000, 200.0, 2),
+    (20_000, 30.0, 2),
+    (1_000, 499.0, 2),
+    (2_000, 200.0, 1),
+    (2_000, 200.0, 5),
+    (20_000, 200.0, 8),
+]
+
+
+def sos_response(order, cutoff_hz, rate, frequency_hz):
+    zeros, poles, gain = butter(order, cutoff_hz, fs=rate, output="zpk")
+    return freqz_zpk(zeros, poles, gain, worN=2 * np.pi * frequency_hz / rate)[1]
+
+
+def test_a_finite_difference_is_one_delay():
+    """v = (p − p₋)/T: one state, a pole at zero."""
+    found = linear.realise("fdm", {}, 5e-4, RESOLUTION)
+    assert found.order == 1
+    assert found.d == pytest.approx(2000.0, rel=1e-12)
+    assert found.impulse(4) == pytest.approx([2000.0, -2000.0, 0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "cutoff_hz", "order"), BUTTERWORTH)
+def test_difference_and_butterworth_are_scipys_to_nine_digits(rate, cutoff_hz, order):
+    """Impulse and frequency response against scipy's own sections; the order is that of filter and difference."""
+    found = linear.realise(
+        "fdm-butterworth", {"cutoff_hz": cutoff_hz, "order": order}, 1.0 / rate, RESOLUTION
+    )
+    assert found.order == order + 1
+    step = np.zeros(500)
+    step[0] = 1.0
+    expected = rate * sosfilt(
+        butter(order, cutoff_hz, fs=rate, output="sos"), lfilter([1.0, -1.0], [1.0], step)
+    )
+    assert np.abs(found.impulse(500) - expected).max() < 1e-9 * np.abs(expected).max()
+    frequency_hz = np.linspace(1e-3, 0.5, 400) * rate
+    exact = (
+        rate
+        * (1 - np.exp(-2j * np.pi * frequency_hz / rate))
+        * sos_response(order, cutoff_hz, rate, frequency_hz)
+    )
+    assert np.abs(found.response(frequency_hz) - exact).max() < 1e-9 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize(("rate", "bandwidth_hz"), [(2_000, 200.0), (20_000, 200.0), (20_000, 20.0)])
+def test_a_kalman_filter_is_realised_in_its_steady_state_whether_it_recurs_or_not(rate, bandwidth_hz):
+    """Against the predictor–corrector with the gain of the Riccati equation, written out."""
+    turn = 2 * np.pi * bandwidth_hz / rate
+    noise = linear_noise(3) * turn**6 / 12.0
+    gain = steady_gain(noise, 1.0 / 12.0)
+    a = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    x, expected = np.zeros(3), []
+    for k in range(400):
+        x = a @ x
+        x = x + gain * ((1.0 if k == 0 else 0.0) - x[0])
+        expected.append(rate * x[1])
+    for how in ("recursive", "steady"):
+        settings = {"bandwidth_hz": bandwidth_hz, "gain": how}
+        found = linear.realise("kalman", settings, 1.0 / rate, RESOLUTION)
+        assert found.order == 3
+        assert np.abs(found.impulse(400) - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def linear_noise(order):
+    """∫₀¹ e^{As}GGᵀe^{Aᵀs}ds by quadrature."""
+    s, weights = np.polynomial.legendre.leggauss(8)
+    s, weights = 0.5 * (s + 1.0), 0.5 * weights
+    column = np.stack([s**2 / 2, s, np.ones_like(s)][-order:])
+    return (column * weights) @ column.T
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("levant", {}),
+        ("foaw-end", {}),
+        ("foaw-best", {}),
+        ("foaw-levant", {}),
+        ("optimal", {}),
+        ("period", {}),
+        ("period-frequency", {}),
+        ("fdm-butterworth-fixed", {}),
+        ("kalman", {"fading": "stf"}),
+        ("kalman", {"fading": "instant"}),
+        ("kalman", {"fading": "window"}),
+    ],
+)
+def test_what_is_not_linear_is_refused_by_name(name, settings):
+    with pytest.raises(ConfigError, match=f"estimator {name}.* is not linear") as caught:
+        linear.realise(name, settings, 5e-4, RESOLUTION)
+    assert caught.value.remedy
+    assert all(str(value) in str(caught.value) for value in settings.values())
+
+
+def test_an_adaptive_window_that_may_not_adapt_is_a_difference():
+    """What counts is what an estimator does, not what it is called."""
+    one = linear.realise("foaw-end", {"window_limit": 1}, 5e-4, RESOLUTION)
+    assert one.impulse(9) == pytest.approx(linear.realise("fdm", {}, 5e-4, RESOLUTION).impulse(9), abs=1e-9)
+
+
+def third_party(name, update):
+    """A linear or other estimator of somebody else: plain Python, called as the family is."""
+
+    return Estimator(name=name, summary="", source="", update=update, floats=64, ints=3)
+
+
+@pytest.fixture
+def foreign(monkeypatch):
+    """Let `estimators.get` know an estimator whose update is plain Python, and run it without the compiled loop."""
+
+    def add(estimator):
+        known = estimators.get
+        monkeypatch.setattr(
+            estimators, "get", lambda name: estimator if name == estimator.name else known(name)
+        )
+
+        def run(prepared, counts, ages, elapsed):
+            memory = (prepared.state_f, prepared.state_i, prepared.parameters)
+            calls = zip(counts.tolist(), ages, elapsed.tolist(), strict=True)
+            return np.array([prepared.estimator.update(c, a, n, *memory) for c, a, n in calls]), None
+
+        monkeypatch.setattr(linear, "run", run)
+
+    return add
+
+
+def moving_chord(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
+    """Slope over the last twelve samples: a finite impulse response of order 12."""
+    if state_i[1] == 0:
+        state_i[1], state_i[2] = 1, count
+    state_f[1:13] = state_f[0:12]
+    state_f[0] = count - state_i[2]
+    return (state_f[0] - state_f[12]) * parameters[0] / (12 * parameters[1])
+
+
+def test_a_third_partys_linear_estimator_is_realised_too(foreign):
+    foreign(third_party("chord", moving_chord))
+    found = linear.realise("chord", {}, 1e-3, RESOLUTION)
+    expected = np.zeros(30)
+    expected[0], expected[12] = 1e3 / 12, -1e3 / 12
+    assert found.order == 12
+    assert found.impulse(30) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_third_party_with_a_dead_zone_is_not_linear(foreign):
+    def deaf(count, *others):
+        return moving_chord(count if abs(count) > 3 else 0, *others)
+
+    foreign(third_party("deaf", deaf))
+    with pytest.raises(ConfigError, match="deaf is not linear"):
+        linear.realise("deaf", {}, 1e-3, RESOLUTION)
+
+
+def test_one_that_changes_with_time_is_not_linear_and_time_invariant(foreign):
+    def tiring(count, edge, elapsed, state_f, state_i, parameters):
+        state_f[40] += 1.0
+        return moving_chord(count, edge, elapsed, state_f, state_i, parameters) / (1.0 + 1e-6 * state_f[40])
+
+    foreign(third_party("tiring", tiring))
+    with pytest.raises(ConfigError, match="time of an impulse matters"):
+        linear.realise("tiring", {}, 1e-3, RESOLUTION)
+
+
+def test_the_sign_of_the_encoder_and_its_resolution_change_nothing():
+    there = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, RESOLUTION)
+    back = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, -1e-6)
+    assert there.impulse(100) == pytest.approx(back.impulse(100), rel=1e-9, abs=1e-9)
+
+
+def test_a_realisation_is_a_value():
+    found = linear.realise("fdm", {}, 5e-4, RESOLUTION)
+    assert dataclasses.is_dataclass(found)
+    assert found.error < 1e-12
+    assert found.response(0.0) == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,217 @@
+"""Conditions for passivity: the tables on record, brute force where there is no closed form, and where they fail."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig import config
+from rig.analysis import theory
+from rig.analysis.theory.passivity import estimator_delay_s
+from rig.config import presets
+from rig.core.operators import GRIPS
+
+KOUL = config.rig_model(presets.load("koul-compliant"))
+RIGID = config.rig_model(presets.load("koul-rigid"))
+IDEAL = replace(RIGID, amplifier=replace(RIGID.amplifier, lag_s=0.0))
+
+
+def beta(scheme, **options):
+    return theory.beta(theory.linear_loop(IDEAL, scheme), **options)
+
+
+@pytest.mark.parametrize(("share", "table"), [(20, 0.354), (10, 0.479), (5, 0.675)])
+@pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:20k", "uniform:1k"])
+def test_beta_of_difference_and_butterworth_is_the_table_and_depends_on_the_share_of_the_rate_only(
+    share, table, rates
+):
+    rate = theory.linear_loop(IDEAL, rates).controller.velocity_rate
+    assert beta(f"{rates},cutoff_hz={rate / share}") == pytest.approx(table, abs=5e-4)
+    assert beta(f"{rates},cutoff_hz={rate / share}", negative=True) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:20k"])
+def test_beta_of_a_bare_difference_is_one(rates):
+    assert beta(f"{rates},estimator=fdm") == pytest.approx(1.0, abs=1e-9)
+    assert beta("uniform:1k,cutoff_hz=499") == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("rate", "cutoff_hz"), [(2_000, 100.0), (2_000, 400.0), (20_000, 500.0)])
+def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate, cutoff_hz):
+    """Brown's formula, for his filter: the bilinear pole of order 1 has T + 2τ = T/tan(π f_c T)·(…) in its place.
+
+    H = B (z − 1)/T · g (z + 1)/(z (z − p)): the maximum is found here by a dense search on the formula itself.
+    """
+    omega = np.linspace(1e-4, math.pi, 200_001)
+    z, warped = np.exp(1j * omega), math.tan(math.pi * cutoff_hz / rate)
+    pole, gain = (1 - warped) / (1 + warped), warped / (1 + warped)
+    h = rate * (1 - 1 / z) * gain * (z + 1) / (z - pole)
+    exact = (0.5 / rate / (1 - np.cos(omega)) * ((1 - 1 / z) * h).real).max()
+    assert beta(f"uniform:{rate},order=1,cutoff_hz={cutoff_hz}") == pytest.approx(exact, abs=1e-6)
+
+
+def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifted_wall():
+    """Brute force: the map from increments of position in one period to efforts, at each frequency, by eigvalsh."""
+    scheme, n = "dual:10k/2k,cutoff_hz=400,prediction=extrapolate", 5
+    loop = theory.linear_loop(IDEAL, scheme)
+    worst = -math.inf
+    for omega in np.linspace(0.003, math.pi, 4001):
+        z = np.exp(1j * omega)
+        h = complex(loop.estimator.response(omega / (2 * math.pi * 5e-4))[0])
+        position = np.ones(n) / (z - 1)  # at the period's start: all increments before
+        estimate = h * position
+        slope = (1 - 1 / z) * estimate / n
+        efforts = np.stack([estimate + i * slope for i in range(n)])
+        worst = max(worst, 1e-4 * np.linalg.eigvalsh(-(efforts + efforts.conj().T) / 2).max())
+    assert theory.beta(loop) == pytest.approx(worst, rel=1e-4)
+    assert theory.beta(loop) > beta("dual:10k/2k,cutoff_hz=400")
+
+
+def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing():
+    assert beta("uniform:2k,prediction=extrapolate") == beta("uniform:2k")
+
+
+@settings(deadline=None, max_examples=20)
+@given(
+    damping=st.floats(0.0, 0.05),
+    share=st.floats(0.0, 0.999),
+    scheme=st.sampled_from(
+        ["dual:20k/2k", "uniform:20k", "dual:10k/1k,estimator=fdm", "dual:20k/2k,estimator=kalman"]
+    ),
+    spring=st.floats(0.0, 5e3),
+    damper=st.floats(0.0, 1.0),
+)
+def test_a_passive_wall_is_stable_with_any_passive_hand(damping, share, scheme, spring, damper):
+    """Sufficiency of the multi-rate bound, without lag and delay: hands from nothing to a stiff spring to ground."""
+    model = replace(IDEAL, mechanics=replace(IDEAL.mechanics, motor_damping=0.02, end_mass=0.0))
+    stiffness = share * theory.passivity_bound(model, scheme, damping).stiffness
+    if stiffness < 1e-2:
+        return
+    hand = replace(GRIPS["normal"], pads_mass=0.0, pads_stiffness=100 * spring, pads_damping=100 * damper)
+    radius = theory.spectral_radius(model, scheme, stiffness, damping, operator=hand)
+    assert radius < 1.0
+
+
+def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series():
+    """The least of Re Z at the motor over all frequencies and passive hands, searched; the sum would be too much."""
+    mechanics = replace(KOUL.mechanics, link_damping=0.03, end_mass=0.0)
+    subject = theory.resolve(replace(KOUL, mechanics=mechanics))
+    k, c, link = mechanics.transmission_stiffness, mechanics.transmission_damping, 0.03
+    s = 2j * math.pi * np.geomspace(1.0, 1e5, 200)[:, None]
+    reactances = np.concatenate([-np.geomspace(1e-6, 1e3, 1500), np.geomspace(1e-6, 1e3, 1500)])
+    series = 1.0 / (s / (k + c * s) + 1.0 / (link + 1j * reactances))
+    least = float(series.real.min())
+    assert subject.port_damping == pytest.approx(mechanics.motor_damping + least, rel=1e-3)
+    assert subject.port_damping < subject.damping
+
+
+def test_dual_rate_relaxes_the_bound_on_k_n_fold_and_leaves_that_on_b():
+    dual = theory.passivity_bound(IDEAL, "dual:20k/2k,cutoff_hz=200")
+    uniform = theory.passivity_bound(IDEAL, "uniform:2k,cutoff_hz=200")
+    assert dual.stiffness == pytest.approx(10 * uniform.stiffness, rel=1e-9)
+    assert dual.largest_damping == pytest.approx(uniform.largest_damping, rel=1e-9)
+
+
+def test_lag_and_delay_tighten_the_bound():
+    late = replace(RIGID, simulation=replace(RIGID.simulation, computation_delay_ticks=2))
+    found = theory.passivity_bound(late, "dual:20k/2k", 1e-3)
+    needed = 3e-3 - found.beta * 1e-3
+    exact, line, ideal = found.bounds[:3]
+    assert line.stiffness == pytest.approx(needed / (0.25e-4 + 1.09e-4 + 1e-4), rel=1e-9)
+    assert ideal.stiffness == pytest.approx(needed / 0.25e-4, rel=1e-9)
+    assert exact.name == "passivity, lag and delay counted"
+    assert found.binding is exact
+    assert 0.9 * line.stiffness < found.stiffness == exact.stiffness < 1.1 * line.stiffness
+    assert found.largest_damping < 3e-3 / found.beta
+
+
+def test_one_damping_of_the_rig_stands_in_all_of_a_bound():
+    """On two masses what the motor side meets; only slow motion, at B = 0, meets all of it."""
+    heavy = replace(KOUL, mechanics=replace(KOUL.mechanics, link_damping=0.5))
+    subject = theory.resolve(heavy)
+    assert subject.port_damping < 0.9 * subject.damping
+    for damping, b in ((0.0, subject.damping), (1e-3, subject.port_damping)):
+        found = theory.passivity_bound(heavy, "dual:20k/2k", damping)
+        _, line, ideal, *_ = found.bounds
+        assert found.rig_damping == subject.port_damping
+        assert ideal.stiffness == pytest.approx((b - found.beta * damping) / 0.25e-4)
+        assert line.stiffness == pytest.approx(
+            (b - found.beta * damping) / (0.25e-4 + theory.linear_loop(heavy, "uniform:20k").late_s)
+        )
+    prompt = replace(heavy, amplifier=replace(heavy.amplifier, lag_s=0.0))
+    found = {b.name: b for b in theory.passivity_bound(prompt, "uniform:20k").bounds}
+    assert found["Colgate and Schenkel"].stiffness == pytest.approx(subject.port_damping / 0.25e-4)
+    assert found["Abbott and Okamura"].stiffness <= subject.port_damping / 0.25e-4
+    assert found["Abbott and Okamura"].meaning == "approximate"
+
+
+def test_gils_rule_is_given_where_it_means_something():
+    """Without damping of the wall. At B·τ/J of a tenth, τ the delay of the estimator, it is already twice too high."""
+    rule = {b.name: b.stiffness for b in theory.passivity_bound(RIGID, "dual:20k/2k").bounds}["Gil"]
+    assert theory.k_max(RIGID, "dual:20k/2k").stiffness == pytest.approx(rule, rel=0.01)
+    loop = theory.linear_loop(RIGID, "dual:20k/2k")
+    damping = 0.1 * loop.subject.inertia / estimator_delay_s(loop)
+    rule = (loop.subject.damping + damping) / (0.5 * loop.tick_s + loop.late_s)
+    assert theory.k_max(RIGID, "dual:20k/2k", damping).stiffness < 0.55 * rule
+    assert "Gil" not in {b.name for b in theory.passivity_bound(RIGID, "dual:20k/2k", damping).bounds}
+
+
+def test_back_emf_is_damping_under_voltage_drive_only():
+    voltage = replace(RIGID, amplifier=replace(RIGID.amplifier, drive="voltage"))
+    assert theory.resolve(RIGID).damping == pytest.approx(3e-3)
+    assert theory.resolve(voltage).damping == pytest.approx(3e-3 + 0.0253)
+
+
+def test_each_bound_says_formula_source_and_meaning():
+    bounds = {b.name: b for b in theory.passivity_bound("chawda-linear", "uniform:1k").bounds}
+    assert bounds["Colgate and Schenkel"].meaning == "exact"
+    assert bounds["Colgate and Schenkel"].stiffness == pytest.approx(26.4e3, rel=1e-9)
+    assert bounds["Abbott and Okamura"].stiffness == pytest.approx(min(26.4e3, 2 * 0.19 / 1e-6), rel=1e-9)
+    assert bounds["Gil"].meaning == "approximate"
+    assert all(b.formula and b.source for b in bounds.values())
+    assert bounds["Abbott and Okamura"].meaning == "sufficient"
+    damped = {b.name: b.stiffness for b in theory.passivity_bound("chawda-linear", "uniform:1k", 20.0).bounds}
+    assert "Gil" not in damped
+    assert "Abbott and Okamura" not in damped
+    exact = theory.passivity_bound(IDEAL, "dual:20k/2k").bounds[0]
+    assert (exact.name, exact.meaning) == ("multi-rate passivity", "exact")
+    prompt = replace(KOUL, amplifier=replace(KOUL.amplifier, lag_s=0.0))
+    assert theory.passivity_bound(prompt, "dual:20k/2k").bounds[0].meaning == "sufficient"
+
+
+def test_friction_binds_where_the_quantum_is_coarse():
+    """Koul at ×1: 2 f_c/Δ falls below 2b/T."""
+    coarse = replace(KOUL, encoder=replace(KOUL.encoder, decoding=1))
+    found = {b.name: b.stiffness for b in theory.passivity_bound(coarse, "uniform:20k").bounds}
+    assert found["Abbott and Okamura"] == pytest.approx(2 * 0.0067 / (2 * math.pi / 10_000), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "coulomb", "region"),
+    [
+        (10.0, 3e-3, 0.02, "no limit cycle"),
+        (10.0, 3e-3, 1e-6, "bounded limit cycle of the quantiser"),
+        (100.0, 1e-3, 0.02, "locally stable, unstable for large motion"),
+        (100.0, 1e-3, 1e-6, "unstable"),
+    ],
+)
+def test_diolaitis_plane_has_four_regions(stiffness, damping, coulomb, region):
+    mechanics = replace(RIGID.mechanics, motor_damping=damping, link_damping=0.0, motor_coulomb=coulomb)
+    found = theory.diolaiti(replace(RIGID, mechanics=mechanics), "uniform:20k", stiffness)
+    assert found.region == region
+    assert found.damping == pytest.approx(damping / (stiffness * 2 * (0.25e-4 + 1.09e-4)))
+    assert found.friction == pytest.approx(coulomb / (stiffness * RIGID.encoder.resolution))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "within"),
+    [("dual:20k/2k,cutoff_hz=200", 0.05), ("uniform:2k,cutoff_hz=200", 0.05), ("uniform:20k", 0.21)],
+)
+def test_the_rule_for_the_largest_damping_of_a_rigid_rig_is_near_and_on_the_safe_side(scheme, within):
+    rule, exact = theory.rigid_b_max(theory.linear_loop(RIGID, scheme)), theory.b_max(RIGID, scheme).damping
+    assert (1 - within) * exact < rule < exact

@@ -1,0 +1,95 @@
+"""An image says what it is, in whatever file it stands; and whether this package can speak to it."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol.messages import MAJOR, MINOR
+from firmware_protocol.parameters import PARAMETERS
+from rig.bench.firmware.flash import read_image
+from rig.bench.firmware.info import about, compatibility, info
+from rig.bench.firmware.record import MAGIC, ImageFacts, Record, find, pack
+from rig.bench.firmware.uf2 import RP2040, Piece, write_uf2
+from rig.core.errors import ConfigError
+
+DICTIONARY = dictionaries.build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
+PACKED = dictionaries.encode(DICTIONARY)
+FACTS = ImageFacts(
+    package="0.1", sources="abc", board="rp2040", rig="mine", settings={"pin": 3, "scale": 0.5}
+)
+
+
+@given(st.binary(max_size=300), st.binary(max_size=300))
+def test_a_record_is_found_wherever_it_stands(before, behind):
+    record = find(before + MAGIC[:7] + pack(Record(FACTS, PACKED)) + behind, "x")
+    assert record == Record(FACTS, PACKED)
+    assert record.dictionary == DICTIONARY
+    assert record.dictionary_hash == dictionaries.dictionary_hash(PACKED)
+
+
+@given(st.data())
+def test_a_damaged_record_is_refused(data):
+    content = bytearray(pack(Record(FACTS, PACKED)))
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at] ^= data.draw(st.integers(1, 255))
+    with pytest.raises(ConfigError, match=r"damaged|no firmware of this project"):
+        find(bytes(content), "x")
+
+
+def test_a_damaged_record_does_not_hide_a_good_one():
+    good = pack(Record(FACTS, PACKED))
+    assert find(good[:-1] + b"\0" + good, "x").facts == FACTS
+
+
+@pytest.mark.parametrize("kind", ["bin", "uf2"])
+def test_a_file_of_any_format_tells_what_a_device_would(tmp_path, kind):
+    image = b"\0" * 500 + pack(Record(FACTS, PACKED))
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(image if kind == "bin" else write_uf2([Piece(0x1000_0000, image)], RP2040))
+    found = info(str(path))
+    assert found.compatible
+    assert (found.device, found.firmware, found.law) == ("mine", "1", 2)
+    assert found.dictionary_hash == f"{dictionaries.dictionary_hash(PACKED):016x}"
+    assert found.facts is not None
+    assert found.facts["settings"] == FACTS.settings
+
+
+def test_a_file_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_image(tmp_path / "none.uf2")
+    (tmp_path / "text.bin").write_text("hello")
+    with pytest.raises(ConfigError, match="no firmware of this project"):
+        read_image(tmp_path / "text.bin")
+
+
+def test_another_major_version_is_a_problem_and_another_minor_is_none():
+    assert compatibility(DICTIONARY) == ([], [])
+    problems, _ = compatibility(replace(DICTIONARY, major=MAJOR + 1))
+    assert len(problems) == 1
+    assert str(MAJOR + 1) in problems[0]
+    problems, notes = compatibility(replace(DICTIONARY, minor=MINOR + 1))
+    assert not problems
+    assert len(notes) == 1
+
+
+def test_parameters_that_are_missing_or_others_are_problems_and_more_of_them_are_none():
+    first, second, *others = DICTIONARY.parameters
+    problems, _ = compatibility(replace(DICTIONARY, parameters=(second, *others)))
+    assert [PARAMETERS[0].name in text for text in problems] == [True]
+    problems, _ = compatibility(
+        replace(DICTIONARY, parameters=(replace(first, unit="mile"), second, *others))
+    )
+    assert "mile" in problems[0]
+    more = replace(first, id=60_000, name="later")
+    problems, notes = compatibility(replace(DICTIONARY, parameters=(*DICTIONARY.parameters, more)))
+    assert not problems
+    assert "later" in notes[0]
+
+
+def test_a_firmware_that_this_package_cannot_run_is_told_so():
+    found = about("x", replace(DICTIONARY, major=MAJOR + 1), 1, None)
+    assert not found.compatible
+    assert found.as_mapping()["compatible"] is False

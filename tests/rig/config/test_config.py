@@ -1,0 +1,591 @@
+"""An experiment file is either an experiment, or one error that says everything that is wrong with it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import fields
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.config import (
+    Experiment,
+    as_mapping,
+    check_plugins,
+    describe,
+    experiment_from_mapping,
+    json_schema,
+    load_experiment,
+    override,
+    presets,
+    rig_model,
+    verdict_limits,
+    with_realtime,
+)
+from rig.config.files import flatten, nest
+from rig.config.table import parameters
+from rig.core.errors import ConfigError
+
+KOUL = presets.load("koul-compliant")
+CHAWDA = presets.load("chawda-linear")
+
+
+def refusal(changes: dict[str, Any], base: Experiment = KOUL) -> str:
+    """Return the text of the error that these changes give."""
+    with pytest.raises(ConfigError) as caught:
+        override(base, changes, "hit.toml")
+    return str(caught.value)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "hit.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+# Files
+
+
+def test_a_file_says_only_what_differs_from_its_preset(tmp_path: Path) -> None:
+    path = written(tmp_path, 'preset = "koul-compliant"\nwall.stiffness = 150\n[trial]\nrepeats = 5\n')
+    experiment = load_experiment(path)
+    assert experiment == override(KOUL, {"wall.stiffness": 150.0, "trial.repeats": 5})
+    assert isinstance(experiment.wall.stiffness, float)  # 150 in the file is a number, not a whole number
+
+
+def test_a_complete_file_needs_no_preset(tmp_path: Path) -> None:
+    path = written(tmp_path, presets.text("chawda-linear"))
+    assert load_experiment(str(path)) == CHAWDA
+
+
+def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "hit.toml"
+    path.write_bytes(b'\xef\xbb\xbfpreset = "koul-rigid"\n')
+    assert load_experiment(path) == presets.load("koul-rigid")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"[wall]\nstiffness = = 3\n", ("hit.toml", "not valid TOML", "line 2")),
+        (b"[wall]\nstiffness = 1\nstiffness = 2\n", ("hit.toml", "not valid TOML", "line 3")),
+        (b"a = " + b"[" * 100_000, ("hit.toml", "not valid TOML")),
+        (b"a = " + b"1" * 10_000, ("hit.toml", "not valid TOML")),
+        (b'preset = "\xff"', ("hit.toml", "UTF-8", "byte 10")),
+    ],
+)
+def test_a_file_that_is_not_toml_is_named_with_the_place(
+    tmp_path: Path, content: bytes, words: tuple[str, ...]
+) -> None:
+    path = tmp_path / "hit.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(path)
+    for word in words:
+        assert word in str(caught.value)
+    assert caught.value.__cause__ is None
+
+
+def test_a_missing_file_suggests_its_neighbour(tmp_path: Path) -> None:
+    written(tmp_path, "")
+    with pytest.raises(ConfigError, match=r"hti\.toml: no such file\. did you mean hit\.toml\?"):
+        load_experiment(tmp_path / "hti.toml")
+    with pytest.raises(ConfigError, match="no such file"):
+        load_experiment(tmp_path / "nowhere" / "hit.toml")
+
+
+@pytest.mark.parametrize("name", ["", "\0.toml"])
+def test_what_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_experiment(tmp_path / name)  # a directory; a path that no system takes
+
+
+def test_an_empty_file_lists_every_section_that_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_experiment(written(tmp_path, ""))
+    for section in ("rig", "controller", "wall", "homing", "trial"):
+        assert f"hit.toml: [{section}]: is missing" in str(caught.value)
+    assert "preset = " in str(caught.value)
+
+
+def test_tables_nested_beyond_reason_are_unknown_keys() -> None:
+    deep: dict[str, Any] = {}
+    for _ in range(50_000):
+        deep = {"a": deep}
+    assert "a: is not a known key" in refusal({"a": deep})
+    assert "wall.position = a table" in refusal({"wall.position": deep})
+
+
+# Values
+
+
+def test_every_problem_is_listed_on_its_own_line_with_file_key_value_range_and_remedy() -> None:
+    lines = refusal(
+        {
+            "wall.stiffness": -3.0,
+            "controller.position_rate": 20000.5,
+            "trial.start": "far",
+            "wall.pul": "clamp",
+        }
+    ).splitlines()
+    assert len(lines) == 4
+    assert (
+        "hit.toml: wall.stiffness = -3.0: must be a number ≥ 0 N·m/rad (K). choose a value in"
+        in "\n".join(lines)
+    )
+    assert any(
+        "controller.position_rate = 20000.5: must be a whole number ≥ 10 and ≤ 200000 Hz" in x for x in lines
+    )
+    assert any('trial.start = "far": must be a number in rad' in x and "without quotes" in x for x in lines)
+    assert any("wall.pul: is not a known key. did you mean pull?" in x for x in lines)
+
+
+def test_units_in_messages_follow_the_motion_of_the_rig() -> None:
+    assert "N·m/rad" in refusal({"wall.stiffness": -1.0})
+    assert "≥ 0 N/m (K)" in refusal({"wall.stiffness": -1.0}, CHAWDA)
+    both = refusal({"wall.stiffness": -1.0, "rig.motion": "sideways"})
+    assert "≥ 0 N·m/rad or N/m" in both
+    assert 'one of "rotary", "linear"' in both
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("wall.stiffness", math.nan, "nan: must be a number ≥ 0 N·m/rad"),
+        ("wall.stiffness", math.inf, "inf: must be a number ≥ 0 N·m/rad"),
+        ("wall.stiffness", True, "true: must be a number"),
+        ("wall.stiffness", "300", "write a number, without quotes"),
+        ("wall.stiffness", {"a": 1}, "a table: must be a number"),
+        ("wall.stiffness", date(2020, 1, 1), "must be a number"),
+        ("wall.stiffness", 10**400, "must be a number"),
+        ("wall.stiffness", 10**5000, "must be a number"),
+        ("trial.seed", 10**5000, "must be a whole number"),
+        ("trial.seed", -1, "-1: must be a whole number ≥ 0"),
+        ("trial.repeats", 2.0, "write 2, without a decimal point"),
+        ("trial.repeats", True, "true: must be a whole number ≥ 1"),
+        ("wall.side", True, "true: must be one of -1, 1"),
+        ("wall.side", 1.0, "1.0: must be one of -1, 1"),
+        ("wall.side", 0, "0: must be one of -1, 1"),
+        ("wall.pull", "clmp", "did you mean clamp?"),
+        ("rig.limits.human", 1, "must be true or false"),
+        ("rig.limits.human", "yes", "without quotes"),
+        ("rig.name", "", "must be text, not empty"),
+        ("rig.name", 3, "write text in quotes"),
+        ("controller.loop", "devise", "did you mean device?"),
+        ("controller.parameters.cutoff_hz", math.nan, "must be a finite number or text"),
+        ("controller.parameters", [1], "must be a table with numbers by name"),
+        ("controller.command_lifetime_s", 0.03, "≤ 0.02 s"),
+        ("rig.encoder.decoding", 4.0, "must be one of 1, 4"),
+        ("wall", 3, "3: must be a table with stiffness, damping"),
+        ("realtime", 3, "3: must be a table"),
+        ("realtime", {"wall.stiffness": [1]}, "realtime.wall.stiffness"),
+        ("realtime", {"wall.stifness": 1}, "did you mean stiffness?"),
+        ("realtime", {"wall.stiffness": math.nan}, "realtime.wall.stiffness = nan"),
+        ("stiffness", 3, "did you mean wall.stiffness or homing.stiffness?"),
+        ("wal.stiffness", 3, "did you mean wall?"),
+        ("zzz", 3, "known here: preset, rig, controller"),
+    ],
+    ids=itertools.count(),  # some values have too many digits for a name
+)
+def test_a_wrong_value_is_refused_in_words(key: str, value: Any, words: str) -> None:
+    text = refusal({key: value})
+    assert text.startswith("hit.toml: ")
+    assert key.partition(".")[0] in text
+    assert words in text
+
+
+def test_a_missing_key_is_asked_for_with_its_range() -> None:
+    table = as_mapping(KOUL)
+    del table["wall"]["stiffness"], table["rig"]["limits"]["speed"]
+    with pytest.raises(ConfigError) as caught:
+        experiment_from_mapping(table, "hit.toml")
+    assert "wall.stiffness: is missing: a number ≥ 0 N·m/rad (K). add stiffness under [wall]" in str(
+        caught.value
+    )
+    assert "rig.limits.speed: is missing" in str(caught.value)
+
+
+def test_what_the_physics_itself_refuses_keeps_its_place() -> None:
+    text = refusal({"rig.mechanics.transmission_stiffness": 0.0})
+    assert text.startswith("hit.toml: [rig.mechanics]: a two-mass rig needs transmission_stiffness")
+    assert "transmission_stiffness = 0.0" in text
+    assert "change these keys together" in text
+    for quantum in (1e-6, None):
+        lines = 1000 if quantum else None  # both, or none
+        text = refusal({"rig.encoder.quantum": quantum, "rig.encoder.counts_per_revolution": lines})
+        assert text.startswith(
+            "hit.toml: [rig.encoder]: an encoder needs either counts_per_revolution or quantum"
+        )
+    assert "(given: quantum = 0.0)" in refusal({"rig.encoder.quantum": 0.0}, CHAWDA)
+
+
+def test_values_that_overflow_are_no_traceback() -> None:
+    assert "hit.toml: some values are too large" in refusal({"rig.mechanics.handle_radius": 1e200})
+
+
+def test_an_unknown_preset_suggests_the_nearest() -> None:
+    with pytest.raises(
+        ConfigError, match=r'hit\.toml: preset = "koul-complaint".*did you mean koul-compliant\?'
+    ):
+        experiment_from_mapping({"preset": "koul-complaint"}, "hit.toml")
+    with pytest.raises(ConfigError, match="choose one of: chawda-linear, koul-compliant, koul-rigid"):
+        experiment_from_mapping({"preset": 3}, "hit.toml")
+
+
+def test_an_error_under_a_preset_names_both() -> None:
+    with pytest.raises(ConfigError, match=r"hit\.toml \(on preset koul-rigid\): wall\.stiffness = -1"):
+        experiment_from_mapping({"preset": "koul-rigid", "wall": {"stiffness": -1}}, "hit.toml")
+
+
+def test_a_mapping_must_be_a_mapping() -> None:
+    with pytest.raises(ConfigError, match="not a table"):
+        experiment_from_mapping([1], "hit.toml")  # type: ignore[arg-type]
+
+
+# Rules between keys: each message names the file, the key, its value, the range and the remedy.
+
+ROTARY_RULES = [
+    (
+        {"controller.velocity_rate": 3000},
+        "controller.position_rate = 20000 Hz: must be an integer multiple of controller.velocity_rate = 3000 Hz. "
+        "nearest allowed: position_rate = 18000 or 21000 Hz, or velocity_rate = 2500 or 4000 Hz",
+    ),
+    (
+        {"controller.velocity_rate": 30000, "controller.parameters.cutoff_hz": 100.0},
+        "nearest allowed: position_rate = 30000 Hz, or velocity_rate = 20000 Hz",
+    ),
+    (
+        {"controller.slow_velocity_rate": 1500},
+        "controller.slow_velocity_rate = 1500 Hz: must divide controller.velocity_rate = 2000 Hz",
+    ),
+    (
+        {"host.heartbeat_s": 0.001},
+        "host.heartbeat_s = 0.001 s: must be 0 or at least 0.1 s",
+    ),
+    (
+        {"rig.encoder.counts_per_revolution": None, "rig.encoder.quantum": 1e-6},
+        'rig.encoder.quantum = 1e-06 m: belongs to a rig with motion = "linear"; rig.motion = "rotary" needs '
+        "rig.encoder.counts_per_revolution, a whole number (lines of the encoder disc). give",
+    ),
+    (
+        {"rig.encoder.counts_per_revolution": 10**30},
+        "a number of more than 64 bits: must be > 0 and ≤ 10000000. take it from the data sheet",
+    ),
+    (
+        {"rig.limits.effort": 1.4},
+        "rig.limits.effort = 1.4 N·m: must be at most rig.amplifier.effort_limit, 1.3 N·m. lower rig.limits.effort",
+    ),
+    (
+        {"rig.limits.nominal_effort": 2.0},
+        "rig.limits.nominal_effort = 2.0 N·m: must be at most rig.amplifier",
+    ),
+    (
+        {"homing.effort": 1.4},
+        "homing.effort = 1.4 N·m: must be at most rig.limits.effort, 1.3 N·m. lower homing",
+    ),
+    (
+        {"trial.effort": 1.5},
+        "trial.effort = 1.5 N·m: must be at most rig.limits.effort, 1.3 N·m. lower trial",
+    ),
+    (
+        {"rig.limits.human": True},
+        "rig.limits.effort = 1.3 N·m: must be at most rig.limits.nominal_effort, 0.286 N·m, while a person holds "
+        "the handle (rig.limits.human = true). lower it; or set rig.limits.override_stall = true",
+    ),
+    (
+        {"rig.limits.position_minimum": 0.6},
+        "rig.limits.position_minimum = 0.6 rad: must be below position_maximum, 0.5 rad. swap",
+    ),
+    (
+        {"wall.position": 0.6},
+        "wall.position = 0.6 rad: must lie inside the position window, -0.5 to 0.5 rad. move it, or widen",
+    ),
+    (
+        {"trial.start": -0.5},
+        "trial.start = -0.5 rad: must lie inside the position window, -0.5 to 0.5 rad. move",
+    ),
+    (
+        {"rig.simulation.initial_position": 1.0},
+        "rig.simulation.initial_position = 1.0 rad: must lie inside the position window",
+    ),
+    (
+        {"trial.start": 0.01},
+        "trial.start = 0.01 rad: must be below wall.position, 0 rad: the free side for wall.side = 1. start farther",
+    ),
+    (
+        {"wall.side": -1},
+        "trial.start = -0.015 rad: must be above wall.position, 0 rad: the free side for wall.si",
+    ),
+    (
+        {"wall.side": -1},
+        "trial.effort = 0.15 N·m: must be < 0 N·m to push into a wall with wall.side = -1. change",
+    ),
+    ({"trial.effort": 0.0}, "trial.effort = 0.0 N·m: must be > 0 N·m to push into a wall"),
+    (
+        {"wall.stiffness": 3000.0},
+        "trial.effort = 0.15 N·m: must be at least 0.942 N·m: against wall.stiffness = 3000 N·m/rad it rests 0.32 "
+        "counts deep, less than trial.minimum_rest_counts = 2. push harder, or take a wall.stiffness of at most "
+        "477 N·m/rad",
+    ),
+    (
+        {"homing.speed": 11.0},
+        "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s. home more",
+    ),
+    ({"verdict.tail_s": 1.0}, "verdict.tail_s = 1.0 s: must be shorter than trial.duration_s, 1 s. shorten"),
+    (
+        {"verdict.highpass_hz": 600.0},
+        "verdict.highpass_hz = 600.0 Hz: must be below verdict.lowpass_hz, 500 Hz. swap",
+    ),
+    (
+        {"rig.amplifier.current_quantum_a": 1e-4},
+        "rig.amplifier.effort_limit = 1.3 N·m: must be ≤ 0.7667 N·m, which is 32767 current quanta. make rig.ampl",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), ROTARY_RULES)
+def test_rules_between_keys(changes: dict[str, Any], words: str) -> None:
+    text = refusal(changes)
+    assert words in text
+    assert all(line.startswith("hit.toml: ") for line in text.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"rig.encoder.quantum": None, "rig.encoder.counts_per_revolution": 1000},
+            'rig.encoder.counts_per_revolution = 1000: belongs to a rig with motion = "rotary"; '
+            'rig.motion = "linear" needs rig.encoder.quantum, a number in m (travel for one count',
+        ),
+        (
+            {"rig.mechanics.handle_radius": 0.1},
+            "rig.mechanics.handle_radius = 0.1 m: must be 1 on a linear rig",
+        ),
+    ],
+)
+def test_rules_of_a_linear_rig(changes: dict[str, Any], words: str) -> None:
+    assert words in refusal(changes, CHAWDA)
+
+
+def test_a_push_into_no_stiffness_has_no_rest_to_refuse() -> None:
+    assert override(KOUL, {"wall.stiffness": 0.0}).wall.stiffness == 0.0
+    assert (
+        override(KOUL, {"wall.stiffness": 3000.0, "trial.minimum_rest_counts": 0.0}).wall.stiffness == 3000.0
+    )
+
+
+def test_the_smallest_push_that_is_allowed_rests_two_counts_deep() -> None:
+    resolution = KOUL.rig.encoder.resolution
+    assert override(KOUL, {"trial.effort": 2.001 * resolution * 300.0})
+    assert "rests 2 counts" in refusal({"trial.effort": 1.999 * resolution * 300.0})
+
+
+def test_a_wall_on_the_other_side_is_pushed_with_negative_effort() -> None:
+    mirrored = override(KOUL, {"wall.side": -1, "trial.start": 0.015, "trial.effort": -0.15})
+    assert mirrored.trial.effort == -0.15
+
+
+def test_a_person_is_protected_unless_somebody_overrides_it_aloud() -> None:
+    safe = override(KOUL, {"rig.limits.human": True, "rig.limits.effort": 0.286})
+    assert safe.rig.limits.effort == 0.286
+    assert (
+        override(KOUL, {"rig.limits.human": True, "rig.limits.override_stall": True}).rig.limits.effort == 1.3
+    )
+
+
+def test_without_a_word_a_person_holds_the_handle_and_the_limit_is_the_nominal_effort() -> None:
+    table = as_mapping(KOUL)
+    del table["rig"]["limits"]["effort"], table["rig"]["limits"]["human"]
+    limits = experiment_from_mapping(table, "hit.toml").rig.limits
+    assert limits.human
+    assert limits.effort == limits.nominal_effort == 0.286
+
+
+# Changing, writing back, listing
+
+
+def test_an_override_names_the_command_line() -> None:
+    with pytest.raises(ConfigError, match=r"^command line: wall\.stiffness = -1\.0"):
+        override(KOUL, {"wall.stiffness": -1.0})
+
+
+def test_another_estimator_does_not_inherit_settings() -> None:
+    assert override(KOUL, {"controller.estimator": "fdm"}).controller.parameters == {}
+    other = experiment_from_mapping(
+        {"preset": "koul-rigid", "controller": {"estimator": "foaw", "parameters": {"window": 16}}},
+        "hit.toml",
+    )
+    assert other.controller.parameters == {"window": 16.0}
+    same = override(KOUL, {"controller.estimator": "fdm-butterworth", "controller.parameters.order": 2})
+    assert same.controller.parameters == {"cutoff_hz": 200.0, "order": 2.0}
+
+
+def test_realtime_changes_are_kept_aside_and_checked_when_applied() -> None:
+    experiment = experiment_from_mapping(
+        {"preset": "koul-compliant", "realtime": {"wall": {"stiffness": 50}}}, "hit.toml"
+    )
+    assert experiment.wall.stiffness == 300.0
+    assert experiment.realtime["wall.stiffness"] == 50
+    assert experiment.realtime["controller.position_rate"] == 1000  # of the preset
+    assert with_realtime(experiment).wall.stiffness == 50.0
+    broken = override(KOUL, {"realtime.wall.stiffness": -1.0})
+    with pytest.raises(ConfigError, match=r"\[realtime\] of koul-compliant: wall\.stiffness = -1\.0"):
+        with_realtime(broken)
+
+
+def _numbers_of(experiment: Experiment) -> st.SearchStrategy[dict[str, Any]]:
+    """Valid changes of a few keys, none of which another key restricts."""
+    positive = st.floats(1e-3, 1e3)
+    return st.fixed_dictionaries(
+        {},
+        optional={
+            "wall.stiffness": st.floats(0.0, 400.0),
+            "wall.damping": st.floats(0.0, 1e6),
+            "wall.pull": st.sampled_from(["clamp", "allow"]),
+            "trial.seed": st.integers(0, 2**63 - 1),
+            "trial.start": st.floats(-0.4, -1e-6),
+            "controller.velocity_rate": st.sampled_from([1000, 2000, 4000, 20000]),
+            "controller.parameters.extra": st.floats(allow_nan=False, allow_infinity=False),
+            "controller.command_lifetime_s": st.none() | st.floats(1e-6, 0.02),
+            "rig.simulation.initial_position": st.none() | st.floats(-0.4, 0.4),
+            "rig.description": st.text(st.characters(codec="utf-8")),
+            "rig.mechanics.end_mass": positive,
+            "operator.grip": st.sampled_from(["relaxed", "normal", "firm"]),
+            "operator.press": st.floats(0.0, 5.0),
+            "realtime.wall.damping": positive | st.integers(0, 10),
+        },
+    )
+
+
+@given(_numbers_of(KOUL))
+def test_a_mapping_brings_back_the_same_experiment_also_through_json(changes: dict[str, Any]) -> None:
+    experiment = override(KOUL, changes)
+    mapping = as_mapping(experiment)
+    assert experiment_from_mapping(mapping, "header") == experiment
+    assert experiment_from_mapping(json.loads(json.dumps(mapping)), "header") == experiment
+
+
+def outcome(load: Callable[[], Experiment], source: str) -> Experiment | None:
+    """Return the experiment, or None after a `ConfigError` that names its source; let any other exception out."""
+    try:
+        return load()
+    except ConfigError as error:
+        text = str(error)
+    assert source in text
+    return None
+
+
+JUNK = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.floats(-1.0, 1.0).map(lambda x: x * 1e308),
+    st.sampled_from([5e-324, 1e200, -0.0, 10**400, 2**64]),
+    st.text(max_size=5),
+    st.dates(),
+    st.binary(max_size=2),
+    st.lists(st.integers(), max_size=2),
+    st.dictionaries(st.text(max_size=3) | st.integers(), st.integers() | st.text(), max_size=2),
+)
+PLACES = [
+    *parameters(),
+    "wall",
+    "rig",
+    "rig.limits",
+    "controller.parameters",
+    "realtime",
+    "preset",
+    "nothing",
+]
+
+
+@settings(max_examples=400)
+@given(st.sampled_from([KOUL, CHAWDA]), st.sampled_from(PLACES), JUNK)
+def test_any_single_corrupted_value_gives_an_experiment_or_a_config_error(
+    base: Experiment, key: str, value: Any
+) -> None:
+    table = as_mapping(base)
+    corrupted = {**dict(flatten(table)), key: value}
+    experiment = outcome(lambda: experiment_from_mapping(nest(corrupted), "hit.toml"), "hit.toml")
+    if experiment is not None:
+        assert experiment_from_mapping(as_mapping(experiment), "header") == experiment
+        assert math.isfinite(experiment.rig.encoder.resolution)
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=60), st.integers(0, 5000))
+def test_any_damage_to_a_file_gives_an_experiment_or_a_config_error(
+    tmp_path_factory: pytest.TempPathFactory, junk: bytes, place: int
+) -> None:
+    text = presets.text("koul-rigid").encode()
+    path = tmp_path_factory.mktemp("damage", numbered=True) / "hit.toml"
+    path.write_bytes(text[:place] + junk + text[place + len(junk) :])
+    outcome(lambda: load_experiment(path), str(path))
+
+
+def test_a_listing_has_every_parameter_with_its_unit_and_meaning() -> None:
+    lines = {line.key: line for line in describe(KOUL)}
+    assert lines["wall.stiffness"] == ("wall.stiffness", 300.0, "N·m/rad", "K")
+    assert lines["rig.limits.slew"].unit == "N·m/s"
+    assert lines["controller.parameters.cutoff_hz"][1:3] == (200.0, "Hz")
+    assert {line.key: line for line in describe(CHAWDA)}["rig.amplifier.effort_per_ampere"].unit == "N/A"
+    assert set(lines) >= set(parameters()) - {"controller.parameters"}
+    assert all(line.meaning for line in lines.values())
+    walls = [line.key for line in describe(KOUL, "wall")]
+    assert walls == [f"wall.{f.name}" for f in fields(KOUL.wall)]
+
+
+def test_the_schema_for_editors_knows_presets_ranges_units_and_meanings() -> None:
+    schema = json_schema()
+    assert schema["properties"]["preset"]["enum"] == list(presets.names())
+    stiffness = schema["$defs"]["Wall"]["properties"]["stiffness"]
+    assert stiffness["minimum"] == 0
+    assert stiffness["description"] == "K [N·m/rad or N/m]"
+    assert schema["$defs"]["Wall"]["additionalProperties"] is False
+    assert "required" not in json.dumps(schema)
+
+
+def test_the_rig_model_is_the_physics_of_the_rig() -> None:
+    model = rig_model(KOUL)
+    assert model == rig_model(KOUL.rig)
+    assert (model.name, model.motion, model.mechanics) == ("koul-compliant", "rotary", KOUL.rig.mechanics)
+
+
+def test_thresholds_at_the_handle_become_thresholds_at_the_link() -> None:
+    """5 mm/s, 1 N and 0.125 mm at a handle 0.1 m out are 0.05 rad/s, 0.10 N·m and 1.25 mrad."""
+    limits = verdict_limits(KOUL)
+    assert (limits.felt_velocity, limits.heard_effort, limits.moved) == pytest.approx((0.05, 0.10, 1.25e-3))
+    linear = verdict_limits(CHAWDA)
+    assert (linear.felt_velocity, linear.heard_effort, linear.moved) == (0.002, 1.0, 1.25e-4)
+
+
+def test_plug_ins_are_checked_by_name_and_setting() -> None:
+    check_plugins(KOUL, "hit.toml")
+    with pytest.raises(
+        ConfigError, match=r'hit\.toml: controller\.estimator = "fdm-buterworth": .*did you mean fdm-'
+    ):
+        check_plugins(override(KOUL, {"controller.estimator": "fdm-buterworth"}), "hit.toml")
+    with pytest.raises(ConfigError, match=r'hit\.toml: wall\.law = "spring": must be one of spring-damper'):
+        check_plugins(override(KOUL, {"wall.law": "spring"}), "hit.toml")
+    with pytest.raises(ConfigError, match=r"hit\.toml: controller\.parameters: .*window.*cutoff_hz"):
+        check_plugins(override(KOUL, {"controller.parameters.window": 3}), "hit.toml")
+
+
+def test_describing_an_experiment_costs_no_pydantic_and_loading_one_no_numba() -> None:
+    code = (
+        "import sys, rig.config; assert 'pydantic' not in sys.modules\n"
+        "from rig import presets; presets.load('koul-compliant')\n"
+        "heavy = {'numba', 'scipy', 'matplotlib', 'pyarrow'} & set(sys.modules); assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,0 +1,220 @@
+"""The presets are the rigs of the two papers: their numbers, and what follows from them."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from rig.config import as_mapping, check_plugins, experiment_from_mapping, presets, rig_model, with_realtime
+from rig.config.files import flatten
+from rig.core.errors import ConfigError
+from rig.core.model import state_space
+
+NAMES = ("chawda-linear", "koul-compliant", "koul-rigid")
+
+KOUL_COMMON = {
+    "rig.motion": "rotary",
+    "rig.mechanics.link_damping": 1e-3,
+    "rig.mechanics.handle_radius": 0.1,
+    "rig.mechanics.end_mass": 0.07,
+    "rig.amplifier.effort_per_ampere": 0.234,  # 23.4 mN·m/A through the capstan
+    "rig.amplifier.effort_limit": 1.3,
+    "rig.amplifier.current_quantum_a": 0.001,
+    "rig.amplifier.drive": "current",
+    "rig.amplifier.back_emf_damping": 0.0253,
+    "rig.encoder.counts_per_revolution": 1000,
+    "rig.encoder.decoding": 4,
+    "rig.encoder.ratio": 10.0,
+    "rig.limits.nominal_effort": 0.286,
+    "rig.limits.effort": 1.3,
+    "rig.limits.thermal_time_constant_s": 12.0,
+    "rig.limits.human": False,
+    "controller.position_rate": 20000,
+    "controller.velocity_rate": 2000,
+    "controller.estimator": "fdm-butterworth",
+    "controller.parameters": {"cutoff_hz": 200.0},
+    "wall.stiffness": 300.0,
+    "wall.damping": 0.5,
+    "wall.position": 0.0,
+    "wall.side": 1,
+    "wall.pull": "clamp",
+    "trial.effort": 0.15,
+    "trial.start": -0.015,
+    "trial.duration_s": 1.0,
+    "verdict.felt_velocity": 0.005,
+    "verdict.lowpass_hz": 500.0,
+}
+NUMBERS = {
+    "koul-compliant": {
+        **KOUL_COMMON,
+        "rig.mechanics.structure": "two-mass",
+        "rig.mechanics.motor_inertia": 1.9e-4,
+        "rig.mechanics.link_inertia": 1.58e-3,
+        "rig.mechanics.motor_damping": 2.7e-3,
+        "rig.mechanics.motor_coulomb": 0.005,
+        "rig.mechanics.link_coulomb": 0.0017,
+        "rig.mechanics.transmission_stiffness": 2310.0,
+        "rig.mechanics.transmission_damping_ratio": 0.035,
+        "rig.amplifier.lag_s": 1e-4,
+    },
+    "koul-rigid": {
+        **KOUL_COMMON,
+        "rig.mechanics.structure": "rigid",
+        "rig.mechanics.motor_inertia": 1.2e-4,
+        "rig.mechanics.link_inertia": 2e-4,
+        "rig.mechanics.motor_damping": 2e-3,
+        "rig.mechanics.motor_coulomb": 0.02,
+        "rig.mechanics.link_coulomb": 0.0,
+        "rig.amplifier.lag_s": 1.09e-4,
+    },
+    "chawda-linear": {
+        "rig.motion": "linear",
+        "rig.mechanics.structure": "rigid",
+        "rig.mechanics.motor_inertia": 0.52,
+        "rig.mechanics.motor_damping": 13.2,
+        "rig.mechanics.motor_coulomb": 0.19,
+        "rig.mechanics.handle_radius": 1.0,
+        "rig.encoder.quantum": 1e-6,
+        "controller.position_rate": 1000,
+        "controller.velocity_rate": 1000,
+        "wall.stiffness": 20000.0,
+        "wall.damping": 60.0,
+        "trial.effort": 8.0,
+        "trial.start": -0.01,
+        "verdict.felt_velocity": 0.002,
+    },
+}
+VERDICT = {
+    "tail_s": 0.4,
+    "highpass_hz": 30.0,
+    "heard_force": 1.0,
+    "moved": 1.25e-4,
+    "growth_ratio": 1.2,
+    "late_fraction": 0.01,
+    "saturated_fraction": 0.01,
+}
+
+
+def test_the_presets_are_these() -> None:
+    assert presets.names() == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_are_those_of_the_reproduction_study(name: str) -> None:
+    experiment = presets.load(name)
+    assert experiment.rig.name == name
+    found = {
+        **dict(flatten(as_mapping(experiment))),
+        "controller.parameters": experiment.controller.parameters,
+    }
+    assert {
+        key: found[key] if key in found else _default(experiment, key) for key in NUMBERS[name]
+    } == NUMBERS[name]
+    assert {key: getattr(experiment.verdict, key) for key in VERDICT} == VERDICT
+
+
+def _default(experiment: object, key: str) -> object:
+    for part in key.split("."):
+        experiment = getattr(experiment, part)
+    return experiment
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_preset_ships_as_a_readable_file_that_is_its_text(name: str) -> None:
+    text = presets.text(name)
+    assert text == (files("rig.config.presets") / f"{name}.toml").read_text(encoding="utf-8")
+    assert experiment_from_mapping(tomllib.loads(text), name) == presets.load(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_number_of_the_rig_says_where_it_is_from(name: str) -> None:
+    """Lines of [rig.*] with a value that is not zero carry a comment; the tags used are explained at the top."""
+    text = presets.text(name)
+    head, rest = text.split("[rig]", 1)
+    physics = rest[rest.index("[rig.mechanics]") : rest.index("[controller]")]
+    for line in physics.splitlines():
+        if re.search(r"= *-?[\d.]*[1-9]", line):
+            assert "#" in line, line
+    for tag in set(re.findall(r"\[(Koul|maxon|fitted|typical|chosen|Chawda|declared)\]", rest)):
+        assert f"[{tag}]" in head
+
+
+def test_what_is_fitted_or_not_in_the_paper_says_so() -> None:
+    assert "FITTED" in presets.text("koul-compliant")
+    assert "FITTED" in presets.load("koul-compliant").rig.source
+    assert "[fitted]" not in presets.text("koul-rigid")
+    assert "NOT in the paper" in presets.text("chawda-linear")
+    assert "499" in presets.text("chawda-linear")
+
+
+def test_encoder_resolutions() -> None:
+    for name in ("koul-compliant", "koul-rigid"):
+        resolution = presets.load(name).rig.encoder.resolution
+        assert resolution == pytest.approx(2 * math.pi / 40000, rel=1e-15)
+        assert resolution == pytest.approx(1.5708e-4, rel=1e-4)
+    assert presets.load("chawda-linear").rig.encoder.resolution == 1e-6
+
+
+def test_the_compliant_capstan_rings_at_586_hertz() -> None:
+    """Free-free mode of the unloaded link: 586 Hz in the study, 587 from its rounded parameters."""
+    mechanics = presets.load("koul-compliant").rig.mechanics
+    reduced = 1 / (1 / mechanics.motor_inertia + 1 / mechanics.link_inertia)
+    assert math.sqrt(mechanics.transmission_stiffness / reduced) / (2 * math.pi) == pytest.approx(586, abs=2)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_homing_servo_is_stable_and_friction_cannot_hold_the_handle_out_of_tolerance(name: str) -> None:
+    """Continuous servo on the true matrices: all poles but none in the right half plane; static error within bounds."""
+    experiment = presets.load(name)
+    rig, homing = experiment.rig, experiment.homing
+    space = state_space(rig.mechanics, rig.amplifier)
+    gain = np.zeros((1, space.order))
+    gain[0, space.sensed_position], gain[0, space.sensed_position + 1] = homing.stiffness, homing.damping
+    poles = np.linalg.eigvals(space.a - space.b[:, :1] @ gain)
+    if rig.amplifier.lag_s == 0.0:  # the effort state is then not connected and stays where it is
+        poles = np.delete(poles, np.argmin(np.abs(poles)))
+    assert poles.real.max() < 0
+    stuck = sum(space.friction) / homing.stiffness / rig.encoder.resolution
+    assert stuck < homing.tolerance_counts
+    width = rig.limits.position_maximum - rig.limits.position_minimum
+    assert width / homing.speed + homing.settle_s < homing.timeout_s
+    assert sum(space.friction) < homing.effort
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_slew_limit_of_a_trial_lets_the_wall_reverse_the_effort_within_a_tick(name: str) -> None:
+    experiment = presets.load(name)
+    limits = experiment.rig.limits
+    assert limits.slew / experiment.controller.position_rate >= 2 * limits.effort
+
+
+@pytest.mark.parametrize("name", ["koul-compliant", "koul-rigid"])
+def test_in_real_time_the_koul_rigs_run_uniformly_at_one_kilohertz(name: str) -> None:
+    realtime = with_realtime(presets.load(name))
+    assert (realtime.controller.position_rate, realtime.controller.velocity_rate) == (1000, 1000)
+    assert (realtime.wall.stiffness, realtime.wall.damping, realtime.trial.effort) == (60.0, 0.2, 0.12)
+    assert realtime.controller.parameters == {"cutoff_hz": 200.0}
+    assert realtime.verdict.lowpass_hz < 500
+
+
+def test_in_real_time_the_chawda_rig_runs_as_it_is() -> None:
+    experiment = presets.load("chawda-linear")
+    assert with_realtime(experiment) == experiment
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_preset_names_plug_ins_that_exist(name: str) -> None:
+    check_plugins(presets.load(name), name)
+    assert rig_model(presets.load(name)).name == name
+
+
+def test_an_unknown_preset_suggests_the_nearest() -> None:
+    with pytest.raises(ConfigError, match="did you mean koul-rigid"):
+        presets.load("koul-rgid")
+    with pytest.raises(ConfigError, match=r"there is no preset 'xyz'.*choose one of: chawda-linear"):
+        presets.text("xyz")

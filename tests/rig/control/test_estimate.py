@@ -1,0 +1,214 @@
+"""Estimators over arrays: the same bits as the loop, honest about what arrays may hold."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal as scipy_signal
+
+from rig.control import estimators
+from rig.control.estimators import estimate, estimate_with_window, quantise
+from rig.control.estimators.arrays import OLDEST_EDGE_S, inputs
+from rig.control.estimators.estimator import WINDOW
+from rig.core.errors import ConfigError
+from sim_backend.sensors import encoder_count
+from tests.conformance.estimator import check_estimator
+
+GUIDE = Path(estimators.__file__).with_name("README.md")
+DT, DELTA = 5e-4, 1e-5
+
+
+def lively(n: int = 400, seed: int = 1) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return np.cumsum(np.round(20 * np.sin(np.arange(n) / 30) + random.normal(0, 2, n)).astype(np.int64))
+
+
+# --- counts -----------------------------------------------------------------------------------------------
+
+
+@given(
+    position=st.floats(-10, 10),
+    resolution=st.floats(1e-6, 1e-2),
+    offset=st.floats(0, 1),
+    sign=st.sampled_from([-1, 1]),
+)
+def test_counts_are_those_of_the_simulated_encoder(position, resolution, offset, sign):
+    found = quantise(position, sign * resolution, offset=offset)
+    assert found == encoder_count(position, resolution, offset, sign)
+    assert found.dtype == np.int64
+
+
+def test_counts_round_to_the_nearest_and_keep_the_shape():
+    counts = quantise([[0.0, 0.4e-6], [0.6e-6, -1.4e-6]], 1e-6)
+    assert counts.tolist() == [[0, 0], [1, -1]]
+    assert quantise([0.9e-6], 1e-6, offset=0.0).tolist() == [0]
+
+
+@pytest.mark.parametrize("position", [math.nan, math.inf, 1e30])
+def test_a_position_that_no_counter_holds_is_refused(position):
+    with pytest.raises(ConfigError, match="not finite or beyond"):
+        quantise([0.0, position], 1e-6)
+
+
+# --- estimates --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_an_array_gives_the_bits_of_the_update_called_sample_by_sample(name):
+    counts, prepared = lively(), estimators.get(name).prepare({}, DELTA, DT)
+    whole, age, elapsed = inputs(counts, DT)
+    memory = (prepared.state_f, prepared.state_i, prepared.parameters)
+    expected, windows = [], []
+    for count, edge_age, n in zip(whole.tolist(), age.tolist(), elapsed.tolist(), strict=True):
+        expected.append(prepared.estimator.update(count, edge_age, n, *memory))
+        windows.append(prepared.state_i[WINDOW])
+    velocity, window = estimate_with_window(name, counts, DT, resolution=DELTA)
+    assert velocity.tolist() == expected
+    assert window.tolist() == windows
+    assert velocity[0] == 0.0
+    assert estimate(name, counts, DT, resolution=DELTA).tolist() == expected
+
+
+def test_settings_reach_the_estimator():
+    counts = lively()
+    velocity = estimate("fdm-butterworth", counts, DT, resolution=DELTA, cutoff_hz=77.0)
+    slopes = np.diff(counts, prepend=counts[0]) * DELTA / DT
+    expected = scipy_signal.sosfilt(scipy_signal.butter(2, 77.0, fs=1 / DT, output="sos"), slopes)
+    assert velocity == pytest.approx(expected, abs=1e-9)
+
+
+def test_rounding_gives_the_finite_difference_its_noise_at_every_rate():
+    """PHYSICS 2i (A) 2: Δ/(√6·T): 0.00408 m/s at 1 kHz, 0.0408 at 10 kHz, 0.0816 at 20 kHz for 10 µm."""
+    for rate, noise in ((1000, 0.00408), (10_000, 0.0408), (20_000, 0.0816)):
+        k = np.arange(40_000)
+        position = DELTA * (0.37 * math.pi * k + 3000 * np.sin(0.0371 * k))
+        velocity = estimate("fdm", quantise(position, DELTA), 1 / rate, resolution=DELTA)
+        error = velocity[1:] - np.diff(position) * rate
+        assert np.std(error) == pytest.approx(noise, rel=0.02)
+        assert noise == pytest.approx(DELTA * rate / math.sqrt(6), rel=2e-3)
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_the_sign_of_the_resolution_is_the_encoders_and_cancels(name):
+    """Counts that fall while the position rises, with a negative resolution, give the same velocity."""
+    position = 1e-3 * np.sin(np.arange(600) / 60)
+    one = estimate(name, quantise(position, DELTA), DT, resolution=DELTA)
+    other = estimate(name, quantise(position, -DELTA), DT, resolution=-DELTA)
+    assert one == pytest.approx(other, rel=1e-6, abs=1e-6 * DELTA / DT)
+
+
+def test_lost_samples_are_told_by_elapsed():
+    elapsed = np.array([1, 1, 5, 1, 2, 1])
+    counts = 3 * np.cumsum(elapsed)
+    velocity = estimate("fdm", counts, DT, resolution=DELTA, elapsed=elapsed)
+    assert velocity[1:] == pytest.approx(3 * DELTA / DT)
+
+
+def test_no_samples_give_no_velocities():
+    assert estimate("fdm", np.zeros(0, np.int64), DT, resolution=DELTA).shape == (0,)
+    assert estimate("fdm", [], DT, resolution=DELTA).shape == (0,)
+
+
+def test_what_is_given_is_left_alone_and_may_be_read_only():
+    counts = lively()
+    counts.setflags(write=False)
+    estimate("fdm", counts[::2], DT, resolution=DELTA)
+    assert (counts == lively()).all()
+
+
+# --- edges ------------------------------------------------------------------------------------------------
+
+
+def test_without_edge_times_an_edge_happens_at_the_sample_that_first_shows_it():
+    _, age, _ = inputs([5, 5, 6, 6, 6, 4, 4], DT)
+    assert age[:2].tolist() == [OLDEST_EDGE_S] * 2, "nobody has seen an edge yet"
+    assert age[2:] == pytest.approx(np.array([0, 1, 2, 0, 1]) * DT)
+
+
+def test_edge_times_become_ages_at_the_samples_and_none_is_the_oldest():
+    _, age, _ = inputs([0, 1, 2], DT, edge_time=[-math.inf, 0.2 * DT, 1.9 * DT])
+    assert age == pytest.approx([OLDEST_EDGE_S, 0.8 * DT, 0.1 * DT])
+
+
+def test_edge_times_count_lost_samples():
+    _, age, _ = inputs([0, 9], DT, edge_time=[-math.inf, 2.5 * DT], elapsed=[1, 3])
+    assert age[1] == pytest.approx(0.5 * DT)
+
+
+# --- what cannot be meant ---------------------------------------------------------------------------------
+
+WRONG = {
+    "unknown estimator": ({"name": "fmd"}, "no estimator 'fmd'"),
+    "unknown setting": ({"cutof": 3.0}, "has no parameter 'cutof'"),
+    "setting out of range": ({"cutoff_hz": -1.0}, "out of range"),
+    "no period": ({"dt": 0.0}, "no period"),
+    "no resolution": ({"resolution": 0.0}, "no travel"),
+    "floats as counts": ({"counts": [0.1, 0.2]}, "not integers.*quantise"),
+    "table of counts": ({"counts": [[1, 2]]}, "2 dimensions"),
+    "edges of another length": ({"edge_time": [0.0]}, "3 counts, but edge_time of shape"),
+    "edge in the future": ({"edge_time": [0.0, 0.0, 1.0]}, "later than its sample"),
+    "edge that is no number": ({"edge_time": [0.0, 0.0, math.nan]}, "not a number"),
+    "elapsed of another length": ({"elapsed": [1, 1]}, "3 counts, but 2 values of elapsed"),
+    "time that stands still": ({"elapsed": [1, 0, 1]}, "below 1"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_meant_is_refused_with_a_remedy(case):
+    changed, text = WRONG[case]
+    arguments = {"name": "fdm-butterworth", "counts": [0, 1, 2], "dt": DT, "resolution": DELTA, **changed}
+    with pytest.raises(ConfigError, match=text) as caught:
+        estimate(arguments.pop("name"), arguments.pop("counts"), arguments.pop("dt"), **arguments)
+    assert caught.value.remedy
+
+
+def test_importing_the_family_compiles_nothing():
+    script = (
+        "import sys, rig.control.estimators\n"
+        "rig.estimators.names()\n"
+        "assert 'numba' not in sys.modules and 'scipy' not in sys.modules\n"
+        "print(rig.control.estimators.estimate('fdm', [0, 2], 0.5, resolution=1.0).tolist())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[0.0, 4.0]"
+    with pytest.raises(AttributeError, match="no attribute 'estimat'"):
+        _ = estimators.estimat
+
+
+# --- the guide's examples ---------------------------------------------------------------------------------
+
+
+def examples() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_the_guides_first_example_runs():
+    names = {"position": 1e-3 * np.sin(np.arange(2000) / 300)}
+    exec(compile(examples()[0], str(GUIDE), "exec"), names)
+    slope = 1e-3 / 300 * np.cos(np.arange(2000) / 300) * 20_000
+    assert names["velocity"][500:] == pytest.approx(slope[500:], abs=0.03 * slope.max())
+
+
+def test_the_guides_own_estimator_keeps_the_promises_of_the_family(tmp_path):
+    path = tmp_path / "lab_estimators.py"
+    path.write_text(examples()[1], encoding="utf-8")
+    module = importlib.util.module_from_spec(
+        spec := importlib.util.spec_from_file_location("lab_estimators", path)
+    )
+    spec.loader.exec_module(module)
+    check_estimator(lambda resolution, period_s: module.ESTIMATOR.prepare({}, resolution, period_s))
+
+
+def test_files_that_the_guide_names_exist():
+    root = GUIDE.parents[2]
+    for name in re.findall(r"`((?:rig|tests)/[\w/.]+)`", GUIDE.read_text(encoding="utf-8")):
+        assert (root / name).exists(), name

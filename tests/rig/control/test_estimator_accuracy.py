@@ -1,0 +1,97 @@
+"""No estimator gets worse than the committed table, unnoticed; and the guide shows that table."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rig.control import estimators
+from rig.experiments.estimators import Variant, score
+from tests.conformance import estimator_accuracy as accuracy
+
+MARGIN = 0.05  # what a compiler or another order of sums may change on a chaotic estimator, and no more
+SMALLEST = 1e-3  # of the motion's rms speed: below that, noise at rest and errors are equal to none
+DELAY_MARGIN_S = 5e-6
+
+TABLE = accuracy.read_table()
+ROWS = {name: [r for r in TABLE["rows"] if r["estimator"] == name] for name in estimators.names()}
+
+
+def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
+    """What became worse, and what became better, in one row."""
+    case = accuracy.case_of(row["case"], row["rate_hz"], row["resolution"])
+    now = score(case, Variant(row["estimator"], row["settings"]))
+    where = f"{row['case']} at {row['rate_hz']:g} Hz, {row['resolution']:g} a count, {row['settings'] or 'defaults'}"
+    if row.get("refused") or now.refused:
+        if bool(row.get("refused")) == (now.refused is not None):
+            return [], []
+        return ([f"{where}: {now.refused}"], []) if now.refused else ([], [f"{where}: realisable now"])
+    worse, better = [], []
+    for number in accuracy.NUMBERS:
+        then, found = row[number], getattr(now, number)
+        if then is None or math.isnan(found):
+            if (then is None) != math.isnan(found):
+                worse.append(f"{where}: {number} is {found}, in the table {then}")
+            continue
+        if number == "delay_s":
+            slack, change = DELAY_MARGIN_S + MARGIN * abs(then), abs(found) - abs(then)
+        else:
+            slack, change = MARGIN * then + SMALLEST * MARGIN * case.speed_rms, found - then
+        if abs(change) > slack:
+            (worse if change > 0 else better).append(
+                f"{where}: {number} {found:.4g}, in the table {then:.4g}"
+            )
+    return worse, better
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_an_estimator_is_as_good_as_the_table_says(name):
+    assert ROWS[name], (
+        f"estimator {name} is missing in {accuracy.TABLE.name}: run {accuracy.REGENERATE} {name}, look at the rows "
+        "and commit them"
+    )
+    worse, better = [], []
+    for row in ROWS[name]:
+        row_worse, row_better = differences(row)
+        worse += row_worse
+        better += row_better
+    assert not worse, f"{name} became worse (if that is meant: {accuracy.REGENERATE} {name}):\n" + "\n".join(
+        worse
+    )
+    assert not better, (
+        f"{name} became better: keep it so with {accuracy.REGENERATE} {name}, and commit the table:\n"
+        + "\n".join(better)
+    )
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_the_table_holds_every_case_of_the_grid(name):
+    found = {(r["case"], r["rate_hz"], r["resolution"]) for r in ROWS[name] if r["tuned"] is None}
+    assert found == set(accuracy.grid()), f"run {accuracy.REGENERATE} {name}"
+
+
+def test_the_table_holds_no_estimator_that_is_gone():
+    assert {row["estimator"] for row in TABLE["rows"]} <= set(estimators.names()), (
+        f"run {accuracy.REGENERATE}"
+    )
+
+
+def test_a_worse_row_is_noticed_and_named():
+    row = next(r for r in ROWS["fdm"] if r["case"] == "sine")
+    worse, better = differences({**row, "rms": 0.9 * row["rms"]})
+    assert [text for text in worse if "sine" in text and "rms" in text]
+    assert not better
+    worse, better = differences({**row, "rms": 1.1 * row["rms"]})
+    assert better
+    assert not worse
+
+
+def test_the_guide_shows_the_committed_table():
+    assert accuracy.main(["--check"]) == 0, f"run {accuracy.REGENERATE} --guide"
+
+
+def test_the_guide_has_every_generated_section_once():
+    text = accuracy.GUIDE.read_text(encoding="utf-8")
+    for section in accuracy.SECTIONS:
+        assert text.count(f"<!-- generated: {section} -->") == 1

@@ -1,0 +1,100 @@
+"""The Butterworth filter of any order, against scipy's second-order sections and its own biquad of order 2."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from rig.control import estimators
+from rig.core.errors import ConfigError
+from tests.conformance.estimator import check_estimator, velocities
+
+RESOLUTION, PERIOD = 1e-5, 5e-4
+MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
+ORDERS = range(1, 9)
+
+
+def butterworth(**given):
+    return estimators.get("fdm-butterworth").prepare(given, RESOLUTION, PERIOD)
+
+
+def differences(counts):
+    return velocities(estimators.get("fdm").prepare({}, RESOLUTION, PERIOD), counts)
+
+
+@settings(max_examples=80, deadline=None)
+@given(motion=MOTION, order=st.sampled_from(ORDERS), cutoff_hz=st.floats(20.0, 900.0))
+def test_each_order_is_scipys_filter_on_the_same_differences(motion, order, cutoff_hz):
+    counts = np.cumsum(motion).tolist()
+    sections = signal.butter(order, cutoff_hz, fs=1 / PERIOD, output="sos")
+    expected = signal.sosfilt(sections, differences(counts))
+    scale = max(1.0, float(np.abs(expected).max()))
+    assert velocities(butterworth(order=order, cutoff_hz=cutoff_hz), counts) == pytest.approx(
+        expected, rel=1e-9, abs=1e-11 * scale
+    )
+
+
+@settings(max_examples=50, deadline=None)
+@given(motion=MOTION, cutoff_hz=st.floats(5.0, 900.0))
+def test_order_two_is_one_biquad_to_the_bit(motion, cutoff_hz):
+    """Transposed direct form II as one writes it down, with the coefficients of ``butter(2, …)``: recordings replay."""
+    counts = np.cumsum(motion).tolist()
+    (b0, b1, b2), (_, a1, a2) = (c.tolist() for c in signal.butter(2, cutoff_hz, fs=1 / PERIOD))
+    s1 = s2 = 0.0
+    expected = []
+    for x in differences(counts).tolist():
+        y = b0 * x + s1
+        s1 = b1 * x - a1 * y + s2
+        s2 = b2 * x - a2 * y
+        expected.append(y)
+    assert velocities(butterworth(cutoff_hz=cutoff_hz), counts).tolist() == expected
+
+
+def test_order_two_keeps_the_layout_of_older_recordings():
+    """Five parameters of its own, and a memory of three numbers is enough: recordings made before there were orders."""
+    new, old = butterworth(), butterworth()
+    assert len(new.parameters) == 2 + 5
+    small = type(old)(old.estimator, old.parameters, np.zeros(3), old.state_i)
+    counts = [0, 3, 9, 9, 2]
+    assert velocities(small, counts).tolist() == velocities(new, counts).tolist()
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order):
+    sections = np.array(butterworth(order=order).parameters[2:]).reshape(-1, 5)
+    delay = sum(signal.group_delay((s[:3], [1.0, *s[3:]]), w=[1e-4])[1][0] for s in sections)
+    assert delay * PERIOD == pytest.approx(
+        PERIOD / (2 * math.tan(math.pi * 0.1) * math.sin(math.pi / (2 * order))), rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("order", [1, 3, 8])
+def test_every_order_keeps_the_promises_of_the_family(order):
+    make = estimators.get("fdm-butterworth").prepare
+    check_estimator(lambda r, p: make({"order": order}, r, p))
+
+
+@settings(max_examples=30, deadline=None)
+@given(before=MOTION, moved=st.integers(-5000, 5000), lost=st.integers(1, 40))
+def test_over_a_gap_every_section_runs_once_for_each_lost_period(before, moved, lost):
+    counts = [0, *np.cumsum(before).tolist()]
+    slopes = [*differences(counts), *[moved * RESOLUTION / (lost * PERIOD)] * lost]
+    expected = signal.sosfilt(signal.butter(5, 200.0, fs=1 / PERIOD, output="sos"), slopes)[-1]
+    seen = velocities(butterworth(order=5), [*counts, counts[-1] + moved], [1] * len(counts) + [lost])[-1]
+    assert seen == pytest.approx(expected, rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize("order", [0, 9])
+def test_an_order_out_of_range_is_refused(order):
+    with pytest.raises(ConfigError, match=rf"order = {order} 1 is out of range.*1 to 8"):
+        butterworth(order=order)
+
+
+def test_an_order_and_a_half_is_refused():
+    with pytest.raises(ConfigError, match=r"order = 2\.5 is not whole"):
+        butterworth(order=2.5)

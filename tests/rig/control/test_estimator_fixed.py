@@ -1,0 +1,210 @@
+"""The fixed-point Butterworth: bit for bit exact arithmetic, and what word lengths do to a velocity."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from rig.control import estimators
+from rig.control.estimators.fdm_butterworth_fixed import Y1, biquad
+from rig.control.fixed_point import ROUNDINGS, Biquad
+from rig.core.errors import ConfigError
+from tests.conformance.estimator import check_estimator, velocities
+from tests.conformance.fixed_law import ExactFilter, golden_vectors
+
+RESOLUTION, PERIOD = 1e-5, 5e-4
+ONE_COUNT = RESOLUTION / PERIOD
+
+COUNT = st.integers(-(2**31), 2**31 - 1)
+MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
+SETTINGS = st.fixed_dictionaries(
+    {
+        "cutoff_hz": st.sampled_from((20.0, 100.0, 200.0, 700.0)),
+        "coefficient_bits": st.sampled_from((14, 20, 28)),
+        "state_bits": st.integers(0, 20),
+        "word_bits": st.integers(24, 32),
+        "rounding": st.sampled_from(ROUNDINGS),
+        "numerator": st.sampled_from(("unit-gain", "nearest")),
+    }
+)
+
+
+def fixed(period_s: float = PERIOD, **given):
+    return estimators.get("fdm-butterworth-fixed").prepare(given, RESOLUTION, period_s)
+
+
+def design(**given) -> Biquad:
+    estimator = estimators.get("fdm-butterworth-fixed")
+    return biquad({s.name: s.default for s in estimator.settings} | given, PERIOD)
+
+
+def response(f: Biquad) -> tuple[np.ndarray, np.ndarray]:
+    """Impulse responses of the rounded coefficients: of the filter, and of 1/A, which rounding errors pass."""
+    one = 2.0**f.coefficient_bits
+    a = np.array([one, f.a1, f.a2]) / one
+    impulse = np.eye(1, 4000)[0]
+    return signal.lfilter(np.array([f.b0, f.b1, f.b2]) / one, a, impulse), signal.lfilter([1.0], a, impulse)
+
+
+def largest_error(f: Biquad) -> float:
+    """What rounding can add to the output at most (counts per period): e·Σ|g| LSB."""
+    return (0.5 if f.rounding == 2 else 1.0) * np.abs(response(f)[1]).sum() * f.state.lsb
+
+
+# --- to the bit -------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=150, deadline=None)
+@given(counts=st.lists(COUNT, min_size=1, max_size=40), given=SETTINGS, data=st.data())
+def test_it_is_exact_arithmetic_to_the_bit_over_gaps_jumps_and_saturation(counts, given, data):
+    elapsed = data.draw(st.lists(st.integers(1, 60), min_size=len(counts), max_size=len(counts)))
+    prepared, exact = fixed(**given), ExactFilter(design(**given))
+    for count, steps in zip(counts, elapsed, strict=True):
+        velocities(prepared, [count], [steps])
+        assert prepared.state_i[Y1] == exact.velocity(count, steps)
+
+
+@pytest.mark.parametrize("rounding", ROUNDINGS)
+def test_the_other_roundings_keep_the_promises_of_the_family_too(rounding):
+    make = estimators.get("fdm-butterworth-fixed").prepare
+    check_estimator(lambda r, p: make({"rounding": rounding, "state_bits": 12}, r, p), linear=False)
+
+
+def test_it_keeps_them_over_a_gap_of_days():
+    v = velocities(fixed(), [0, 10**9], [1, 10**9])
+    assert v[1] == pytest.approx(ONE_COUNT, rel=1e-4)
+
+
+# --- against the float filter -----------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), cutoff_hz=st.sampled_from((100.0, 200.0, 500.0)))
+def test_wide_words_give_the_float_filter_within_the_bound_of_rounding(motion, rounding, cutoff_hz):
+    """|error| ≤ e·Σ|g|·LSB for the outputs, and max|x|·Σ|h − h'| for the coefficients; 28 and 18 bits."""
+    given = {"cutoff_hz": cutoff_hz, "coefficient_bits": 28, "state_bits": 18, "rounding": rounding}
+    f = design(**given)
+    counts = [0, *np.cumsum(motion).tolist()]
+    section = signal.butter(2, cutoff_hz, fs=1 / PERIOD, output="sos")
+    expected = signal.sosfilt(section, np.diff(counts, prepend=0))
+    ideal = signal.sosfilt(section, np.eye(1, 4000)[0])
+    bound = largest_error(f) + max(map(abs, motion)) * np.abs(ideal - response(f)[0]).sum()
+    assert bound < 2e-4
+    error = velocities(fixed(**given), counts) / ONE_COUNT - expected
+    assert np.abs(error).max() <= bound + 1e-9
+
+
+def test_sixteen_bits_of_state_cost_less_than_a_ten_thousandth_count_per_period():
+    assert largest_error(design()) < 1e-4
+
+
+# --- dead zone, bias, gain, limit cycles ------------------------------------------------------------------
+
+
+def steady(per_period: int, out_of: int = 1, **given) -> float:
+    """What a motion of that many counts in so many periods settles at (counts per period), mean of the last ones."""
+    counts = [per_period * k // out_of for k in range(4000)]
+    return float(velocities(fixed(**given), counts)[-200:].mean() / ONE_COUNT)
+
+
+def test_slow_motion_reads_as_rest_below_the_dead_zone():
+    """State of 0 bits: one count a period is one LSB, and the dead zone at fs/20 is 12.45 of them."""
+    given = {"cutoff_hz": 100.0, "state_bits": 0, "rounding": "zero"}
+    dead_zone = design(**given).dead_zone
+    assert dead_zone == pytest.approx(12.45, abs=0.01)
+    assert steady(12, **given) == steady(-12, **given) == 0.0
+    assert steady(13, **given) > 0.0
+    half = given | {"rounding": "nearest"}
+    assert design(**half).dead_zone == dead_zone / 2
+    assert steady(6, **half) == 0.0
+    assert steady(7, **half) > 0.0
+
+
+def test_at_a_high_rate_every_count_of_a_slow_handle_vanishes():
+    """Koul et al., figure 8: the velocity at 20 kHz is null late in the impact. Here 0.16 rad/s are."""
+    given = {"cutoff_hz": 100.0, "state_bits": 4, "rounding": "zero"}
+    assert steady(1, 20, **given) == 0.0
+    assert steady(1, 20, **given | {"state_bits": 16}) == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize("velocity", [40, -40])
+def test_a_steady_motion_reads_low_by_floor_and_small_by_zero_and_by_no_more_than_the_dead_zone(velocity):
+    given = {"cutoff_hz": 100.0, "state_bits": 0}
+    errors = {r: steady(velocity, **given, rounding=r) - velocity for r in ROUNDINGS}
+    dead_zone = design(**given, rounding="zero").dead_zone
+    assert -dead_zone <= errors["floor"] < 0
+    assert 0 < -math.copysign(1, velocity) * errors["zero"] <= dead_zone
+    assert abs(errors["nearest"]) <= dead_zone / 2
+
+
+def test_floor_leaves_a_handle_at_rest_with_a_negative_velocity_whichever_way_it_came():
+    """For ever, within 1/S LSB; rounding to zero comes back to zero, nearest rests within half of it on either side."""
+    given = {"cutoff_hz": 100.0, "state_bits": 4}
+    dead_zone = design(**given, rounding="floor").dead_zone / 2**4
+    there = [*range(0, 400, 4), *[396] * 3000]
+    for stop in (there, [-c for c in there]):
+        rests = {r: velocities(fixed(**given, rounding=r), stop)[-1] / ONE_COUNT for r in ROUNDINGS}
+        assert -dead_zone <= rests["floor"] < 0.0
+        assert rests["zero"] == 0.0
+        assert 0.0 < abs(rests["nearest"]) <= dead_zone / 2
+
+
+@pytest.mark.parametrize("numerator", ["unit-gain", "nearest"])
+def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator):
+    given = {"cutoff_hz": 20.0, "numerator": numerator, "state_bits": 8}
+    gain = design(**given).dc_gain
+    assert gain == (1.0 if numerator == "unit-gain" else pytest.approx(61 / 62, rel=1e-9))
+    assert steady(5000, **given) == pytest.approx(5000 * gain, rel=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), bits=st.integers(0, 8))
+def test_a_limit_cycle_of_a_handle_at_rest_stays_within_the_bound(motion, rounding, bits):
+    """Whatever came before, rest reads at most e·Σ|g| LSB; rounding to zero reads zero."""
+    given = {"cutoff_hz": 100.0, "state_bits": bits, "rounding": rounding}
+    counts = [*np.cumsum(motion).tolist()]
+    rest = velocities(fixed(**given), counts + counts[-1:] * 600)[-100:] / ONE_COUNT
+    assert np.abs(rest).max() <= largest_error(design(**given)) + 1e-9
+    if rounding == "zero":
+        assert not rest.any()
+
+
+def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign():
+    """A word of 16 bits with 4 behind the point ends at 2048 counts a period."""
+    given = {"word_bits": 16, "state_bits": 4}
+    assert steady(5000, **given) == pytest.approx(2048, abs=1)
+    assert steady(-5000, **given) == pytest.approx(-2048, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"coefficient_bits": 14.5}, r"coefficient_bits = 14\.5 is not whole"),
+        ({"state_bits": 20, "word_bits": 21}, r"Q1\.20 cannot hold one count"),
+        ({"coefficient_bits": 30, "word_bits": 40}, r"overflow 64 bits"),
+        ({"cutoff_hz": 1.0, "coefficient_bits": 8}, r"another filter.*more coefficient_bits than 8"),
+        ({"cutoff_hz": 1000.0}, r"estimator fdm-butterworth-fixed: .*Nyquist 1000 Hz"),
+        ({"rounding": "even"}, r"rounding = 'even' is unknown.*floor, zero, nearest"),
+    ],
+)
+def test_words_that_cannot_be_meant_are_refused(given, message):
+    with pytest.raises(ConfigError, match=message):
+        fixed(**given)
+
+
+def test_golden_velocities_are_what_the_compiled_filter_computes():
+    vectors = golden_vectors(seed=3)
+    f, n = vectors.filter, vectors.velocity_divider
+    prepared = fixed()
+    prepared.parameters[2:] = [
+        f.b0, f.b1, f.b2, f.a1, f.a2,
+        f.coefficient_bits, f.state.fraction_bits, f.state.word_bits, f.rounding, 1.0,
+    ]  # fmt: skip
+    for tick in range(0, len(vectors.counts), n):
+        velocities(prepared, [vectors.counts[tick]])
+        assert prepared.state_i[Y1] == vectors.velocities[tick]

@@ -1,0 +1,96 @@
+"""The hybrid of FOAW and Levant: each alone where the weight says so, both at once in between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.control import estimators
+from rig.control.estimators import arrays
+from rig.core.errors import ConfigError
+
+NAME = "foaw-levant"
+RESOLUTION, PERIOD = 2e-5, 5e-4  # a coarse linear encoder at 2 kHz
+BOUND = 25.0
+
+
+def bounce(period_s=PERIOD, resolution=RESOLUTION):
+    """PHYSICS 2i (C): 0.1 m/s into a wall that rings at 34 Hz with ζ = 0.05; counts and true velocity."""
+    t = np.arange(0.0, 0.4, period_s) - 0.1
+    w, zeta = 2 * np.pi * 34.0, 0.05
+    wd, s = w * np.sqrt(1 - zeta**2), np.maximum(t, 0.0)
+    decay = 0.1 * np.exp(-zeta * w * s)
+    position = np.where(t < 0, 0.1 * t, decay / wd * np.sin(wd * s))
+    velocity = np.where(t < 0, 0.1, decay * (np.cos(wd * s) - zeta * w / wd * np.sin(wd * s)))
+    return arrays.quantise(position, resolution), velocity
+
+
+def both(counts, period_s=PERIOD, resolution=RESOLUTION, **given):
+    levant = {k: v for k, v in given.items() if k not in ("fast_window", "slow_window")}
+    return (
+        *arrays.estimate_with_window("foaw-end", counts, period_s, resolution=resolution),
+        arrays.estimate("levant", counts, period_s, resolution=resolution, **levant),
+        arrays.estimate(NAME, counts, period_s, resolution=resolution, **given),
+    )
+
+
+def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents():
+    counts, _ = bounce()
+    foaw, window, levant, hybrid = both(counts, lipschitz=BOUND, fast_window=2.0, slow_window=8.0)
+    straight = np.clip((window - 2.0) / 6.0, 0.0, 1.0)
+    levant_bound = 2 * np.sqrt(BOUND * RESOLUTION)
+    with np.errstate(divide="ignore"):
+        foaw_bound = RESOLUTION / (window * PERIOD)
+    weight = straight * levant_bound**2 / (levant_bound**2 + foaw_bound**2)
+    assert hybrid == pytest.approx(weight * foaw + (1 - weight) * levant, rel=1e-12, abs=1e-15)
+    assert 0.0 < weight.max() < 1.0
+    assert weight.min() == 0.0
+
+
+def test_in_the_impact_it_is_levant_alone():
+    counts, _ = bounce(resolution=1e-6)
+    _, window, levant, hybrid = both(counts, resolution=1e-6, lipschitz=BOUND)
+    bent = window <= 2
+    assert bent.sum() > 20
+    assert (hybrid[bent] == levant[bent]).all()
+
+
+def test_at_rest_it_does_not_chatter_even_where_levant_does():
+    """An explicit Levant buzzes at rest for ever; FOAW's long window takes most of it away."""
+    counts = np.full(4000, 100)
+    counts[0] = 0
+    _, _, levant, hybrid = both(counts, lipschitz=BOUND, discretisation="explicit")
+    noise = [np.sqrt(np.mean(v[-1000:] ** 2)) for v in (levant, hybrid)]
+    assert noise[1] < 0.05 * noise[0]
+
+
+@pytest.mark.parametrize("period_s", [1e-3, 5e-4])
+def test_on_a_hit_with_a_coarse_encoder_it_is_better_than_either(period_s):
+    counts, velocity = bounce(period_s)
+    foaw, _, levant, hybrid = both(counts, period_s, lipschitz=21.4)
+    error = [float(np.sqrt(np.mean((v - velocity)[5:] ** 2))) for v in (foaw, levant, hybrid)]
+    assert error[2] < 0.95 * min(error[:2])
+
+
+def test_where_foaw_is_held_back_by_its_window_limit_the_noise_bound_hands_over_to_levant():
+    """At 50 kHz the longest window is 0.3 ms: FOAW is always 'straight', and three times as noisy as Levant."""
+    counts, velocity = bounce(2e-5)
+    foaw, _, levant, hybrid = both(counts, 2e-5, lipschitz=21.4)
+    error = [float(np.sqrt(np.mean((v - velocity)[500:] ** 2))) for v in (foaw, levant, hybrid)]
+    assert error[1] < error[2] < 0.7 * error[0]
+
+
+def test_the_window_in_the_row_is_that_of_foaw():
+    counts, _ = bounce()
+    expected = arrays.estimate_with_window("foaw-end", counts, PERIOD, resolution=RESOLUTION)[1]
+    assert (arrays.estimate_with_window(NAME, counts, PERIOD, resolution=RESOLUTION)[1] == expected).all()
+
+
+def test_windows_out_of_order_and_gains_out_of_region_are_refused():
+    prepare = estimators.get(NAME).prepare
+    with pytest.raises(ConfigError, match=r"fast_window = 8, slow_window = 8 .* not in order"):
+        prepare({"fast_window": 8.0}, RESOLUTION, PERIOD)
+    with pytest.raises(ConfigError, match=r"slow_window = 30 and window_limit = 16 .* not in order"):
+        prepare({"slow_window": 30.0}, RESOLUTION, PERIOD)
+    with pytest.raises(ConfigError, match=r"foaw-levant: mu1 = 1\.5, mu2 = 3 lie outside the region 'hba'"):
+        prepare({"gains": "hba", "mu1": 1.5, "mu2": 3.0}, RESOLUTION, PERIOD)

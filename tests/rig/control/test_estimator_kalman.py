@@ -1,0 +1,410 @@
+"""The Kalman filter against its matrices in SI units, the Riccati equation, and what the physics demands."""
+# ruff: noqa: N806  (matrices have capital letters)
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, linalg
+
+from rig.control import estimators
+from rig.control.estimators import kalman
+from rig.control.estimators.estimator import PERIOD as PERIOD_INDEX
+from rig.control.estimators.kalman import GAIN1, P11, P12, P13, P22, P23, P33
+from rig.control.estimators.kalman_model import process_noise, steady_gain
+from rig.core.errors import ConfigError
+from tests.conformance.estimator import check_estimator, velocities
+
+RESOLUTION, PERIOD = 1e-6, 1e-3  # Chawda et al., section V
+PAPER = {"q": 2.5e4, "variance": "paper"}
+FADINGS = ("instant", "window", "stf")
+
+
+def prepare(resolution=RESOLUTION, period_s=PERIOD, **given_settings):
+    return estimators.get("kalman").prepare(given_settings, resolution, period_s)
+
+
+def transition(order):
+    return np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
+
+
+def covariance(prepared):
+    p = prepared.state_f
+    return np.array([[p[P11], p[P12], p[P13]], [p[P12], p[P22], p[P23]], [p[P13], p[P23], p[P33]]])
+
+
+def textbook(
+    counts, elapsed, *, order, q, r, fading="none", memory=16, rho=0.95, printed=False, period=PERIOD,
+    resolution=RESOLUTION,
+):  # fmt: skip
+    """The filter as a book writes it: matrices, metres and seconds, absolute positions. Velocities, largest λ."""
+    T, n = period, order
+    A = linalg.expm(np.diag(np.ones(n - 1), 1) * T)
+    H = np.eye(1, n)
+    units = np.diag([T**-i for i in range(n)])
+    Q = np.array(
+        [
+            [
+                q * T ** (2 * n + 1 - i - j)
+                / (math.factorial(n - i) * math.factorial(n - j))
+                / (math.factorial(2 * n + 1 - i - j) if printed else 2 * n + 1 - i - j)
+                for j in range(1, n + 1)
+            ]
+            for i in range(1, n + 1)
+        ]
+    )  # fmt: skip
+    x = np.zeros((n, 1))
+    x[0] = counts[0] * resolution
+    P = units @ np.diag([r, *[resolution**2] * (n - 1)]) @ units.T
+    power, squares, out, largest = None, [], [0.0], 1.0
+    for count, periods in zip(counts[1:], elapsed[1:], strict=True):
+        for _ in range(periods - 1):
+            x, P = A @ x, A @ P @ A.T + Q
+        x, M = A @ x, A @ P @ A.T
+        nu = (count * resolution - H @ x).item()
+        squares.append(nu**2)
+        power = nu**2 if power is None else (rho * power + nu**2) / (1 + rho)
+        c0 = {"none": 0.0, "instant": nu**2, "window": np.mean(squares[-memory:]), "stf": power}[fading]
+        fade = max(1.0, (c0 - r - Q[0, 0]) / M[0, 0])
+        P = fade * M + Q
+        K = P @ H.T / ((H @ P @ H.T).item() + r)
+        x = x + K * nu
+        L = np.eye(n) - K @ H
+        P = L @ P @ L.T + r * K @ K.T
+        out.append(x[1, 0])
+        largest = max(largest, fade)
+    return np.array(out), largest
+
+
+MOTION = st.lists(
+    st.tuples(st.integers(-30, 30), st.sampled_from([1, 1, 1, 1, 2, 5])), min_size=2, max_size=60
+)
+
+
+@settings(max_examples=120)
+@given(
+    samples=MOTION,
+    order=st.sampled_from([2, 3]),
+    variance=st.sampled_from([("rounding", 12), ("paper", 3)]),
+    fading=st.sampled_from(["none", *FADINGS]),
+    bandwidth_hz=st.sampled_from([5.0, 40.0, 250.0]),
+    memory=st.sampled_from([1, 4, 16, 64]),
+    rho=st.sampled_from([0.0, 0.5, 0.95]),
+)
+def test_every_variant_is_the_textbook_filter(samples, order, variance, fading, bandwidth_hz, memory, rho):
+    """Counts, periods, scalars and a moving origin against matrices in metres and seconds."""
+    name, divisor = variance
+    counts, elapsed = np.cumsum([s for s, _ in samples]).tolist(), [n for _, n in samples]
+    r = RESOLUTION**2 / divisor
+    q = (2 * math.pi * bandwidth_hz) ** (2 * order) * r * PERIOD
+    expected, _ = textbook(counts, elapsed, order=order, q=q, r=r, fading=fading, memory=memory, rho=rho)
+    mine = velocities(
+        prepare(
+            model="triple" if order == 3 else "double", q=q, variance=name, fading=fading,
+            fading_window=memory, forgetting=rho,
+        ),
+        counts, elapsed,
+    )  # fmt: skip
+    scale = np.abs(expected).max() + RESOLUTION / PERIOD
+    assert mine == pytest.approx(expected, rel=1e-7, abs=1e-7 * scale)
+
+
+@pytest.mark.parametrize("fading", ["none", *FADINGS])
+def test_the_noise_as_printed_runs_as_printed(fading):
+    random = np.random.default_rng(2)
+    counts = np.cumsum(random.integers(-20, 20, 200)).tolist()
+    r, bandwidth_hz = RESOLUTION**2 / 3, 100.0
+    q = (2 * math.pi * bandwidth_hz) ** 6 * r * PERIOD
+    expected, largest = textbook(counts, [1] * 200, order=3, q=q, r=r, fading=fading, printed=True)
+    mine = velocities(prepare(q=q, variance="paper", noise="printed", fading=fading), counts)
+    assert mine == pytest.approx(expected, rel=1e-7, abs=1e-7 * np.abs(expected).max())
+    assert (largest > 2.0) == (fading != "none")  # fading really happened
+
+
+# --- process noise ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_process_noise_is_the_integral_over_one_period(order):
+    """PHYSICS 2i (A) 1: the covariance of white noise carried to the end of the period."""
+    a, g = np.diag(np.ones(order - 1), 1), np.eye(order)[:, -1:]
+
+    def carried(s):
+        return linalg.expm(a * s) @ g @ g.T @ linalg.expm(a.T * s)
+
+    expected, _ = integrate.quad_vec(carried, 0.0, 1.0)
+    assert process_noise(order) == pytest.approx(expected, rel=1e-12)
+    assert np.linalg.eigvalsh(process_noise(order)).min() > 0
+
+
+def test_the_process_noise_as_printed_is_no_covariance():
+    printed = process_noise(3, printed=True)
+    expected = [[1 / 480, 1 / 48, 1 / 12], [1 / 48, 1 / 6, 1 / 2], [1 / 12, 1 / 2, 1]]
+    assert printed == pytest.approx(np.array(expected), rel=1e-15)
+    assert np.linalg.eigvalsh(printed).min() == pytest.approx(-0.0715, abs=1e-4)
+
+
+def test_q_has_the_unit_of_length_squared():
+    """Metres or millimetres: the same filter, when q goes with the square of the unit."""
+    counts = np.cumsum(np.random.default_rng(3).integers(-9, 9, 100)).tolist()
+    metres = velocities(prepare(1e-6, **PAPER), counts)
+    millimetres = velocities(prepare(1e-3, q=2.5e4 * 1e6, variance="paper"), counts)
+    assert millimetres == pytest.approx(1e3 * metres, rel=1e-9)
+
+
+@pytest.mark.parametrize(("model", "order"), [("triple", 3), ("double", 2)])
+def test_a_bandwidth_is_a_q(model, order):
+    by_bandwidth = prepare(model=model, bandwidth_hz=50.0).parameters
+    q = (2 * math.pi * 50.0) ** (2 * order) * (RESOLUTION**2 / 12) * PERIOD
+    assert by_bandwidth == pytest.approx(prepare(model=model, q=q).parameters, rel=1e-12)
+
+
+# --- steady state -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["triple", "double"])
+@pytest.mark.parametrize("bandwidth_hz", [1.0, 30.0, 100.0, 450.0])
+def test_the_recursion_converges_to_the_steady_gain(model, bandwidth_hz):
+    """PHYSICS 2i (A) 1: two roads to one number, the recursion that runs and scipy's Riccati equation."""
+    recursive = prepare(model=model, bandwidth_hz=bandwidth_hz)
+    velocities(recursive, [0] * int(20_000 / bandwidth_hz + 50))
+    gain = covariance(recursive)[0] * 12  # the first row of the covariance is r·K
+    steady = prepare(model=model, bandwidth_hz=bandwidth_hz, gain="steady")
+    assert gain == pytest.approx(steady.parameters[GAIN1 : GAIN1 + 3], rel=1e-6, abs=1e-15)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("turn", [1e-3, 1e-2, 0.3, 2.0])
+def test_the_steady_gain_solves_the_riccati_equation(order, turn):
+    """Put back into one step of the recursion, in matrices, it returns itself."""
+    r = 1 / 12
+    noise = turn ** (2 * order) * r * process_noise(order)
+    K = steady_gain(noise, r)
+    # P after the update, from K: its Lyapunov equation P = L(A·P·Aᵀ + Q)Lᵀ + r·K·Kᵀ.
+    L = np.eye(order) - np.outer(K, np.eye(order)[0])
+    P = linalg.solve_discrete_lyapunov(L @ transition(order), L @ noise @ L.T + r * np.outer(K, K))
+    predicted = transition(order) @ P @ transition(order).T + noise
+    assert predicted[:, 0] / (predicted[0, 0] + r) == pytest.approx(K, rel=1e-4)
+
+
+def test_slow_filters_have_the_gains_of_the_continuous_limit():
+    """Poles of a Butterworth filter at ω0: K → (2, 2, 1)·(ω0·T)^(1, 2, 3) for three integrators."""
+    w = 2 * math.pi * 1.0 * PERIOD
+    gain = prepare(bandwidth_hz=1.0, gain="steady").parameters[GAIN1 : GAIN1 + 3]
+    assert gain == pytest.approx([2 * w, 2 * w**2, w**3], rel=1.5 * w)
+
+
+def response(prepared, frequency_hz, length=4000):
+    """Gain of the running filter from position to velocity, from what it makes of one count for one sample."""
+    counts = [0] * length
+    counts[1] = 1
+    k = np.arange(length) - 1
+    period_s = prepared.parameters[PERIOD_INDEX]
+    phases = np.exp(-2j * math.pi * np.outer(frequency_hz, k) * period_s)
+    return phases @ velocities(prepared, counts) / prepared.parameters[0]
+
+
+def test_the_papers_q_at_1_khz_peaks_by_1_57_at_286_hz():
+    """PHYSICS 2i (A) 1: relative to an ideal differentiator. Nearly all-pass, and no velocity filter."""
+    f = np.arange(1.0, 500.0)
+    gain = np.abs(response(prepare(gain="steady", **PAPER), f) / (2j * math.pi * f))
+    assert gain.max() == pytest.approx(1.57, abs=0.005)
+    assert f[gain.argmax()] == pytest.approx(286, abs=1)
+    q, r = PAPER["q"], RESOLUTION**2 / 3
+    assert (q / (r * PERIOD)) ** (1 / 6) / (2 * math.pi) == pytest.approx(327, abs=1)
+
+
+def test_two_integrators_are_a_second_order_butterworth_filter_behind_a_differentiator():
+    f = np.array([10.0, 50.0, 100.0, 200.0])
+    prepared = prepare(period_s=2e-5, model="double", bandwidth_hz=100.0, gain="steady")
+    s = 1j * f / 100.0
+    expected = 2j * math.pi * f / (s**2 + math.sqrt(2) * s + 1)
+    assert np.abs(response(prepared, f, 20_000) / expected) == pytest.approx(1.0, abs=0.02)
+
+
+def test_three_integrators_follow_an_acceleration_without_lag_and_two_do_with_theirs():
+    """√2/ω0 = 2.25 ms at 100 Hz, the delay of the Butterworth filter, against none."""
+    k = np.arange(4000)
+    acceleration, period_s = 2 * RESOLUTION / 1e-4**2, 1e-4  # position of k² counts: no rounding at all
+    late = {}
+    for model in ("triple", "double"):
+        v = velocities(prepare(period_s=period_s, model=model, bandwidth_hz=100.0), (k**2).tolist())
+        late[model] = k[-1] * period_s - v[-1] / acceleration
+    assert abs(late["triple"]) < 1e-9
+    assert late["double"] == pytest.approx(math.sqrt(2) / (2 * math.pi * 100.0), rel=0.05)
+
+
+def test_the_covariance_says_how_large_the_error_of_the_velocity_is():
+    """On motion that is as rough as the model believes: white jerk, rounded to counts."""
+    random = np.random.default_rng(8)
+    intensity = (2 * math.pi * 50.0 * PERIOD) ** 6 / 12
+    kick = np.linalg.cholesky(intensity * process_noise(3))
+    x, true = np.array([0.0, 300.0, 0.0]), []
+    for _ in range(20_000):
+        true.append(x)
+        x = transition(3) @ x + kick @ random.standard_normal(3)
+    true = np.array(true)
+    filter_ = prepare(bandwidth_hz=50.0)
+    error = (
+        velocities(filter_, np.floor(true[:, 0] + 0.5).astype(int).tolist()) / (RESOLUTION / PERIOD)
+        - true[:, 1]
+    )
+    assert np.std(error[1000:]) == pytest.approx(math.sqrt(filter_.state_f[P22]), rel=0.05)
+
+
+@pytest.mark.parametrize("fading", ["none", *FADINGS])
+def test_the_covariance_stays_positive(fading):
+    random = np.random.default_rng(4)
+    filter_ = prepare(bandwidth_hz=20.0, fading=fading)
+    for size in (1, 300, 1, 10_000, 1):
+        velocities(filter_, random.integers(-size, size, 200, endpoint=True).tolist())
+        P = covariance(filter_)
+        scale = 1 / np.sqrt(np.diag(P))
+        assert np.linalg.eigvalsh(P * np.outer(scale, scale)).min() > 1e-7
+
+
+@pytest.mark.parametrize("noise", ["integral", "printed"])
+@pytest.mark.parametrize("fading", ["none", *FADINGS])
+def test_a_burst_of_false_counts_is_forgotten(fading, noise):
+    """Jumps over the whole counter leave nothing behind: neither in the state nor in the covariance."""
+    random = np.random.default_rng(6)
+    counts = np.cumsum(random.integers(-3, 4, 3000)).tolist()
+    burst = random.integers(-(2**31), 2**31, 7).tolist()
+    clean, hit = (prepare(bandwidth_hz=20.0, fading=fading, noise=noise) for _ in range(2))
+    expected = velocities(clean, counts)[-1000:]
+    seen = velocities(hit, [0] * 50 + burst + counts)[-1000:]
+    assert seen == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
+
+
+# --- fading -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fading", FADINGS)
+def test_where_nothing_surprises_fading_is_the_plain_filter_to_the_bit(fading):
+    """λ ≡ 1: a filter that expects more than one count a period is never surprised by one."""
+    counts = np.cumsum(np.random.default_rng(5).integers(-1, 2, 300)).tolist()
+    plain = velocities(prepare(q=1e6), counts)
+    assert (velocities(prepare(q=1e6, fading=fading), counts) == plain).all()
+
+
+@pytest.mark.parametrize("fading", FADINGS)
+def test_after_an_impact_fading_finds_the_new_velocity_sooner(fading):
+    k = np.arange(200)
+    counts = np.where(k < 100, 50 * k, 5000 - 50 * (k - 100))
+    after = slice(103, 120)
+    error = {
+        name: np.abs(velocities(prepare(bandwidth_hz=10.0, fading=name), counts)[after] / 1e-3 + 50).mean()
+        for name in ("none", fading)
+    }
+    assert error[fading] < 0.5 * error["none"]
+
+
+# --- gaps -------------------------------------------------------------------------------------------------
+
+
+def test_over_a_gap_the_steady_filter_predicts_with_its_acceleration():
+    """Constant acceleration, no rounding: nothing is lost with the samples."""
+    elapsed = [1] * 400 + [7, 1, 30, 1]
+    k = np.cumsum(elapsed) - 1
+    for gain in ("recursive", "steady"):
+        v = velocities(prepare(gain=gain), (k**2).tolist(), elapsed)
+        assert v[-4:] / (RESOLUTION / PERIOD) == pytest.approx(2 * k[-4:], rel=1e-6)
+
+
+def test_a_gap_of_days_is_a_restart_from_the_mean_slope():
+    later = [0, 1000, 1003, 1009]
+    v = velocities(prepare(), [5, 50, 10_050], [1, 1, 2000])
+    assert v[-1] == pytest.approx(5 * RESOLUTION / PERIOD, rel=1e-12)
+    one, two = prepare(), prepare()
+    velocities(one, [5, 50, -7, 10_050])
+    a = velocities(one, later, [10**9, 1, 1, 1])
+    b = velocities(two, [10_050, *later], [1, 10**9, 1, 1, 1])[1:]
+    assert (a == b).all()  # whatever was before
+
+
+# --- laws of the family -----------------------------------------------------------------------------------
+
+VARIANTS = [
+    *[{"model": m, "gain": g} for m in ("triple", "double") for g in ("recursive", "steady")],
+    *[{"noise": n, "fading": f} for n in ("integral", "printed") for f in FADINGS],
+    {"noise": "printed", "bandwidth_hz": 900.0},
+    {"noise": "printed", "bandwidth_hz": 900.0, "fading": "instant"},
+    {"noise": "printed", "gain": "steady"},
+]
+
+
+@pytest.mark.parametrize("chosen", VARIANTS)
+def test_every_variant_keeps_the_promises_of_the_family(chosen):
+    linear = "fading" not in chosen and chosen.get("bandwidth_hz") is None
+    check_estimator(lambda r, p: estimators.get("kalman").prepare(chosen, r, p), linear=linear)
+
+
+@settings(max_examples=100)
+@given(
+    chosen=st.sampled_from(VARIANTS),
+    samples=st.lists(
+        st.tuples(st.integers(-(2**31), 2**31 - 1), st.one_of(st.just(1), st.integers(1, 1500))), max_size=60
+    ),
+)
+def test_any_counts_and_gaps_give_finite_velocities(chosen, samples):
+    prepared = prepare(period_s=5e-4, **chosen)
+    v = velocities(prepared, [c for c, _ in samples], [n for _, n in samples])
+    assert np.isfinite(v).all()
+    assert np.isfinite(prepared.state_f).all()
+
+
+@settings(max_examples=60)
+@given(steps=st.lists(st.integers(-50, 50), min_size=1, max_size=50), shift=st.integers(-(2**31), 2**31 - 1))
+def test_shift_and_sign_are_exact_and_scale_is_where_nothing_fades(steps, shift):
+    counts = np.cumsum(steps)
+    shifted = (counts + shift + 2**31) % 2**32 - 2**31
+    for chosen in ({}, {"fading": "stf"}, {"gain": "steady"}):
+        v = velocities(prepare(**chosen), counts)
+        assert (velocities(prepare(**chosen), shifted) == v).all()
+        assert (velocities(prepare(**chosen), -counts) == -v).all()
+        if "fading" not in chosen:
+            assert (velocities(prepare(**chosen), 4 * counts) == 4 * v).all()
+
+
+# --- what cannot be meant ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ({"bandwidth_hz": 500.0}, r"bandwidth_hz = 500 Hz is not below Nyquist 500 Hz"),
+        ({"bandwidth_hz": 50.0, "q": 1.0}, r"q = 1 and bandwidth_hz = 50 Hz are both given.*give one"),
+        ({"model": "double", "noise": "printed"}, r"for the triple integrator only.*integral"),
+        ({"gain": "steady", "fading": "stf"}, r"a steady gain cannot fade.*recursive"),
+        ({"noise": "printed", "q": 1e7}, r"negative variances at ω0·T = .*up to 3"),
+        ({"fading_window": 2.5, "fading": "window"}, r"fading_window = 2.5 is not a whole number"),
+        ({"model": "quadruple"}, r"model = 'quadruple' is unknown.*triple, double"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(chosen, message):
+    with pytest.raises(ConfigError, match=message):
+        prepare(**chosen)
+
+
+def test_beyond_the_limit_the_printed_noise_does_give_a_negative_variance():
+    """Why `PRINTED_LIMIT` is where it is: the same recursion in matrices, below and above."""
+
+    def smallest(turn):
+        A, H, r = transition(3), np.eye(1, 3), 1 / 12
+        Q = turn**6 * r * process_noise(3, printed=True)
+        P, seen = np.diag([r, 1.0, 1.0]), []
+        for _ in range(200):
+            P = A @ P @ A.T + Q
+            seen.append(P[0, 0])
+            K = P @ H.T / (P[0, 0] + r)
+            L = np.eye(3) - K @ H
+            P = L @ P @ L.T + r * K @ K.T
+        return min(seen)
+
+    assert smallest(kalman.PRINTED_LIMIT) > 0
+    assert smallest(2.05) > 0  # the paper's own
+    assert smallest(5.0) < 0

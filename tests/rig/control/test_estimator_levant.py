@@ -1,0 +1,336 @@
+"""Levant's differentiator: chatter, rest, convergence and error, each against a number that was known before."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from rig.control.estimators import arrays, levant, levant_regions
+from rig.control.estimators.levant import ALPHA, ERROR, LAMBDA, U1, step
+from rig.core.errors import ConfigError
+from tests.conformance.estimator import check_estimator, velocities
+
+RESOLUTION, PERIOD = 1e-6, 1e-4
+MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
+
+
+def prepare(resolution=RESOLUTION, period_s=PERIOD, **given):
+    return levant.ESTIMATOR.prepare(given, resolution, period_s)
+
+
+def run(counts, resolution=RESOLUTION, period_s=PERIOD, **given):
+    prepared = prepare(resolution, period_s, **given)
+    return arrays.run(prepared, *arrays.inputs(counts, period_s))[0]
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def textbook(position, period_s, bound, gains, scheme):
+    """Equation (9) in SI units and the textbook's words; u and u1 at each sample."""
+    alpha, gain = gains[0] * bound, gains[1] * math.sqrt(bound)
+    x, u1, out = position[0], 0.0, [(0.0, 0.0)]
+    for f in position[1:]:
+        e = x - f
+        if scheme == "explicit":
+            u = u1 - gain * math.sqrt(abs(e)) * np.sign(e)
+            u1 -= period_s * alpha * np.sign(e)
+        elif scheme == "semi-implicit":
+            u1 -= period_s * alpha * np.sign(e)
+            u = u1 - gain * math.sqrt(abs(e)) * np.sign(e)
+        else:
+            a, b, c = period_s * gain, f - x - period_s * u1, period_s**2 * alpha
+            if b < -c:
+                u1 -= period_s * alpha
+                u = u1 - gain * (-a + math.sqrt(a * a - 4 * (b + c))) / 2
+            elif b > c:
+                u1 += period_s * alpha
+                u = u1 + gain * (-a + math.sqrt(a * a + 4 * (b - c))) / 2
+            else:
+                u1 += b / period_s
+                u = u1
+        x += period_s * u
+        out.append((u, u1))
+    return np.array(out)
+
+
+# --- the family -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("output", levant.OUTPUTS)
+@pytest.mark.parametrize("scheme", levant.SCHEMES)
+def test_every_scheme_and_output_keeps_the_promises_of_the_family(scheme, output):
+    chatter = 0.01 if scheme == "implicit" else 0.1  # 1.7·α·T against the ramp of 7 counts a period
+    check_estimator(
+        lambda r, p: levant.ESTIMATOR.prepare({"discretisation": scheme, "output": output}, r, p),
+        linear=False,
+        ramp_tolerance=chatter,
+    )
+
+
+@pytest.mark.parametrize("gains", ["levant", "hba-sc"])
+@pytest.mark.parametrize("scheme", levant.SCHEMES)
+def test_in_counts_and_periods_it_is_the_textbook_in_si(scheme, gains):
+    counts = np.cumsum(np.random.default_rng(2).integers(-40, 60, 2000))
+    pair = levant_regions.NAMED_GAINS[gains]
+    expected = textbook(counts * RESOLUTION, PERIOD, 30.0, pair, scheme)
+    for column, output in enumerate(levant.OUTPUTS):
+        seen = run(counts, lipschitz=30.0, gains=gains, discretisation=scheme, output=output)
+        assert seen == pytest.approx(expected[:, column], abs=1e-6)  # of a count a period, 0.01 m/s
+
+
+@settings(max_examples=50, deadline=None)
+@given(motion=MOTION, scheme=st.sampled_from(levant.SCHEMES), bound=st.sampled_from([0.5, 30.0, 2000.0]))
+def test_four_times_the_motion_under_four_times_the_bound_reads_four_times_the_velocity(
+    motion, scheme, bound
+):
+    """Exactly: four is a square of a power of two, so that even the root rounds alike."""
+    counts = np.cumsum(motion)
+    one = run(counts, lipschitz=bound, discretisation=scheme)
+    assert (run(4 * counts, lipschitz=4 * bound, discretisation=scheme) == 4 * one).all()
+    assert (run(counts, -RESOLUTION, lipschitz=bound, discretisation=scheme) == -one).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    motion=MOTION,
+    jump=st.integers(-100, 100),
+    lost=st.integers(1, 40),
+    scheme=st.sampled_from(levant.SCHEMES),
+)
+def test_lost_periods_are_run_through_along_a_straight_line(motion, jump, lost, scheme):
+    counts = [0, *np.cumsum(motion).tolist()]
+    whole = [*counts, *(counts[-1] + jump * np.arange(1, lost + 1)).tolist()]
+    given = {"lipschitz": 30.0, "discretisation": scheme}
+    seen = velocities(prepare(**given), [*counts, whole[-1]], [1] * len(counts) + [lost])
+    assert seen[-1] == velocities(prepare(**given), whole)[-1]
+
+
+def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope():
+    gap = levant.LONGEST_GAP + 1
+    prepared = prepare()
+    v = velocities(prepared, [0, 5, 5 + 3 * gap, 8 + 3 * gap], [1, 1, gap, 1])
+    assert v[2:] == pytest.approx(3 * RESOLUTION / PERIOD, rel=1e-12)
+    assert prepared.state_f[U1] == 3.0
+    assert prepared.state_f[ERROR] == 0.0
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    counts=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=50),
+    bound=st.sampled_from([1e-6, 1.0, 1e9]),
+    scheme=st.sampled_from(levant.SCHEMES),
+)
+def test_no_counts_and_no_bound_give_anything_but_a_number(counts, bound, scheme):
+    assert np.isfinite(run(counts, lipschitz=bound, discretisation=scheme)).all()
+
+
+# --- chatter ----------------------------------------------------------------------------------------------
+
+CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
+    ("hba-sc", "explicit", 1.167, 1.665),
+    ("levant", "explicit", 0.707, 1.000),
+    ("hba-sc", "semi-implicit", 1.234, 1.391),
+    ("levant", "semi-implicit", 1.734, 1.734),
+]
+
+
+@pytest.mark.parametrize(
+    ("period_s", "bound", "offset"), [(1e-3, 6.0, 100), (5e-5, 30.0, 1000), (1e-4, 100.0, 1)]
+)
+@pytest.mark.parametrize(("gains", "scheme", "expected_rms", "peak"), CHATTER)
+def test_an_explicit_scheme_chatters_at_rest_by_a_fixed_number_of_alpha_t(
+    gains, scheme, expected_rms, peak, period_s, bound, offset
+):
+    """Whatever T, C and the offset from which it comes: 0.77 N of force at B = 100, C = 6, 1 kHz."""
+    counts = np.full(40_000, offset)
+    counts[0] = 0
+    v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, discretisation=scheme)[-10_000:]
+    unit = 1.1 * bound * period_s
+    assert rms(v) == pytest.approx(expected_rms * unit, rel=2e-3)
+    assert np.abs(v).max() == pytest.approx(peak * unit, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "bound", "offset"), [(1e-3, 6.0, 100), (5e-5, 30.0, 1000), (1e-4, 100.0, 1)]
+)
+@pytest.mark.parametrize("gains", ["hba-sc", "levant"])
+@pytest.mark.parametrize("output", levant.OUTPUTS)
+def test_the_implicit_scheme_rests_exactly(gains, output, period_s, bound, offset):
+    counts = np.full(40_000, offset)
+    counts[0] = 0
+    v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, output=output)
+    assert (v[-1000:] == 0.0).all()
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    error=st.floats(-1e6, 1e6),
+    u1=st.floats(-1e5, 1e5),
+    alpha=st.floats(1e-6, 1e3),
+    gain=st.floats(1e-3, 100.0),
+)
+def test_the_implicit_step_solves_its_inclusion(error, u1, alpha, gain):
+    """x⁺ = x + u, u = u1⁺ − λ·|e⁺|^½·σ, u1⁺ = u1 − α·σ with one σ ∈ sign(e⁺), the set [−1, 1] at zero."""
+    after, u1_after, u = step(error, u1, alpha, gain, 2)
+    scale = 1e-9 * (abs(error) + abs(u1) + alpha)
+    assert after == pytest.approx(error + u, abs=scale)
+    sigma = (u1 - u1_after) / alpha
+    assert abs(sigma) <= 1.0 + scale / alpha
+    if abs(after) <= scale:
+        assert u == pytest.approx(u1_after, abs=scale + gain * math.sqrt(scale))
+    else:
+        assert sigma == pytest.approx(math.copysign(1.0, after), abs=scale / alpha)
+        root = (u1_after - u) / gain * math.copysign(1.0, after)
+        assert root >= -scale / gain
+        assert root**2 == pytest.approx(abs(after), abs=scale * (1 + root / gain))
+
+
+@settings(max_examples=50, deadline=None)
+@given(bends=st.lists(st.integers(-3, 3), min_size=2, max_size=80))
+def test_where_alpha_exceeds_every_bend_of_the_counts_the_implicit_scheme_is_the_finite_difference(bends):
+    """So at 1 kHz and 1 µm any C from 2.8 m/s² on leaves a bend of three counts unfiltered."""
+    slopes = np.concatenate([[0], np.cumsum(bends)])
+    counts = np.concatenate([[0], np.cumsum(slopes)])
+    v = run(counts, 1e-6, 1e-3, lipschitz=2.8)
+    assert v[1:] == pytest.approx(np.diff(counts) * 1e-3, rel=1e-12, abs=1e-15)
+
+
+# --- convergence and error --------------------------------------------------------------------------------
+
+
+def sine(period_s, duration_s=1.0, amplitude=0.01, frequency_hz=5.0):
+    """Position, velocity and largest acceleration (9.87 m/s²) of a swing that starts at full speed."""
+    t, w = np.arange(0.0, duration_s, period_s), 2 * math.pi * frequency_hz
+    return amplitude * np.sin(w * t), amplitude * w * np.cos(w * t), amplitude * w * w
+
+
+@pytest.mark.parametrize("scheme", levant.SCHEMES)
+@pytest.mark.parametrize("gains", ["levant", "hba-sc"])
+def test_without_noise_it_converges_in_finite_time_to_an_error_of_the_order_of_c_t(scheme, gains):
+    position, velocity, bound = sine(1e-4)
+    fine = 1e-12
+    v = run(
+        arrays.quantise(position, fine), fine, 1e-4, lipschitz=1.2 * bound, gains=gains, discretisation=scheme
+    )
+    late = np.abs(v - velocity)[5000:]
+    assert late.max() < 4 * 1.2 * bound * 1e-4
+    assert np.abs(v - velocity)[1] > 0.1  # it did not begin there
+
+
+def test_an_acceleration_above_alpha_is_lost():
+    position, velocity, bound = sine(1e-4)
+    slow = run(arrays.quantise(position, 1e-9), 1e-9, 1e-4, lipschitz=0.2 * bound)
+    fast = run(arrays.quantise(position, 1e-9), 1e-9, 1e-4, lipschitz=1.2 * bound)
+    assert rms((slow - velocity)[5000:]) > 20 * rms((fast - velocity)[5000:])
+
+
+@pytest.mark.parametrize("scheme", levant.SCHEMES)
+def test_without_noise_the_error_is_proportional_to_the_period(scheme):
+    errors = []
+    for period_s in (4e-4, 2e-4, 1e-4):
+        position, velocity, bound = sine(period_s)
+        v = run(
+            arrays.quantise(position, 1e-13), 1e-13, period_s, lipschitz=1.2 * bound, discretisation=scheme
+        )
+        errors.append(rms((v - velocity)[len(v) // 2 :]))
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
+    assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.parametrize("scheme", levant.SCHEMES)
+def test_at_a_high_rate_the_error_is_proportional_to_the_root_of_the_noise(scheme):
+    """Levant 1998: the error is of the order of √(C·N). White noise of a rate so high that the period is no matter."""
+    position, velocity, bound = sine(1e-5)
+    noise = np.random.default_rng(7).uniform(-1.0, 1.0, len(position))
+    errors = []
+    for size in (1e-5, 4e-5, 16e-5):
+        counts = arrays.quantise(position + size * noise, 1e-12)
+        v = run(counts, 1e-12, 1e-5, lipschitz=1.2 * bound, discretisation=scheme, output="u1")
+        errors.append(rms((v - velocity)[len(v) // 2 :]))
+    assert errors[1] / errors[0] == pytest.approx(2.0, rel=0.3)
+    assert errors[2] / errors[1] == pytest.approx(2.0, rel=0.3)
+
+
+def continuous(position, bound, gains, arcs=4):
+    """u1 of the continuous differentiator (9), by a Runge-Kutta method that stops at every change of sign."""
+    alpha, gain = gains[0] * bound, gains[1] * math.sqrt(bound)
+    times, u1, state, t, sign = [], [], np.array([position(0.0), 0.0]), 0.0, -1.0
+
+    def rate(at, z, sign):
+        return [z[1] - gain * math.sqrt(abs(z[0] - position(at))) * sign, -alpha * sign]
+
+    def change(at, z, _sign):
+        return z[0] - position(at)
+
+    change.terminal = True
+    for _ in range(arcs):
+        change.direction = -sign
+        arc = solve_ivp(rate, (t, 1.0), state, events=change, args=(sign,), rtol=1e-9, atol=1e-12)
+        times, u1 = [*times, *arc.t.tolist()], [*u1, *arc.y[1].tolist()]
+        state, t, sign = arc.y[:, -1], arc.t[-1], -sign
+    return np.array(times), np.array(u1)
+
+
+@pytest.mark.parametrize("gains", ["levant", "hba-sc"])
+@pytest.mark.parametrize("scheme", levant.SCHEMES)
+def test_its_transient_is_that_of_the_continuous_differentiator(scheme, gains):
+    """A copy at rest catches up with a swing at full speed; u1 overshoots as often and as far."""
+    bound, period_s = 12.0, 1e-5
+    assert sine(period_s)[2] < bound
+
+    def position(t):
+        return 0.01 * math.sin(2 * math.pi * 5.0 * t)
+
+    times, expected = continuous(position, bound, levant_regions.NAMED_GAINS[gains])
+    t = np.arange(0.0, times[-1], period_s)
+    counts = arrays.quantise([position(x) for x in t], 1e-12)
+    v = run(counts, 1e-12, period_s, lipschitz=bound, gains=gains, discretisation=scheme, output="u1")
+    assert len(t) > 2000
+    assert v == pytest.approx(np.interp(t, times, expected), abs=30 * bound * period_s)
+    assert np.abs(v).max() > 0.3
+
+
+# --- gains ------------------------------------------------------------------------------------------------
+
+
+def si_gains(prepared):
+    alpha = prepared.parameters[ALPHA] * abs(prepared.parameters[0]) / prepared.parameters[1] ** 2
+    gain = prepared.parameters[LAMBDA] * math.sqrt(abs(prepared.parameters[0])) / prepared.parameters[1]
+    return alpha, gain
+
+
+def test_the_papers_gains_are_those_of_c_6():
+    """PHYSICS 2i (A) 8: α/1.1 = 6.000, λ² = 6.0025 ≈ C."""
+    assert si_gains(prepare(lipschitz=6.0, gains="hba-sc")) == pytest.approx((6.6, 2.45), rel=3e-4)
+    assert si_gains(prepare(lipschitz=6.0)) == pytest.approx((6.6, 1.5 * math.sqrt(6.0)))
+    assert si_gains(prepare(lipschitz=6.0, gains="custom", mu1=2.0, mu2=0.5)) == pytest.approx(
+        (12.0, 0.5 * 6**0.5)
+    )
+
+
+def test_a_pair_outside_its_region_is_refused_with_the_one_that_is_needed():
+    with pytest.raises(ConfigError, match=r"mu1 = 2, mu2 = 3 lie outside the region 'hba'.*mu1 ≥ 2\.6"):
+        prepare(gains="hba", mu1=2.0, mu2=3.0)
+    with pytest.raises(ConfigError, match=r"outside the region 'hba'.*mu2 above 2"):
+        prepare(gains="hba", mu1=50.0, mu2=2.0)
+    with pytest.raises(ConfigError, match=r"outside the region 'lfba'.*mu1 > 3\.5"):
+        prepare(gains="lfba", mu1=3.5, mu2=2.0)
+    prepare(gains="hba", mu1=2.6, mu2=3.0)
+    prepare(gains="lfba", mu1=3.51, mu2=2.0)
+    prepare(gains="custom", mu1=0.5, mu2=0.1)
+
+
+def test_gains_that_contradict_each_other_are_refused():
+    with pytest.raises(ConfigError, match=r"'levant' fixes mu1 and mu2"):
+        prepare(mu1=2.0)
+    with pytest.raises(ConfigError, match=r"'custom' needs mu1 and mu2"):
+        prepare(gains="custom", mu1=2.0)
+    with pytest.raises(ConfigError, match=r"lipschitz = 0 .* out of range"):
+        prepare(lipschitz=0.0)

@@ -1,0 +1,105 @@
+"""The optimal robust exact differentiator: its bound, its exactness, and a brute force of its definition."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control.estimators import arrays, optimal
+from rig.core.errors import ConfigError
+from tests.conformance.estimator import velocities
+
+RESOLUTION, PERIOD = 1e-6, 1e-4
+
+
+def prepare(resolution=RESOLUTION, period_s=PERIOD, **given):
+    return optimal.ESTIMATOR.prepare(given, resolution, period_s)
+
+
+def brute_force(counts, bend, longest):
+    """The definition in the module's docstring, word by word: slopes in counts per period, and chords."""
+    slopes, chords = [0.0], [0]
+    for k in range(1, len(counts)):
+        n, noise = min(k, longest), 0.0
+        for l in range(2, n + 1):  # noqa: E741
+            for j in range(1, l):
+                away = abs(counts[k - j] - counts[k] + (counts[k] - counts[k - l]) * j / l)
+                noise = max(noise, 0.5 * (away - bend * j * (l - j) / 2))
+        chord = min(n, max(1, math.ceil(2 * math.sqrt(noise / bend))))
+        slopes.append((counts[k] - counts[k - chord]) / chord)
+        chords.append(chord)
+    return np.array(slopes), np.array(chords)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    motion=st.lists(st.integers(-6, 6), min_size=1, max_size=40),
+    bound=st.sampled_from([3.0, 20.3, 100.0, 711.0]),
+)
+def test_it_is_its_definition(motion, bound):
+    counts = [0, *np.cumsum(motion).tolist()]
+    prepared = prepare(lipschitz=bound)
+    bend, longest = prepared.parameters[2:]
+    slopes, chords = brute_force(counts, bend, int(longest))
+    seen, windows = arrays.run(prepared, *arrays.inputs(counts, PERIOD))
+    assert seen == pytest.approx(slopes * RESOLUTION / PERIOD, rel=1e-12)
+    assert (windows == chords).all()
+
+
+def swing(period_s, resolution, offset=0.5):
+    t = np.arange(0.0, 0.4, period_s)
+    w = 2 * math.pi * 11.0
+    return (
+        arrays.quantise(3e-3 * np.sin(w * t), resolution, offset=offset),
+        3e-3 * w * np.cos(w * t),
+        3e-3 * w * w,
+    )
+
+
+@pytest.mark.parametrize("period_s", [1e-3, 2e-4, 5e-5])
+@pytest.mark.parametrize("resolution", [1e-6, 5e-6, 2e-5])
+def test_the_error_keeps_to_the_bound_that_no_exact_differentiator_can_beat(period_s, resolution):
+    """|v̂ − v| ≤ 2·√(2·N·C) + C·T/2 with N half a count, once the longest chord is filled."""
+    counts, velocity, bound = swing(period_s, resolution)
+    prepared = prepare(resolution, period_s, lipschitz=bound, window_limit=64.0)
+    error = np.abs(arrays.run(prepared, *arrays.inputs(counts, period_s))[0] - velocity)
+    filled = int(prepared.parameters[3]) + 1
+    assert error[filled:].max() <= 2 * math.sqrt(resolution * bound) + bound * period_s / 2
+
+
+def test_without_noise_it_is_the_finite_difference_whatever_the_speed():
+    """A parabola of whole counts that bends by no more than C: the shortest chord, at once, off by C·T/2."""
+    k = np.arange(200)
+    counts = 3 * k**2
+    v, windows = arrays.run(prepare(lipschitz=6 * RESOLUTION / PERIOD**2), *arrays.inputs(counts, PERIOD))
+    assert (windows[1:] == 1).all()
+    assert v[1:] == pytest.approx(np.diff(counts) * RESOLUTION / PERIOD)
+
+
+def test_a_toggling_count_at_rest_is_seen_as_noise_and_divided_by_a_long_chord():
+    """Its noise is half a count but for what C might have bent: one period less than the longest chord at most."""
+    prepared = prepare(lipschitz=20.0)
+    longest = prepared.parameters[3]
+    assert longest == math.ceil(2 * math.sqrt(0.5 * RESOLUTION / 20.0) / PERIOD)
+    v, windows = arrays.run(prepared, *arrays.inputs(np.arange(400) % 2, PERIOD))
+    assert (windows[50:] >= longest - 1).all()
+    assert np.abs(v[50:]).max() <= RESOLUTION / ((longest - 1) * PERIOD) * (1 + 1e-12)
+
+
+def test_samples_lost_within_the_chord_bend_nothing():
+    counts = 3 * np.cumsum([1, 1, 1, 2, 1, 3, 1, 1])
+    v = velocities(prepare(lipschitz=0.5), counts.tolist(), [1, 1, 1, 2, 1, 3, 1, 1])
+    assert v[1:] == pytest.approx(3 * RESOLUTION / PERIOD)
+
+
+def test_the_longest_chord_follows_from_noise_and_bound_within_the_limit():
+    assert prepare(lipschitz=20.0).parameters[3] == 4
+    assert prepare(lipschitz=20.0, noise=2.0).parameters[3] == 7
+    assert prepare(lipschitz=1e6).parameters[3] == 2
+    assert prepare(lipschitz=1e-3, window_limit=20.0).parameters[3] == 20
+    with pytest.raises(ConfigError, match=r"window_limit = 7\.5 is not a whole number"):
+        prepare(window_limit=7.5)

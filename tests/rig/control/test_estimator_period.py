@@ -1,0 +1,346 @@
+"""Velocity from edge times: exact between edges, honest between them, zero where the geometry says so."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from bisect import bisect_right
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control import estimators
+from rig.control.estimators.arrays import run
+from rig.control.estimators.estimator import WINDOW
+from rig.core.errors import ConfigError
+from rig.core.model import Amplifier, Encoder, Mechanics, RigModel
+from sim_backend.plant import DiscretePlant, advance
+
+RESOLUTION, PERIOD = 1e-5, 5e-4
+TICK = 62.5e-9  # of the edge time on the wire
+CLOCK = 64e-9  # what two rounded edge times can be wrong together, and the host's whole nanoseconds
+NAMES = ("period", "period-frequency")
+SPEED = st.floats(0.03, 3000.0)  # counts per period
+
+
+def prepare(name: str, **given):
+    return estimators.get(name).prepare(given, RESOLUTION, PERIOD)
+
+
+def on_the_wire(age_s):
+    """Edge ages as the loop gets them: device time in 1/16 µs, then whole nanoseconds."""
+    return np.floor(np.rint(np.asarray(age_s) / TICK) * 62.5) * 1e-9
+
+
+def steady(speed: float, start: float, samples: int):
+    """Counts and edge ages of a handle at `speed` (counts per period) that was at `start` (counts) at sample 0."""
+    position = start + speed * np.arange(samples)
+    count = np.floor(position)
+    beyond = position - count if speed > 0 else count + 1 - position  # travelled since the last boundary
+    return count.astype(np.int64), beyond / abs(speed) * PERIOD
+
+
+def velocities(prepared, counts, ages, elapsed=None):
+    """Velocities in counts per period."""
+    steps = np.ones(len(counts), np.int64) if elapsed is None else np.asarray(elapsed, np.int64)
+    return (
+        run(prepared, np.asarray(counts, np.int64), np.asarray(ages, float), steps)[0] * PERIOD / RESOLUTION
+    )
+
+
+# --- steady motion ----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=150, deadline=None)
+@given(speed=SPEED, sign=st.sampled_from((1, -1)), start=st.floats(0, 1), name=st.sampled_from(NAMES))
+def test_a_steady_motion_reads_exactly_to_the_resolution_of_edge_times_at_any_speed(speed, sign, start, name):
+    """From the second edge on. Two edges used lie half a period apart at least, else a count."""
+    samples = 20 + math.ceil(4 / speed)
+    counts, ages = steady(sign * speed, start, samples)
+    v = velocities(prepare(name), counts, on_the_wire(ages))
+    seen = np.flatnonzero(np.diff(counts))[1] + 1  # the sample that shows the second edge
+    span = max(PERIOD / 2, PERIOD / speed)
+    assert np.abs(v[seen:] / (sign * speed) - 1.0).max() <= CLOCK / span + 1e-9
+    assert not v[: np.flatnonzero(np.diff(counts))[0] + 2].any()
+
+
+@settings(max_examples=50, deadline=None)
+@given(speed=st.floats(1.0, 3000.0), start=st.floats(0, 1))
+def test_a_window_of_many_periods_reads_that_much_finer(speed, start):
+    counts, ages = steady(speed, start, 80)
+    v = velocities(prepare("period-frequency", window_s=32 * PERIOD), counts, on_the_wire(ages))
+    assert np.abs(v[40:] / speed - 1.0).max() <= CLOCK / (31 * PERIOD)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_steady_motion_is_read_over_lost_periods(name):
+    elapsed = np.array([1] * 20 + [2, 1, 5, 1, 17, 3, 40, 1])
+    when = np.cumsum(elapsed) - 1
+    counts, ages = steady(3.7, 0.2, when[-1] + 1)
+    v = velocities(prepare(name), counts[when], ages[when], elapsed)
+    assert v[5:] == pytest.approx(3.7, rel=1e-9)
+
+
+def test_the_finite_difference_is_no_match_for_it():
+    """At 0.37 counts a period the difference reads 0 or 1."""
+    counts, ages = steady(0.37, 0.1, 400)
+    v = velocities(prepare("period"), counts, on_the_wire(ages))[20:]
+    fdm = velocities(estimators.get("fdm").prepare({}, RESOLUTION, PERIOD), counts, ages)[20:]
+    assert np.std(fdm) > 0.4
+    assert np.std(v) < 1e-3
+
+
+@settings(max_examples=50, deadline=None)
+@given(speed=st.floats(0.05, 50.0), start=st.floats(0, 1))
+def test_a_window_of_one_period_is_period_counting(speed, start):
+    counts, ages = steady(speed, start, 200)
+    windowed = velocities(prepare("period-frequency", window_s=PERIOD), counts, ages)
+    assert windowed == pytest.approx(velocities(prepare("period"), counts, ages), rel=1e-9)
+
+
+# --- changing motion --------------------------------------------------------------------------------------
+
+
+def edges_of(motion, until_s: float, step_s: float = 1e-6):
+    """Independent oracle: every boundary crossing (time, boundary) of a motion in counts, by bisection."""
+    times = np.arange(0.0, until_s, step_s)
+    cells = np.floor(motion(times))
+    found = []
+    for k in np.flatnonzero(np.diff(cells)):
+        low, high = times[k], times[k + 1]
+        boundary = max(cells[k], cells[k + 1])
+        above = motion(low) >= boundary
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if (motion(middle) >= boundary) == above else (low, middle)
+        found.append((high, boundary))
+    return found
+
+
+def sampled(motion, edges, samples: int):
+    times = PERIOD * np.arange(samples)
+    when = [t for t, _ in edges]
+    last = [bisect_right(when, t) - 1 for t in times]
+    ages = [t - when[i] if i >= 0 else 134.0 for t, i in zip(times, last, strict=True)]
+    return np.floor(motion(times)).astype(np.int64), np.array(ages), last
+
+
+def mean_velocities(edges, last):
+    """Mean velocity between the edges that two samples saw last, bounded by the silence since (counts per period)."""
+    expected, speed = [], 0.0
+    for k, (i, before) in enumerate(zip(last, [-1, *last], strict=False)):
+        if i != before:
+            (t, b), (t0, b0) = edges[i], edges[before]
+            speed = (b - b0) / (t - t0) * PERIOD if before >= 0 else 0.0
+        age = k * PERIOD - edges[i][0] if i >= 0 else 134.0
+        expected.append(math.copysign(min(abs(speed), PERIOD / max(age, 1e-12)), speed) if speed else 0.0)
+    return np.array(expected)
+
+
+@pytest.mark.parametrize("turn_s", [0.0487, 0.0501, 0.0612])
+def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s):
+    """A parabola that turns inside a cell: positive, zero at the edge that it goes back over, then negative."""
+
+    def motion(t):
+        return 100.3 - 8000.0 * (t - turn_s) ** 2
+
+    edges = edges_of(motion, 0.11)
+    counts, ages, last = sampled(motion, edges, 200)
+    v = velocities(prepare("period"), counts, ages)
+    assert v == pytest.approx(mean_velocities(edges, last), abs=2e-4)
+    turned = int(turn_s / PERIOD)
+    assert (v[5:turned] > 0).all()
+    back = next(k for k in range(turned, 200) if counts[k] < counts[k - 1])
+    assert v[back] == 0.0
+    assert (v[back + 1 :] <= 0).all()
+    assert v[-1] < -0.1
+
+
+@pytest.mark.parametrize("frequency_hz", [3.0, 17.0])
+def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(frequency_hz):
+    """Against the true velocity, where edges come every few periods at least."""
+    amplitude, omega = 150.3, 2 * math.pi * frequency_hz
+
+    def motion(t):
+        return 0.37 + amplitude * np.sin(omega * t)
+
+    edges = edges_of(motion, 0.4)
+    counts, ages, _ = sampled(motion, edges, 780)
+    v = velocities(prepare("period"), counts, ages)
+    true = amplitude * omega * np.cos(omega * PERIOD * np.arange(780)) * PERIOD
+    acceleration = amplitude * omega**2 * PERIOD**2  # counts per period², at most
+    steady_enough = np.abs(true) > 2.5 * math.sqrt(acceleration)  # two counts away from where it turns
+    steady_enough[:10] = False
+    late = acceleration * (2.5 + 2.5 / np.abs(true))  # half the span and the age, in periods, generously
+    assert steady_enough.sum() > 300
+    assert (np.abs(v - true) < late)[steady_enough].all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_handle_that_stops_decays_as_one_over_the_time_since_its_last_edge(name):
+    counts, ages = steady(5.0, 0.0, 20)
+    rest = np.arange(1, 200)
+    v = velocities(
+        prepare(name),
+        [*counts, *[counts[-1]] * len(rest)],
+        [*ages, *(ages[-1] + rest * PERIOD)],
+    )[20:]
+    assert v == pytest.approx(1.0 / rest, rel=1e-3)
+    assert (v * rest > 1.0).all()  # the bound is the loosest that the clock allows
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_handle_that_toggles_one_count_reads_zero(name):
+    """Up and down over the same boundary is no distance: a quiet wall stays quiet."""
+    counts, ages = [0] * 5 + [1, 0] * 30, [134.0] * 5 + [1e-4, 2e-4] * 30
+    assert not velocities(prepare(name), counts, ages).any()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_two_edges_within_a_period_leave_an_unknown_boundary_and_a_velocity_of_zero(name):
+    counts, ages = steady(0.8, 0.0, 20)
+    last = counts[-1]
+    there = [*counts, last, last + 1, last + 2]
+    v = velocities(prepare(name), there, [*ages, 1e-4, 1e-4, 1e-4])
+    assert v[19] == pytest.approx(0.8, rel=1e-9)
+    assert v[20] == v[21] == 0.0  # unknown, and the first known one
+    assert v[22] == pytest.approx(1.0)
+
+
+def test_a_reversal_begins_a_new_window():
+    """Twenty periods of mean would show a handle that turned with the wrong sign for ten of them."""
+
+    def motion(t):
+        return 1000.3 - np.abs(2.0e4 * (t - 0.02015))
+
+    edges = edges_of(motion, 0.041)
+    counts, ages, _ = sampled(motion, edges, 80)
+    v = velocities(prepare("period-frequency", window_s=20 * PERIOD), counts, ages)
+    assert v[39] == pytest.approx(10.0, rel=1e-3)
+    assert v[43:] == pytest.approx(-10.0, rel=1e-3)
+
+
+@settings(max_examples=20, deadline=None)
+@given(speed=st.floats(6.0, 40.0), start=st.floats(0, 1))
+def test_uneven_encoder_lines_are_averaged_by_the_window(speed, start):
+    """Every other boundary 0.2 counts late: the distance is 0.2 counts off at most, over one period or over 32."""
+    position = start + speed * np.arange(200)
+    count = np.floor(position)
+    count = np.where(count + 0.2 * (count % 2) <= position, count, count - 1)
+    ages = (position - count - 0.2 * (count % 2)) / speed * PERIOD
+    for periods in (1, 32):
+        prepared = prepare("period-frequency", window_s=periods * PERIOD, unevenness=0.2)
+        v = velocities(prepared, count, ages)[50:]
+        least = (periods - 1.2 / speed) * speed  # counts between the two edges
+        assert np.abs(v / speed - 1.0).max() <= 0.2 / (least - 0.2) + 1e-3
+
+
+def test_a_wide_gap_between_lines_looks_like_a_stop_unless_it_is_allowed_for():
+    """Lines 1.2 counts apart at 6.3 counts a period: the bound of an ideal encoder takes a sixth off the velocity."""
+    position = 6.3 * np.arange(200)
+    count = np.floor(position)
+    count = np.where(count + 0.2 * (count % 2) <= position, count, count - 1)
+    ages = (position - count - 0.2 * (count % 2)) / 6.3 * PERIOD
+    ideal = velocities(prepare("period-frequency", window_s=32 * PERIOD), count, ages)[50:]
+    allowed = velocities(prepare("period-frequency", window_s=32 * PERIOD, unevenness=0.2), count, ages)[50:]
+    assert ideal.min() < 6.3 / 1.15
+    assert allowed == pytest.approx(6.3, rel=2e-3)
+
+
+# --- robustness -------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    data=st.lists(
+        st.tuples(
+            st.integers(-(2**31), 2**31 - 1),
+            st.floats(allow_nan=True, allow_infinity=True),
+            st.integers(1, 2**40),
+        ),
+        min_size=1,
+        max_size=60,
+    ),
+    name=st.sampled_from(NAMES),
+)
+def test_any_counts_ages_and_gaps_give_a_finite_velocity(data, name):
+    counts, ages, elapsed = zip(*data, strict=True)
+    prepared = prepare(name)
+    assert np.isfinite(velocities(prepared, counts, ages, elapsed)).all()
+    assert prepared.state_i[WINDOW] >= (len(data) > 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    motion=st.lists(st.integers(-5, 5), min_size=2, max_size=100),
+    ages=st.lists(st.floats(0, 2 * PERIOD), min_size=100, max_size=100),
+    name=st.sampled_from(NAMES),
+)
+def test_whatever_the_edges_it_never_reads_faster_than_one_count_since_the_last(motion, ages, name):
+    ages = np.array(ages[: len(motion)])
+    v = velocities(prepare(name), np.cumsum(motion), ages)
+    used = np.where(np.diff(np.cumsum(motion), prepend=0) != 0, np.minimum(ages, PERIOD), ages)
+    assert (np.abs(v) * np.maximum(used - TICK, 0.0) <= PERIOD * (1 + 1e-9)).all()
+
+
+def test_without_edge_times_it_is_the_finite_difference_held_between_counts():
+    counts = np.floor(0.3 * np.arange(60) ** 1.3).astype(int)
+    v = estimators.estimate("period", counts, PERIOD, resolution=RESOLUTION)
+    fdm = estimators.estimate("fdm", counts, PERIOD, resolution=RESOLUTION)
+    each = np.diff(counts, prepend=0) > 0
+    each[:8] = False
+    consecutive = each & np.roll(each, 1)
+    assert consecutive.sum() > 20
+    assert v[consecutive] == pytest.approx(fdm[consecutive], rel=1e-9)
+
+
+def test_the_row_shows_over_how_many_periods_it_looks():
+    counts, ages = steady(0.1, 0.0, 60)
+    prepared = prepare("period")
+    velocities(prepared, counts, ages)
+    assert prepared.state_i[WINDOW] == 10
+    velocities(prepared, [counts[-1]], [ages[-1] + 50 * PERIOD], [50])
+    assert prepared.state_i[WINDOW] == pytest.approx(50 + ages[-1] / PERIOD, abs=0.51)
+    fast = prepare("period-frequency", window_s=8 * PERIOD)
+    velocities(fast, *steady(7.3, 0.0, 60))
+    assert fast.state_i[WINDOW] == 8
+
+
+def test_a_window_beyond_the_memory_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"window_s = 0\.2 s is 400 velocity periods.*at most 256 periods, 0\.128 s"
+    ):
+        prepare("period-frequency", window_s=0.2)
+    assert prepare("period-frequency", window_s=1e-6).parameters[3] == 1.0
+    assert prepare("period-frequency", window_s=3 * PERIOD).parameters[3] == 3.0
+
+
+def test_on_the_simulated_rig_it_is_several_times_closer_to_the_truth_than_the_difference():
+    """A slow push and pull on koul-rigid at 20 kHz, with edge times as the device gives them."""
+    table = tomllib.loads((files("rig.config.presets") / "koul-rigid.toml").read_text())["rig"]
+    model = RigModel(
+        name="koul-rigid",
+        motion="rotary",
+        mechanics=Mechanics(**table["mechanics"]),
+        amplifier=Amplifier(**table["amplifier"]),
+        encoder=Encoder(**table["encoder"]),
+    )
+    plant = DiscretePlant.build(model, 5e-5)
+    state = plant.at_rest(0.0)
+    rows = []
+    for k in range(4000):
+        count = advance(state, *plant.arrays, 0.08 * math.cos(k / 300), 0.0)
+        rows.append((count, state[plant.edge_age], state[plant.sensed_position + 1]))
+    counts, ages, true = (np.array(column) for column in zip(*rows, strict=True))
+    ages = on_the_wire(np.minimum(ages, 134.0))
+    resolution = model.encoder.resolution
+
+    def error(name: str) -> float:
+        p = estimators.get(name).prepare({}, resolution, 5e-5)
+        v, _ = run(p, counts.astype(np.int64), ages, np.ones(4000, np.int64))
+        return float(np.sqrt(np.mean((v - true)[200:] ** 2)))
+
+    assert error("period") < error("fdm") / 10

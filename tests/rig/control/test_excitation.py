@@ -1,0 +1,187 @@
+"""Multisines: phases and sizes from closed forms, peaks that nothing exceeds, numbers for a plan."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.control.excitation import Multisine, ramp
+from rig.core.errors import ConfigError
+
+BAND = (1.0, 250.0)
+
+
+def test_equal_amplitudes_get_schroeders_textbook_phases():
+    n = 250
+    k = np.arange(1, n + 1)
+    found = Multisine.schroeder(BAND, rms=1.0, first_phase=0.3).phases
+    assert np.exp(1j * found) == pytest.approx(np.exp(1j * (0.3 - np.pi * k * (k - 1) / n)), abs=1e-9)
+
+
+def test_unequal_amplitudes_get_schroeders_general_phases():
+    amplitudes = np.array([3.0, 1.0, 2.0, 0.5])
+    share = amplitudes**2 / np.sum(amplitudes**2)
+    expected = [-2 * np.pi * sum((k - m) * share[m] for m in range(k)) for k in range(4)]
+    found = Multisine.schroeder((1.0, 4.0), spectrum=amplitudes)
+    assert np.exp(1j * found.phases) == pytest.approx(np.exp(1j * np.array(expected)))
+    assert found.amplitudes == pytest.approx(amplitudes)  # absolute, because no size was asked for
+
+
+@pytest.mark.parametrize("spectrum", ["flat", "mass"])
+def test_schroeders_phases_give_less_than_half_the_crest_of_zero_phases(spectrum):
+    shake = Multisine.schroeder(BAND, rms=1.0, spectrum=spectrum)
+    aligned = Multisine(1.0, shake.lines_hz, shake.amplitudes, np.zeros(250))
+    random = [Multisine.random(BAND, seed=s, rms=1.0, spectrum=spectrum).crest_factor for s in range(10)]
+    assert 1.5 < shake.crest_factor < 2.0
+    assert shake.crest_factor < min(random)
+    assert 2.8 < np.mean(random) < 4.2
+    assert aligned.crest_factor > 10.0
+
+
+def test_one_line_has_the_crest_of_a_sine():
+    assert Multisine.schroeder((7.0, 7.0), rms=1.0).crest_factor == pytest.approx(np.sqrt(2.0), rel=1e-6)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    low=st.integers(1, 20),
+    width=st.integers(0, 40),
+    spacing=st.integers(1, 4),
+    odd=st.booleans(),
+)
+def test_rms_and_peak_are_those_of_a_fine_sampling(seed, low, width, spacing, odd):
+    shake = Multisine.random((low, low + width + 1), seed=seed, peak=3.0, spacing_lines=spacing, odd=odd)
+    fine = shake.at(np.arange(40_000) / 40_000)
+    assert np.abs(fine).max() <= 3.0 * (1 + 1e-3)
+    assert shake.peak == pytest.approx(3.0) == pytest.approx(np.abs(fine).max(), rel=2e-3)
+    assert shake.rms == pytest.approx(np.sqrt(np.mean(fine**2)), rel=1e-9)
+
+
+def test_lines_are_what_was_asked_for():
+    assert Multisine.schroeder((1.0, 3.0), 2.0, rms=1.0).lines_hz == pytest.approx([1, 1.5, 2, 2.5, 3])
+    assert Multisine.schroeder((2.0, 9.0), rms=1.0, odd=True).lines_hz == pytest.approx([3, 5, 7, 9])
+    assert Multisine.schroeder((2.0, 9.0), rms=1.0, spacing_lines=3).lines_hz == pytest.approx([2, 5, 8])
+    assert Multisine.schroeder((2.0, 9.0), rms=1.0, spacing_lines=2, odd=True).lines_hz == pytest.approx(
+        [3, 7]
+    )
+    assert Multisine.schroeder((0.1, 0.3), 10.0, rms=1.0).harmonics.tolist() == [
+        1,
+        2,
+        3,
+    ]  # 0.3 · 10 < 3 in floats
+
+
+def test_a_mass_moves_equally_fast_at_each_line_of_its_spectrum():
+    speed = Multisine.schroeder(BAND, rms=2.0, spectrum="mass").velocity(lambda f: 2j * np.pi * f * 0.52)
+    assert speed.amplitudes == pytest.approx(speed.amplitudes[0])
+
+
+def test_random_phases_come_from_the_seed_alone():
+    one, same, other = (Multisine.random(BAND, seed=s, rms=1.0) for s in ((5, 1), (5, 1), (5, 2)))
+    assert np.array_equal(one.phases, same.phases)
+    assert not np.array_equal(one.phases, other.phases)
+    assert np.abs(np.mean(np.exp(1j * one.phases))) < 0.2  # all around the circle
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5, 0.25])
+def test_a_period_is_the_sum_of_cosines_at_its_samples(offset):
+    shake = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
+    assert shake.period(1000.0, offset) == pytest.approx(
+        shake.at((np.arange(500) + offset) / 1000.0), abs=1e-12
+    )
+    assert shake.at(0.123) == pytest.approx(shake.at(0.123 + 3 * 0.5), abs=1e-12)
+
+
+def test_it_fades_in_over_whole_periods_and_is_itself_afterwards():
+    shake = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
+    t = np.linspace(-0.5, 2.0, 2501)
+    faded = shake.ramped(t, 2)
+    assert not faded[t <= 0.0].any()
+    assert faded[t >= 1.0] == pytest.approx(shake.at(t[t >= 1.0]))
+    assert ramp([0.0, 0.5, 1.0, 7.0], 1.0) == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert ramp([-1.0, 0.0, 1.0], 0.0) == pytest.approx([0.0, 1.0, 1.0])
+
+
+def test_predicted_motion_is_that_of_the_equation_of_motion():
+    """The position put into m·x″ + b·x′ + K·x gives the effort back."""
+    m, b, k = 0.52, 13.2, 2e4
+    shake = Multisine.schroeder((2.0, 60.0), rms=3.0)
+    x = shake.position(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))
+    t = np.linspace(0, 1, 50_001)[:-1]
+    position = x.at(t)
+    spectrum, w = np.fft.rfft(position), 2 * np.pi * np.arange(25_001)
+    effort = np.fft.irfft((k + 1j * w * b - m * w**2) * spectrum, 50_000)
+    assert effort == pytest.approx(shake.at(t), abs=1e-6)
+    v = shake.velocity(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))
+    assert v.at(t) == pytest.approx(np.fft.irfft(1j * w * spectrum, 50_000), abs=1e-9)
+
+
+def test_a_plan_gets_numbers_and_limits():
+    m, b, k = 0.52, 13.2, 2e4
+    shake = Multisine.schroeder(BAND, peak=20.0)
+    s = 2j * np.pi * shake.lines_hz
+    wall = k / s
+    whole = m * s + b + wall
+    checks = shake.check(
+        whole, effort_limit=50.0, position_limit=1e-4, speed_limit=2.0, wall=wall, motor_limit=100.0
+    )
+    by_name = {check.name: check for check in checks}
+    assert by_name["peak excitation"].value == pytest.approx(20.0)
+    assert by_name["peak excitation"].holds
+    assert by_name["peak position"].value == pytest.approx(shake.position(whole).peak)
+    assert not by_name["peak position"].holds  # 20 N move this wall further than 0.1 mm at its resonance
+    assert by_name["peak motor effort"].value == pytest.approx(k * shake.position(whole).peak)
+    assert json.loads(json.dumps([check.as_mapping() for check in checks]))[1]["holds"] is False
+    no_wall = shake.check(m * s + b, channel="motor")
+    assert no_wall[-1].value == pytest.approx(20.0)  # all the motor does is shake
+    assert all(check.holds for check in no_wall)  # nothing to keep
+
+
+def test_a_plan_refuses_an_impedance_that_nothing_can_be_divided_by():
+    for impedance in (0.0, np.nan, [1.0, 0.0]):
+        with pytest.raises(ConfigError, match="impedance"):
+            Multisine.schroeder((1.0, 2.0), rms=1.0).check(impedance, position_limit=1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: Multisine.schroeder((5.0, 1.0), rms=1.0), "band"),
+        (lambda: Multisine.schroeder((0.0, 1.0), rms=1.0), "band"),
+        (lambda: Multisine.schroeder((1.2, 1.8), rms=1.0), "no line"),
+        (lambda: Multisine.schroeder((1.0, 5.0)), "without a size"),
+        (lambda: Multisine.schroeder((1.0, 5.0), rms=1.0, peak=1.0), "both"),
+        (lambda: Multisine.schroeder((1.0, 5.0), rms=-1.0), "size"),
+        (lambda: Multisine.schroeder((1.0, 5.0), rms=1.0, spectrum="pink"), "pink"),
+        (lambda: Multisine.schroeder((1.0, 5.0), spectrum=[1.0, 2.0]), "2 amplitudes"),
+        (lambda: Multisine(1.0, [1.5], [1.0], [0.0]), "multiples"),
+        (lambda: Multisine(1.0, [2.0, 1.0], [1.0, 1.0], [0.0, 0.0]), "multiples"),
+        (lambda: Multisine(1.0, [1.0], [1.0, 2.0], [0.0]), "amplitudes"),
+        (lambda: Multisine(1.0, [np.nan], [1.0], [0.0]), "no number"),
+        (lambda: Multisine(0.0, [1.0], [1.0], [0.0]), "period"),
+        (lambda: Multisine.schroeder((1.0, 5.0), 0.9, rms=1.0).period(1001.0), "whole number"),
+        (lambda: Multisine.schroeder((1.0, 50.0), rms=1.0).period(100.0), "cannot be played"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(make, reason):
+    with pytest.raises(ConfigError, match=reason) as caught:
+        make()
+    assert caught.value.remedy
+
+
+def test_its_mapping_is_json():
+    mapping = json.loads(json.dumps(Multisine.schroeder((1.0, 3.0), rms=1.0).as_mapping()))
+    again = Multisine(mapping["period_s"], mapping["lines_hz"], mapping["amplitudes"], mapping["phases"])
+    assert again.crest_factor == pytest.approx(mapping["crest_factor"])
+
+
+def test_it_needs_numpy_alone():
+    code = "import sys, rig.control.excitation; print([m for m in ('scipy', 'numba', 'pydantic') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,146 @@
+"""Fixed-point arithmetic against exact fractions, and what rounding leaves of a low pass."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from rig.control.fixed_point import (
+    FLOOR,
+    NEAREST,
+    ROUNDINGS,
+    ZERO,
+    Format,
+    design_biquad,
+    divide,
+    saturate,
+    shift_right,
+)
+from rig.core.errors import ConfigError
+from tests.conformance.fixed_law import clipped, rounded
+
+VALUE = st.integers(-(2**61), 2**61)
+ROUNDING = st.sampled_from((FLOOR, ZERO, NEAREST))
+STATE = Format(32, 16)
+
+
+@settings(deadline=None)
+@given(value=VALUE, bits=st.integers(0, 61), rounding=ROUNDING)
+def test_a_shift_is_a_division_by_a_power_of_two_with_the_rounding_that_it_names(value, bits, rounding):
+    assert shift_right(value, bits, rounding) == rounded(Fraction(value, 2**bits), rounding)
+
+
+@settings(deadline=None)
+@given(value=VALUE, denominator=st.integers(1, 2**61), rounding=ROUNDING)
+def test_a_division_rounds_as_it_says(value, denominator, rounding):
+    assert divide(value, denominator, rounding) == rounded(Fraction(value, denominator), rounding)
+
+
+@settings(deadline=None)
+@given(value=st.integers(-(2**63), 2**63 - 1), bits=st.integers(1, 63))
+def test_what_does_not_fit_its_word_saturates(value, bits):
+    assert saturate(value, bits) == clipped(value, bits)
+
+
+def test_the_three_roundings_differ_where_they_say():
+    quarters = range(-6, 7)  # of one unit
+    assert [shift_right(q, 2, FLOOR) for q in quarters] == [-2, -2, -1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1]
+    assert [shift_right(q, 2, ZERO) for q in quarters] == [-1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1]
+    assert [shift_right(q, 2, NEAREST) for q in quarters] == [-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 2]
+
+
+def test_a_format_knows_its_name_its_step_and_its_ends():
+    q = Format(16, 12)
+    assert (str(q), q.lsb, q.limits) == ("Q4.12", 2**-12, (-32768, 32767))
+    assert q.quantised(-8.0) == -32768
+    assert q.quantised(0.5 * q.lsb) == 1  # halves towards +∞
+    assert q.quantised(-0.5 * q.lsb) == 0
+    with pytest.raises(ConfigError, match=r"gain = 8 does not fit Q4\.12.*7\.99.*longer word"):
+        q.quantised(8.0, "gain")
+
+
+@settings(deadline=None)
+@given(value=st.floats(-100, 100))
+def test_quantising_is_rounding_of_the_exact_value(value):
+    assert Format(48, 30).quantised(value) == rounded(Fraction(value) * 2**30, NEAREST)
+
+
+# --- a low pass in rounded coefficients -------------------------------------------------------------------
+
+
+def low_pass(relative_cutoff: float, bits: int = 14, **options):
+    b, a = signal.butter(2, relative_cutoff, fs=1.0)
+    return design_biquad(b, a, coefficient_bits=bits, state=STATE, **options)
+
+
+def at_rest(f) -> int:
+    return 2**f.coefficient_bits + f.a1 + f.a2
+
+
+@pytest.mark.parametrize("relative_cutoff", [0.02, 0.05, 0.1, 0.2, 0.45])
+def test_the_gain_at_rest_is_one_to_the_bit(relative_cutoff):
+    f = low_pass(relative_cutoff)
+    assert f.b0 + f.b1 + f.b2 == at_rest(f)
+    assert f.dc_gain == 1.0
+
+
+def test_coefficients_as_they_round_may_scale_a_velocity():
+    """200 Hz at 20 kHz in 14 bits: 61 LSB over 62."""
+    f = low_pass(0.01, unit_gain=False)
+    assert f.dc_gain == pytest.approx(61 / 62, rel=1e-12)
+    assert f.dc_gain == (f.b0 + f.b1 + f.b2) / at_rest(f)
+
+
+def test_coefficients_that_round_the_gain_at_rest_to_zero_are_refused():
+    with pytest.raises(ConfigError, match=r"gain at rest is 0\b.*more coefficient_bits than 14"):
+        low_pass(0.0012, unit_gain=False)  # b is a quarter, half and a quarter of an LSB
+
+
+def test_rounding_that_makes_another_filter_is_refused():
+    """1 + a1 + a2 is the square of the cut-off; here it has no bit left."""
+    with pytest.raises(
+        ConfigError, match=r"1 \+ a1 \+ a2 = 0\.\d+ LSB becomes -?\d.*another filter.*more coeff"
+    ):
+        low_pass(1e-3, bits=10)
+    low_pass(1e-3, bits=24)
+
+
+def test_products_that_could_overflow_64_bits_are_refused():
+    b, a = signal.butter(2, 0.1, fs=1.0)
+    with pytest.raises(ConfigError, match=r"overflow 64 bits.*60 bits together"):
+        design_biquad(b, a, coefficient_bits=30, state=Format(34, 16))
+
+
+@settings(max_examples=200, deadline=None)
+@given(cutoff=st.floats(0.02, 0.49), bits=st.integers(12, 30), word=st.integers(20, 48))
+def test_no_design_that_is_accepted_can_overflow(cutoff, bits, word):
+    b, a = signal.butter(2, cutoff, fs=1.0)
+    try:
+        f = design_biquad(b, a, coefficient_bits=bits, state=Format(word, 8))
+    except ConfigError:
+        return
+    worst = sum(abs(c) for c in (f.b0, f.b1, f.b2, f.a1, f.a2)) * 2 ** (word - 1)
+    assert worst + 2**bits < 2**63
+
+
+@pytest.mark.parametrize("rounding", ROUNDINGS)
+@pytest.mark.parametrize("relative_cutoff", [0.02, 0.05, 0.1])
+def test_the_dead_zone_is_where_a_filter_without_input_may_rest(relative_cutoff, rounding):
+    """Brute force over outputs: which of them does y = round(−(a1 + a2)·y) keep for ever?"""
+    f = low_pass(relative_cutoff, rounding=rounding)
+    one = 2**f.coefficient_bits
+    reach = 2 * int(f.dead_zone) + 2
+    rest = [
+        y for y in range(-reach, reach + 1) if rounded(Fraction(-(f.a1 + f.a2) * y, one), f.rounding) == y
+    ]
+    error = Fraction(1, 2) if rounding == "nearest" else 1
+    assert f.dead_zone == float(error * one / at_rest(f))
+    if rounding == "zero":
+        assert rest == [0]
+    else:
+        assert rest[0] == -int(f.dead_zone)  # no tie in these designs
+        assert rest[-1] == (int(f.dead_zone) if rounding == "nearest" else 0)

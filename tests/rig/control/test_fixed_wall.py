@@ -1,0 +1,185 @@
+"""The fixed-point wall and guard: bit for bit exact arithmetic, and the float wall to within one quantum."""
+
+from __future__ import annotations
+
+import json
+import math
+from zlib import crc32
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control import guard, wall
+from rig.control.fixed_point import Format
+from rig.control.fixed_wall import DEPTH, GAIN_GREATEST, current_quanta, design_wall
+from rig.core.errors import ConfigError
+from tests.conformance.fixed_law import difference, exact_quanta, golden_vectors
+
+RESOLUTION, PERIOD, QUANTUM, LIMIT = 1.5707963e-4, 5e-4, 2.34e-4, 1.3  # koul-rigid
+VELOCITY = Format(32, 16)
+COUNT = st.integers(-(2**31), 2**31 - 1)
+WALLS = st.fixed_dictionaries(
+    {
+        "stiffness": st.floats(0.5, 2000),
+        "damping": st.floats(0.01, 2),
+        "resolution": st.sampled_from((RESOLUTION, -RESOLUTION)),
+        "velocity": st.builds(Format, st.integers(20, 32), st.integers(4, 16)),
+        "wall_position": st.floats(-0.2, 0.2),
+        "side": st.sampled_from((1, -1)),
+        "constant_effort": st.floats(-1, 1),
+        "reference_count": COUNT,
+        "may_pull": st.booleans(),
+        "entry_only": st.booleans(),
+    }
+)
+
+
+def designed(**given):
+    common = {"stiffness": 300.0, "damping": 0.5, "resolution": RESOLUTION, "velocity": VELOCITY}
+    return design_wall(
+        **(common | {"period_s": PERIOD, "effort_quantum": QUANTUM, "effort_limit": LIMIT} | given)
+    )
+
+
+@settings(max_examples=300, deadline=None)
+@given(given=WALLS, offset=st.integers(-2000, 2000) | COUNT, data=st.data())
+def test_it_is_exact_arithmetic_to_the_bit_near_the_wall_and_at_every_extreme(given, offset, data):
+    least, greatest = given["velocity"].limits
+    velocity = data.draw(st.integers(least, greatest) | st.sampled_from((least, greatest, 0)))
+    w = designed(**given)
+    count = difference(w.reference + offset, 0)
+    assert current_quanta(count, velocity, w) == exact_quanta(count, velocity, w)
+
+
+@settings(max_examples=300, deadline=None)
+@given(given=WALLS)
+def test_no_sum_of_any_design_can_leave_64_bits(given):
+    """The greatest depth against the fastest velocity, the constant effort and the half quantum of rounding."""
+    w = designed(**given)
+    largest = w.stiffness * DEPTH.limits[1] - w.damping * given["velocity"].limits[0] + abs(w.constant)
+    assert largest + 2**w.shift < 2**63
+    assert max(w.stiffness, w.damping) <= GAIN_GREATEST
+    assert (
+        largest + 2**w.shift >= 2**61 or max(w.stiffness, w.damping) >= 2**29 or w.shift == 40
+    )  # no bit wasted
+
+
+@settings(max_examples=300, deadline=None)
+@given(given=WALLS, offset=st.integers(-2000, 2000), speed=st.floats(-3, 3))
+def test_it_is_the_float_wall_and_guard_within_a_quantum(given, offset, speed):
+    """Away from the surface by more than its rounding; gains are held to 1e-3, so the limit of 1.3 N·m bounds all."""
+    w = designed(**given)
+    delta, side = given["resolution"], given["side"]
+    velocity = round(speed * PERIOD / delta / given["velocity"].lsb)
+    least, greatest = given["velocity"].limits
+    velocity = min(max(velocity, least), greatest)
+    penetration = side * (offset * delta - given["wall_position"])
+    if abs(penetration) < 2**-8 * abs(delta):
+        return
+    parameters = np.array(
+        [given["stiffness"], given["damping"], given["may_pull"], given["entry_only"]], float
+    )
+    rate = side * velocity * given["velocity"].lsb * delta / PERIOD
+    reaction = wall.spring_damper(penetration, rate, 1, np.zeros(1), parameters)
+    effort = given["constant_effort"] - side * reaction
+    expected = guard.current_quanta(guard.limited(effort, w.limit * QUANTUM), QUANTUM)
+    surface = (
+        given["stiffness"] * abs(delta) * 2**-9 / QUANTUM
+    )  # the surface lies within half an LSB of depth
+    gains = 1e-3 * (given["stiffness"] * abs(penetration) + given["damping"] * abs(rate)) / QUANTUM
+    count = difference(w.reference + offset, 0)
+    assert abs(current_quanta(count, velocity, w) - expected) <= 1 + surface + gains
+
+
+def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand():
+    w = designed()
+    assert math.ldexp(w.stiffness, DEPTH.fraction_bits - w.shift) * QUANTUM / RESOLUTION == pytest.approx(
+        300.0, rel=1e-8
+    )
+    assert math.ldexp(
+        w.damping, VELOCITY.fraction_bits - w.shift
+    ) * QUANTUM * PERIOD / RESOLUTION == pytest.approx(0.5, rel=1e-7)
+
+
+# --- the options, one by one ------------------------------------------------------------------------------
+
+ONE = 1 << VELOCITY.fraction_bits  # one count per period
+SPRING = 300.0 * RESOLUTION / QUANTUM  # quanta per count
+
+
+def test_the_wall_pushes_out_and_exists_inside_only():
+    w = designed(damping=0.0)
+    assert [current_quanta(c, 0, w) for c in (-5, 0, 1, 10)] == [0, 0, -round(SPRING), -round(10 * SPRING)]
+
+
+def test_an_encoder_that_counts_the_other_way_and_a_wall_on_the_other_side():
+    mirrored = designed(damping=0.0, resolution=-RESOLUTION)
+    assert [current_quanta(c, 0, mirrored) for c in (1, -10)] == [0, -round(10 * SPRING)]
+    below = designed(damping=0.0, side=-1)
+    assert [current_quanta(c, 0, below) for c in (1, -10)] == [0, round(10 * SPRING)]
+
+
+def test_a_wall_that_may_not_pull_lets_go_and_one_that_may_holds_the_handle_back():
+    fast_out = -50 * ONE
+    assert current_quanta(2, fast_out, designed()) == 0
+    assert current_quanta(2, fast_out, designed(may_pull=True)) > 0
+    assert current_quanta(2, fast_out, designed(entry_only=True)) == -round(2 * SPRING)
+
+
+def test_the_surface_lies_between_counts_to_a_256th():
+    w = designed(damping=0.0, wall_position=2.25 * RESOLUTION)
+    assert [current_quanta(c, 0, w) for c in (2, 3)] == [0, -round(0.75 * SPRING)]
+
+
+def test_the_constant_effort_acts_outside_too_and_the_limit_clips_the_sum_once():
+    w = designed(constant_effort=0.15)
+    assert current_quanta(-100, 0, w) == round(0.15 / QUANTUM)
+    assert current_quanta(1000, 0, w) == -w.limit == -math.floor(LIMIT / QUANTUM)
+
+
+def test_the_counter_may_wrap_inside_the_wall():
+    w = designed(reference_count=2**31 - 5)
+    plain = designed()
+    assert [current_quanta(difference(2**31 - 5 + c, 0), 0, w) for c in range(20)] == [
+        current_quanta(c, 0, plain) for c in range(20)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"effort_limit": 10.0}, r"effort limit 10 is 42735 current quanta, beyond 0 to 32767"),
+        ({"stiffness": 1e13}, r"stiffness is .* quanta, beyond 0 to 2147483647.*softer"),
+        ({"stiffness": -1.0}, r"stiffness is .* quanta, beyond 0"),
+        ({"damping": 1e-9}, r"damping is .* quanta per LSB.* hold as 0 only"),
+        (
+            {"stiffness": 0.5625, "damping": 7.0, "velocity": Format(20, 0)},
+            r"stiffness is .* hold as \d+ only",
+        ),
+        ({"wall_position": 2000.0}, r"wall position in counts = .* does not fit Q24\.8"),
+    ],
+)
+def test_what_its_words_cannot_hold_is_refused(given, message):
+    with pytest.raises(ConfigError, match=message):
+        designed(**given)
+
+
+# --- golden vectors ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_golden_quanta_are_what_the_compiled_wall_computes(seed):
+    v = golden_vectors(seed)
+    assert (
+        tuple(current_quanta(c, u, v.wall) for c, u in zip(v.counts, v.velocities, strict=True)) == v.quanta
+    )
+    assert len(set(v.quanta)) > 20  # it has something to say
+    assert max(map(abs, v.quanta)) <= v.wall.limit
+
+
+def test_golden_vectors_are_the_same_for_ever():
+    """A change here is a change of the law that devices run: of format, rounding or design."""
+    text = json.dumps([(v.wall, v.counts, v.velocities, v.quanta) for v in map(golden_vectors, range(8))])
+    assert crc32(text.encode()) == 3486532006

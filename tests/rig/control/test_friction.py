@@ -1,0 +1,271 @@
+"""Friction compensation: it takes friction off a slow hand, and has no way to put energy in."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numba import types
+
+from rig import config
+from rig.config import controller, presets
+from rig.control import laws
+from rig.control.friction import DEFAULT_SHARE, Compensation, around, compensated, compensation, dead_band_of
+from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, step
+from rig.core.errors import ConfigError
+from rig.core.sample import Phase
+from rig.experiments.hit import HitRequest, hit
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import ESTIMATOR, LAW, LAW_SIGNATURE
+from rig.recording.reader import open_recording
+from sim_backend.plant import DiscretePlant, advance
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+LEVEL = 0.02  # of koul-rigid (N·m)
+FREE = config.override(
+    presets.load("koul-rigid"),
+    {
+        "rig.mechanics.end_mass": 0.0,
+        "wall.stiffness": 0.0,
+        "wall.damping": 0.0,
+        "trial.effort": 1e-12,
+        "trial.minimum_rest_counts": 0.0,
+        "trial.start": -1e-4,
+        "trial.duration_s": 5.0,
+        "homing.settle_s": 0.0,
+        "homing.tolerance_counts": 1e6,
+    },
+)
+DEAD_BAND = dead_band_of(FREE.rig.encoder.resolution, 2000.0, 200.0)
+
+velocities = st.floats(-10.0, 10.0)
+levels = st.floats(0.0, 1.0)
+
+
+@given(velocity=velocities, estimate=velocities, up=levels, down=levels, share=st.floats(0.0, 0.99))
+def test_with_friction_it_takes_power_out_whatever_the_estimator_says(velocity, estimate, up, down, share):
+    """u·v − level·|v| ≤ −(1 − share)·level·|v|, for the smaller level when the direction is mistaken too."""
+    effort = compensation(estimate, up, down, 0.1, share)
+    rubbing = up if velocity > 0.0 else down
+    largest = max(up, down) if velocity * estimate < 0.0 else rubbing
+    given_power = effort * velocity
+    assert abs(effort) <= share * max(up, down)
+    if velocity * estimate <= 0.0:
+        assert given_power <= 0.0, "of the wrong sign it brakes"
+    else:
+        assert given_power - rubbing * abs(velocity) <= -(1.0 - share) * rubbing * abs(velocity) + 1e-12
+    assert given_power <= share * largest * abs(velocity) + 1e-12
+
+
+@given(velocity=velocities, share=st.floats(0.0, 0.99), level=levels)
+def test_it_is_odd_smooth_and_whole_outside_the_dead_band(velocity, share, level):
+    effort = compensation(velocity, level, level, 0.5, share)
+    assert compensation(-velocity, level, level, 0.5, share) == -effort
+    assert compensation(0.0, level, level, 0.5, share) == 0.0
+    if abs(velocity) >= 0.5:
+        assert abs(effort) == share * level
+    nearby = compensation(velocity + 1e-6, level, level, 0.5, share)
+    assert abs(nearby - effort) <= 1.5 * share * level / 0.5 * 1e-6 + 1e-12, (
+        "its slope is 1.5·level/dead band at most"
+    )
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"share": 1.0}, {"share": -0.1}, {"dead_band": 0.0}, {"up": -1.0}, {"down": float("nan")}],
+)
+def test_what_could_drive_the_rig_is_refused(wrong):
+    with pytest.raises(ConfigError):
+        Compensation(**{"up": 0.02, "down": 0.02, "dead_band": 0.1, **wrong})
+
+
+def bench(law, external, velocity=0.0, seconds=1.5, changes=None):
+    """Run the law on koul-rigid, pushed by `external(tick, state)` on the link; return states, efforts and pushes."""
+    experiment = config.override(FREE, changes or {})
+    rate = experiment.controller.position_rate
+    plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / rate)
+    control = controller.for_experiment(
+        experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a, law=law
+    )
+    state = plant.at_rest(0.0)
+    state[1] = velocity
+    states, efforts, pushes = [], [], []
+    run = stepping()
+    count = plant.count(state)
+    for tick in range(round(seconds * rate)):
+        run(control.estimator.estimator.update, control.law.law.function, count, *control.arguments())
+        push = external(tick / rate, state)
+        states.append(state[:2].copy())
+        efforts.append(float(control.memory["effort_sent"][0]))
+        pushes.append(push)
+        count = advance(state, *plant.arrays, efforts[-1], push)
+    return np.array(states), np.array(efforts), np.array(pushes)
+
+
+@cache
+def stepping():
+    """`rig.control.step.step` for plain Python: it is made to be inlined into compiled callers."""
+    floats, ints = types.float64[::1], types.int64[::1]
+    signature = types.int64(
+        ESTIMATOR, LAW, types.int64, CONTROL_TYPE, MEMORY_TYPE, floats, ints, floats, floats, floats
+    )
+
+    @kernel(signature, cache=False)
+    def run(estimator, law, count, control, memory, f, i, p, law_state, law_parameters):
+        return step(estimator, law, count, 1.0, 1, control, memory, f, i, p, law_state, law_parameters)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def free():
+    return laws.get("spring-damper")
+
+
+@pytest.fixture(scope="module")
+def helped(free):
+    return compensated(free, Compensation(up=LEVEL, down=LEVEL, dead_band=DEAD_BAND))
+
+
+def hand(speed):
+    """A stiff, damped hand that takes the handle along at a slow constant speed."""
+
+    def push(time_s, state):
+        return 20.0 * (speed * time_s - state[0]) + 0.2 * (speed - state[1])
+
+    return push
+
+
+@pytest.mark.parametrize("speed", [0.4, -0.4])
+def test_a_slow_hand_feels_less_than_half_of_the_friction(free, helped, speed):
+    felt = {}
+    for name, law in (("off", free), ("on", helped)):
+        _, _, pushes = bench(law, hand(speed), seconds=0.5)
+        felt[name] = abs(pushes[len(pushes) // 2 :].mean())
+    viscous = 0.003 * abs(speed)
+    assert felt["off"] - viscous == pytest.approx(LEVEL, rel=0.02)
+    assert felt["on"] - viscous < 0.5 * LEVEL
+    assert felt["on"] - viscous == pytest.approx((1.0 - DEFAULT_SHARE) * LEVEL, abs=0.1 * LEVEL)
+
+
+def test_it_cannot_drive_the_rig_by_itself(helped):
+    """Thrown and let go, the handle comes to rest and stays; at rest it is given nothing."""
+    states, efforts, _ = bench(helped, lambda time_s, state: 0.0, velocity=2.0, seconds=0.5)
+    assert states[-1, 1] == 0.0
+    assert (states[-2000:, 0] == states[-1, 0]).all()
+    assert (efforts[-2000:] == 0.0).all()
+    kinetic = states[:, 1] ** 2
+    assert (np.diff(kinetic) <= 1e-9).all(), "no tick makes it faster"
+
+
+@pytest.mark.parametrize("rate", [20_000, 1000])
+def test_on_a_passive_bench_it_injects_nothing(helped, rate):
+    """Shaken at random, the motor's work is never above what friction takes: net energy of both ≤ 0 at every moment."""
+    rng = np.random.default_rng(5)
+    pushes = np.repeat(rng.normal(0.0, 0.05, 200), rate // 100)
+    changes = {"controller.position_rate": rate, "controller.velocity_rate": min(rate, 2000),
+               "controller.parameters.cutoff_hz": 0.1 * min(rate, 2000)}  # fmt: skip
+    states, efforts, _ = bench(
+        helped,
+        lambda time_s, state: float(pushes[min(int(time_s * rate), len(pushes) - 1)]),
+        seconds=1.0,
+        changes=changes,
+    )
+    way = np.diff(states[:, 0])
+    work = np.cumsum(efforts[:-1] * way)
+    rubbed = np.cumsum(LEVEL * np.abs(way))
+    assert np.abs(efforts).max() > 0.9 * DEFAULT_SHARE * LEVEL
+    quantum = 0.234e-3  # effort is rounded, up to half of it too much
+    assert (work <= (DEFAULT_SHARE + 0.5 * quantum / LEVEL) * rubbed + 1e-12).all()
+
+
+def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free):
+    wall = {"stiffness": 300.0, "damping": 0.5, "pull": "clamp", "damping_on": "both", "side": 1}
+    law = compensated(free, Compensation(up=0.03, down=0.01, dead_band=0.1, share=0.5))
+    run = law.function
+    for side, inwards in ((1, 0.03), (-1, 0.01)):
+        prepared = law.prepare({**wall, "side": side})
+        plain = free.prepare({**wall, "side": side})
+        for penetration, velocity in ((1e-3, 1.0), (-1e-3, 1.0), (1e-3, -0.2), (1e-3, 0.0)):
+            reaction = run(penetration, velocity, 1, prepared.state, prepared.parameters)
+            alone = free.function(penetration, velocity, 1, plain.state, plain.parameters)
+            outwards = 0.04 - inwards
+            along = 0.5 * (inwards if velocity > 0 else -outwards if velocity < 0 else 0.0)
+            assert reaction == pytest.approx(alone - along)
+            assert prepared.state[0] == plain.state[0], "the mark of a clamped wall passes"
+
+
+def test_it_is_off_by_default_and_recorded_when_on(tmp_path, free):
+    experiment = config.override(
+        config.with_realtime(presets.load("koul-rigid")), {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
+    )
+    plain = next(iter(hit(HitRequest(experiment=experiment, output=tmp_path))))
+    wanted = Compensation(up=0.02, down=0.018, dead_band=0.3)
+    request = HitRequest(experiment=experiment, output=tmp_path, law=compensated(free, wanted))
+    helped = next(iter(hit(request)))
+    assert experiment.wall.law == "spring-damper"
+    recordings = [open_recording(result.recording) for result in (plain, helped)]
+    named = [recording.header["initial_state"]["law"] for recording in recordings]
+    assert [law["name"] for law in named] == ["spring-damper", "spring-damper+friction"]
+    assert named[1]["parameters"][:4] == [0.02, 0.018, 0.3, 0.8]
+    rows = recordings[1].rows
+    trial = rows[(rows["phase"] == Phase.TRIAL) & (rows["penetration"] < 0) & (rows["velocity"] > 0.3)]
+    assert trial["effort_wall"] == pytest.approx(-0.016), "outside the wall too, in the column of the law"
+
+
+def test_a_replay_needs_only_the_wrapper(free):
+    wall = {"stiffness": 300.0, "damping": 0.5, "pull": "clamp", "damping_on": "both", "side": 1}
+    law = compensated(free, Compensation(up=0.03, down=0.01, dead_band=0.1)).prepare(wall)
+    again = around(free)
+    assert again.name == law.law.name
+    state = np.zeros_like(law.state)
+    expected = law.law.function(1e-3, 0.05, 1, law.state, law.parameters)
+    assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected
+
+
+def test_a_third_party_law_can_be_compensated():
+    @kernel(LAW_SIGNATURE, cache=False)
+    def nothing(penetration, velocity, elapsed_ticks, state, parameters):
+        return parameters[0]
+
+    law = compensated(
+        laws.Law("mine", "a constant", nothing, 1, lambda wall: [7.0]),
+        Compensation(up=1.0, down=1.0, dead_band=0.1, share=0.5),
+    ).prepare({"side": 1})
+    assert law.law.function(0.0, 1.0, 1, law.state, law.parameters) == pytest.approx(6.5)
+
+
+@pytest.mark.parametrize("name", ["traced", "nudges", "spring-damper+friction", "shaken+friction"])
+def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(name):
+    assert laws.get(name).name == name
+
+
+def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(tmp_path):
+    """A hand-free push below friction moves a rig whose motor takes most of that friction over, and no other."""
+    base = {"trial.effort": 1.0, "wall.stiffness": 1000.0, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
+    plain = config.override(presets.load("chawda-linear"), base)
+    helped = config.override(plain, {"controller.friction_compensation": 0.8})
+    law = controller.for_experiment(helped, current_quantum_a=0.001).law
+    assert law.law.name == "spring-damper+friction"
+    quantum = helped.rig.encoder.resolution
+    assert law.parameters[:4].tolist() == pytest.approx([0.19, 0.19, dead_band_of(quantum, 1000, 100.0), 0.8])
+    speeds = []
+    for experiment in (plain, helped):
+        (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+        speeds.append(result.verdict_true.impact_velocity)
+        assert open_recording(result.recording).has_truth
+    assert speeds[1] > 1.02 * speeds[0], "less friction, faster at the wall"
+
+
+def test_on_two_masses_only_the_motor_sides_friction_is_taken_over():
+    changes = {"controller.friction_compensation": 0.5, "controller.friction_dead_band": 0.2}
+    law = controller.for_experiment(
+        config.override(presets.load("koul-compliant"), changes), current_quantum_a=0.001
+    ).law
+    assert law.parameters[:4].tolist() == [0.005, 0.005, 0.2, 0.5]

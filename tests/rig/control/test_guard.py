@@ -1,0 +1,69 @@
+"""The guard: the last word before an effort leaves."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control.guard import current_quanta, limited, slewed
+
+EFFORT = st.floats(-1e6, 1e6)
+POSITIVE = st.floats(1e-6, 1e3)
+
+
+@settings(deadline=None)
+@given(effort=EFFORT, limit=POSITIVE)
+def test_an_effort_is_clipped_to_its_limit_and_otherwise_untouched(effort, limit):
+    result = limited(effort, limit)
+    assert abs(result) <= limit
+    if abs(effort) <= limit:
+        assert result == effort
+    else:
+        assert result == math.copysign(limit, effort)
+
+
+@pytest.mark.parametrize("effort", [math.nan, math.inf, -math.inf])
+def test_an_effort_that_is_not_finite_becomes_zero_not_the_limit(effort):
+    assert limited(effort, 1.0) == 0.0
+
+
+@settings(deadline=None)
+@given(effort=EFFORT, previous=EFFORT, step=POSITIVE)
+def test_the_slew_limit_stops_between_the_previous_effort_and_the_wanted_one(effort, previous, step):
+    result = slewed(effort, previous, step)
+    assert min(effort, previous) <= result <= max(effort, previous)
+    if abs(effort - previous) <= step * (1 - 1e-9):
+        assert result == effort
+    else:
+        assert abs(result - previous) == pytest.approx(step, rel=1e-9, abs=1e-9)
+
+
+def test_an_infinite_step_never_binds():
+    assert slewed(1.3, -1.3, math.inf) == 1.3
+
+
+@settings(deadline=None)
+@given(effort=st.floats(-10.0, 10.0), quantum=st.floats(1e-3, 1.0))
+def test_rounding_moves_an_effort_by_half_a_quantum_at_most(effort, quantum):
+    quanta = current_quanta(effort, quantum)
+    assert quanta.is_integer()
+    assert abs(quanta * quantum - effort) <= 0.5 * quantum * (1 + 1e-9)
+
+
+@settings(deadline=None)
+@given(quanta=st.integers(-32767, 32767), quantum=st.floats(1e-6, 1.0))
+def test_whole_quanta_are_sent_as_they_are(quanta, quantum):
+    assert current_quanta(quanta * quantum, quantum) == quanta
+
+
+def test_halves_round_towards_positive_infinity_in_every_language():
+    """The firmware's law must give the same integer, so the tie rule is part of the contract."""
+    assert [current_quanta(x, 1.0) for x in (-1.5, -0.5, 0.5, 1.5)] == [-1, 0, 1, 2]
+
+
+@pytest.mark.parametrize(("effort", "expected"), [(1e9, 32767), (-1e9, -32767), (32767.4, 32767)])
+def test_a_current_saturates_within_16_bits_on_both_sides(effort, expected):
+    assert current_quanta(effort, 1.0) == expected

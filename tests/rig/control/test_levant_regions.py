@@ -1,0 +1,155 @@
+"""Where Levant's differentiator converges: the printed tables, the two proofs, and the computed worst case."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+import rig.cli
+from rig.control.estimators import levant_regions as regions
+
+MU2 = (1.0, 1.5, 2.0, 2.449, 2.5, 2.828, 3.0, 4.0, 6.0, 10.0)
+LFBA = (5.0, 3.889, 3.5, 3.334, 3.32, 3.250, 3.222, 3.125, 3.056, 3.02)
+HBA = (math.inf, math.inf, math.inf, 5.005, 4.556, 3.001, 2.6, 1.667, 1.25, 1.083)
+
+
+def test_the_boundaries_are_those_of_the_table():
+    assert [regions.lfba_mu1(m) for m in MU2] == pytest.approx(LFBA, rel=2e-4)
+    assert [regions.hba_mu1(m) for m in MU2] == pytest.approx(HBA, rel=5e-4)
+
+
+def test_they_cross_at_3_2656_2_7443():
+    mu1, mu2 = regions.crossing()
+    assert (mu1, mu2) == pytest.approx((3.2656, 2.7443), abs=5e-5)
+    assert regions.hba_mu1(mu2) == pytest.approx(regions.lfba_mu1(mu2), rel=1e-12)
+    assert mu2 == pytest.approx(brentq(lambda m: regions.hba_mu1(m) - regions.lfba_mu1(m), 2.1, 5.0))
+
+
+@settings(deadline=None)
+@given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.01, 1e3))
+def test_the_regions_are_the_papers_inequalities_for_every_c(mu1, mu2, bound):
+    """Equations (10) and (14) as printed, in α, λ and C: the regions must not depend on C."""
+    alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
+    hba = alpha > bound and gain**2 >= 4 * bound * (alpha + bound) / (alpha - bound)
+    lfba = alpha > 3 * bound + 2 * bound**2 / gain**2
+    edge = 1e-9
+    if abs(mu1 - regions.hba_mu1(mu2)) > edge * mu1:
+        assert regions.in_hba(mu1, mu2) == hba
+    if abs(mu1 - regions.lfba_mu1(mu2)) > edge * mu1:
+        assert regions.in_lfba(mu1, mu2) == lfba
+
+
+@settings(max_examples=300, deadline=None)
+@given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.1, 100.0))
+def test_lfba_holds_exactly_where_the_derivative_of_its_lyapunov_function_is_negative(mu1, mu2, bound):
+    """V̇ ≤ −|x1|^−½·(λ/2)·ζᵀQζ: Q is positive definite iff (14) holds, and P is that of (13)."""
+    alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
+    q = np.array(
+        [[2 * alpha + gain**2 - 2 * bound, -(gain + 2 * bound / gain)], [-(gain + 2 * bound / gain), 1.0]]
+    )
+    if abs(np.linalg.det(q)) > 1e-9 * abs(q).max():
+        assert bool((np.linalg.eigvalsh(q) > 0).all()) == regions.in_lfba(mu1, mu2)
+    p = 0.5 * np.array([[4 * alpha + gain**2, -gain], [-gain, 2.0]])
+    root, x2 = 0.7, -1.3  # |x1|^½ with x1 > 0
+    zeta = np.array([root, x2])
+    v = 2 * alpha * root**2 + 0.5 * x2**2 + 0.5 * (gain * root - x2) ** 2
+    assert zeta @ p @ zeta == pytest.approx(v, rel=1e-12)
+
+
+def test_along_the_worst_disturbance_the_lyapunov_function_falls_as_q_says():
+    """V̇ by the chain rule along (12), with f̈ where ḟ is printed; x2 > 0 is the case that Q bounds."""
+    random = np.random.default_rng(5)
+    for _ in range(500):
+        bound, mu2 = random.uniform(0.1, 10), random.uniform(0.3, 10)
+        mu1 = regions.lfba_mu1(mu2) * random.uniform(1.01, 4)
+        alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
+        x1, x2 = random.uniform(0.01, 2), random.uniform(-5, 5)
+        root, cross = math.sqrt(x1), gain * math.copysign(1.0, x2) + 2 * bound / gain
+        form = (2 * alpha + gain**2 - 2 * bound) * x1 - 2 * cross * root * abs(x2) + x2**2
+        q_form = form - 2 * (gain + 2 * bound / gain - cross) * root * abs(x2)  # of Q itself, the worse sign
+        for second in (-bound, 0.3 * bound, bound):
+            d1, d2 = -gain * root + x2, -alpha - second
+            rate = 2 * alpha * d1 + x2 * d2 + (gain * root - x2) * (gain * d1 / (2 * root) - d2)
+            assert rate <= -gain / (2 * root) * form + 1e-9 * alpha * abs(x2 + root)
+            assert rate <= -gain / (2 * root) * q_form + 1e-9 * alpha * abs(x2 + root)
+            assert rate < 0
+
+
+def test_levants_own_pair_lies_in_neither_region_but_converges():
+    for name, contraction in (("hba-sc", 0.989), ("levant", 0.537)):
+        pair = regions.NAMED_GAINS[name]
+        assert not regions.in_hba(*pair)
+        assert not regions.in_lfba(*pair)
+        assert regions.half_cycle_contraction(*pair) == pytest.approx(contraction, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("mu1", "mu2"),
+    [(1.05, 1.046), (1.1, 0.991), (1.2, 0.915), (1.5, 0.780), (2, 0.656), (3, 0.527), (5, 0.404)],
+)
+def test_the_worst_case_boundary_is_that_of_the_table(mu1, mu2):
+    assert regions.worst_case_mu2(mu1) == pytest.approx(mu2, abs=1.1e-3)
+
+
+def bang_bang(mu1: float, mu2: float, switch: float) -> float:
+    """|x2| after a half cycle under f̈ = −C, then +C from the ray x2 = switch·w on: two linear flows, by expm."""
+
+    def flow(gain, z, stop):
+        """From z to where stop falls to zero: in equal steps, then exactly; None when it never does."""
+        a = np.array([[-0.5 * mu2, 0.5], [-gain, 0.0]])
+        one = expm(0.1 * a)
+        for _ in range(1000):
+            if stop(one @ z) <= 0.0:
+                return expm(a * brentq(lambda tau, z: stop(expm(a * tau) @ z), 0.0, 0.1, (z,))) @ z
+            z = one @ z
+        return None
+
+    turned = flow(mu1 - 1.0, np.array([0.0, 1.0]), lambda z: z[1] - switch * z[0])
+    if turned is None:
+        return 0.0
+    end = flow(mu1 + 1.0, turned, lambda z: z[0])
+    return 0.0 if end is None else abs(float(end[1]))
+
+
+@pytest.mark.parametrize(("mu1", "mu2"), [(1.1, 1.0), (1.1, 1.5), (2.0, 1.0), (3.0, 0.6)])
+def test_no_bang_bang_disturbance_does_worse_than_the_computed_one_and_the_best_of_them_equals_it(mu1, mu2):
+    computed = regions.half_cycle_contraction(mu1, mu2)
+    tried = max(bang_bang(mu1, mu2, switch) for switch in np.linspace(-0.5, 3.0, 36))
+    assert tried <= computed * (1 + 1e-5)
+    assert tried == pytest.approx(computed, rel=5e-3)
+
+
+def test_both_proven_regions_lie_inside_the_computed_one():
+    for mu2 in np.linspace(0.3, 10.0, 40):
+        for bound in (regions.hba_mu1(mu2), regions.lfba_mu1(mu2)):
+            if math.isfinite(bound):
+                assert regions.half_cycle_contraction(bound * 1.0001, mu2) < 1.0
+
+
+def test_a_gain_that_the_disturbance_outweighs_never_converges():
+    assert regions.half_cycle_contraction(1.0, 5.0) == math.inf
+    assert regions.worst_case_mu2(0.9) == math.inf
+    assert regions.hba_mu1(2.0) == math.inf
+    assert regions.lfba_mu1(0.0) == math.inf
+    assert not regions.in_lfba(100.0, 0.0)
+
+
+def test_the_picture_and_its_numbers_come_from_one_command(tmp_path, capfd):
+    picture = tmp_path / "fig1.png"
+    assert rig.cli.run(["plot", "levant-regions", "-o", str(picture), "--json"]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert facts["crossing"]["mu2"] == pytest.approx(2.7443, abs=5e-5)
+    assert facts["named"]["hba-sc"]["in_hba"] is False
+    assert facts["hba_mu1"][0] is None
+    assert len(facts["mu2"]) == len(facts["hba_mu1"]) == len(facts["lfba_mu1"])
+    assert rig.cli.run(["plot", "levant-regions", "-o", str(tmp_path / "again.png")]) == 0
+    assert "3.2656" in capfd.readouterr().out
+    assert (tmp_path / "again.png").read_bytes() == picture.read_bytes()

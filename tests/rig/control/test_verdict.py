@@ -1,0 +1,663 @@
+"""The verdict of a hit, on signals whose answer is known in closed form."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control.measure import NUMBERS
+from rig.control.verdict import (
+    CRITERIA,
+    KINDS,
+    Kind,
+    Limits,
+    Measured,
+    Signals,
+    decide,
+    judge,
+    kinds,
+    meter,
+    recorded_signals,
+    true_signals,
+)
+from rig.core.sample import ROW, TRUTH_COLUMNS, Phase, RowFlag
+
+RATE = 20_000
+T = 1.0 / RATE
+DELTA = 1.5708e-4  # Koul et al.: 1000 lines, x4, 10:1
+LIMITS = Limits(
+    tail_s=0.4,
+    highpass_hz=30.0,
+    lowpass_hz=500.0,
+    felt_velocity=0.05,
+    heard_effort=0.10,
+    moved=1.25e-3,
+    growth=1.2,
+    late_fraction=0.01,
+    saturated_fraction=0.01,
+)
+TIME = np.arange(RATE) * T
+TAIL = TIME >= 0.6
+
+
+def signals(position, *, effort=None, velocity=None, resolution=0.0, penetration=None, **flags) -> Signals:
+    """A trial of 1 s against a wall at zero; without anything else said a calm one."""
+    position = np.asarray(position, dtype=float)
+    nothing = np.zeros(len(position), bool)
+    quiet = dict.fromkeys(("saturated", "late", "gap", "slew_bound", "overruled"), nothing)
+    return Signals(
+        tick_s=T,
+        resolution=resolution,
+        position=position,
+        velocity=velocity,
+        effort=np.zeros(len(position)) if effort is None else np.asarray(effort, dtype=float),
+        penetration=position if penetration is None else penetration,
+        **{**quiet, **flags},
+    )
+
+
+def first(count: int, of: np.ndarray = TIME) -> np.ndarray:
+    """Mark the last `count` samples, which lie in the tail."""
+    marked = np.zeros(len(of), bool)
+    if count:
+        marked[-count:] = True
+    return marked
+
+
+REST = np.full(RATE, 1e-3)  # a millimetre or milliradian deep, at rest
+
+
+def ripple(amplitude: float, hz: float = 100.0) -> np.ndarray:
+    return amplitude * np.sin(2 * np.pi * hz * TIME)
+
+
+# --- each kind --------------------------------------------------------------------------------------------
+
+
+def test_a_handle_at_rest_in_the_wall_is_stable():
+    verdict = judge(signals(REST, resolution=DELTA), LIMITS)
+    assert verdict.kind is Kind.STABLE
+    assert verdict.reasons == ()
+    assert (verdict.felt, verdict.heard, verdict.moved, verdict.growth) == (0.0, 0.0, 0.0, 0.0)
+    assert verdict.ticks == RATE
+
+
+def test_a_hit_that_rings_down_before_the_tail_is_stable():
+    ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.05) * np.cos(2 * np.pi * 60 * TIME)
+    assert judge(signals(ring, effort=300 * ring), LIMITS).kind is Kind.STABLE
+
+
+def test_a_lasting_oscillation_inside_the_wall_is_a_limit_cycle():
+    verdict = judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS)
+    assert verdict.kind is Kind.LIMIT_CYCLE
+    assert [reason.split()[0] for reason in verdict.reasons] == ["felt", "heard", "moved"]
+
+
+def test_a_growing_oscillation_is_unstable():
+    grown = np.exp((TIME - 1.0) / 0.3)
+    verdict = judge(signals(5e-3 + grown * ripple(2e-3), effort=grown * ripple(1.0)), LIMITS)
+    assert verdict.kind is Kind.UNSTABLE
+    assert verdict.growth == pytest.approx(math.exp(0.2 / 0.3), rel=0.02)
+    assert verdict.reasons[0].startswith("ripple grows 1.9")
+
+
+def test_growth_of_something_nobody_notices_is_no_instability():
+    grown = np.exp((TIME - 1.0) / 0.3)
+    assert judge(signals(REST, effort=grown * ripple(0.1)), LIMITS).kind is Kind.STABLE
+
+
+def test_a_handle_that_leaves_the_wall_in_the_tail_is_unstable():
+    bouncing = 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME)  # leaves in every period
+    verdict = judge(signals(bouncing), LIMITS)
+    assert verdict.kind is Kind.UNSTABLE
+    assert verdict.exits == 5
+    assert verdict.exits_in_tail == 2
+    assert verdict.reasons[0] == "left the wall 2 times in the tail"
+
+
+def test_leaving_the_wall_at_the_very_start_of_the_tail_counts():
+    position = REST.copy()
+    start = RATE - round(LIMITS.tail_s * RATE)
+    position[start : start + 100] = -1e-4
+    assert judge(signals(position), LIMITS).exits_in_tail == 1
+    position[start - 1] = -1e-4
+    assert judge(signals(position), LIMITS).exits_in_tail == 0  # it left before, and came back in the tail
+
+
+PERSON = replace(LIMITS, may_leave=True)
+
+
+def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
+    """A handle that rests in the wall, is pulled out from some time on, and stays 30 mrad away."""
+    return np.maximum(depth - speed * np.maximum(TIME - at, 0.0), -0.03)
+
+
+@pytest.mark.parametrize("at", [0.82, 0.9, 0.97])
+@pytest.mark.parametrize(("speed", "stiffness"), [(0.3, 200.0), (3.0, 200.0), (10.0, 800.0)])
+def test_a_person_who_leaves_a_calm_wall_says_nothing_of_it(at, speed, stiffness):
+    position = withdrawn(at, speed)
+    s = signals(position, effort=-stiffness * np.maximum(position, 0.0), resolution=DELTA)
+    verdict = judge(s, PERSON)
+    assert verdict.kind is Kind.INVALID
+    assert "left the calm wall" in " ".join(verdict.reasons)
+    assert judge(s, LIMITS).kind is Kind.UNSTABLE  # a motor does not let go
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        1e-3 + ripple(2e-3, 12.0),  # in and out, slowly
+        np.where((TIME > 0.9) & (TIME < 0.902), -1e-4, 1e-3),  # out and in again
+        np.where(
+            (TIME > 0.9) & (TIME < 0.92), 1e-3, np.where(TIME < 0.5, 1e-3, -1e-2)
+        ),  # a bounce in the tail
+        withdrawn(0.85) + np.where(TIME < 0.85, ripple(0.9e-3, 60.0), 0.0),  # it shook before
+    ],
+)
+def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position):
+    assert judge(signals(position), PERSON).kind is Kind.UNSTABLE
+
+
+def test_a_wall_that_buzzed_until_a_person_left_stays_unstable():
+    position = withdrawn(0.85)
+    effort = np.where(position > 0.0, -0.3 + ripple(0.2, 150.0), 0.0)
+    assert judge(signals(position, effort=effort), PERSON).kind is Kind.UNSTABLE
+
+
+def test_bouncing_before_the_tail_is_only_counted():
+    bouncing = np.where(TIME < 0.5, 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME), 1e-3)
+    verdict = judge(signals(bouncing), LIMITS)
+    assert verdict.kind is Kind.STABLE
+    assert (verdict.exits, verdict.exits_in_tail) == (2, 0)
+
+
+def test_a_wall_that_was_never_touched_says_nothing():
+    verdict = judge(signals(REST - 2e-3), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    assert verdict.reasons == ("the wall was never touched",)
+    assert verdict.contact_s is None
+    assert verdict.impact_velocity is None
+    assert verdict.settling_s is None
+
+
+def test_a_handle_that_was_thrown_out_and_stays_out_is_not_called_stable():
+    """It touched the wall once; in the tail there is no contact to judge."""
+    verdict = judge(signals(np.where(TIME < 0.2, 1e-3, -1e-3)), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    assert verdict.reasons == ("the wall was not touched in the tail",)
+
+
+def test_one_gap_spoils_a_trial():
+    assert judge(signals(REST, gap=first(1)), LIMITS).kind is Kind.INVALID
+    verdict = judge(signals(REST, gap=first(3)), LIMITS)
+    assert verdict.gaps == 3
+    assert verdict.reasons == ("3 gaps in the samples: the link or this computer was late",)
+
+
+@pytest.mark.parametrize(("late", "kind"), [(199, Kind.STABLE), (200, Kind.INVALID)])
+def test_a_trial_is_spoiled_by_one_per_cent_of_late_ticks(late, kind):
+    verdict = judge(signals(REST, late=first(late)), LIMITS)
+    assert verdict.kind is kind
+    assert verdict.late_ticks == late
+
+
+def test_a_binding_slew_limit_spoils_a_trial():
+    verdict = judge(signals(REST, overruled=first(3)), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    assert "overruled the law in 3 ticks" in verdict.reasons[0]
+    verdict = judge(signals(REST, slew_bound=first(2)), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    assert verdict.reasons == ("the slew limit bound in 2 ticks",)
+
+
+def test_saturation_at_impact_is_reported_and_forgiven():
+    impact = (TIME > 0.05) & (TIME < 0.06)
+    verdict = judge(signals(REST, saturated=impact), LIMITS)
+    assert verdict.kind is Kind.STABLE
+    assert verdict.saturated_fraction == pytest.approx(0.01, abs=1e-4)
+    assert verdict.saturated_fraction_in_tail == 0.0
+
+
+@pytest.mark.parametrize(
+    ("saturated", "effort", "kind"),
+    [
+        (80, 0.5, Kind.LIMIT_CYCLE),  # exactly 1 % of the tail's 8000 ticks is allowed
+        (81, 0.5, Kind.UNSTABLE),
+        (80, 0.0, Kind.STABLE),
+        (81, 0.0, Kind.INVALID),  # a motor at its limit without ripple: the push is too strong
+    ],
+)
+def test_saturation_in_the_tail_is_unstable_with_ripple_and_invalid_without(saturated, effort, kind):
+    verdict = judge(signals(REST, effort=ripple(effort), saturated=first(saturated)), LIMITS)
+    assert verdict.kind is kind
+
+
+def test_what_spoils_a_trial_outweighs_what_it_shows():
+    verdict = judge(signals(5e-3 + ripple(4e-3), gap=first(1)), LIMITS)
+    assert verdict.kind is Kind.INVALID
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count):
+    verdict = judge(signals(REST[:count]), LIMITS)
+    assert verdict.kind is Kind.INVALID
+    assert verdict.ticks == count
+    assert verdict.reasons == (f"only {count} ticks of trial",)
+    json.dumps(verdict.as_mapping(), allow_nan=False)
+
+
+@settings(max_examples=30, deadline=None)
+@given(count=st.integers(8, 300), seed=st.integers(0, 2**32 - 1))
+def test_any_short_trial_gets_a_verdict_in_finite_numbers(count, seed):
+    noise = np.random.default_rng(seed).normal(size=count)
+    verdict = judge(signals(noise, effort=noise, resolution=DELTA), LIMITS)
+    json.dumps(verdict.as_mapping(), allow_nan=False)
+
+
+def test_a_trial_shorter_than_its_tail_is_judged_on_what_there_is():
+    """A steady push from the first sample on is no ripple: the filter starts in steady state."""
+    verdict = judge(signals(REST[:1000], effort=np.full(1000, 1.0)), LIMITS)
+    assert verdict.kind is Kind.STABLE
+    assert verdict.heard < 1e-9
+
+
+# --- each threshold from both sides -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.98, 1.02])
+@pytest.mark.parametrize("hz", [60.0, 100.0, 150.0])
+def test_felt_is_the_rms_velocity_in_the_band(share, hz):
+    rms = share * LIMITS.felt_velocity
+    amplitude = rms * math.sqrt(2) / (2 * math.pi * hz)
+    verdict = judge(signals(5e-3 + ripple(amplitude, hz)), LIMITS)
+    # Butterworth's band pass, |H|² = 1/(1 + Ω⁴), passed forth and back
+    band = 1.0 / (1.0 + ((hz**2 - 30 * 500) / (hz * (500 - 30))) ** 4)
+    assert verdict.felt == pytest.approx(rms * band, rel=0.02)
+    louder = replace(LIMITS, felt_velocity=rms * band / 1.03)
+    assert judge(signals(5e-3 + ripple(amplitude, hz)), louder).kind is Kind.LIMIT_CYCLE
+    assert verdict.kind is (Kind.LIMIT_CYCLE if rms * band > LIMITS.felt_velocity else Kind.STABLE)
+
+
+@pytest.mark.parametrize(("share", "kind"), [(0.98, Kind.STABLE), (1.02, Kind.LIMIT_CYCLE)])
+def test_heard_is_the_rms_ripple_of_the_effort(share, kind):
+    verdict = judge(signals(REST, effort=0.7 + ripple(share * 0.10 * math.sqrt(2), 300.0)), LIMITS)
+    assert verdict.heard == pytest.approx(share * 0.10, rel=0.005)
+    assert verdict.kind is kind
+
+
+@pytest.mark.parametrize(("share", "kind"), [(0.98, Kind.STABLE), (1.02, Kind.LIMIT_CYCLE)])
+def test_moved_is_the_travel_from_peak_to_peak(share, kind):
+    hz = 300.0
+    deaf = replace(LIMITS, felt_velocity=10.0)
+    verdict = judge(signals(5e-3 + ripple(share * 1.25e-3 / 2, hz)), deaf)
+    assert verdict.moved == pytest.approx(share * 1.25e-3, rel=0.01)
+    assert verdict.kind is kind
+
+
+def test_moved_is_less_one_count():
+    smooth = judge(signals(5e-3 + ripple(5e-4, 300.0)), LIMITS).moved
+    with_counts = judge(signals(5e-3 + ripple(5e-4, 300.0), resolution=DELTA), LIMITS).moved
+    assert with_counts == pytest.approx(smooth - DELTA)
+
+
+def test_one_count_that_toggles_fast_has_not_moved():
+    toggling = DELTA * (10 + (np.sin(2 * np.pi * 200 * TIME + 0.3) > 0))
+    assert judge(signals(toggling, resolution=DELTA), LIMITS).moved < 0.4 * DELTA
+
+
+def test_a_slow_press_is_neither_felt_nor_heard_nor_moved():
+    """A hand breathes at 2 Hz by a fifth of its press: the two poles at 30 Hz must not leak it."""
+    press = 1.3e-3 * (1 + 0.2 * np.sin(2 * np.pi * 2 * TIME))
+    verdict = judge(signals(press, effort=300 * press), LIMITS)
+    assert verdict.kind is Kind.STABLE
+    assert verdict.moved < 0.02 * np.ptp(press)
+    assert verdict.heard < 0.01 * LIMITS.heard_effort
+
+
+# --- the floor of the velocity from counts ----------------------------------------------------------------
+
+
+def toggling(hz: float) -> np.ndarray:
+    return DELTA * (10 + (np.sin(2 * np.pi * hz * TIME + 0.3) > 0))
+
+
+def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_velocity():
+    """2√2·f·Δ = 0.05 rad/s: above it counts cannot say whether anything is felt."""
+    one_line = replace(LIMITS, lowpass_hz=200.0)  # lets nothing but the fundamental through
+    below = judge(signals(toggling(112.0), resolution=DELTA), one_line)
+    above = judge(signals(toggling(114.0), resolution=DELTA), one_line)
+    for verdict, hz in ((below, 112.0), (above, 114.0)):
+        assert verdict.felt_floor == pytest.approx(2 * math.sqrt(2) * hz * DELTA, rel=0.01)
+    assert below.felt is not None
+    assert above.felt is None
+
+
+@pytest.mark.parametrize("hz", [35, 45, 60, 80, 95, 110, 130, 160, 240, 330])
+def test_the_floor_is_what_one_toggling_count_really_reads_with_all_its_harmonics(hz):
+    everything = replace(LIMITS, felt_velocity=10.0)
+    verdict = judge(signals(toggling(hz), resolution=DELTA), everything)
+    assert verdict.felt == pytest.approx(verdict.felt_floor, rel=0.35)
+    assert verdict.felt < 1.05 * verdict.felt_floor
+
+
+@pytest.mark.parametrize("hz", [10, 20, 31, 40, 51, 60, 70, 80, 90, 100, 112, 120, 200, 400, 700, 1500])
+def test_one_toggling_count_is_never_called_a_limit_cycle(hz):
+    verdict = judge(signals(toggling(hz), resolution=DELTA), LIMITS)
+    assert verdict.kind is Kind.STABLE
+
+
+def test_a_vote_that_is_not_measurable_does_not_silence_the_others():
+    buzz = 5e-3 + ripple(2e-3, 150.0)
+    counts = np.floor(buzz / DELTA + 0.5) * DELTA
+    verdict = judge(signals(counts, resolution=DELTA), LIMITS)
+    assert verdict.felt is None
+    assert verdict.kind is Kind.LIMIT_CYCLE
+    assert judge(signals(buzz), LIMITS).felt > 20 * LIMITS.felt_velocity  # the truth has no floor
+
+
+def test_a_handle_at_rest_and_the_truth_have_no_floor():
+    assert judge(signals(REST, resolution=DELTA), LIMITS).felt_floor == 0.0
+    assert judge(signals(toggling(100.0)), LIMITS).felt_floor == 0.0
+
+
+# --- measures ---------------------------------------------------------------------------------------------
+
+PUSH, INERTIA, STIFFNESS, DAMPING, START = 0.15, 2.48e-3, 300.0, 0.12, -0.015
+
+
+def hit() -> tuple[np.ndarray, np.ndarray, float]:
+    """A rigid link pushed from rest into a wall: exact position, velocity, and the time of contact."""
+    fall = PUSH / INERTIA
+    contact = math.sqrt(-2 * START / fall)
+    speed = fall * contact
+    omega = math.sqrt(STIFFNESS / INERTIA)
+    zeta = DAMPING / (2 * math.sqrt(STIFFNESS * INERTIA))
+    damped = omega * math.sqrt(1 - zeta**2)
+    rest = PUSH / STIFFNESS
+    t = TIME - contact
+    # x = rest + e^(-ζωt)(A cos + B sin) with x(0) = 0 and v(0) = speed
+    a, b = -rest, (speed - zeta * omega * rest) / damped
+    decay = np.exp(-zeta * omega * np.maximum(t, 0))
+    inside = rest + decay * (a * np.cos(damped * t) + b * np.sin(damped * t))
+    inside_v = decay * (
+        (b * damped - zeta * omega * a) * np.cos(damped * t)
+        - (a * damped + zeta * omega * b) * np.sin(damped * t)
+    )
+    position = np.where(t < 0, START + 0.5 * fall * TIME**2, inside)
+    return position, np.where(t < 0, fall * TIME, inside_v), contact
+
+
+def test_the_measures_of_a_hit_are_those_of_the_closed_form():
+    position, velocity, contact = hit()
+    verdict = judge(signals(position, velocity=velocity, effort=PUSH - STIFFNESS * position), LIMITS)
+    assert verdict.contact_s == pytest.approx(contact, abs=1.01 * T)
+    assert verdict.impact_velocity == pytest.approx(math.sqrt(2 * PUSH / INERTIA * -START), rel=2e-3)
+    assert verdict.peak_penetration == pytest.approx(position.max(), rel=1e-12)
+    assert verdict.resting_penetration == pytest.approx(PUSH / STIFFNESS, rel=1e-6)
+    off = np.abs(position - PUSH / STIFFNESS) > 0.05 * position.max()
+    expected = TIME[np.flatnonzero(off & (contact < TIME))[-1]] - contact
+    assert verdict.settling_s == pytest.approx(expected, abs=3 * T)
+    assert 0.05 < verdict.settling_s < 0.3
+
+
+@pytest.mark.parametrize("offset", [0.1, 0.4, 0.7, 0.95])
+@pytest.mark.parametrize("decimation", [1, 10, 20])
+def test_the_velocity_at_impact_is_that_of_the_accelerating_handle_whatever_the_encoder_shows(
+    offset, decimation
+):
+    """A mean over the last milliseconds would lag by half its length: 13 % here."""
+    position, _, _ = hit()
+    counts = np.floor(position[::decimation] / DELTA + offset) * DELTA
+    s = signals(counts, resolution=DELTA)
+    verdict = judge(replace(s, tick_s=T * decimation), LIMITS)
+    assert verdict.impact_velocity == pytest.approx(math.sqrt(2 * PUSH / INERTIA * -START), rel=0.05)
+
+
+def test_a_trial_that_begins_in_the_wall_has_no_impact_velocity_from_counts():
+    assert judge(signals(REST, resolution=DELTA), LIMITS).impact_velocity is None
+
+
+def test_what_never_settles_has_no_settling_time():
+    verdict = judge(signals(5e-3 + ripple(2e-3)), LIMITS)
+    assert verdict.settling_s is None
+
+
+def test_settling_is_never_finer_than_two_counts():
+    """Peak 11 counts: 5 % of it is half a count, which a toggling encoder would never satisfy."""
+    short_pulses = DELTA * (10 + (np.sin(2 * np.pi * 20 * TIME) > 0.5))
+    assert judge(signals(short_pulses, resolution=DELTA), LIMITS).settling_s == 0.0
+    assert judge(signals(short_pulses), LIMITS).settling_s is None
+
+
+def test_truth_and_record_agree_where_the_encoder_is_fine():
+    position, velocity, _ = hit()
+    fine = 1e-9
+    effort = np.clip(PUSH - STIFFNESS * np.maximum(position, 0), -1.3, 1.3)
+    truth = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
+    seen = judge(
+        signals(np.floor(position / fine + 0.5) * fine, effort=effort, resolution=fine),
+        LIMITS,
+    )
+    assert seen.kind is truth.kind
+    for name in ("heard", "moved", "peak_penetration", "resting_penetration", "impact_velocity", "felt"):
+        assert getattr(seen, name) == pytest.approx(getattr(truth, name), rel=5e-3, abs=1e-6), name
+    assert (seen.contact_s, seen.exits, seen.peak_effort) == (
+        truth.contact_s,
+        truth.exits,
+        truth.peak_effort,
+    )
+    assert seen.settling_s == pytest.approx(truth.settling_s, abs=2 * T)
+
+
+# --- from rows --------------------------------------------------------------------------------------------
+
+
+def rows(truth: bool = False) -> np.ndarray:
+    extra = [(column.name, column.dtype) for column in TRUTH_COLUMNS] if truth else []
+    made = np.zeros(5, dtype=[*ROW.descr, *extra] if truth else ROW)
+    made["phase"] = [Phase.SETTLE, Phase.TRIAL, Phase.TRIAL, Phase.TRIAL, Phase.RELEASE]
+    made["position"] = made["penetration"] = [9, 1, 2, 3, 9]
+    made["effort_sent"] = [9, 4, 5, 6, 9]
+    made["flags"] = [
+        0,
+        RowFlag.SATURATED | RowFlag.INSIDE,
+        RowFlag.LATE,
+        RowFlag.GAP | RowFlag.SLEW_BOUND,
+        RowFlag.GAP,
+    ]
+    return made
+
+
+def test_only_the_trial_itself_is_judged_and_from_what_a_rig_records():
+    s = recorded_signals(rows(), T, -DELTA)
+    assert s.resolution == DELTA
+    assert s.velocity is None
+    assert s.position.tolist() == s.penetration.tolist() == [1, 2, 3]
+    assert s.effort.tolist() == [4, 5, 6]
+    assert s.saturated.tolist() == [True, False, False]
+    assert s.late.tolist() == [False, True, False]
+    assert s.gap.tolist() == s.slew_bound.tolist() == [False, False, True]
+
+
+def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_that_the_law_sees():
+    made = rows(truth=True)
+    made["position_true"] = [9, 0.5, 0.6, 0.7, 9]
+    made["handle_position_true"] = [9, 0.4, 0.5, 0.6, 9]
+    made["handle_velocity_true"] = [9, 1, 2, 3, 9]
+    made["effort_true"] = [9, 7, 8, 9, 9]
+    s = true_signals(made, T, wall_position=0.65, wall_side=-1.0)
+    assert s.resolution == 0.0
+    assert s.position.tolist() == [0.4, 0.5, 0.6]
+    assert s.penetration == pytest.approx([0.15, 0.05, -0.05])
+    assert s.velocity.tolist() == [1, 2, 3]
+    assert s.effort.tolist() == [7, 8, 9]
+    assert s.gap.tolist() == [False, False, True]
+
+
+def test_a_verdict_is_plain_data():
+    mapping = judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS).as_mapping()
+    again = json.loads(json.dumps(mapping, allow_nan=False))
+    assert again == mapping
+    assert again["kind"] == "limit cycle"
+    assert len(again["reasons"]) == 3
+
+
+# --- from numbers, without texts --------------------------------------------------------------------------
+
+
+@st.composite
+def numbers_of_trials(draw) -> np.ndarray:
+    """Records around every threshold, with everything that can be absent absent now and then."""
+    size = draw(st.integers(1, 6))
+    records = np.zeros(size, NUMBERS)
+    near = {
+        "felt": (0.049, 0.051, math.nan),
+        "heard": (0.09, 0.11),
+        "moved": (1.2e-3, 1.3e-3),
+        "growth": (0.0, 1.19, 1.21),
+        "exits_in_tail": (0, 3),
+        "contact_s": (math.nan, 0.02, 0.7),
+        "inside_ticks_in_tail": (0, 8000),
+        "stay_ticks": (0, 9000),
+        "heard_in_stay": (0.0, 0.11),
+        "moved_in_stay": (0.0, 1.3e-3),
+        "tail_begins_s": (0.6,),
+        "settling_in_tail_s": (0.0, 0.1),
+        "saturated_fraction_in_tail": (0.0, 0.01, 0.011),
+        "late_fraction": (0.0, 0.0099, 0.01),
+        "gaps": (0, 1),
+        "slew_bound_ticks": (0, 2),
+        "overruled_ticks": (0, 2),
+    }
+    for record in records:
+        record["ticks"] = RATE
+        calm = draw(
+            st.integers(0, 2 ** len(near) - 1)
+        )  # most conditions at their first value: all kinds come up
+        for bit, (name, values) in enumerate(near.items()):
+            record[name] = values[0] if calm >> bit & 1 else draw(st.sampled_from(values))
+        if math.isnan(record["contact_s"]):
+            record["inside_ticks_in_tail"] = 0
+        if draw(st.integers(0, 9)) == 0:
+            record["tail_begins_s"], record["ticks"] = math.nan, 3
+    return records
+
+
+def kind_in_words(n: np.void) -> Kind:
+    """The module's text once more, sentence by sentence."""
+    saturates = n["saturated_fraction_in_tail"] > LIMITS.saturated_fraction
+    exceeded = n["felt"] > 0.05 or n["heard"] > 0.10 or n["moved"] > 1.25e-3
+    if n["ticks"] < 8 or math.isnan(n["contact_s"]) or n["inside_ticks_in_tail"] == 0:
+        return Kind.INVALID
+    if n["contact_s"] > n["tail_begins_s"] or n["gaps"] or n["late_fraction"] >= 0.01:
+        return Kind.INVALID
+    if n["slew_bound_ticks"] or n["overruled_ticks"] or (saturates and not exceeded):
+        return Kind.INVALID
+    if n["settling_in_tail_s"] > 0 and (n["exits_in_tail"] or exceeded):
+        return Kind.INVALID
+    if n["exits_in_tail"] or (exceeded and (n["growth"] > LIMITS.growth or saturates)):
+        return Kind.UNSTABLE
+    return Kind.LIMIT_CYCLE if exceeded else Kind.STABLE
+
+
+@settings(max_examples=200, deadline=None)
+@given(records=numbers_of_trials())
+def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records):
+    expected = [kind_in_words(record) for record in records]
+    assert [KINDS[code] for code in kinds(records, LIMITS)] == expected
+    for record, kind in zip(records, expected, strict=True):
+        decided, reasons = decide(record, LIMITS)
+        assert decided is kind is Measured(record, LIMITS).kind
+        assert bool(reasons) == (kind is not Kind.STABLE)
+
+
+@settings(max_examples=200, deadline=None)
+@given(records=numbers_of_trials())
+def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_trial_says_nothing(records):
+    for record in records:
+        kind = kind_in_words(record)
+        gone = record["contact_s"] >= 0.0 and record["inside_ticks_in_tail"] == 0
+        votes = {"felt": record["felt"] > 0.05, "heard": record["heard"] > 0.10}
+        votes["any"] = any(votes.values()) or record["moved"] > 1.25e-3
+        spoilt = (
+            not record["contact_s"] >= 0.0
+            or (record["inside_ticks_in_tail"] > 0 and record["contact_s"] > record["tail_begins_s"])
+            or math.isnan(record["tail_begins_s"])
+            or record["gaps"] > 0
+            or record["late_fraction"] >= LIMITS.late_fraction
+            or record["slew_bound_ticks"] > 0
+            or record["overruled_ticks"] > 0
+            or (
+                record["saturated_fraction_in_tail"] > LIMITS.saturated_fraction
+                and not (votes["any"] or record["moved"] > LIMITS.moved)
+            )
+        )
+        for criterion in CRITERIA:
+            passes = Measured(record, LIMITS).passes(criterion)
+            if spoilt:
+                assert passes is None
+            elif gone or record["exits_in_tail"] > 0 or kind is Kind.UNSTABLE:
+                assert passes is False
+            elif kind is not Kind.INVALID:
+                assert passes is not bool(votes[criterion])
+
+
+def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wants_a_longer_trial():
+    ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.32) * np.cos(2 * np.pi * 60 * TIME)
+    ringing = measured(ring, effort=900 * ring)
+    assert ringing.kind is Kind.INVALID
+    assert ringing.passes("heard") is False
+
+
+def measured(position, **options) -> Measured:
+    """The numbers of `signals`, as a sweep has them."""
+    s = signals(position, **options)
+    flags = np.where(s.slew_bound, int(RowFlag.SLEW_BOUND), 0)
+    taken = meter(LIMITS, T, s.resolution).recorded(s.position, s.effort, s.penetration, flags, s.velocity)
+    return Measured(taken, LIMITS)
+
+
+def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_gives_no_verdict():
+    gone = measured(np.where(TIME < 0.2, 1e-3, -1e-3))
+    assert gone.kind is Kind.INVALID
+    assert {gone.passes(criterion) for criterion in CRITERIA} == {False}
+    spoilt = measured(np.where(TIME < 0.2, 1e-3, -1e-3), slew_bound=first(2))
+    assert {spoilt.passes(criterion) for criterion in CRITERIA} == {None}
+
+
+def test_a_wall_that_was_never_touched_neither_passes_nor_fails():
+    assert {measured(REST - 2e-3).passes(criterion) for criterion in CRITERIA} == {None}
+
+
+def test_a_buzz_that_is_heard_and_not_felt_fails_the_criteria_that_ask_for_it():
+    buzz = measured(REST, effort=ripple(0.5))
+    assert [buzz.passes(criterion) for criterion in ("felt", "heard", "any")] == [True, False, False]
+
+
+def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_without():
+    thrown, lost = (replace(measured(position), thrown_out=True) for position in (REST, REST - 2e-3))
+    assert (thrown.kind, lost.kind) == (Kind.UNSTABLE, Kind.INVALID)
+    assert [side.passes("any") for side in (thrown, lost)] == [False, None]
+
+
+def test_a_sweep_has_the_numbers_of_the_verdict():
+    position, velocity, _ = hit()
+    effort = PUSH - STIFFNESS * position
+    flags = np.zeros(RATE, np.int64)
+    numbers = meter(LIMITS, T, DELTA).true(position, velocity, effort, position, flags)
+    verdict = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
+    shown = {name: value for name, value in verdict.as_mapping().items() if name not in ("kind", "reasons")}
+    assert shown == {name: numbers[name].item() for name in shown}
+
+
+def test_whoever_wants_only_the_limits_does_not_load_the_compiler():
+    code = "import sys, rig.control.verdict; assert not {'numba', 'scipy'} & set(sys.modules), sorted(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,0 +1,100 @@
+"""The virtual wall: a spring and damper that exists only inside. Koul et al., equation (1)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.control import laws
+from rig.core.errors import ConfigError
+from rig.realtime.plugs import LAW_CLAMPED
+
+DEPTH = st.floats(0.0, 0.1, exclude_min=True)
+VELOCITY = st.floats(-20.0, 20.0)
+STIFFNESS = st.floats(0.0, 1e5)
+DAMPING = st.floats(0.0, 1e3)
+
+
+def wall(stiffness: float, damping: float, pull: str = "clamp", damping_on: str = "both") -> laws.PreparedLaw:
+    section = {"stiffness": stiffness, "damping": damping, "pull": pull, "damping_on": damping_on}
+    return laws.get("spring-damper").prepare(section)
+
+
+def reaction(law: laws.PreparedLaw, penetration: float, velocity: float) -> float:
+    return law.law.function(penetration, velocity, 1, law.state, law.parameters)
+
+
+@settings(deadline=None)
+@given(penetration=st.floats(-1.0, 0.0), velocity=VELOCITY, pull=st.sampled_from(["clamp", "allow"]))
+def test_outside_there_is_no_wall(penetration, velocity, pull):
+    """Also on the very surface: inside means a penetration above zero."""
+    law = wall(1000.0, 10.0, pull)
+    assert reaction(law, penetration, velocity) == 0.0
+    assert law.state[LAW_CLAMPED] == 0.0
+
+
+def test_twenty_millimetres_deep_a_wall_of_1_kn_per_metre_pushes_with_20_newton():
+    assert reaction(wall(1000.0, 0.0), 0.020, 0.3) == pytest.approx(20.0)
+
+
+@settings(deadline=None)
+@given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
+def test_inside_it_is_a_spring_and_a_damper(depth, velocity, stiffness, damping):
+    law = wall(stiffness, damping, pull="allow")
+    assert reaction(law, depth, velocity) == stiffness * depth + damping * velocity
+
+
+@settings(deadline=None)
+@given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
+def test_a_clamped_wall_never_pulls_and_says_when_it_would_have(depth, velocity, stiffness, damping):
+    clamped, pulling = wall(stiffness, damping), wall(stiffness, damping, pull="allow")
+    free = reaction(pulling, depth, velocity)
+    assert reaction(clamped, depth, velocity) == max(free, 0.0)
+    assert clamped.state[LAW_CLAMPED] == (1.0 if free < 0.0 else 0.0)
+    assert pulling.state[LAW_CLAMPED] == 0.0
+
+
+def test_the_mark_of_clamping_is_of_this_tick_only():
+    law = wall(100.0, 10.0)
+    reaction(law, 0.01, -5.0)
+    assert law.state[LAW_CLAMPED] == 1.0
+    reaction(law, -0.01, -5.0)
+    assert law.state[LAW_CLAMPED] == 0.0
+
+
+@settings(deadline=None)
+@given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
+def test_damping_on_entry_only_leaves_a_pure_spring_on_the_way_out(depth, velocity, stiffness, damping):
+    law = wall(stiffness, damping, damping_on="entry")
+    assert reaction(law, depth, velocity) == stiffness * depth + damping * max(velocity, 0.0)
+
+
+@settings(deadline=None)
+@given(depth=DEPTH, velocity=st.floats(0.0, 20.0), more=st.floats(0.0, 0.1))
+def test_deeper_is_never_softer(depth, velocity, more):
+    law = wall(560.0, 0.5)
+    assert reaction(law, depth + more, velocity) >= reaction(law, depth, velocity)
+
+
+def test_a_velocity_that_is_not_a_number_is_passed_on_for_the_guard_to_stop():
+    assert np.isnan(reaction(wall(100.0, 1.0), 0.01, np.nan))
+
+
+def test_an_unknown_law_lists_the_known_ones():
+    assert laws.names()[0] == "spring-damper"
+    with pytest.raises(ConfigError, match=r"no law 'spring'.*spring-damper"):
+        laws.get("spring")
+
+
+def test_a_broken_plug_in_is_named(monkeypatch):
+    class Broken:
+        name, value = "theirs", "theirs:LAW"
+
+        def load(self):
+            raise AttributeError("LAW")
+
+    monkeypatch.setattr(laws, "entry_points", lambda **_: [Broken()])
+    with pytest.raises(ConfigError, match=r"theirs:LAW.*does not load.*mend or remove"):
+        laws.get("theirs")

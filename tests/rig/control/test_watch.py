@@ -1,0 +1,186 @@
+"""The watch in a tick: energy by an independent sum, swings by their definition, and the cut when it is too much."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.config.sections import Limits
+from rig.control import watch
+from rig.control.step import Controller
+from rig.core.sample import Phase, RowFlag
+from rig.core.swings import SWING_S, SWINGS
+from tests.rig.control.test_step import DELTA, Tick
+
+STIFF = {"stiffness": 1e6}  # 1 N a count, a hundred quanta
+
+
+def ran(tick: Tick, counts: list[int]) -> list[float]:
+    """Efforts sent, one for each count."""
+    sent = []
+    for count in counts:
+        tick(count)
+        sent.append(tick.effort_sent)
+    return sent
+
+
+@settings(deadline=None)
+@given(
+    counts=st.lists(st.integers(-40, 40), min_size=2, max_size=60),
+    damping=st.sampled_from([0.0, 3.0]),
+    side=st.sampled_from([-1.0, 1.0]),
+)
+def test_the_energy_is_that_of_effort_times_travel_forgiven_in_free_space(counts, damping, side):
+    tick = Tick(wall=STIFF | {"damping": damping}, wall_side=side)
+    ran(tick, counts[:1])
+    effort, position, given = tick.effort_sent, tick.position, 0.0
+    for count in counts[1:]:
+        tick(count)
+        given += effort * (tick.position - position)
+        if side * count <= 0:
+            given = max(0.0, given)
+        effort, position = tick.effort_sent, tick.position
+        assert tick.energy == pytest.approx(given, abs=1e-18)
+        assert not tick.has(RowFlag.ENERGY), "nobody set a limit"
+
+
+@settings(deadline=None)
+@given(depth=st.integers(1, 50))
+def test_a_sampled_spring_gives_stiffness_times_a_count_squared_for_each_count_in_and_out(depth):
+    tick = Tick(wall=STIFF)
+    ran(tick, [0, *range(depth + 1), *range(depth, -1, -1)])
+    assert tick.energy == pytest.approx(depth * 1e6 * DELTA**2, rel=1e-9)
+
+
+def test_what_damping_took_is_no_licence_for_the_next_contact():
+    tick = Tick(wall={"stiffness": 0.0, "damping": 50.0})
+    ran(tick, [0, 10, 20, 30, 30, 30])
+    assert tick.energy < 0.0
+    assert tick.effort_sent == 0.0
+    ran(tick, [-1])
+    assert tick.energy == 0.0
+
+
+def test_too_much_energy_cuts_in_its_tick():
+    counts = [-1, *([5, -5] * 50)]
+    free = Tick(wall=STIFF)
+    given = []
+    for count in counts:
+        free(count)
+        given.append(free.energy)
+    limit = given[len(given) // 2]
+    tick = Tick(wall=STIFF, energy_limit=limit)
+    for count, energy in zip(counts, given, strict=True):
+        current = tick(count)
+        if energy > limit:
+            assert (current, tick.effort_sent, tick.limited_effort, tick.phase) == (0, 0.0, 0.0, Phase.DONE)
+            assert tick.has(RowFlag.ENERGY)
+            return
+        assert not tick.has(RowFlag.ENERGY)
+    raise AssertionError("it gave no energy")
+
+
+def test_neither_homing_nor_a_wall_that_stands_still_gives_energy():
+    homing = Tick(
+        skip_homing=False, home_stiffness=100.0, home_effort=50.0, home_tolerance=0.0, energy_limit=1e-12
+    )
+    ran(homing, list(range(0, 2000, 7)))
+    assert (homing.phase, homing.energy) == (Phase.HOMING, 0.0)
+    still = Tick(wall=STIFF, energy_limit=1e-12)
+    ran(still, [100] * 50)
+    assert still.energy == 0.0
+
+
+# ---------------------------------------------------------------------- swings
+
+BEATS = {"wall": {"stiffness": 1e8}, "swing_limit": 4, "swing_ticks": 6, "swing_travel": 3.5 * DELTA}
+
+
+def beat(tick: Tick, period: int, times: int, low: int = -4, high: int = 4) -> int | None:
+    """Throw the handle to and fro; the number of the swing that ended the run, or None."""
+    half = period // 2
+    for number in range(1, times + 1):
+        for count in [low] * half + [high] * (period - half):
+            tick(count)
+            if tick.has(RowFlag.VIOLENT):
+                assert (tick.current_sent, tick.phase) == (0, Phase.DONE)
+                return number
+    return None
+
+
+def test_so_many_swings_in_a_row_end_the_run():
+    tick = Tick(**BEATS)
+    # a swing is seen one tick after the effort of the sample that made it
+    assert beat(tick, 6, 10) == 4
+    assert tick.swings == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "low", "high", "period"),
+    [
+        ({"swing_limit": 0}, -4, 4, 6),
+        ({}, -4, 4, 8),  # later than is in a row
+        ({}, -1, 2, 6),  # no travel
+        ({"wall": {"stiffness": 2e7}}, -4, 4, 6),  # 80 of 100: not to the limit
+        ({"wall": {"stiffness": 1e8}}, 1, 9, 6),  # never next to nothing
+        ({"trial_ticks": 1, "release_ticks": 1}, -4, 4, 6),  # over before
+        ({"skip_homing": False, "home_target": 1.0, "home_tolerance": 0.0}, -4, 4, 6),
+    ],
+)
+def test_what_is_no_violence(changes, low, high, period):
+    tick = Tick(**BEATS | changes)
+    assert beat(tick, period, 20, low, high) is None
+    assert tick.swings < 4
+
+
+def test_a_pause_begins_a_new_row():
+    tick = Tick(**BEATS)
+    assert beat(tick, 6, 3) is None
+    ran(tick, [-4] * 10)
+    assert beat(tick, 6, 3) is None
+    assert tick.swings == 3
+    assert beat(tick, 6, 1) == 1
+
+
+def test_the_other_side_beats_alike():
+    tick = Tick(**BEATS, wall_side=-1.0)
+    assert beat(tick, 6, 10, 4, -4) == 4
+
+
+@pytest.mark.parametrize(("elapsed", "ends"), [(1, True), (3, True), (4, False)])
+def test_lost_samples_count_as_time(elapsed, ends):
+    tick = Tick(**BEATS)  # six ticks between two swings are in a row
+    seen = []
+    for count in [-4, 4] * 8:
+        tick(count, elapsed)
+        seen.append(tick.has(RowFlag.VIOLENT))
+    assert any(seen) == ends
+
+
+def test_a_controller_that_was_saved_before_there_was_a_watch_is_the_same_without_it():
+    saved = Tick(wall=STIFF).controller.as_mapping()
+    for part, names in (
+        ("control", ("energy_limit", "swing_limit", "swing_ticks", "swing_travel")),
+        ("memory", ("energy", "swings", "swing_age", "swing_armed", "swing_lowest", "swing_highest")),
+    ):
+        for name in names:
+            assert saved[part].pop(name) == 0
+    again = Controller.from_mapping(saved)
+    assert again.as_mapping() == Tick(wall=STIFF).controller.as_mapping()
+
+
+def test_a_swing_is_what_the_constants_say():
+    for reaction, meaning in ((-50.0, -1), (10.0, -1), (10.1, 0), (89.9, 0), (90.0, 1), (100.0, 1)):
+        assert watch.swung(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
+    assert watch.swung(100.0, 100.0, -1.0, 1.0, 2.0) == 0
+    assert np.isclose(watch.energy_given(-3.0, 2.0, 1.0, False), -1.0)
+
+
+def test_the_swings_in_force_are_the_ones_that_were_measured():
+    limits = inspect.get_annotations(Limits, eval_str=True)
+    assert Limits.__dataclass_fields__["swing_s"].default == SWING_S
+    assert f"left out: {SWINGS} in" in str(limits["swings"])

@@ -1,0 +1,24 @@
+"""Errors that a script can tell apart."""
+
+import importlib
+import pkgutil
+
+import rig
+from rig.core.errors import RigError
+
+
+def every_error(root=RigError):
+    for child in root.__subclasses__():
+        yield child
+        yield from every_error(child)
+
+
+def test_kinds_of_errors_that_are_no_kin_have_exit_codes_of_their_own():
+    for module in pkgutil.walk_packages(rig.__path__, "rig."):
+        if module.name != "rig.__main__":
+            importlib.import_module(module.name)
+    owners = {}
+    for error in every_error():
+        if "exit_code" in vars(error):
+            assert owners.setdefault(error.exit_code, error) is error
+    assert set(owners) == {*range(2, 16), 130}

@@ -1,0 +1,177 @@
+"""The typed physics: derived values and continuous matrices against independent formulas."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, state_space
+
+# The fitted values of Koul's rig: free-free mode of the capstan near 586 Hz.
+COMPLIANT = Mechanics(
+    structure="two-mass",
+    motor_inertia=1.9e-4,
+    link_inertia=1.58e-3,
+    motor_damping=2.7e-3,
+    link_damping=1e-3,
+    motor_coulomb=0.005,
+    link_coulomb=0.0017,
+    transmission_stiffness=2310.0,
+    transmission_damping_ratio=0.035,
+    handle_radius=0.1,
+)
+RIGID = replace(COMPLIANT, structure="rigid")
+AMPLIFIER = Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4)
+
+
+def impedance(mechanics: Mechanics, s: complex) -> np.ndarray:
+    """(effort on motor, effort on link) = Z (motor velocity, link velocity), from Newton's law."""
+    capstan = mechanics.transmission_stiffness / s + mechanics.transmission_damping
+    motor = mechanics.motor_inertia * s + mechanics.motor_damping + capstan
+    link = mechanics.loaded_link_inertia * s + mechanics.link_damping + capstan
+    return np.array([[motor, -capstan], [-capstan, link]])
+
+
+def transfer(mechanics: Mechanics, amplifier: Amplifier, *, state: int, source: int, omega: float) -> complex:
+    """Response of one state to one input, from the matrices: a row of (jω − A)⁻¹ B."""
+    model = state_space(mechanics, amplifier)
+    response = np.linalg.solve(1j * omega * np.eye(model.order) - model.a, model.b[:, source])
+    return complex(response[state])
+
+
+@pytest.mark.parametrize("end_mass", [0.0, 0.07])
+@pytest.mark.parametrize("frequency_hz", [3.0, 586.0, 2000.0])
+def test_two_mass_matrices_are_newtons_law(frequency_hz: float, end_mass: float) -> None:
+    mechanics = replace(COMPLIANT, end_mass=end_mass)
+    s = 2j * math.pi * frequency_hz
+    admittance = np.linalg.inv(impedance(mechanics, s))
+    lag = 1.0 / (1.0 + s * AMPLIFIER.lag_s)
+    for state, row in ((1, 0), (3, 1)):
+        for source, wanted in ((0, lag * admittance[row, 0]), (1, admittance[row, 1])):
+            got = transfer(mechanics, AMPLIFIER, state=state, source=source, omega=s.imag)
+            assert got == pytest.approx(wanted, rel=1e-9)
+        for source, mass in ((2, 0), (3, 1)):  # friction acts on its own mass, without lag
+            got = transfer(mechanics, AMPLIFIER, state=state, source=source, omega=s.imag)
+            assert got == pytest.approx(admittance[row, mass], rel=1e-9)
+
+
+def test_rigid_matrices_are_one_inertia_with_the_friction_of_both_sides() -> None:
+    model = state_space(RIGID, AMPLIFIER)
+    s = 2j * math.pi * 40.0
+    inertia, damping = 1.9e-4 + 1.58e-3, 3.7e-3
+    wanted = 1.0 / (inertia * s + damping)
+    assert transfer(RIGID, AMPLIFIER, state=1, source=1, omega=s.imag) == pytest.approx(wanted)
+    lagged = wanted / (1.0 + s * 1e-4)
+    assert transfer(RIGID, AMPLIFIER, state=1, source=0, omega=s.imag) == pytest.approx(lagged)
+    assert list(model.friction) == pytest.approx([0.0067])
+
+
+def test_koul_compliant_has_its_free_free_mode_at_586_hz_with_the_declared_damping_ratio() -> None:
+    free = replace(COMPLIANT, motor_damping=0.0, link_damping=0.0)
+    modes = np.linalg.eigvals(state_space(free, AMPLIFIER).a)
+    mode = modes[np.argmax(modes.imag)]
+    assert abs(mode) / (2 * math.pi) == pytest.approx(586.0, rel=3e-3)
+    assert -mode.real / abs(mode) == pytest.approx(0.035, rel=1e-9)
+
+
+def test_a_stiff_capstan_at_low_frequency_is_the_rigid_rig() -> None:
+    stiff = replace(COMPLIANT, transmission_stiffness=1e6)
+    omega = 2 * math.pi * 5.0
+    for source in (0, 1):
+        two = transfer(stiff, AMPLIFIER, state=3, source=source, omega=omega)
+        one = transfer(RIGID, AMPLIFIER, state=1, source=source, omega=omega)
+        assert two == pytest.approx(one, rel=1e-5)
+
+
+@pytest.mark.parametrize("mechanics", [RIGID, COMPLIANT])
+def test_without_lag_the_command_drives_the_motor_and_the_effort_state_stands_alone(
+    mechanics: Mechanics,
+) -> None:
+    model = state_space(mechanics, replace(AMPLIFIER, lag_s=0.0))
+    assert not model.a[model.effort].any()
+    assert not model.a[:, model.effort].any()
+    assert not model.b[model.effort].any()
+    velocity = 1
+    assert model.b[velocity, 0] == model.b[velocity, 2]  # the command acts where the motor's friction acts
+
+
+def test_voltage_drive_adds_its_back_emf_damping_and_current_drive_does_not() -> None:
+    amplifier = replace(AMPLIFIER, back_emf_damping=0.0253)
+    for mechanics in (RIGID, COMPLIANT):
+        current = state_space(mechanics, amplifier)
+        voltage = state_space(mechanics, replace(amplifier, drive="voltage"))
+        inertia = 1.9e-4 + (1.58e-3 if mechanics is RIGID else 0.0)
+        assert voltage.a[1, 1] - current.a[1, 1] == pytest.approx(-0.0253 / inertia)
+
+
+def test_the_end_mass_loads_the_link_but_leaves_the_cable_as_it_is() -> None:
+    loaded = replace(COMPLIANT, end_mass=0.07, gravity=-9.81)
+    assert loaded.loaded_link_inertia == pytest.approx(1.58e-3 + 0.07 * 0.1**2)
+    assert loaded.transmission_damping == COMPLIANT.transmission_damping
+    assert loaded.gravity_effort == pytest.approx(-0.07 * 9.81 * 0.1)
+    assert COMPLIANT.gravity_effort == 0.0
+
+
+def test_encoder_resolution_of_koul_and_chawda() -> None:
+    koul = Encoder(counts_per_revolution=1000, decoding=4, ratio=10.0)
+    assert koul.resolution == pytest.approx(1.57e-4, rel=1e-3)
+    assert replace(koul, decoding=1).resolution == pytest.approx(6.28e-4, rel=1e-3)
+    assert Encoder(quantum=1e-6).resolution == 1e-6
+
+
+def test_one_current_quantum_is_this_much_effort() -> None:
+    assert AMPLIFIER.effort_quantum == pytest.approx(0.234e-3)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"counts_per_revolution": 1000, "quantum": 1e-6},
+        {"counts_per_revolution": 0},
+        {"quantum": 0.0},
+        {"quantum": -1e-6},
+        {"quantum": math.nan},
+    ],
+)
+def test_an_encoder_without_exactly_one_size_above_zero_is_refused(given: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="counts_per_revolution or quantum"):
+        Encoder(**given)
+    with pytest.raises(ValidationError):
+        TypeAdapter(Encoder).validate_json(json.dumps(given))
+
+
+@pytest.mark.parametrize("missing", [{"transmission_stiffness": 0.0}, {"link_inertia": 0.0}])
+def test_two_masses_need_a_capstan_and_a_link(missing: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="transmission_stiffness and link_inertia"):
+        replace(COMPLIANT, **missing)
+    assert replace(RIGID, **missing).structure == "rigid"
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("motor_inertia", 0.0), ("gravity", 21.0), ("transmission_damping_ratio", 1.0), ("colour", "red")],
+)
+def test_a_description_out_of_range_or_with_an_unknown_key_is_refused(key: str, value: object) -> None:
+    good = {"structure": "rigid", "motor_inertia": 1e-4, "link_inertia": 0.0}
+    assert TypeAdapter(Mechanics).validate_json(json.dumps(good)).motor_inertia == 1e-4
+    with pytest.raises(ValidationError, match=key):
+        TypeAdapter(Mechanics).validate_json(json.dumps(good | {key: value}))
+
+
+def test_a_rig_is_hashable_data_with_usable_defaults() -> None:
+    rig = RigModel(
+        name="koul",
+        motion="rotary",
+        mechanics=COMPLIANT,
+        amplifier=AMPLIFIER,
+        encoder=Encoder(counts_per_revolution=1000, ratio=10.0),
+    )
+    assert rig.simulation.computation_delay_ticks == 0
+    assert hash(rig) == hash(replace(rig))

@@ -1,0 +1,261 @@
+"""A person in the model and in an experiment: grips, impedance, and what changes when a hand pushes, not the motor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig import config
+from rig.cli import options
+from rig.config import controller, override, presets
+from rig.core.errors import ConfigError
+from rig.core.model import Operator, StateSpace, state_space
+from rig.core.operators import GRIPS
+from rig.devices import simulated_model
+from rig.devices.device import DeviceUrl
+from rig.experiments.plan import make_plan, predict_impact
+
+KOUL, RIGID, CHAWDA = (presets.load(name) for name in ("koul-compliant", "koul-rigid", "chawda-linear"))
+HUMAN = {"trial.kind": "human"}
+
+
+def held(base: config.Experiment = KOUL, **changes: Any) -> config.Experiment:
+    return override(base, {**HUMAN, **{key.replace("__", "."): value for key, value in changes.items()}})
+
+
+# Grips
+
+
+def test_a_firmer_grip_is_stiffer_heavier_and_presses_harder() -> None:
+    relaxed, normal, firm = (GRIPS[grip] for grip in ("relaxed", "normal", "firm"))
+    for name in (
+        "pads_mass",
+        "pads_stiffness",
+        "pads_damping",
+        "hand_stiffness",
+        "hand_damping",
+        "press",
+        "tremor",
+    ):
+        assert getattr(relaxed, name) < getattr(normal, name) < getattr(firm, name), name
+
+
+@pytest.mark.parametrize("grip", sorted(GRIPS))
+def test_grips_lie_within_what_the_literature_gives_for_hands(grip: str) -> None:
+    operator = GRIPS[grip]
+    assert operator.grip == grip
+    assert 50.0 <= operator.hand_stiffness <= 800.0
+    assert 1.0 <= operator.hand_damping <= 10.0
+    assert 0.005 <= operator.pads_mass <= 0.040
+    assert 10e-6 <= operator.tremor <= 260e-6
+
+
+# Impedance
+
+
+def impedance_at_handle(operator: Operator, s: complex) -> complex:
+    """Force for velocity (N·s/m) of pads on a hand on its intention, written down as a ladder."""
+    hand = operator.hand_mass * s + operator.hand_damping + operator.hand_stiffness / s
+    pads = operator.pads_damping + operator.pads_stiffness / s
+    return operator.pads_mass * s + 1.0 / (1.0 / pads + 1.0 / hand)
+
+
+def admittance(model: StateSpace, state: int, source: int, s: complex) -> complex:
+    return complex(np.linalg.solve(s * np.eye(model.order) - model.a, model.b[:, source])[state])
+
+
+@pytest.mark.parametrize("grip", sorted(GRIPS))
+@pytest.mark.parametrize("frequency_hz", [1.0, 10.0, 60.0, 600.0])
+@pytest.mark.parametrize("base", [RIGID, CHAWDA], ids=["rotary", "linear"])
+def test_a_hand_adds_the_impedance_of_pads_and_hand_at_the_handle(
+    base: config.Experiment, frequency_hz: float, grip: str
+) -> None:
+    mechanics, amplifier, operator = base.rig.mechanics, base.rig.amplifier, GRIPS[grip]
+    s = 2j * math.pi * frequency_hz
+    free = state_space(mechanics, amplifier)
+    both = state_space(mechanics, amplifier, operator)
+    added = 1.0 / admittance(both, 1, 1, s) - 1.0 / admittance(free, 1, 1, s)
+    assert added == pytest.approx(mechanics.handle_radius**2 * impedance_at_handle(operator, s), rel=1e-8)
+
+
+def test_on_two_masses_the_hand_holds_the_link() -> None:
+    mechanics, amplifier, operator = KOUL.rig.mechanics, KOUL.rig.amplifier, GRIPS["normal"]
+    s = 2j * math.pi * 30.0
+    free, both = state_space(mechanics, amplifier), state_space(mechanics, amplifier, operator)
+    added = 1.0 / admittance(both, 3, 1, s) - 1.0 / admittance(free, 3, 1, s)
+    assert added == pytest.approx(0.01 * impedance_at_handle(operator, s), rel=1e-8)
+
+
+def test_hand_and_its_inputs_come_after_those_of_the_rig() -> None:
+    for experiment, order, frictions in ((RIGID, 3, 1), (KOUL, 5, 2)):
+        mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
+        free, both = state_space(mechanics, amplifier), state_space(mechanics, amplifier, GRIPS["normal"])
+        assert (free.order, both.order) == (order, order + 2)
+        assert (free.hand_position, both.hand_position) == (None, order)
+        assert free.b.shape[1] == 2 + frictions
+        assert both.operator_inputs == slice(2 + frictions, 5 + frictions)
+        assert free.operator_inputs == slice(2 + frictions, 2 + frictions)
+        assert both.friction_inputs == free.friction_inputs == slice(2, 2 + frictions)
+        assert both.b.shape == (order + 2, 5 + frictions)
+        assert (both.sensed_position, both.handle_position, both.effort) == (
+            free.sensed_position, free.handle_position, free.effort,
+        )  # fmt: skip
+
+
+def test_where_the_hand_is_meant_to_be_the_rig_comes_to_rest() -> None:
+    both = state_space(KOUL.rig.mechanics, KOUL.rig.amplifier, GRIPS["normal"])
+    wanted = both.operator_inputs.start
+    rest = np.linalg.solve(both.a, -both.b[:, wanted] * 0.02)
+    assert rest[[both.sensed_position, both.handle_position, both.hand_position]] == pytest.approx([0.02] * 3)
+    pressed = np.linalg.solve(both.a, -both.b[:, wanted + 2] * 0.4)
+    assert pressed[both.hand_position] == pytest.approx(0.4 / (300.0 * 0.01))
+
+
+# Experiments
+
+
+def test_who_does_not_speak_of_a_person_gets_the_motor_and_the_end_mass() -> None:
+    model = config.rig_model(KOUL)
+    assert (model.operator, model.reach) == (None, None)
+    assert model.mechanics.end_mass == 0.07
+    assert config.motor_push(KOUL) == 0.15
+
+
+def test_with_a_person_the_motor_pushes_nothing_and_the_end_mass_is_off() -> None:
+    experiment = held()
+    model = config.rig_model(experiment)
+    assert model.operator == GRIPS["normal"]
+    assert model.mechanics == replace(KOUL.rig.mechanics, end_mass=0.0)
+    assert model.reach is not None
+    assert model.reach.target == pytest.approx(0.02)  # 2 mm at 0.1 m
+    assert (model.reach.start, model.reach.pace, model.reach.wait_s) == (-0.015, 0.1, 0.25)
+    law = controller.for_experiment(experiment, current_quantum_a=0.001)
+    assert law.control["constant_effort"][0] == 0.0
+
+
+def test_the_device_is_told_that_somebody_may_hold_the_handle_still() -> None:
+    for experiment, told in ((KOUL, 0), (held(), 1)):
+        values = controller.device_parameters(
+            experiment, current_quantum_a=0.001, reference_count=0, verified=True
+        )
+        assert values["hold_to_run"] == told
+
+
+def test_a_grip_brings_its_numbers_and_single_ones_may_be_set() -> None:
+    assert held(operator__grip="firm").operator == GRIPS["firm"]
+    stronger = held(operator__grip="firm", operator__press=7.0)
+    assert stronger.operator == replace(GRIPS["firm"], press=7.0)
+    assert override(stronger, {"operator.press": 6.5}).operator == replace(GRIPS["firm"], press=6.5)
+    # Numbers of a grip do not outlive it.
+    assert override(stronger, {"operator.grip": "relaxed"}).operator == GRIPS["relaxed"]
+    from_file = config.experiment_from_mapping(
+        {"preset": "koul-rigid", "trial": {"kind": "human"}, "operator": {"grip": "relaxed", "depth": 0.003}},
+        "x",
+    )
+    assert from_file.operator == replace(GRIPS["relaxed"], depth=0.003)
+
+
+def test_an_experiment_written_before_there_were_people_still_loads() -> None:
+    old = config.as_mapping(KOUL)
+    del old["operator"], old["trial"]["kind"]
+    assert config.experiment_from_mapping(old, "an old recording") == KOUL
+
+
+def test_a_recorded_experiment_has_every_number_of_its_operator() -> None:
+    written = config.as_mapping(held(operator__grip="firm"))["operator"]
+    assert set(written) == {item.name for item in fields(Operator)}
+    assert (
+        config.experiment_from_mapping(config.as_mapping(held(operator__grip="firm")), "x").operator
+        == GRIPS["firm"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"operator.grip": "frim"}, 'operator.grip = "frim": must be one of "relaxed", "normal", "firm"'),
+        ({"operator.hand_mass": 0.0}, "operator.hand_mass = 0.0: must be a number > 0 kg"),
+        ({"operator.presss": 1.0}, "did you mean press?"),
+        (
+            {"trial.duration_s": 0.8},
+            "operator.reach_s = 0.3 s: must end before the judged tail: the reach begins 0.15 s into the trial "
+            "(operator.begin_s) and ends at 0.45 s, the tail begins at 0.4 s",
+        ),
+        ({"operator.press": 16.0}, "operator.press = 16.0 N: must leave the push, 1."),
+        ({"operator.press": 0.5}, "operator.press = 0.5 N: must be at least "),
+    ],
+)  # fmt: skip
+def test_a_person_who_cannot_do_the_trial_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        override(KOUL, {**HUMAN, **changes})
+    assert words in str(caught.value)
+
+
+def test_the_least_press_that_the_message_names_is_enough() -> None:
+    with pytest.raises(ConfigError) as caught:
+        held(operator__press=0.5)
+    least = float(str(caught.value).split("must be at least ")[1].split(" N")[0])
+    assert held(operator__press=1.01 * least)
+    with pytest.raises(ConfigError):
+        held(operator__press=0.98 * least)
+
+
+def test_rules_about_the_motors_push_do_not_bind_a_person() -> None:
+    assert held(trial__effort=0.0).trial.effort == 0.0
+    assert override(KOUL, {"trial.duration_s": 0.41}), "nor do a person's rules bind the motor"
+
+
+def test_the_push_at_rest_is_that_of_springs_in_series() -> None:
+    """Handle, pads and hand in balance, solved as three equations; without a wall nothing pushes back."""
+    for base in (KOUL, CHAWDA):
+        experiment = held(base)
+        o, radius = experiment.operator, experiment.rig.mechanics.handle_radius
+        wall, k1, k2 = experiment.wall.stiffness / radius**2, o.pads_stiffness, o.hand_stiffness
+        balance = np.array([[wall + k1, -k1], [-k1, k1 + k2]])
+        handle, _ = np.linalg.solve(balance, [0.0, k2 * o.depth + o.press])
+        assert config.push_at_rest(experiment) == pytest.approx(wall * handle * radius, rel=1e-12)
+    assert config.push_at_rest(held(wall__stiffness=0.0)) == 0.0
+    assert config.push_at_rest(KOUL) == 0.15
+
+
+# Plan and command line
+
+
+def test_the_plan_says_who_pushes_and_where_the_hand_goes_afterwards() -> None:
+    for base in (KOUL, CHAWDA):
+        for grip in GRIPS:
+            plan = make_plan(held(base, operator__grip=grip))
+            push = next(step.text for step in plan.steps if step.name == "push")
+            assert f"hand with a {grip} grip, no motor" in push
+            assert "after the wall" in [check.name for check in plan.checks]
+            assert plan.ok
+    assert "after the wall" not in [check.name for check in make_plan(KOUL).checks]
+    far = make_plan(held(operator__hand_stiffness=5.0))
+    assert [check.name for check in far.checks if check.outcome == "refused"] == ["after the wall"]
+
+
+def test_the_predicted_impact_of_a_hand_is_of_the_size_of_the_simulated_one() -> None:
+    """0.566 rad/s in simulation, for the normal grip."""
+    assert predict_impact(held()).velocity == pytest.approx(0.566, rel=0.2)
+
+
+def test_the_option_chooses_a_grip_or_the_motor() -> None:
+    assert options.changes(rate=None, sets=(), operator="firm") == {
+        "trial.kind": "human", "operator.grip": "firm",
+    }  # fmt: skip
+    assert options.changes(rate=None, sets=(), operator="none") == {"trial.kind": "constant-effort"}
+    assert options.changes(rate=None, sets=()) == {}
+
+
+def test_a_rig_named_in_the_url_is_held_by_the_person_of_the_experiment() -> None:
+    url = DeviceUrl.parse("sim://koul-rigid")
+    model = simulated_model(url, config.rig_model(held(RIGID, operator__grip="firm")))
+    assert model is not None
+    assert model.operator == GRIPS["firm"]
+    assert model.mechanics.end_mass == 0.0
+    free = simulated_model(url, config.rig_model(RIGID))
+    assert free == config.rig_model(RIGID)

@@ -1,0 +1,249 @@
+"""The table of backends: what a URL names, what it cannot, third parties' schemes, and device processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from contextlib import contextmanager
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+import rig.devices
+from rig import config, devices
+from rig.config import presets
+from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.devices import local
+from rig.devices.device import DeviceUrl
+from rig.experiments import zwidth_rig
+from sim_backend.link import MemoryLink
+from tests.conformance.firmware import need_compiler
+from tests.conformance.rigs import rotary_rig
+
+
+class Point:
+    """An entry point, as `importlib.metadata` gives it."""
+
+    def __init__(self, name, value, distribution="third-party"):
+        self.name, self.value = name, value
+        self.dist = type("Distribution", (), {"name": distribution}) if distribution else None
+
+
+@pytest.fixture
+def plugins(monkeypatch):
+    """Install entry points of the group ``rig.devices``."""
+
+    def install(*points):
+        monkeypatch.setattr(devices, "entry_points", lambda group: points if group == "rig.devices" else ())
+
+    return install
+
+
+@pytest.fixture
+def third_party(monkeypatch):
+    """A module of somebody else, with an opener that returns what it was given."""
+    module = ModuleType("third_party_rig")
+    module.open_link = lambda url, model: (url, model)
+    monkeypatch.setitem(sys.modules, "third_party_rig", module)
+    return module
+
+
+# ---------------------------------------------------------------------- URLs
+
+
+def test_a_url_has_scheme_place_and_options():
+    url = DeviceUrl.parse("serial:///dev/ttyACM0?baud=921600&x=")
+    assert (url.scheme, url.place, dict(url.options)) == (
+        "serial",
+        "/dev/ttyACM0",
+        {"baud": "921600", "x": ""},
+    )
+    assert DeviceUrl.parse("sim://koul-compliant").place == "koul-compliant"
+    assert DeviceUrl.parse("sim://").place == ""
+
+
+@pytest.mark.parametrize(
+    "text", ["", "sim", "/dev/ttyACM0", "://x", "sim:koul", "sim://[x", "sim://?seed=1&seed=2"]
+)
+def test_what_is_no_url_is_refused_with_a_remedy(text):
+    with pytest.raises(ConfigError) as caught:
+        DeviceUrl.parse(text)
+    assert repr(text) in str(caught.value)
+    assert caught.value.remedy
+
+
+# ---------------------------------------------------------------------- the table
+
+
+def test_the_built_in_backends_load():
+    table = {backend.scheme: backend for backend in devices.backends()}
+    assert set(table) >= {"sim", "serial"}
+    for scheme in ("sim", "serial"):
+        assert table[scheme].distribution == "haptic-rig"
+        assert callable(devices.load_backend(f"{scheme}://x"))
+
+
+def test_an_unknown_scheme_is_refused_with_the_known_ones():
+    with pytest.raises(ConfigError, match="no backend for can://") as caught:
+        devices.open_link("can://0")
+    assert "serial://" in caught.value.remedy
+    assert "sim://" in caught.value.remedy
+
+
+def test_a_third_party_adds_a_scheme(plugins, third_party):
+    plugins(Point("zusb", "third_party_rig:open_link"), Point("can", "third_party_rig:open_link", None))
+    built_in = list(devices.BUILT_IN)
+    assert [backend.scheme for backend in devices.backends()] == [*built_in, "can", "zusb"]
+    assert [backend.distribution for backend in devices.backends()][len(built_in) :] == ["?", "third-party"]
+    model = rotary_rig()
+    url, given = devices.open_link("zusb://1:2?speed=high", model)
+    assert (url.place, dict(url.options), given) == ("1:2", {"speed": "high"}, model)
+
+
+def test_a_third_party_cannot_shadow_a_built_in_scheme(plugins, third_party):
+    plugins(Point("sim", "third_party_rig:open_link"))
+    assert isinstance(devices.open_link("sim://", rotary_rig()), MemoryLink)
+
+
+@pytest.mark.parametrize(
+    "target", ["no_such_module_here:open_link", "third_party_rig:nothing", "broken_rig:open_link"]
+)
+def test_a_backend_that_does_not_load_is_named_with_its_distribution(
+    target, plugins, third_party, monkeypatch, tmp_path
+):
+    (tmp_path / "broken_rig.py").write_text("raise RuntimeError('built for another version')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins(Point("can", target))
+    with pytest.raises(DeviceNotFoundError, match="does not load") as caught:
+        devices.open_link("can://0")
+    assert target in str(caught.value)
+    assert "third-party" in caught.value.remedy
+
+
+def test_listing_loads_no_backend(plugins):
+    plugins(Point("can", "no_such_module_here:open_link"))
+    assert len(devices.backends()) == len(devices.BUILT_IN) + 1
+
+
+# ---------------------------------------------------------------------- what is simulated
+
+
+def test_the_name_in_the_url_wins_over_the_model():
+    assert devices.open_link("sim://chawda-linear", rotary_rig()).device.hardware.count == 0
+    with devices.open_device("sim://chawda-linear", rotary_rig()) as device:
+        assert device.dictionary.device == "chawda-linear"
+    with devices.open_device("sim://", rotary_rig()) as device:
+        assert device.dictionary.device == "test-rotary"
+
+
+def test_sim_without_a_name_needs_a_model():
+    with pytest.raises(ConfigError, match="nothing to simulate"):
+        devices.open_link("sim://")
+    with pytest.raises(ConfigError, match="koul-compliant"):
+        devices.open_link("sim://koul-complaint")
+
+
+# ---------------------------------------------------------------------- a process of its own
+
+
+def test_only_what_has_a_server_can_be_served():
+    with pytest.raises(ConfigError, match="serial:// cannot be served"):
+        local.serve("serial", rotary_rig())
+    with (
+        pytest.raises(ConfigError, match="serial:// cannot be served"),
+        local.serve_locally("serial:///dev/x", rotary_rig()),
+    ):
+        pass
+
+
+def test_a_server_that_does_not_load_is_named(monkeypatch):
+    monkeypatch.setitem(local.SERVERS, "sim", "no_such_module_here:serve")
+    with pytest.raises(DeviceNotFoundError, match="no_such_module_here"):
+        local.serve("sim", rotary_rig())
+
+
+def test_options_of_virtual_time_are_refused_where_they_would_do_nothing():
+    with (
+        pytest.raises(ConfigError, match="offset"),
+        local.serve_locally("sim://?offset=0.25", rotary_rig()),
+    ):
+        pass
+
+
+def test_a_device_process_answers_by_name_and_ends_with_its_context():
+    """Ctrl-C in a terminal goes to a whole process group: the device must not be in it, or it dies before the host."""
+    with local.serve_locally("sim://chawda-linear", config.rig_model(presets.load("koul-compliant"))) as url:
+        (process,) = multiprocessing.active_children()
+        assert os.getpgid(process.pid) != os.getpgid(0)
+        assert url.startswith("serial:///dev/pts/")
+        with rig.devices.open_device(url) as device:
+            assert device.dictionary.device == "chawda-linear"
+            assert device.dictionary.simulated
+    assert not process.is_alive()
+    assert not multiprocessing.active_children()
+    with pytest.raises(DeviceNotFoundError):
+        rig.devices.open_device(url)
+
+
+@pytest.fixture
+def served(monkeypatch):
+    """What device processes were asked for; each is a simulation in this process."""
+    asked = []
+
+    @contextmanager
+    def serve_locally(url, model, **options):
+        asked.append({"url": url, **options})
+        yield "sim://koul-compliant"
+
+    monkeypatch.setattr(local, "serve_locally", serve_locally)
+    return asked
+
+
+@pytest.mark.parametrize(("wanted", "asked"), [("off", "off"), ("try", "try"), ("enforce", "try")])
+def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(served, wanted, asked):
+    with local.opened("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
+        assert device.dictionary.device == "koul-compliant"
+    assert served == [{"url": "sim://", "seed": 3, "realtime": asked}]
+
+
+def test_nothing_is_served_in_virtual_time_and_nothing_that_is_real(served):
+    with local.opened("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
+        assert device.dictionary.device == "chawda-linear"
+    with pytest.raises(DeviceNotFoundError), local.opened("serial:///dev/none", None, in_real_time=True):
+        pass
+    assert served == []
+
+
+def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_says_off(served, tmp_path):
+    experiment = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
+    plan = SimpleNamespace(experiment=experiment)
+    session = zwidth_rig.Session(url="sim://", recordings=tmp_path, agrees=lambda hit: True, realtime=True)
+    with zwidth_rig._opened(plan, session):
+        pass
+    assert served[0]["realtime"] == "off"
+
+
+def test_a_device_process_is_the_firmware_when_the_url_says_so():
+    need_compiler()
+    with (
+        local.serve_locally("sim://chawda-linear?firmware=1", rotary_rig()) as url,
+        rig.devices.open_device(url) as device,
+    ):
+        assert device.dictionary.device == "chawda-linear"
+        assert device.dictionary.parameter("law").maximum == 2
+    with (
+        pytest.raises(ConfigError, match="neither 0 nor 1"),
+        local.serve_locally("sim://?firmware=2", rotary_rig()),
+    ):
+        pass
+
+
+def test_a_device_process_that_does_not_start_is_an_error_and_no_process_stays(monkeypatch):
+    monkeypatch.setattr(local, "_child", exit)  # ends at once
+    with (
+        pytest.raises(DeviceNotFoundError, match="did not start"),
+        local.serve_locally("sim://", rotary_rig()),
+    ):
+        pass
+    assert not multiprocessing.active_children()

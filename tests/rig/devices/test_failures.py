@@ -1,0 +1,59 @@
+"""Error numbers of links in words: one typed error each, with cause and remedy."""
+
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from rig.core.errors import (
+    BlockedError,
+    BrokenLineError,
+    CutShortError,
+    LinkLostError,
+    OverflowedError,
+    StalledError,
+    UnpluggedError,
+)
+from rig.devices.failures import FAILURES, error_number, failure, link_error
+
+USB, SERIAL = "usb://1209:0001", "serial:///dev/ttyACM0"
+
+
+@pytest.mark.parametrize(
+    ("number", "on_usb", "on_serial"),
+    [
+        (errno.ENODEV, UnpluggedError, UnpluggedError),
+        (errno.ESHUTDOWN, UnpluggedError, UnpluggedError),
+        (errno.EPIPE, StalledError, UnpluggedError),
+        (errno.EIO, BrokenLineError, UnpluggedError),  # a terminal knows no other word for unplugged
+        (errno.EPROTO, BrokenLineError, BrokenLineError),
+        (errno.ETIMEDOUT, BlockedError, BlockedError),
+        (errno.EOVERFLOW, OverflowedError, OverflowedError),
+        (errno.EREMOTEIO, CutShortError, CutShortError),
+        (errno.EBADF, LinkLostError, LinkLostError),
+        (0, LinkLostError, LinkLostError),
+    ],
+)
+def test_each_number_has_its_error(number, on_usb, on_serial):
+    assert failure(number, USB).kind is on_usb
+    assert failure(number, SERIAL).kind is on_serial
+
+
+@pytest.mark.parametrize("number", [*FAILURES, errno.EBADF, 0])
+def test_every_error_says_what_happened_and_what_to_do(number):
+    error = link_error(number, USB)
+    assert isinstance(error, LinkLostError)
+    assert error.exit_code == LinkLostError.exit_code
+    assert error.message.startswith(USB)
+    assert error.remedy
+
+
+def test_the_place_is_shown_where_one_is_given():
+    assert link_error(errno.ENODEV, SERIAL, "/dev/ttyACM0").message.startswith("/dev/ttyACM0 is gone")
+
+
+def test_exceptions_become_numbers():
+    assert error_number(OSError(errno.EPIPE, "x")) == errno.EPIPE
+    assert error_number(TimeoutError("x")) == errno.ETIMEDOUT
+    assert error_number(ValueError("x")) == errno.EIO

@@ -1,0 +1,830 @@
+"""Transactions of the host: retries, refusals in words, take-overs, and ends that never raise."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rig.cli
+import rig.devices
+import sim_backend.device
+from firmware_protocol import dictionary as dictionaries
+from firmware_protocol import messages as m
+from firmware_protocol.connection import RETRY_AFTER_S, State
+from firmware_protocol.faults import Fault, Status
+from firmware_protocol.framing import decode_frame, encode_frame
+from firmware_protocol.packing import pack, type_id_of, unpack
+from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
+from rig.devices import framed
+from rig.devices.device import DeviceUrl
+from rig.devices.framed import FAULT_LOG_S, READY_AGAIN_S, READY_S, STOP_FRAMES, FramedDevice
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.host import RUN_PARAMETERS
+from tests.conformance.rigs import linear_rig, rotary_rig
+
+
+class Wire:
+    """A link that keeps what the host says, when it says it, and what it hears."""
+
+    def __init__(self, link):
+        self.link = link
+        self.url, self.clock, self.bytes_per_second = link.url, link.clock, link.bytes_per_second
+        self.sent = []
+        self.heard = b""
+
+    def read(self, timeout_s):
+        data = self.link.read(timeout_s)
+        self.heard += data
+        return data
+
+    def write(self, data):
+        self.sent.append((self.clock.now_ns(), data))
+        self.link.write(data)
+
+    def close(self):
+        self.link.close()
+
+    def messages(self):
+        """What the host sent, decoded."""
+        return [decoded(frame) for _, frame in self.sent]
+
+    def answers(self, kind):
+        """What the device answered, of one kind."""
+        frames = [frame + b"\0" for frame in self.heard.split(b"\0") if frame]
+        return [message for message in map(decoded, frames) if isinstance(message, kind)]
+
+
+def decoded(frame):
+    return unpack(decode_frame(frame.rstrip(b"\0")))[1]
+
+
+def make(*, faults=None, **options):
+    """A device, what goes over its wire, and a host that has never met one."""
+    framed._dictionaries.clear()
+    simulated = SimulatedDevice(rotary_rig(), **options)
+    wire = Wire(MemoryLink(simulated, faults))
+    return simulated, wire, FramedDevice(wire)
+
+
+class Answering:
+    """A far end made of one function: request in, answers out, in virtual time."""
+
+    def __init__(self, answer):
+        self._link = MemoryLink(SimulatedDevice(rotary_rig()))
+        self.url, self.clock, self.bytes_per_second = DeviceUrl.parse("sim://strange"), self._link.clock, None
+        self._answer = answer
+        self._arrived = b""
+
+    def read(self, timeout_s):
+        data, self._arrived = self._arrived, b""
+        if not data:
+            self.clock.sleep_until(self.clock.now_ns() + round(timeout_s * 1e9))
+        return data
+
+    def write(self, data):
+        self._arrived += self._answer(unpack(decode_frame(data.rstrip(b"\0")))[1])
+
+    def close(self):
+        pass
+
+
+def silent(*directions):
+    return Faults(
+        frames=tuple(FrameFault(kind=Kind.SILENCE, direction=d, frame=0) for d in directions or Direction)
+    )
+
+
+# ---------------------------------------------------------------------- retries
+
+
+def test_a_silent_device_is_asked_four_times_at_20_40_80_ms_and_then_given_up():
+    _, wire, device = make(faults=silent())
+    with pytest.raises(LinkLostError, match="does not answer Identify") as caught:
+        device.identify()
+    times_ms = [time_ns / 1e6 for time_ns, _ in wire.sent]
+    assert times_ms == pytest.approx([0.0, 20.0, 60.0, 140.0])
+    assert wire.clock.now_ns() * 1e-9 == pytest.approx(sum(RETRY_AFTER_S) + RETRY_AFTER_S[-1])
+    assert len({message.nonce for message in wire.messages()}) == 1, "a repeat is the same request"
+    assert "baud" in caught.value.remedy
+    assert caught.value.statistics.frames == 0
+    assert caught.value.exit_code == 6
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direction):
+    _, clean, device = make(faults=Faults())
+    echo = device.configure(RUN_PARAMETERS)
+    device.arm()
+    device.disarm()
+    requests = len(clean.sent)
+    # The pages of the dictionary are all alike: a few of them, then everything that comes after.
+    for frame in [*range(0, requests - 20, 10), *range(requests - 20, requests)]:
+        fault = FrameFault(kind=Kind.DROP, direction=direction, frame=frame)
+        simulated, wire, device = make(faults=Faults(frames=(fault,)))
+        assert device.configure(RUN_PARAMETERS).values == echo.values
+        device.arm()
+        device.disarm()
+        assert wire.link.line.acted[Kind.DROP] == 1
+        assert len(wire.sent) == requests + 1
+        assert simulated.connection.state is State.CONFIGURED
+
+
+def test_a_late_answer_to_an_earlier_step_is_not_taken_for_the_answer():
+    """The ACKs of BEGIN, CHUNKs and COMMIT carry one nonce: a doubled ACK of one must not answer the next."""
+    seen = []
+
+    def answer(request):
+        if isinstance(request, m.Identify):
+            packed = dictionaries.encode(DICTIONARY)
+            piece = packed[request.offset : request.offset + 30]
+            identity = m.Identity(
+                request.nonce,
+                0,
+                State.IDENTIFIED,
+                dictionaries.dictionary_hash(packed),
+                len(packed),
+                request.offset,
+                piece,
+            )
+            return frame_of(identity)
+        if isinstance(request, m.SetBegin | m.SetChunk):
+            offset = getattr(request, "offset", 0)
+            ack = frame_of(m.Ack(request.nonce, type_id_of(type(request)), 0, offset, 0, 0))
+            old, seen[:] = b"".join(seen), [ack]
+            return old + ack + ack
+        assert isinstance(request, m.SetCommit)
+        stale = b"".join(seen)
+        return stale + frame_of(m.Ack(request.nonce, type_id_of(m.SetCommit), Status.BAD_CRC, 0, 0, 0))
+
+    device = FramedDevice(Answering(answer))
+    with pytest.raises(DeviceRefusedError, match="refused SetCommit") as caught:
+        device.configure(RUN_PARAMETERS)
+    assert caught.value.status == Status.BAD_CRC
+
+
+DICTIONARY = dictionaries.build(device="strange", firmware="1", simulated=True, current_quantum_a=0.001)
+
+
+def frame_of(message, major=m.MAJOR):
+    return encode_frame(bytes([major]) + pack(message)[1:])
+
+
+# ---------------------------------------------------------------------- strangers
+
+
+def another_major(request):
+    return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=2)
+
+
+def garbage(request):
+    packed = b"this is no dictionary"
+    return frame_of(
+        m.Identity(request.nonce, 0, 1, dictionaries.dictionary_hash(packed), len(packed), 0, packed)
+    )
+
+
+def wrong_hash(request):
+    packed = dictionaries.encode(DICTIONARY)
+    piece = packed[request.offset : request.offset + 30]
+    return frame_of(m.Identity(request.nonce, 0, 1, 7, len(packed), request.offset, piece))
+
+
+def changing(request):
+    return frame_of(m.Identity(request.nonce, 0, 1, request.offset, 100, request.offset, b"x" * 10))
+
+
+def test_a_device_of_another_major_version_is_named_with_both_versions():
+    device = FramedDevice(Answering(another_major))
+    with pytest.raises(IncompatibleDeviceError) as caught:
+        device.identify()
+    assert "speaks protocol 2, this package speaks 1" in str(caught.value)
+    assert "firmware" in caught.value.remedy
+    assert caught.value.exit_code == 4
+
+
+@pytest.mark.parametrize("answer", [garbage, wrong_hash, changing])
+def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer):
+    device = FramedDevice(Answering(answer))
+    with pytest.raises(IncompatibleDeviceError, match="does not make sense"):
+        device.identify()
+
+
+@pytest.mark.parametrize("answer", [another_major, garbage])
+@pytest.mark.parametrize("command", [["devices", "sim://"], ["hit", "--no-plot", "--url", "sim://"]])
+def test_the_command_line_says_so_in_one_line(command, answer, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(rig.devices, "open_link", lambda url, model=None: Answering(answer))
+    assert rig.cli.run(command) == 4
+    error = capsys.readouterr().err
+    assert "Traceback" not in error
+    assert error.splitlines()[-1].startswith("rig: the device at sim://strange")
+    assert not list(tmp_path.rglob("*.rigcap"))
+
+
+def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it():
+    device = FramedDevice(Answering(lambda request: frame_of(m.Time(request.nonce, 0, 0, 0))))
+    with pytest.raises(DeviceRefusedError, match="answered Time instead"):
+        device.identify()
+
+
+def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible_device():
+    _, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    wire.link = Answering(
+        lambda request: frame_of(
+            m.FaultLog(request.nonce, 1, 0, 0, 5, 0, b"123")
+            if isinstance(request, m.GetFaultLog)
+            else m.Parameters(request.nonce, 3, 0, 0, b"\xff\xff\xff")
+        )
+    )
+    with pytest.raises(IncompatibleDeviceError, match="does not make sense"):
+        device.fault_report()
+    wire.link = Answering(strange_block)
+    with pytest.raises(IncompatibleDeviceError, match="does not make sense"):
+        device.configure(RUN_PARAMETERS)
+
+
+def strange_block(request):
+    block = b"\xff\xff\xff"
+    if isinstance(request, m.GetParameters):
+        return frame_of(m.Parameters(request.nonce, len(block), 0x1234, 0, block))
+    if isinstance(request, m.Identify):
+        return frame_of(m.Identity(request.nonce, 0, State.CONFIGURED, 7, 1, 0, b"x"))
+    from firmware_protocol.parameters import block_crc  # noqa: PLC0415
+
+    detail = getattr(request, "offset", 0)
+    return frame_of(m.Ack(request.nonce, type_id_of(type(request)), 0, detail, 0, block_crc(block)))
+
+
+# ---------------------------------------------------------------------- refusals
+
+
+def test_a_refused_parameter_is_named_with_the_range_that_the_device_allows():
+    _, _, device = make()
+    peak = device.dictionary.parameter("current_limit").maximum
+    with pytest.raises(DeviceRefusedError) as caught:
+        device.configure({**RUN_PARAMETERS, "current_limit": int(peak) + 1})
+    assert caught.value.status == Status.OUT_OF_RANGE
+    assert f"current_limit, allowed 0 … {peak:g}" in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_a_refused_block_changes_nothing():
+    _, _, device = make()
+    before = device.configure(RUN_PARAMETERS)
+    with pytest.raises(DeviceRefusedError):
+        device.configure({"ramp_us": 5_000, "window_minimum": 10, "window_maximum": -10})
+    assert device.configure(RUN_PARAMETERS).values == before.values
+
+
+def test_the_echo_is_what_the_device_has_in_force():
+    _, _, device = make()
+    echo = device.configure(RUN_PARAMETERS)
+    assert {name: echo.values[name] for name in RUN_PARAMETERS} == RUN_PARAMETERS
+    assert set(echo.values) == {info.name for info in device.dictionary.parameters}
+
+
+def pages(wire):
+    """Questions for a page of the parameters in force."""
+    return sum(isinstance(message, m.GetParameters) for message in wire.messages())
+
+
+def test_what_the_fingerprint_proves_is_not_read_page_by_page():
+    simulated, wire, device = make()
+    echo = device.configure(RUN_PARAMETERS)
+    assert pages(wire) == 0
+    assert FramedDevice(MemoryLink(simulated)).in_force() == echo.values
+    part = device.configure({"ramp_us": 5_000})
+    assert pages(wire) == 0
+    assert part.values == {**echo.values, "ramp_us": 5_000, "verified": 0}
+    assert FramedDevice(MemoryLink(simulated)).in_force() == part.values
+
+
+def test_what_the_fingerprint_does_not_prove_is_read():
+    simulated, _, stranger = make()
+    stranger.configure({**RUN_PARAMETERS, "slew_limit": 77})
+    wire = Wire(MemoryLink(simulated))
+    heir = FramedDevice(wire)
+    values = {name: value for name, value in RUN_PARAMETERS.items() if name != "slew_limit"}
+    echo = heir.configure(values)
+    assert pages(wire) > 10
+    assert echo.values["slew_limit"] == 77
+    assert echo.values == heir.in_force()
+
+
+def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash():
+    simulated, wire, device = make()
+    known = device.dictionary
+    read = len(wire.sent)
+    assert read > 10
+    wire = Wire(MemoryLink(simulated))
+    again = FramedDevice(wire)
+    assert again.dictionary == known
+    assert again.dictionary_hash == device.dictionary_hash
+    assert len(wire.sent) == 1
+    other = SimulatedDevice(linear_rig())
+    assert FramedDevice(MemoryLink(other)).dictionary != known
+
+
+@pytest.mark.parametrize(
+    ("missing", "status", "word"),
+    [("reference_count", Status.NOT_HOMED, "home"), ("verified", Status.NOT_VERIFIED, "verified")],
+)
+def test_arming_is_refused_with_the_reason(missing, status, word):
+    _, _, device = make()
+    device.configure({name: value for name, value in RUN_PARAMETERS.items() if name != missing})
+    with pytest.raises(DeviceRefusedError) as caught:
+        device.arm()
+    assert caught.value.status == status
+    assert word in str(caught.value)
+    assert device.connection.session == 0
+
+
+def test_arming_repeats_the_fingerprint_of_the_configuration():
+    simulated, _, device = make()
+    device.configure(RUN_PARAMETERS)
+    stranger = FramedDevice(MemoryLink(simulated))
+    stranger._nonce = 30_000
+    stranger.configure({**RUN_PARAMETERS, "current_limit": 400})
+    with pytest.raises(DeviceRefusedError) as caught:
+        device.arm()
+    assert caught.value.status == Status.HASH_MISMATCH
+
+
+def test_a_stale_session_is_answered_with_another_number():
+    """The device remembers the number of the last session, a host that was just started does not."""
+    simulated, _, first = make()
+    first.configure(RUN_PARAMETERS)
+    used = first.arm()
+    first.disarm()
+    wire = Wire(MemoryLink(simulated))
+    second = FramedDevice(wire)
+    second.configure(RUN_PARAMETERS)
+    second._nonce = used - 2  # so that its first choice is the number used last
+    assert second.arm() == used % 255 + 1
+    assert [type(message) for message in wire.messages()[-2:]] == [m.Arm, m.Arm]
+    assert wire.answers(m.Ack)[-2].status == Status.STALE_SESSION
+    assert simulated.connection.state is State.ARMED
+
+
+def test_a_device_that_is_not_ready_is_asked_again_until_it_is():
+    """Such as one that works out its excitation; in the time of its link."""
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    answers = iter([Status.NOT_READY] * 3 + [None] * 9)
+    true_arm, start_ns = device._arm, wire.clock.now_ns()
+
+    def arm(session):
+        if (status := next(answers)) is not None:
+            raise DeviceRefusedError("not ready", status=status)
+        true_arm(session)
+
+    device._arm = arm
+    device.arm()
+    assert simulated.connection.state is State.ARMED
+    assert wire.clock.now_ns() - start_ns >= 3 * round(READY_AGAIN_S * 1e9)
+    device.disarm()
+    answers = iter([Status.NOT_READY] * 10_000)
+    with pytest.raises(DeviceRefusedError) as refused:
+        device.arm()
+    assert refused.value.status == Status.NOT_READY
+    assert wire.clock.now_ns() - start_ns >= round(READY_S * 1e9)
+
+
+def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever():
+    _, _, device = make()
+    device.configure(RUN_PARAMETERS)
+    asked = []
+
+    def arm(session):
+        asked.append(session)
+        raise DeviceRefusedError("stale", status=Status.STALE_SESSION)
+
+    device._arm = arm
+    with pytest.raises(DeviceRefusedError):
+        device.arm()
+    assert len(set(asked)) == 2
+
+
+def test_parameters_that_a_loop_has_changed_are_ours():
+    """A law on the device takes new walls while it runs; the next session arms with the fingerprint of them all."""
+    _, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    streams = {"next_command": 0, "newest_state": 0, "state": int(State.RUNNING), "nonce": 9}
+    device.take_back(**streams, parameters_crc=0x12345678)
+    device.disarm()
+    with pytest.raises(
+        DeviceRefusedError
+    ) as refused:  # this device took none: so it was asked with that fingerprint
+        device.arm()
+    assert refused.value.status == Status.HASH_MISMATCH
+    assert wire.messages()[-1].parameters_crc == 0x12345678
+
+
+def test_any_number_of_sessions_can_follow_each_other_on_one_device():
+    """Also where the nonce comes round to the number used last."""
+    _, _, device = make()
+    device.configure(RUN_PARAMETERS)
+    previous = 0
+    for _ in range(300):
+        device._nonce = (previous - 2) % 0x10000
+        session = device.arm()
+        assert 1 <= session <= 255
+        assert session != previous
+        previous = session
+        device.disarm()
+
+
+def test_what_the_state_forbids_is_a_refusal_in_words():
+    _, _, device = make()
+    device.identify()
+    with pytest.raises(DeviceRefusedError, match="IDENTIFIED"):
+        device.arm()
+    with pytest.raises(DeviceRefusedError, match="IDENTIFIED"):
+        device.disarm()
+
+
+def test_a_fault_in_the_middle_of_configuring_is_a_refusal_in_words():
+    """The BEGIN is lost; before it is repeated the device says FAULT, in which it takes no BEGIN."""
+    _, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    begin = next(i for i, message in enumerate(wire.messages()) if isinstance(message, m.SetBegin))
+    _, wire, device = make(
+        faults=Faults(
+            (FrameFault(kind=Kind.DROP, direction=Direction.TO_DEVICE, frame=begin),),
+            (DeviceFault(5, Fault.ENCODER),),
+        )
+    )
+    with pytest.raises(DeviceRefusedError, match="FAULT"):
+        device.configure(RUN_PARAMETERS)
+    assert device.configure(RUN_PARAMETERS), "and the next attempt clears it"
+
+
+# ---------------------------------------------------------------------- taking over
+
+
+def armed(simulated, *, running):
+    first = FramedDevice(MemoryLink(simulated))
+    first.configure(RUN_PARAMETERS)
+    session = first.arm()
+    if running:
+        first.link.write(first.connection.send(m.Command(0, 5_000, int(m.Mode.CURRENT), 0, 50)))
+    return first, session
+
+
+@pytest.mark.parametrize("left_in", [State.ARMED, State.RUNNING, State.FAULT])
+def test_a_device_that_a_dead_host_left_is_taken_over_by_configuring_it(left_in):
+    simulated = SimulatedDevice(rotary_rig())
+    first, session = armed(simulated, running=left_in is not State.ARMED)
+    if left_in is State.FAULT:
+        first.link.elapse(0.1)
+    assert simulated.connection.state is left_in
+    second = FramedDevice(MemoryLink(simulated))
+    second._nonce = 20_000
+    second.configure(RUN_PARAMETERS)
+    assert simulated.connection.state is State.CONFIGURED
+    assert simulated.current == 0
+    assert second.arm() != session
+
+
+def test_a_fault_whose_cause_is_still_there_is_not_cleared():
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    simulated.press_emergency_stop()
+    wire.link.elapse(0.01)
+    with pytest.raises(DeviceRefusedError) as caught:
+        device.configure(RUN_PARAMETERS)
+    assert caught.value.status == Status.FAULT_PRESENT
+    assert "emergency stop" in str(caught.value), "the fault by name, not a parameter of the same number"
+
+
+def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_again():
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    simulated.inject_fault(Fault.ENCODER)
+    wire.link.elapse(0.01)
+    device.configure(RUN_PARAMETERS)
+    simulated.reset()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    assert simulated.connection.state is State.ARMED
+
+
+@pytest.fixture
+def real(monkeypatch):
+    """Simulated devices that claim to be real ones: where zero is, they learn from a person once a session."""
+    original = sim_backend.device.describe
+    monkeypatch.setattr(
+        sim_backend.device, "describe", lambda *arguments: replace(original(*arguments), simulated=False)
+    )
+
+
+def reset(simulated, wire):
+    simulated.reset()
+
+
+def reset_and_met_by_another(simulated, wire):
+    simulated.reset()
+    FramedDevice(MemoryLink(simulated)).identify()
+
+
+def reset_and_faulty(simulated, wire):
+    """A fault of the start hides BOOT; only the parameters tell then."""
+    simulated.reset()
+    simulated.inject_fault(Fault.ENCODER)
+    wire.link.elapse(0.01)
+
+
+def reset_and_configured_by_another(simulated, wire):
+    simulated.reset()
+    FramedDevice(MemoryLink(simulated)).configure({**RUN_PARAMETERS, "reference_count": 77})
+
+
+@pytest.mark.parametrize(
+    "restart", [reset, reset_and_met_by_another, reset_and_faulty, reset_and_configured_by_another]
+)
+def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_with_the_old_zero(
+    restart, real
+):
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    device.disarm()
+    restart(simulated, wire)
+    for _ in range(2):
+        with pytest.raises(DeviceRefusedError, match="has restarted") as caught:
+            device.configure(RUN_PARAMETERS)
+    assert "position zero" in caught.value.remedy
+    assert caught.value.status == Status.NOT_HOMED
+    assert not any(isinstance(message, m.SetBegin) for message in wire.messages()[-4:])
+    FramedDevice(MemoryLink(simulated)).configure(
+        RUN_PARAMETERS
+    )  # a session of its own begins with its own zero
+
+
+def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real):
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    simulated.inject_fault(Fault.ENCODER)
+    wire.link.elapse(0.01)
+    with pytest.raises(DeviceRefusedError, match="lost counts"):
+        device.configure(RUN_PARAMETERS)
+    heir = FramedDevice(wire.link)  # reads its own zero, and so may clear the fault
+    heir.configure(RUN_PARAMETERS)
+    assert heir.cleared_fault.code == Fault.ENCODER
+
+
+def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real):
+    simulated, _, device = make()
+    device.count()
+    simulated.reset()
+    with pytest.raises(DeviceRefusedError, match="has restarted"):
+        device.configure(RUN_PARAMETERS)
+
+
+def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
+    """After trials, faults, and refused parameters: none of these is a restart."""
+    simulated, wire, device = make()
+    for stiffness in (100.0, 200.0):
+        device.configure({**RUN_PARAMETERS, "stiffness": stiffness})
+        device.arm()
+        device.disarm()
+    with pytest.raises(DeviceRefusedError):
+        device.configure({**RUN_PARAMETERS, "current_limit": 32_767})
+    device.configure(RUN_PARAMETERS)
+    simulated.inject_fault(Fault.OVER_CURRENT)
+    wire.link.elapse(0.01)
+    device.configure(RUN_PARAMETERS)
+    assert device.cleared_fault.code == Fault.OVER_CURRENT
+    device.arm()
+
+
+def test_a_lost_answer_to_the_parameters_is_no_restart(real):
+    """They may be in force or not: nothing can be told from them then, and nothing is refused."""
+    other = {**RUN_PARAMETERS, "stiffness": 333.0}
+    _, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    said = wire.link.line.frames[Direction.TO_HOST]
+    device.configure(other)
+    for frame in range(said, wire.link.line.frames[Direction.TO_HOST]):
+        silence = FrameFault(kind=Kind.SILENCE, direction=Direction.TO_HOST, frame=frame)
+        simulated, wire, device = make(faults=Faults(frames=(silence,)))
+        device.configure(RUN_PARAMETERS)
+        with pytest.raises(LinkLostError):
+            device.configure(other)
+        wire.link.line._silent.clear()  # somebody puts the plug back in
+        device.configure(RUN_PARAMETERS)
+        assert simulated.connection.state is State.CONFIGURED
+
+
+# ---------------------------------------------------------------------- ending
+
+
+def test_stop_sends_zero_several_times_and_needs_no_answer():
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
+    wire.link.elapse(0.005)
+    assert simulated.current == 300
+    before = len(wire.sent)
+    device.stop()
+    assert simulated.current == 0
+    stops = wire.messages()[before:]
+    assert len(stops) == STOP_FRAMES
+    assert all(stop.mode == m.Mode.STOP and stop.current == 0 for stop in stops)
+
+
+class Broken:
+    """A far end whose simulation has a bug."""
+
+    def receive(self, *_, **__):
+        raise ZeroDivisionError("a bug")
+
+
+@pytest.mark.parametrize("break_it", ["closed", "unplugged", "disarmed", "bug"])
+def test_stop_and_close_never_raise(break_it):
+    simulated, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    if break_it == "closed":
+        wire.close()
+    elif break_it == "unplugged":
+        wire.link.line.unplugged = True
+    elif break_it == "disarmed":
+        device.disarm()
+    else:
+        simulated.receive = Broken().receive
+    device.stop()
+    device.close()
+    device.close()
+
+
+def test_closing_disarms_and_leaves_zero():
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
+    with device:
+        pass
+    assert (simulated.connection.state, simulated.current) == (State.CONFIGURED, 0)
+    with pytest.raises(LinkLostError):
+        wire.link.write(b"x")
+
+
+def test_the_streams_go_on_where_the_loop_left_them():
+    _, _, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    device.take_back(next_command=1234, newest_state=77, state=int(State.RUNNING), nonce=9)
+    assert device.connection.sequence_to_send(m.Command) == 1234
+    assert device.connection.state is State.RUNNING
+
+
+def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping():
+    """A loop hands over the state byte of the newest STATE, whatever the device wrote there."""
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    device.arm()
+    device.take_back(next_command=3, newest_state=77, state=200, nonce=9)
+    before = len(wire.sent)
+    device.stop()
+    assert len(wire.sent) == before + STOP_FRAMES
+    device.disarm()
+    assert simulated.connection.state is State.CONFIGURED
+
+
+# ---------------------------------------------------------------------- asking
+
+
+def test_the_clock_is_exact_in_virtual_time():
+    """Both clocks run at one rate; the device was switched on before the host."""
+    simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
+    for _ in range(2345):
+        simulated.tick()
+    device = FramedDevice(MemoryLink(simulated))
+    device.identify()
+    device.link.clock.sleep_until(10_300_000)
+    fit = device.clock()
+    assert fit.offset_ns == pytest.approx(-2_345_000_000, abs=100)
+    assert (fit.round_trip_ns, fit.asymmetry_bound_ns, fit.used, fit.rejected) == (0, 0, 8, 0)
+    assert device.link.clock.now_ns() == 10_300_000, "exchanges without a pause cost no virtual time"
+    assert fit.drift_sd_ppm == pytest.approx(100.0)
+    spread = device.clock(20, over_s=0.5)
+    assert device.link.clock.now_ns() == pytest.approx(510_300_000, abs=1)
+    assert abs(spread.drift_ppm) <= 3 * spread.drift_sd_ppm < 1.0
+    assert spread.offset_ns == pytest.approx(-2_345_000_000, abs=100)
+
+
+def test_exchanges_lie_at_odd_distances():
+    """Even ones would beat with the ticks of the device."""
+    _, wire, device = make()
+    stamps = device.exchange_clock(20, over_s=1.0)
+    distances = np.diff(stamps["host_sent"])
+    assert stamps["host_sent"][-1] - stamps["host_sent"][0] == pytest.approx(1e9, abs=2)
+    assert (distances > 0).all()
+    for period_ns in (1_000_000, 10_000_000):  # frames of a bus, STATE of a device that nobody has armed
+        phases = np.sort(stamps["host_sent"] % period_ns) / period_ns
+        assert np.diff(phases, append=1.0 + phases[0]).max() < 0.25
+    asked = [message.host_sent for message in wire.messages() if isinstance(message, m.GetTime)]
+    assert asked == stamps["host_sent"].tolist()
+
+
+def test_answers_that_waited_do_not_count():
+    """Answers that wait on the way make a round trip long; the offset then comes from those that did not wait."""
+    _, wire, device = make(faults=Faults())
+    assert device.dictionary.simulated
+    asked = wire.link.line.frames[Direction.TO_HOST]
+    delays = tuple(
+        FrameFault(kind=Kind.DELAY, direction=Direction.TO_HOST, frame=asked + later, ticks=3)
+        for later in (0, 1, 4)
+    )
+    _, wire, device = make(faults=Faults(frames=delays))
+    assert device.dictionary.simulated
+    fit = device.clock(8)
+    assert wire.link.line.acted[Kind.DELAY] == 3
+    assert wire.clock.now_ns() >= 3_000_000
+    assert fit.rejected == 3
+    assert fit.offset_ns == pytest.approx(0, abs=100)
+    assert fit.asymmetry_bound_ns == 0
+
+
+def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on():
+    """The answer may be to either: its round trip is counted long, and so weighs nothing."""
+    _, wire, device = make(faults=Faults())
+    assert device.dictionary.simulated
+    asked = wire.link.line.frames[Direction.TO_DEVICE]
+    lost = FrameFault(kind=Kind.DROP, direction=Direction.TO_DEVICE, frame=asked + 1)
+    _, wire, device = make(faults=Faults(frames=(lost,)))
+    assert device.dictionary.simulated
+    stamps = device.exchange_clock(4)
+    trips = stamps["host_received"] - stamps["host_sent"]
+    assert trips[1] >= RETRY_AFTER_S[0] * 1e9
+    assert (np.delete(trips, 1) == 0).all()
+    assert (np.diff(stamps["device_received"]) >= 0).all()
+
+
+def test_the_fault_report_pages_through_the_whole_ring_of_ticks():
+    simulated, wire, device = make()
+    device.configure(RUN_PARAMETERS)
+    wire.link.elapse(0.5)
+    simulated.inject_fault(Fault.ENCODER)
+    report = device.fault_report()
+    assert (report.code, report.name) == (Fault.ENCODER, "ENCODER")
+    assert report.text == Fault.ENCODER.text
+    assert report.remedy == Fault.ENCODER.remedy
+    indices = [entry["sample_index"] for entry in report.entries]
+    assert len(indices) == 256
+    assert indices == list(range(indices[0], indices[0] + 256))
+    pages = [message for message in wire.messages() if isinstance(message, m.GetFaultLog)]
+    assert len(pages) > 10
+    assert report.device_time_ns == pytest.approx(simulated.time_ns, abs=2_000_000)
+
+
+def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever():
+    """Every answer comes at the last moment: what came in time is the report, its oldest ticks first."""
+    simulated, wire, device = make(faults=Faults())
+    device.configure(RUN_PARAMETERS)
+    wire.link.elapse(0.5)
+    simulated.inject_fault(Fault.ENCODER)
+    device.link = Slow(wire, 0.1)
+    before = wire.clock.now_ns()
+    report = device.fault_report()
+    assert FAULT_LOG_S <= (wire.clock.now_ns() - before) * 1e-9 <= FAULT_LOG_S + 0.2
+    assert report.name == "ENCODER"
+    assert 0 < len(report.entries) < 256
+    indices = [entry["sample_index"] for entry in report.entries]
+    assert indices == list(range(indices[0], indices[0] + len(indices)))
+
+
+class Slow(Wire):
+    """A link on which every write takes a while."""
+
+    def __init__(self, link, takes_s):
+        super().__init__(link)
+        self._takes_ns = round(takes_s * 1e9)
+
+    def write(self, data):
+        self.clock.sleep_until(self.clock.now_ns() + self._takes_ns)
+        super().write(data)
+
+
+def test_a_report_without_a_fault_says_so():
+    _, _, device = make()
+    device.identify()
+    report = device.fault_report()
+    assert (report.code, report.text) == (0, "no fault")
+
+
+def test_a_fault_that_neither_side_knows_is_still_told():
+    _, _, device = make()
+    report = device.explain_fault(4711)
+    assert "4711" in report.name
+    assert re.search(r"\w", report.remedy)

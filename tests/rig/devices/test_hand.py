@@ -1,0 +1,91 @@
+"""A hand in a file: what one side says the other side reads, whole or not at all."""
+
+from __future__ import annotations
+
+import math
+import os
+import stat
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.core.errors import ConfigError
+from rig.devices.device import DeviceUrl
+from rig.devices.hand import MAGIC, SIZE, SharedHand, Wish
+from rig.devices.local import serve_locally
+from sim_backend.link import open_link
+from tests.conformance.rigs import rotary_rig
+
+FLOATS = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(deadline=None)
+@given(said=st.lists(st.tuples(FLOATS, FLOATS), max_size=5))
+def test_what_is_said_last_is_read(said, tmp_path_factory):
+    path = tmp_path_factory.mktemp("hand") / "hand"
+    with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
+        assert looker.read() == Wish(0, 0.0, 0.0), "nobody has said anything"
+        for number, (position, press) in enumerate(said, 1):
+            mover.move(position, press)
+            assert looker.read() == Wish(number, position, press)
+
+
+def test_a_writer_that_comes_back_goes_on(tmp_path):
+    path = tmp_path / "hand"
+    with SharedHand.create(path) as first:
+        first.move(0.1, 2.0)
+    with SharedHand.open(path) as looker, SharedHand.create(path) as second:
+        second.move(0.2, 3.0)
+        assert looker.read() == Wish(2, 0.2, 3.0)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_what_is_half_written_is_not_read(tmp_path):
+    path = tmp_path / "hand"
+    with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
+        mover.move(0.1, 2.0)
+        whole = path.read_bytes()
+        for place in range(len(MAGIC), SIZE):
+            torn = bytearray(whole)
+            torn[place] ^= 0x55
+            path.write_bytes(torn)
+            assert looker.read() is None
+        path.write_bytes(whole)
+        assert looker.read() == Wish(1, 0.1, 2.0)
+
+
+@pytest.mark.parametrize("wish", [(math.nan, 0.0), (0.0, math.inf)])
+def test_what_is_no_number_is_refused(wish, tmp_path):
+    with SharedHand.create(tmp_path / "hand") as mover:
+        with pytest.raises(ConfigError, match="finite"):
+            mover.move(*wish)
+        assert mover.read() == Wish(0, 0.0, 0.0)
+
+
+def test_nothing_else_is_overwritten(tmp_path):
+    other = tmp_path / "notes.txt"
+    other.write_text("x" * SIZE)
+    os.mkfifo(tmp_path / "pipe")
+    for use in (SharedHand.create, SharedHand.open):
+        with pytest.raises(ConfigError, match=r"notes\.txt is not the file of a hand"):
+            use(other)
+        for odd in (tmp_path, tmp_path / "pipe"):
+            with pytest.raises(ConfigError, match=r"is not the file of a hand|directory"):
+                use(odd)
+    with pytest.raises(ConfigError, match="no hand there"):
+        SharedHand.open(tmp_path / "missing")
+    with pytest.raises(ConfigError, match="cannot be made"):
+        SharedHand.create(tmp_path / "missing" / "hand")
+    assert other.read_text() == "x" * SIZE
+
+
+def test_where_nobody_can_lead_that_is_said(tmp_path):
+    SharedHand.create(tmp_path / "hand").close()
+    url = f"sim://?hand={tmp_path / 'hand'}"
+    with pytest.raises(ConfigError, match="nobody can lead a hand in virtual time"):
+        open_link(DeviceUrl.parse(url), rotary_rig())
+    with pytest.raises(ConfigError, match="nobody holds the handle"), serve_locally(url, rotary_rig()):
+        pass
+    with pytest.raises(ConfigError, match="no hand there"), serve_locally(f"{url}less", rotary_rig()):
+        pass

@@ -1,0 +1,442 @@
+"""A serial port as a link, on pseudo-terminals: what does not open, bounded waits, a pulled plug, a full line."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import pty
+import resource
+import struct
+import termios
+import time
+import tty
+
+import pytest
+import serial
+
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.devices import port_facts
+from rig.devices import serial as ports
+from rig.devices import tty as tty_settings
+from rig.devices.device import DeviceUrl
+from rig.devices.serial import DEFAULT_BAUD, WRITE_TIMEOUT_S, SerialLink, open_link
+
+SLACK_S = 5.0  # of a loaded machine: these tests say "bounded", not "quick"
+IFLAG, OFLAG, CFLAG, LFLAG, CC = 0, 1, 2, 3, 6
+
+
+def opened(path: str, **options: object) -> SerialLink:
+    query = "&".join(f"{name}={value}" for name, value in options.items())
+    return open_link(DeviceUrl.parse(f"serial://{path}" + (f"?{query}" if query else "")))
+
+
+class Line:
+    """A pseudo-terminal: the device's end as a descriptor, the host's end by name."""
+
+    def __init__(self) -> None:
+        self.device, slave = pty.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        os.close(slave)
+
+    def unplug(self) -> None:
+        if self.device >= 0:
+            os.close(self.device)
+            self.device = -1
+
+
+@pytest.fixture
+def line():
+    made = Line()
+    yield made
+    made.unplug()
+
+
+@pytest.fixture
+def link(line):
+    made = opened(line.path)
+    yield made
+    made.close()
+
+
+# ---------------------------------------------------------------------- opening
+
+
+def test_bytes_pass_both_ways_unchanged(line, link):
+    every = bytes(range(256))
+    link.write(every)
+    assert os.read(line.device, 1000) == every
+    os.write(line.device, every)
+    assert link.read(1.0) == every
+
+
+def test_a_missing_port_is_named_with_the_ports_that_are_there(monkeypatch):
+    monkeypatch.setattr(ports, "available_ports", lambda: [("/dev/ttyACM3", "board")])
+    with pytest.raises(DeviceNotFoundError, match="there is no port /dev/nothere") as caught:
+        opened("/dev/nothere")
+    assert "/dev/ttyACM3" in caught.value.remedy
+    assert caught.value.exit_code == 3
+
+
+def test_what_is_no_serial_port_is_refused(tmp_path):
+    (tmp_path / "file").write_text("x")
+    for path in ("/dev/null", str(tmp_path / "file"), str(tmp_path)):
+        with pytest.raises(DeviceNotFoundError, match=path):
+            opened(path)
+
+
+def test_a_busy_port_is_refused_and_opens_when_it_is_free_again(line):
+    first = opened(line.path)
+    with pytest.raises(DeviceNotFoundError, match="in use by another program") as caught:
+        opened(line.path)
+    assert "fuser" in caught.value.remedy
+    first.close()
+    opened(line.path).close()
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (serial.SerialException(errno.EACCES, "could not open port"), "no permission"),
+        (serial.SerialException(errno.EBUSY, "could not open port"), "in use"),
+        (serial.SerialException(errno.EIO, "could not open port"), "does not open"),
+        (serial.SerialException("Could not configure port: (25, 'ioctl')"), "does not open"),
+        (termios.error(errno.ENOTTY, "Inappropriate ioctl"), "is not a serial port"),
+        (ValueError("Failed to set custom baud rate"), "is not a serial port"),
+        (OSError(errno.ENXIO, "no such device"), "is not a serial port"),
+    ],
+)
+def test_whatever_the_system_says_becomes_one_typed_error(error, message, line, monkeypatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(DeviceNotFoundError, match=message):
+        opened(line.path)
+
+
+@pytest.mark.parametrize("baud", ["fast", "", "-9600", "299", "20000001", "1e6", "²", "9600.0"])
+def test_a_rate_that_is_none_is_refused(baud, line):
+    with pytest.raises(ConfigError, match="baud"):
+        opened(line.path, baud=baud)
+
+
+def test_unknown_options_and_no_port_are_refused(line):
+    with pytest.raises(ConfigError, match="parity"):
+        opened(line.path, parity="even")
+    with pytest.raises(ConfigError, match="no port"):
+        opened("")
+
+
+def test_a_refused_port_stays_free(line, monkeypatch):
+    """A port that vanishes between opening and setting up leaves no descriptor behind."""
+
+    def vanish(descriptor: int) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    before = set(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patched:
+        patched.setattr(ports.tty, "configure", vanish)
+        with pytest.raises(DeviceNotFoundError, match=line.path):
+            opened(line.path)
+    assert set(os.listdir("/proc/self/fd")) == before
+    opened(line.path).close()
+
+
+# ---------------------------------------------------------------------- settings of the line
+
+
+def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line):
+    """VMIN 1: a read of zero bytes can only mean hang-up. Without HUPCL closing drops no DTR and resets no board."""
+    link = opened(line.path, baud=115200)
+    settings = termios.tcgetattr(link.port().handle)
+    assert settings[CC][termios.VMIN] in (1, b"\x01")
+    assert settings[CC][termios.VTIME] in (0, b"\x00")
+    assert not settings[CFLAG] & termios.HUPCL
+    assert not settings[IFLAG] & (termios.IXON | termios.IXOFF | termios.ICRNL | termios.ISTRIP)
+    assert not settings[OFLAG] & termios.OPOST
+    assert not settings[LFLAG] & (termios.ICANON | termios.ECHO | termios.ISIG)
+    assert settings[4] == settings[5] == termios.B115200
+    link.close()
+    after = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
+    assert not termios.tcgetattr(after)[CFLAG] & termios.HUPCL
+    os.close(after)
+
+
+def test_the_rate_of_the_project_unless_named(line):
+    link = opened(line.path)
+    assert termios.tcgetattr(link.port().handle)[4] == getattr(termios, f"B{DEFAULT_BAUD}")
+    link.close()
+
+
+def test_what_was_said_to_nobody_before_is_thrown_away(line):
+    """Bytes in the driver from before opening belong to another conversation."""
+    keep = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
+    os.write(line.device, b"old news")
+    link = opened(line.path)
+    assert link.read(0.02) == b""
+    link.close()
+    os.close(keep)
+
+
+@pytest.mark.parametrize(
+    ("name", "baud", "capacity"),
+    [
+        ("ttyUSB0", 921_600, 92_160.0),  # start and stop bit: ten bits a byte
+        ("ttyS0", 115_200, 11_520.0),
+        ("ttyAMA0", 57_600, 5_760.0),
+        ("ttyACM0", 9_600, None),  # USB CDC: the rate means nothing
+        ("ttyACM12", 921_600, None),
+    ],
+)
+def test_the_rate_limits_a_uart_and_nothing_else(name, baud, capacity, tmp_path):
+    assert ports._capacity(f"/dev/{name}", baud) == capacity
+    alias = tmp_path / "by-id"
+    alias.symlink_to(f"/dev/{name}")
+    assert ports._capacity(str(alias), baud) == capacity, "the port counts, not its alias"
+
+
+def test_a_pseudo_terminal_has_no_capacity_limit(link):
+    assert link.bytes_per_second is None
+
+
+def test_a_line_that_does_not_keep_its_settings_is_refused_and_let_go(line, monkeypatch):
+    before = set(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patched:
+        patched.setattr(ports.tty, "configure", lambda descriptor: None)
+        with pytest.raises(DeviceNotFoundError, match="VMIN"):
+            opened(line.path)
+    assert set(os.listdir("/proc/self/fd")) == before
+
+
+def test_no_call_on_the_descriptor_blocks(line, link):
+    assert not os.get_blocking(link.port().handle)
+
+
+def test_a_symbolic_link_is_as_good_as_the_port(line, tmp_path):
+    """Names in /dev/serial/by-id are such links."""
+    alias = tmp_path / "usb-Raspberry_Pi_Pico_E660-if00"
+    alias.symlink_to(line.path)
+    link = opened(str(alias))
+    link.write(b"hello")
+    assert os.read(line.device, 100) == b"hello"
+    assert (link.facts.port, link.facts.device) == (str(alias), line.path)
+    with pytest.raises(DeviceNotFoundError, match="in use"):
+        opened(line.path)
+    link.close()
+
+
+def test_descriptors_beyond_1023_wait_read_and_write(line):
+    """select(2) knows 1024 of them; a process with many files open has more."""
+    high = 1500
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard <= high:
+        pytest.skip(f"this machine allows {hard} open files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, high + 1), hard))
+    port = serial.Serial(line.path, timeout=0)
+    low, port.fd = port.fd, os.dup2(port.fd, high)
+    link = SerialLink(DeviceUrl.parse(f"serial://{line.path}"), port)
+    try:
+        assert link.read(0.0) == b""
+        os.write(line.device, b"in")
+        assert link.read(SLACK_S) == b"in"
+        link.write(b"out")
+        assert os.read(line.device, 100) == b"out"
+        with pytest.raises(LinkLostError, match="takes no more"):
+            link.write(b"x" * 1_000_000)
+    finally:
+        link.close()
+        os.close(low)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+# ---------------------------------------------------------------------- modem lines, low latency, exclusion
+
+
+def test_a_pseudo_terminal_knows_no_modem_lines_no_latency_and_is_not_kept_from_others_beyond_the_lock(link):
+    assert link.facts.low_latency is None
+    assert link.facts.dtr is None
+    assert link.facts.exclusive is False, (
+        "it would stay so after a kill -9, and nobody could open the port again"
+    )
+    assert link.facts.hangs_up is False
+    assert link.messages == []
+
+
+@pytest.mark.parametrize("dtr", ["yes", "", "1", "ON"])
+def test_dtr_is_on_or_off(dtr, line):
+    with pytest.raises(ConfigError, match="dtr"):
+        opened(line.path, dtr=dtr)
+
+
+@pytest.fixture
+def real_port(monkeypatch):
+    """Let a pseudo-terminal pass for a real port with modem lines and a driver; what was asked of it, in order."""
+    monkeypatch.setattr(ports, "is_pseudo", lambda device: False)
+    return ModemLine(monkeypatch)
+
+
+class ModemLine:
+    """ioctls of a line with DTR, RTS and a driver that may keep the low-latency flag."""
+
+    def __init__(self, monkeypatch, *, keeps_flag=True):
+        self.lines = termios.TIOCM_DTR | termios.TIOCM_RTS
+        self.flags = 0
+        self.keeps_flag = keeps_flag
+        self.asked = []
+        self._real = fcntl.ioctl
+        monkeypatch.setattr(tty_settings.fcntl, "ioctl", self.ioctl)
+
+    def ioctl(self, descriptor, request, argument=0, *more):
+        if request in (termios.TIOCMBIS, termios.TIOCMBIC):
+            (bits,) = struct.unpack("i", argument)
+            self.asked.append((request, bits))
+            self.lines = self.lines | bits if request == termios.TIOCMBIS else self.lines & ~bits
+        elif request == termios.TIOCMGET:
+            argument[:] = struct.pack("i", self.lines)
+        elif request == termios.TIOCGSERIAL:
+            argument[4] = self.flags
+        elif request == termios.TIOCSSERIAL:
+            if self.keeps_flag is None:
+                raise PermissionError(errno.EPERM, "Operation not permitted")
+            self.flags = argument[4] if self.keeps_flag else self.flags
+        else:
+            return self._real(descriptor, request, argument, *more)
+        return 0
+
+
+def test_dtr_is_asserted_and_never_moves_again(line, real_port):
+    link = opened(line.path)
+    assert link.facts.dtr is True
+    link.write(b"x")
+    link.read(0.0)
+    link.close()
+    assert all(request == termios.TIOCMBIS for request, _ in real_port.asked)
+    assert real_port.lines & termios.TIOCM_DTR
+
+
+def test_dtr_off_takes_dtr_and_rts_back_in_one_step(line, real_port):
+    """A board whose reset hangs on the pair is held by either alone."""
+    link = opened(line.path, dtr="off")
+    assert link.facts.dtr is False
+    assert link.messages == []
+    assert real_port.asked[-1] == (termios.TIOCMBIC, termios.TIOCM_DTR | termios.TIOCM_RTS)
+    assert real_port.lines == 0
+    link.close()
+
+
+def test_low_latency_is_set_and_read_back(line, real_port):
+    link = opened(line.path)
+    assert real_port.flags == tty_settings.ASYNC_LOW_LATENCY
+    assert link.facts.low_latency is True
+    link.close()
+
+
+@pytest.mark.parametrize("keeps_flag", [False, None])
+def test_a_driver_that_refuses_low_latency_is_found_out_whether_it_says_so_or_not(
+    keeps_flag, line, real_port
+):
+    real_port.keeps_flag = keeps_flag
+    link = opened(line.path)
+    assert link.facts.low_latency is False
+    link.close()
+
+
+def test_a_real_port_is_refused_to_others_while_it_is_open(line, real_port):
+    link = opened(line.path)
+    assert link.facts.exclusive is True
+    link.close()
+    after = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
+    assert tty_settings.is_exclusive(after) is False, "and free when it is closed"
+    os.close(after)
+
+
+def test_what_was_not_obtained_is_told_with_its_remedy(line, monkeypatch, real_port):
+    monkeypatch.setattr(tty_settings, "set_exclusive", lambda descriptor, wanted: False)
+    monkeypatch.setattr(tty_settings, "is_exclusive", lambda descriptor: False)
+    monkeypatch.setattr(tty_settings, "set_dtr_rts", lambda descriptor, asserted: not asserted)
+    monkeypatch.setattr(port_facts, "is_pseudo", lambda device: False)
+    link = opened(line.path)
+    exclusive, dtr = link.messages
+    assert f"fuser -v {line.path}" in exclusive
+    assert "DTR is off" in dtr
+    link.close()
+
+
+# ---------------------------------------------------------------------- bounded in time
+
+
+def test_reading_waits_no_longer_than_asked(link):
+    for timeout_s in (0.0, 0.03, -1.0):
+        before = time.monotonic()
+        assert link.read(timeout_s) == b""
+        assert max(0.0, timeout_s) - 0.002 <= time.monotonic() - before <= timeout_s + SLACK_S
+
+
+def test_a_line_that_nobody_reads_is_given_up_in_bounded_time(line, link):
+    before = time.monotonic()
+    with pytest.raises(LinkLostError, match="takes no more bytes"):
+        link.write(b"x" * 4_000_000)
+    assert WRITE_TIMEOUT_S <= time.monotonic() - before <= WRITE_TIMEOUT_S + SLACK_S
+
+
+def test_a_line_that_is_read_late_takes_everything(line, link):
+    """A write larger than the driver's buffer waits for the reader and sends every byte once, in order."""
+    import threading  # noqa: PLC0415
+
+    sent = os.urandom(40_000)
+    got = bytearray()
+
+    def device() -> None:
+        while len(got) < len(sent):
+            got.extend(os.read(line.device, 1000))
+
+    reader = threading.Thread(target=device)
+    reader.start()
+    link.write(sent)
+    reader.join(SLACK_S)
+    assert bytes(got) == sent
+
+
+# ---------------------------------------------------------------------- a pulled plug
+
+
+def test_a_pulled_plug_is_a_lost_link_in_both_directions(line, link):
+    line.unplug()
+    with pytest.raises(LinkLostError, match=f"{line.path} is gone") as caught:
+        link.read(1.0)
+    assert "cable" in caught.value.remedy
+    with pytest.raises(LinkLostError):
+        link.write(b"x")
+
+
+def test_a_plug_pulled_while_reading_is_noticed_at_once(line, link):
+    import threading  # noqa: PLC0415
+
+    threading.Timer(0.05, line.unplug).start()
+    before = time.monotonic()
+    with pytest.raises(LinkLostError):
+        link.read(SLACK_S * 2)
+    assert time.monotonic() - before < SLACK_S
+
+
+def test_what_came_before_the_plug_was_pulled_is_read_first(line, link):
+    os.write(line.device, b"last words")
+    line.unplug()
+    said = b""
+    with contextlib.suppress(LinkLostError):
+        while True:
+            said += link.read(0.5)
+    assert said in (b"last words", b""), "Linux may throw it away, but nothing else comes"
+
+
+def test_a_closed_link_is_lost_and_closes_twice(link):
+    link.close()
+    link.close()
+    for use in (lambda: link.read(0.0), lambda: link.write(b"x")):
+        with pytest.raises(LinkLostError):
+            use()
+    assert link.failure() is None
+    assert link.truth() is None

@@ -1,0 +1,287 @@
+"""USB links: what is refused and how it is said, on a bus of stand-ins. The transfers themselves: tests/system/usb."""
+
+from __future__ import annotations
+
+import errno
+from types import SimpleNamespace
+
+import pytest
+import usb.core
+
+from rig.core.errors import ConfigError, DeviceNotFoundError, IncompatibleDeviceError
+from rig.devices import open_link, usb_handle
+from rig.devices import usb as links
+
+IN, OUT, BULK, INTERRUPT = 0x81, 0x01, 2, 3
+
+
+def endpoint(address: int, kind: int = BULK, size: int = 64) -> SimpleNamespace:
+    return SimpleNamespace(bEndpointAddress=address, bmAttributes=kind, wMaxPacketSize=size)
+
+
+class Interface(list):
+    """One interface with its endpoints."""
+
+    def __init__(self, *ends: SimpleNamespace, kind: int = 0xFF, number: int = 0, alternate: int = 0) -> None:
+        super().__init__(ends)
+        self.bInterfaceClass, self.bInterfaceNumber, self.bAlternateSetting = kind, number, alternate
+
+
+PIPES = Interface(endpoint(IN), endpoint(OUT))
+
+
+class Device:
+    """As much of `usb.core.Device` as opening asks for; `fails` maps a call to the error that it raises."""
+
+    backend = None
+
+    def __init__(self, *interfaces, vendor=0x1209, product=1, serial="A", port=1, fails=None, driver=False):
+        self.idVendor, self.idProduct, self.serial_number = vendor, product, serial
+        self.bDeviceClass, self.bNumConfigurations, self.bus, self.address = 0, 1, 1, 7
+        self.port_numbers = (port,)
+        self.product = "stand-in"
+        self._configuration = list(interfaces or [PIPES])
+        self._fails = fails or {}
+        self._driver = driver
+        self.calls: list[str] = []
+
+    def __getitem__(self, index: int) -> list[Interface]:
+        return self._configuration
+
+    def _do(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self._fails:
+            raise self._fails[name]
+
+    def get_active_configuration(self) -> None:
+        self._do("get_active_configuration")
+
+    def set_configuration(self) -> None:
+        self._do("set_configuration")
+
+    def is_kernel_driver_active(self, interface: int) -> bool:
+        self._do("is_kernel_driver_active")
+        return self._driver
+
+    def detach_kernel_driver(self, interface: int) -> None:
+        self._do("detach_kernel_driver")
+
+    def attach_kernel_driver(self, interface: int) -> None:
+        self._do("attach_kernel_driver")
+
+    def clear_halt(self, end: int) -> None:
+        self._do(f"clear_halt {end:#x}")
+
+
+def hub() -> Device:
+    made = Device(vendor=0x1D6B)
+    made.bDeviceClass = 9
+    return made
+
+
+@pytest.fixture
+def bus(monkeypatch, tmp_path):
+    """A bus whose devices a test chooses; `closed` counts how often it was given back."""
+
+    class Bus:
+        devices: tuple[Device, ...] = ()
+        closed = 0
+
+        def close(self) -> None:
+            Bus.closed += 1
+
+    def claim(device: Device, interface: int) -> None:
+        device._do("claim")
+
+    monkeypatch.setattr(links, "Bus", Bus)
+    monkeypatch.setattr(links, "SYSFS", tmp_path)
+    monkeypatch.setattr(links.usb.util, "claim_interface", claim)
+    monkeypatch.setattr(links.usb.util, "release_interface", lambda device, interface: device._do("release"))
+    monkeypatch.setattr(
+        links, "_opened", lambda url, device, pipes, wanted: SimpleNamespace(note="", close=list)
+    )
+    return Bus
+
+
+def error(number: int) -> usb.core.USBError:
+    return usb.core.USBError("as libusb says it", errno=number)
+
+
+def refused(bus, kind, *devices, url="usb://1209:0001"):
+    bus.devices = list(devices)
+    with pytest.raises(kind) as caught:
+        open_link(url)
+    assert caught.value.remedy
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    "place", ["", "1209", "1209:", ":1", "12345:1", "xyz:1", "1209-0001", "1209:-1", "1209:0001:2", "+1:1"]
+)
+def test_a_place_that_names_no_device_is_refused(bus, place):
+    assert "usb://1209:0001/SERIAL" in refused(bus, ConfigError, url=f"usb://{place}").remedy
+
+
+def test_options_are_known_ones(bus):
+    assert "transfers" in refused(bus, ConfigError, url="usb://1209:0001?speed=high").remedy
+    assert "queued, plain" in refused(bus, ConfigError, url="usb://1209:0001?transfers=fast").remedy
+
+
+def test_no_such_device_lists_what_is_there(bus):
+    other = Device(vendor=0x2E8A, product=0x000A, serial="E66")
+    caught = refused(bus, DeviceNotFoundError, other, hub(), Device(Interface(endpoint(IN)), vendor=1))
+    assert "1209:0001" in caught.message
+    assert "Rigs here: usb://2e8a:000a/E66 (stand-in)" in caught.remedy
+    assert bus.closed == 1
+    assert "No USB device here looks like a rig" in refused(bus, DeviceNotFoundError, hub()).remedy
+
+
+def test_two_devices_are_told_apart_by_their_serial_numbers(bus):
+    pair = (Device(serial="A"), Device(serial="B", port=2))
+    caught = refused(bus, DeviceNotFoundError, *pair)
+    assert "usb://1209:0001/A, usb://1209:0001/B" in caught.remedy
+    assert "there is: A, B" in refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C").remedy
+    open_link("usb://1209:0001/B").close()
+    assert pair[0].calls == []
+    assert "claim" in pair[1].calls
+
+
+def test_a_serial_number_is_read_where_the_kernel_keeps_it(bus, tmp_path):
+    """Nobody needs a permission for that, and no device is opened."""
+    (tmp_path / "1-4").mkdir()
+    (tmp_path / "1-4" / "serial").write_text("KERNEL\n")
+    bus.devices = [Device(serial="ASKED", port=4)]
+    (found,) = links.available_devices()
+    assert (found.url, found.path, found.is_rig) == ("usb://1209:0001/KERNEL", "1-4", True)
+
+
+@pytest.mark.parametrize(
+    "interfaces",
+    [
+        [Interface(endpoint(IN), endpoint(OUT), kind=0x0A)],  # CDC data: that is serial://
+        [Interface(endpoint(IN))],
+        [Interface(endpoint(IN), endpoint(OUT), endpoint(0x82))],
+        [Interface(endpoint(IN, INTERRUPT), endpoint(OUT))],
+        [Interface(endpoint(IN), endpoint(OUT), alternate=1)],
+        [Interface()],
+    ],
+)
+def test_a_device_without_a_pair_of_bulk_pipes_is_no_rig(bus, interfaces):
+    assert "no haptic rig" in refused(bus, IncompatibleDeviceError, Device(*interfaces)).message
+    assert [device.is_rig for device in links.available_devices()] == [False]
+
+
+def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus):
+    composite = Device(
+        Interface(endpoint(0x83, INTERRUPT), kind=2),
+        Interface(endpoint(0x85, INTERRUPT), endpoint(0x84, size=512), endpoint(0x02, size=512), number=3),
+    )
+    assert links._pipes(composite) == links._Pipes(3, 0x84, 0x02, 512)
+
+
+def test_no_permission_gives_the_rule_that_mends_it(bus):
+    caught = refused(
+        bus, DeviceNotFoundError, Device(fails={"get_active_configuration": error(errno.EACCES)})
+    )
+    assert "no permission" in caught.message
+    for words in ('ATTR{idVendor}=="1209"', 'ATTR{idProduct}=="0001"', "uaccess", "udevadm"):
+        assert words in caught.remedy
+
+
+def test_busy_names_the_node_that_fuser_wants(bus):
+    caught = refused(bus, DeviceNotFoundError, Device(fails={"claim": error(errno.EBUSY)}))
+    assert "in use" in caught.message
+    assert "/dev/bus/usb/001/007" in caught.remedy
+
+
+@pytest.mark.parametrize("fails", [error(errno.ENODEV), error(errno.EIO), NotImplementedError("no")])
+def test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back(bus, fails):
+    refused(bus, DeviceNotFoundError, Device(fails={"claim": fails}))
+    assert bus.closed == 1
+
+
+def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(bus):
+    device = Device(driver=True, fails={"clear_halt 0x1": error(errno.EPIPE)})
+    bus.devices = [device]
+    open_link("usb://1209:0001").close()
+    assert device.calls == [
+        "get_active_configuration",
+        "is_kernel_driver_active",
+        "detach_kernel_driver",
+        "claim",
+        "clear_halt 0x81",
+        "clear_halt 0x1",
+        "release",
+        "attach_kernel_driver",
+    ]
+    assert bus.closed == 1
+
+
+def test_a_device_that_nobody_configured_is_configured(bus):
+    device = Device(fails={"get_active_configuration": usb.core.USBError("Configuration not set")})
+    bus.devices = [device]
+    open_link("usb://1209:0001").close()
+    assert "set_configuration" in device.calls
+
+
+def test_without_libusb_the_package_is_named(monkeypatch):
+    def nothing(**options):
+        raise usb.core.NoBackendError("No backend available")
+
+    monkeypatch.setattr(usb_handle, "_own_backend", lambda: None)
+    monkeypatch.setattr(usb_handle.usb.core, "find", nothing)
+    with pytest.raises(DeviceNotFoundError, match="libusb") as caught:
+        usb_handle.Bus()
+    assert "apt install libusb-1.0-0" in caught.value.remedy
+    assert links.available_devices() == []
+
+
+def test_what_is_not_as_tested_is_said_and_not_touched(monkeypatch):
+    device = SimpleNamespace(backend=SimpleNamespace(lib=SimpleNamespace(), ctx=None))
+    assert "backend is not libusb 1.0" in usb_handle._strange(device)
+    monkeypatch.setattr(usb_handle, "_version", lambda: (1, 9))
+    assert "not among the tested ones" in usb_handle.unsuitable(device)
+    assert usb_handle._own_backend() is None
+    monkeypatch.setattr(usb_handle.sys, "byteorder", "big")
+    assert "64-bit Linux" in usb_handle.unsuitable(device)
+
+
+def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads():
+    from rig.devices import usb_transfers as compiled  # noqa: PLC0415
+
+    assert usb_handle.Transfer.status.offset == compiled.STATUS_AT
+    assert usb_handle.Transfer.length.offset == compiled.LENGTH_AT == compiled.STATUS_AT + 4
+    assert usb_handle.Transfer.actual_length.offset == compiled.ACTUAL_AT
+    assert usb_handle.Transfer.user_data.offset == compiled.USER_DATA_AT
+
+
+@pytest.mark.parametrize(
+    ("status", "number"),
+    [
+        (0, 0),
+        (1, errno.EIO),
+        (2, errno.ETIMEDOUT),
+        (3, errno.ECANCELED),
+        (4, errno.EPIPE),
+        (5, errno.ENODEV),
+        (6, errno.EOVERFLOW),
+        (7, errno.EIO),
+        (-1, errno.EIO),
+    ],
+)
+def test_libusbs_statuses_are_error_numbers(status, number):
+    from rig.devices.usb_transfers import errno_of_status  # noqa: PLC0415
+
+    assert errno_of_status(status) == number
+
+
+def test_libusbs_codes_are_those_that_pyusb_knows():
+    """An independent table: pyusb's own."""
+    from usb.backend.libusb1 import _libusb_errno  # noqa: PLC0415
+
+    from rig.devices.usb_transfers import errno_of_code  # noqa: PLC0415
+
+    for code, number in _libusb_errno.items():
+        known = number is not None and code not in (-10, -12, -99)
+        assert errno_of_code(code) == (number if known else errno.EIO) or code == 0
+    assert errno_of_code(0) == errno_of_code(5) == 0

@@ -1,0 +1,347 @@
+"""One and the same hit under several schemes: figures 7 and 8 of Koul et al., and what makes the comparison fair."""
+
+import importlib
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig import config
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.experiments import compare as comparing
+from rig.experiments.compare import Entry, Start, compare, default_entries, simulate
+from rig.experiments.impact import mean, measure, second_peak
+from rig.papers.koul.compare import (
+    FIXED,
+    FLOAT,
+    START,
+    koul_entries,
+    koul_experiment,
+    koul_figure_7,
+    koul_figure_8,
+    word_lengths,
+)
+from rig.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
+from rig.views.plots.compare import draw_comparison
+from sim_backend.plant import DiscretePlant, energy
+from sim_backend.trial import run_trial
+from tests.conformance.rigs import rotary_rig
+
+SHORT = {"trial.duration_s": 0.2, "verdict.tail_s": 0.05}
+
+
+def short(name: str):
+    return config.override(presets.load(name), SHORT)
+
+
+# --- the numbers of one impact ----------------------------------------------------------------------------
+
+
+def swing(decay_s: float, *, rest: float = 10.0, first: float = 40.0, period_s: float = 0.02):
+    """A swing about the rest that begins at the surface, in whole counts."""
+    time_s = np.arange(8000) / 20_000
+    phase = 2 * math.pi * time_s / period_s
+    depth = rest * (1 - np.exp(-time_s / decay_s)) + first * np.exp(-time_s / decay_s) * np.sin(phase)
+    counts = np.floor(depth + 0.5)
+    first = int(np.flatnonzero(counts > 0)[0])
+    return time_s[first:] - time_s[first], counts[first:]
+
+
+def test_a_decaying_swing_gives_its_peaks_its_rest_and_its_decay():
+    time_s, counts = swing(0.05)
+    n = measure(time_s, counts, 1.0)
+    assert (n.peak, n.rest) == (37.0, pytest.approx(10.0, abs=0.1))
+    assert n.second_peak == pytest.approx(10.0 + 27.0 * math.exp(-0.02 / 0.05), abs=0.5)
+    assert n.decay == pytest.approx(math.exp(-0.02 / 0.05), abs=0.05), "one period of the envelope"
+    assert n.settling_s == pytest.approx(0.05 * math.log(40.0 / 2.8), abs=0.01)
+
+
+def test_leaving_the_wall_and_coming_back_is_a_bounce():
+    time_s, counts = swing(0.03)
+    below = np.minimum.reduceat(counts, np.arange(0, 2000, 400))  # one minimum a period
+    assert measure(time_s, counts, 1.0).bounces == np.count_nonzero(below < 0.5)
+
+
+def test_a_toggling_count_is_no_second_peak_and_an_endless_swing_never_settles():
+    time_s = np.arange(4000) / 20_000
+    toggling = np.minimum(np.arange(4000) + 1.0, 30.0) + (np.arange(4000) % 2)
+    n = measure(time_s, toggling, 1.0)
+    assert (n.second_peak, n.decay, n.bounces) == (None, 0.0, 0.0)
+    endless = np.round(20.0 + 15.0 * np.sin(2 * math.pi * 50.0 * time_s))
+    n = measure(time_s, endless, 1.0)
+    assert n.settling_s is None
+    assert n.decay == pytest.approx(1.0)
+
+
+@given(counts=st.lists(st.integers(-50, 50), min_size=4, max_size=80), least=st.floats(2.0, 20.0))
+def test_a_second_peak_is_never_above_the_first_and_lies_beyond_a_dip(counts, least):
+    depth = np.array(counts, dtype=np.float64)
+    second = second_peak(depth, least)
+    if second is not None:
+        assert second <= depth.max()
+        after = depth[int(np.argmax(depth)) :]
+        assert after.min() <= min(depth.max(), second) - least
+
+
+def test_a_mean_has_a_settling_time_only_if_all_settled():
+    settled, endless = (measure(*swing(decay_s), 1.0) for decay_s in (0.03, 1e3))
+    assert endless.settling_s is None
+    assert mean([settled, settled]) == settled
+    assert mean([settled, endless]).settling_s is None
+    assert mean([settled, endless]).peak == (settled.peak + endless.peak) / 2
+
+
+# --- what makes it fair -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name):
+    """Also with other estimators: no homing, whose servo would feel the estimate."""
+    experiment = short(name)
+    rate = experiment.controller.position_rate
+    entries = (
+        *default_entries(experiment),
+        Entry(name="raw", scheme=Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm")),
+    )
+    start, model = Start.of(experiment), config.rig_model(experiment)
+    before, arrival = set(), set()
+    for entry in entries:
+        _, plant, trace = simulate(entry.applied(experiment), start, 0.4)
+        first = int(np.flatnonzero(trace.flags & 1)[0])
+        before.add(trace.states[: first + 1].tobytes())
+        arrival.add(energy(trace.states[first], model))
+    assert len(before) == len(arrival) == 1
+    assert plant.tick_s == 1.0 / rate
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_the_traces_are_those_of_the_law_that_ran(name):
+    """The rows are computed once more over the counts; the currents prove that they are the same."""
+    experiment = default_entries(short(name))[2].applied(short(name))
+    law, plant, trace = simulate(experiment, Start.of(experiment), 0.7)
+    rows = comparing._rows(law, plant, trace)
+    np.testing.assert_array_equal(rows["current_sent"], trace.currents)
+    np.testing.assert_array_equal(rows["flags"], trace.flags)
+
+
+def test_the_handle_is_at_the_start_at_the_first_sample():
+    """The trial without bytes begins a tick earlier: the rig coasts there from where it was."""
+    for rate in (20_000, 10_000, 2000):
+        experiment = koul_entries(rate)[0].applied(koul_experiment())
+        _, plant, trace = simulate(experiment, START, 0.4)
+        position, velocity = trace.states[0, plant.sensed_position :][:2]
+        assert position == pytest.approx(START.position, abs=1e-8)
+        assert velocity == pytest.approx(START.velocity, abs=1e-4)
+
+
+def test_an_external_effort_pushes_the_rig_and_a_small_one_does_not_overcome_friction():
+    experiment = config.override(presets.load("koul-rigid"), SHORT)
+    far = Start(position=-0.1, external_effort=0.019)
+    _, plant, trace = simulate(experiment, far, 0.5)
+    assert (trace.states[:, plant.sensed_position] == -0.1).all()
+    model = rotary_rig(inertia=1e-3)
+    law = comparing._controller(experiment, Start(position=0.0))
+    free = run_trial(
+        law,
+        DiscretePlant.build(model, 5e-5),
+        -0.4,
+        most_ticks=1000,
+        initial_velocity=0.2,
+        external_effort=0.01,
+    )
+    assert free.states[-1, 1] == pytest.approx(0.2 + 0.01 / 1e-3 * 1000 * 5e-5)
+
+
+def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own():
+    experiment = short("koul-compliant")
+    first, second = (compare(experiment, offsets=(0.2, 0.6)) for _ in range(2))
+    assert first.as_mapping() == second.as_mapping()
+    for one, two in zip(first.outcomes, second.outcomes, strict=True):
+        assert [i.velocity.tobytes() for i in one.impacts] == [i.velocity.tobytes() for i in two.impacts]
+    dual = first["dual"]
+    assert [impact.offset for impact in dual.impacts] == [0.2, 0.6]
+    assert dual.peaks[0] <= dual.numbers.peak <= dual.peaks[1]
+    alone = compare(experiment, [dual.entry], offsets=(0.6,)).outcomes[0].impacts[0]
+    assert alone.counts.tobytes() == dual.impacts[1].counts.tobytes()
+    json.dumps(first.as_mapping(), allow_nan=False)
+    with pytest.raises(KeyError):
+        first["triple"]
+
+
+def test_damping_holds_the_handle_back_and_its_traces_begin_inside_the_wall():
+    comparison = compare(short("koul-compliant"))
+    none, dual = comparison["none"], comparison["dual"]
+    assert dual.numbers.peak < 0.8 * none.numbers.peak
+    assert dual.numbers.decay < 0.7 * none.numbers.decay
+    rig = comparison.experiment.rig
+    resolution = rig.encoder.resolution
+    give = rig.limits.effort / rig.mechanics.transmission_stiffness  # of the capstan; twice with its swing
+    for impact in (*none.impacts, *dual.impacts):
+        assert impact.counts[0] >= 1.0
+        assert impact.time_s[0] == 0.0
+        np.testing.assert_allclose(impact.penetration, impact.counts * resolution)
+        assert np.abs(impact.penetration - impact.penetration_true).max() < 2 * give + resolution
+
+
+def test_a_wall_on_the_other_side_gives_the_same_depths():
+    experiment = short("koul-rigid")
+    mirrored = config.override(
+        experiment, {"wall.side": -1, "trial.start": 0.015, "trial.effort": -0.15, "rig.encoder.sign": -1}
+    )
+    one, other = (compare(x, offsets=(0.5,))["dual"].numbers for x in (experiment, mirrored))
+    assert other.impact_velocity == pytest.approx(one.impact_velocity, rel=0.02)
+    assert other.peak == pytest.approx(one.peak, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "rates"), [("koul-rigid", (20_000, 20_000, 2000)), ("chawda-linear", (1000, 1000, 500))]
+)
+def test_the_usual_entries_keep_the_position_rate_and_the_experiments_dual_rate(name, rates):
+    experiment = presets.load(name)
+    none, uniform, dual = default_entries(experiment)
+    assert (none.damping, uniform.damping, dual.damping) == (0.0, None, None)
+    fast, one, slow = rates
+    assert (uniform.scheme.position_rate, uniform.scheme.velocity_rate, dual.scheme.velocity_rate) == (
+        fast, one, slow,
+    )  # fmt: skip
+    assert none.applied(experiment).wall.damping == 0.0
+    assert none.label(experiment) == "no damping"
+
+
+# --- figure 7 ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("state_bits", "ratio", "expected"),
+    [
+        (4, 20, {20_000: (57.0, 57.0, 29.0), 10_000: (57.0, 39.75, 29.0)}),
+        (2, 10, {20_000: (57.0, 57.0, 30.0), 10_000: (57.0, 38.75, 30.25)}),
+    ],
+)
+def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_and_not_from_a_dual_rate_one(
+    state_bits, ratio, expected
+):
+    """Uniform at cut-off fs/ratio against 200 Hz at 2 kHz: 14 bits, rounding to zero."""
+    panels = koul_figure_7(state_bits=state_bits, uniform_share=1 / ratio)
+    fixed = {panel.position_rate: panel.peaks for panel in panels if panel.arithmetic == FIXED}
+    assert fixed == {rate: pytest.approx(peaks, abs=0.5) for rate, peaks in expected.items()}
+
+
+def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one():
+    """What figure 7 shows is not in the method, but in the word length."""
+    for panel in koul_figure_7():
+        none, uniform, dual = panel.peaks
+        assert none == 57.0
+        if panel.arithmetic == FLOAT:
+            assert 1.0 <= uniform / dual < 1.08
+            assert uniform < 0.6 * none
+            assert panel.comparison["uniform"].numbers.decay == 0.0
+        elif panel.position_rate == 20_000:
+            uniform_hits, none_hits = (panel.comparison[name].impacts for name in ("uniform", "none"))
+            for damped, free in zip(uniform_hits, none_hits, strict=True):
+                np.testing.assert_array_equal(damped.counts, free.counts, "no damping at all")
+        assert panel.comparison["none"].numbers.decay > 0.5
+        assert panel.comparison["dual"].numbers.bounces == 0.0
+
+
+def test_between_damped_and_undamped_the_place_of_the_encoders_edges_decides():
+    """4 bits at 10 kHz: a mean over four offsets is good to a few counts; the other peaks do not depend on it."""
+    offsets = [(k + 0.5) / 10 for k in range(10)]
+    panels = koul_figure_7(position_rates=(10_000,), offsets=offsets)
+    (fixed,) = (panel for panel in panels if panel.arithmetic == FIXED)
+    least, most = fixed.comparison["uniform"].peaks
+    assert least <= 36.0
+    assert most >= 42.0
+    for name in ("none", "dual"):
+        least, most = fixed.comparison[name].peaks
+        assert most - least <= 1.0
+
+
+def test_two_word_lengths_and_cut_offs_give_figure_7_and_no_others():
+    table = word_lengths((0, 1, 2, 3, 4, 5, 6, 16))
+    found = {(row.state_bits, round(1 / row.uniform_share)) for row in table if row.as_in_the_paper}
+    assert found == {(4, 20), (2, 10)}
+    wide = [row for row in table if row.state_bits == 16]
+    assert all(row.uniform[rate] < 0.6 * row.none[rate] for row in wide for rate in row.none)
+
+
+# --- figure 8 ---------------------------------------------------------------------------------------------
+
+
+def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed_point():
+    profiles = koul_figure_8()
+    slow, fast = profiles[2000, FLOAT], profiles[20_000, FLOAT]
+    assert 5.0 < fast.noise_late / slow.noise_late < 10.0
+    assert 1.2 < fast.noise_early / slow.noise_early < 3.0, "a fast handle shows less: many counts a period"
+    assert slow.reading_late == pytest.approx(1.0, abs=0.1)
+    assert fast.reading_late > 1.0, "noise, not null"
+    null, dual = profiles[20_000, FIXED], profiles[2000, FIXED]
+    assert (null.reading_early, null.reading_late) == (0.0, 0.0)
+    assert null.delay_s is None
+    assert null.noise_late == pytest.approx(profiles.speed_late, rel=0.01)
+    assert 0.8 < dual.reading_late < 1.0
+
+
+def test_the_delays_are_those_of_the_filters():
+    """√2·T/(2·tan(π·fc·T)) and half a period of the difference: 1.338 ms, and 0.249 ms at 20 kHz."""
+    profiles = koul_figure_8()
+    for (rate, cutoff_hz), share in {(2000, 200.0): 0.03, (20_000, 1000.0): 0.05}.items():
+        expected = math.sqrt(2) / rate / (2 * math.tan(math.pi * cutoff_hz / rate)) + 0.5 / rate
+        profile = profiles[rate, FLOAT]
+        assert profile.cutoff_hz == cutoff_hz
+        assert profile.delay_s == pytest.approx(expected, rel=share)
+
+
+def test_early_and_late_follow_each_other_and_the_handle_is_slower_late():
+    profiles = koul_figure_8(uniform_share=1 / 10, state_bits=2)
+    assert profiles.early_s[1] == profiles.late_s[0]
+    assert profiles.speed_late < 0.3 * profiles.speed_early
+    assert profiles[20_000, FLOAT].cutoff_hz == 2000.0
+    assert profiles.counts.max() == 57.0
+    json.dumps(profiles.as_mapping(), allow_nan=False)
+
+
+# --- what cannot be meant ---------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_compared_is_refused_with_a_remedy(monkeypatch):
+    experiment = short("koul-rigid")
+    with pytest.raises(ConfigError, match=r"never reached the wall.*push harder"):
+        compare(experiment, start=Start(position=-0.1))
+    for entries, offsets in (([], (0.1,)), (None, ()), (None, (1.0,))):
+        with pytest.raises(ConfigError, match="nothing to compare"):
+            compare(experiment, entries, offsets=offsets)
+    unknown = Scheme(position_rate=20_000, velocity_rate=2000, estimator="fmd")
+    with pytest.raises(ConfigError, match="fmd"):
+        compare(experiment, [Entry(name="typo", scheme=unknown)])
+    held = replace(experiment, trial=replace(experiment.trial, kind="human"))
+    with pytest.raises(ConfigError, match="in automated trials, without a hand"):
+        compare(held)
+
+
+def test_without_the_simulation_there_is_a_clear_error(monkeypatch):
+    def missing(name):
+        if name.startswith("sim_backend"):
+            raise ModuleNotFoundError(f"No module named {name!r}")
+        return importlib.import_module(name)
+
+    monkeypatch.setattr(comparing, "import_module", missing)
+    with pytest.raises(DeviceNotFoundError, match="simulation does not load"):
+        compare(short("koul-rigid"))
+
+
+# --- pictures ---------------------------------------------------------------------------------------------
+
+
+def test_pictures_are_drawn_and_are_the_same_again(tmp_path):
+    comparison = compare(short("koul-rigid"), offsets=(0.5,))
+    pictures = [draw_comparison(comparison, tmp_path / f"{n}.png") for n in "ab"]
+    assert pictures[0].read_bytes() == pictures[1].read_bytes()
+    assert draw_figure_7(koul_figure_7(offsets=(0.1, 0.5)), tmp_path / "7.png").stat().st_size > 30_000
+    assert draw_figure_8(koul_figure_8(), tmp_path / "8.png").stat().st_size > 30_000

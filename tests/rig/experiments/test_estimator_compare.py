@@ -1,0 +1,306 @@
+"""Scoring and tuning estimators: numbers that closed forms predict, optima that a scan confirms."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig import config
+from rig.config import controller, presets
+from rig.control import estimators
+from rig.control.estimators.estimator import Choice, Setting
+from rig.core.errors import ConfigError
+from rig.core.sample import ROW, Phase
+from rig.core.signals import SIGNALS, edge_times, sine
+from rig.experiments.cases import recording_case, signal_case
+from rig.experiments.estimators import (
+    Variant,
+    compare,
+    default_variants,
+    errors,
+    estimates,
+    rest_noise,
+    score,
+)
+from rig.experiments.tuning import OBJECTIVES, WITHIN, Range, shown_range, tune
+from rig.recording.data import Recording
+
+FINE, COARSE = 1e-6, 2e-5
+
+
+def hit(rate_hz: float = 2000, resolution: float = FINE):
+    return signal_case(SIGNALS["wall-bounce"], rate_hz, resolution)
+
+
+# --- scores -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [1000, 2000, 20_000])
+def test_a_finite_difference_is_half_a_period_late(rate):
+    found = score(hit(rate), Variant("fdm"))
+    assert found.delay_s == pytest.approx(0.5 / rate, abs=3e-6)
+
+
+@pytest.mark.parametrize(("rate", "cutoff_hz"), [(2000, 200.0), (20_000, 200.0), (20_000, 1000.0)])
+def test_a_butterworth_filter_adds_its_delay_to_that(rate, cutoff_hz):
+    """PHYSICS 2i (A) 4: √2·T/(2·tan(π·fc·T)) at zero frequency, 1.088 ms for 200 Hz at 2 kHz."""
+    slow = signal_case(sine(amplitude=0.05, frequency_hz=2.0), rate, FINE)
+    found = score(slow, Variant("fdm-butterworth", {"cutoff_hz": cutoff_hz}))
+    closed = 0.5 / rate + math.sqrt(2) / (2 * rate * math.tan(math.pi * cutoff_hz / rate))
+    assert found.delay_s == pytest.approx(closed, rel=2e-3, abs=2e-6)
+
+
+def test_a_known_shift_is_found_to_microseconds():
+    case = hit(20_000)
+    for shift in (-1.2345e-3, 0.0, 0.1e-3, 3.21e-3, 17.7e-3):
+        rms, delay_s, left = errors(case, case.truth(case.time_s - shift))
+        assert delay_s == pytest.approx(shift, abs=1e-7)
+        assert left < 1e-5 * case.speed_rms
+        assert rms >= left - 1e-6 * case.speed_rms
+
+
+def test_a_delay_that_cannot_be_told_is_none():
+    steady = signal_case(SIGNALS["ramp"], 2000, FINE)
+    rms, delay_s, left = errors(steady, estimates(steady, Variant("fdm")))
+    assert math.isnan(delay_s)
+    assert left == rms
+    slow = signal_case(SIGNALS["slow-reversal"], 50_000, COARSE)
+    assert math.isnan(score(slow, Variant("fdm")).delay_s), "noise of a hundred times the speed"
+
+
+def test_the_reference_hit_gives_the_errors_of_the_reference_study():
+    """PHYSICS 2i (C): true rms errors in m/s of the finite difference, with and without the filter."""
+    for resolution, rate, fdm, filtered in (
+        (1e-6, 1000, 0.0024, 0.0233),
+        (1e-6, 20_000, 0.0069, 0.0013),
+        (2e-5, 1000, 0.0075, 0.0233),
+        (2e-5, 20_000, 0.097, 0.0133),
+    ):
+        case = hit(rate, resolution)
+        assert score(case, Variant("fdm")).rms == pytest.approx(fdm, rel=0.1)
+        assert score(case, Variant("fdm-butterworth", {"cutoff_hz": 0.05 * rate})).rms == pytest.approx(
+            filtered, rel=0.06
+        )
+
+
+def test_at_rest_a_resting_count_is_silent_and_a_toggling_one_is_not():
+    """Two equally likely neighbours give a difference the rms of Δ/(√2·T)."""
+    rest, toggling = rest_noise(Variant("fdm"), 1e-4, FINE)
+    assert rest == 0.0
+    assert toggling == pytest.approx(FINE / (math.sqrt(2) * 1e-4), rel=0.05)
+    rest, filtered = rest_noise(Variant("fdm-butterworth"), 1e-4, FINE)
+    assert rest == 0.0
+    assert filtered < 0.1 * toggling
+
+
+def test_an_estimator_that_knows_edge_times_gets_the_true_ones():
+    case = hit()
+    moving = np.diff(case.counts, prepend=case.counts[0]) != 0
+    age = case.arrays[1]
+    assert (age[moving] < case.dt).all()
+    assert np.ptp(age[moving]) > 0.5 * case.dt, "not all at the sample"
+
+
+def test_every_estimator_is_scored_on_every_case_in_order():
+    cases = [signal_case(s, 2000, COARSE) for s in SIGNALS.values()]
+    found = compare(cases, default_variants(), timed=False)
+    expected = [(case.name, name) for case in cases for name in estimators.names()]
+    assert [(s.case, s.estimator) for s in found.scores] == expected
+    for each in found.scores:
+        if each.refused is None:
+            assert math.isfinite(each.rms)
+            assert each.rms_without_delay <= each.rms * (1 + 1e-9)
+            assert each.rest_rms <= each.toggling_rms or each.rest_rms < 1e-3
+            assert math.isnan(each.ns_per_sample)
+    assert len(found.as_mapping()["scores"]) == len(found.scores)
+    assert found.as_mapping()["cases"][0]["reference"] == "closed form"
+
+
+def test_settings_that_a_rate_does_not_allow_are_reported_not_raised():
+    (found,) = compare([hit(1000)], [Variant("fdm-butterworth", {"cutoff_hz": 700.0})]).scores
+    assert "Nyquist" in found.refused
+    assert math.isnan(found.rms)
+    with pytest.raises(ConfigError, match="no estimator 'fmd'"):
+        compare([hit(1000)], [Variant("fmd")])
+
+
+def test_a_timed_comparison_says_what_a_sample_costs():
+    (found,) = compare([hit()], [Variant("fdm")], timed=True).scores
+    assert 0.0 < found.ns_per_sample < 1e5
+
+
+# --- recordings -------------------------------------------------------------------------------------------
+
+SWING = sine(amplitude=0.5, frequency_hz=5.0)  # of a lever, in rad
+EXPERIMENT = presets.load("koul-rigid")
+RATE = EXPERIMENT.controller.position_rate
+TRUE_ROW = np.dtype([*ROW.descr, ("position_true", "<f8"), ("velocity_true", "<f8")])
+
+
+def recorded(signal=SIGNALS["sine"], *, keep=slice(None), truth=True) -> Recording:
+    """A signal (in rad) as the experiment's rig would have recorded it; the first 0.1 s precede the trial."""
+    delta, times = controller.resolution(EXPERIMENT), np.arange(round(signal.end_s * RATE)) / RATE
+    rows = np.zeros(len(times), TRUE_ROW if truth else ROW)
+    rows["sample_index"] = 1000 + np.arange(len(times))
+    rows["count"] = estimators.quantise(signal(times).position, delta)
+    edges = edge_times(signal, times, delta)
+    rows["edge_age"] = np.round(1e9 * np.minimum(times - edges, 134.0))
+    rows["phase"] = np.where(times < 0.1, Phase.HOMING, Phase.TRIAL)
+    if truth:
+        rows["position_true"], rows["velocity_true"], _ = signal(times)
+    header = {"experiment": config.as_mapping(EXPERIMENT), "motion": EXPERIMENT.rig.motion}
+    return Recording(header, rows[keep])
+
+
+def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth():
+    case = recording_case(recorded(SWING), 2000)
+    assert (case.reference, case.motion) == ("the simulation's truth", "rotary")
+    assert case.dt == pytest.approx(1 / 2000)
+    assert case.judged_time_s[0] == pytest.approx(0.1)
+    found = score(case, Variant("fdm-butterworth"))
+    assert found.delay_s == pytest.approx(0.00025 + 0.001088, rel=0.01)
+    assert found.rms_without_delay < 0.05 * case.speed_rms
+
+
+def test_a_recording_gives_the_estimates_of_the_signal_it_came_from():
+    signal, delta = SIGNALS["sine"], controller.resolution(EXPERIMENT)
+    direct = signal_case(signal, 2000, delta)
+    case = recording_case(recorded(), 2000)
+    assert case.counts.tolist() == direct.counts.tolist()
+    for name in estimators.names():
+        expected = estimates(direct, Variant(name))
+        ours = estimates(case, Variant(name))
+        assert ours == pytest.approx(expected, abs=0.02 * case.speed_rms), name  # edge ages are whole ns
+
+
+def test_a_real_recording_is_judged_against_a_zero_phase_reference_and_says_so():
+    case = recording_case(recorded(SWING, truth=False), 2000)
+    assert case.reference == "zero-phase Butterworth of order 4 at 200 Hz"
+    assert case.judged_time_s[-1] < 0.58, "the ends of the reference are guesses"
+    assert case.true_velocity == pytest.approx(SWING(case.judged_time_s).velocity, abs=0.05)
+    assert score(case, Variant("fdm-butterworth")).delay_s == pytest.approx(0.00134, rel=0.05)
+
+
+def test_lost_samples_become_elapsed_periods():
+    keep = np.ones(round(SIGNALS["sine"].end_s * RATE), dtype=bool)
+    keep[6005:6047] = False
+    case = recording_case(recorded(keep=keep), RATE // 10)
+    assert case.elapsed.max() == 4
+    assert case.elapsed.sum() == math.ceil(len(keep) / 10)
+    assert (np.diff(case.time_s) > 0).all()
+    velocity = estimates(case, Variant("fdm"))
+    assert np.abs(velocity - case.truth(case.time_s))[1:].max() < 1.1 * abs(case.resolution) / case.dt
+
+
+def test_without_a_rate_it_is_the_recordings_own():
+    assert recording_case(recorded()).rate_hz == EXPERIMENT.controller.velocity_rate
+
+
+def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_does():
+    with pytest.raises(ConfigError, match=rf"3000 Hz is no whole fraction.*{RATE} Hz.*choose"):
+        recording_case(recorded(), 3000)
+    with pytest.raises(ConfigError, match="no samples"):
+        recording_case(recorded(keep=slice(0)), 2000)
+
+
+# --- tuning -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_the_optimum_is_what_a_fine_scan_finds(objective):
+    case = hit(5000, COARSE)
+    found = tune("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
+    scan = np.geomspace(20.0, 2400.0, 150)
+    values = [
+        OBJECTIVES[objective](case, estimates(case, Variant("fdm-butterworth", {"cutoff_hz": f})))
+        for f in scan
+    ]
+    assert found.objective_best <= 1.002 * min(values)
+    (within,) = found.ranges
+    inside = scan[np.array(values) <= (1 + WITHIN) * found.objective_best]
+    assert within.low == pytest.approx(inside[0], rel=0.1)
+    assert within.high == pytest.approx(inside[-1], rel=0.1)
+    assert within.low <= within.value <= within.high
+    assert not within.open_below
+    assert not within.open_above
+
+
+def test_tuning_reaches_the_best_filters_of_the_reference_study():
+    """PHYSICS 2i (C), "BW best": rms errors in m/s."""
+    for resolution, rate, best in ((1e-6, 2000, 0.0014), (1e-6, 20_000, 0.0012), (2e-5, 20_000, 0.0053)):
+        found = tune("fdm-butterworth", hit(rate, resolution))
+        assert found.after.rms == pytest.approx(best, rel=0.06)
+        assert found.after.rms <= found.before.rms
+
+
+def test_tuning_is_repeatable_to_the_bit():
+    one, two = (tune("fdm-butterworth", hit()) for _ in range(2))
+    assert one.settings == two.settings
+    assert one.objective_best == two.objective_best
+
+
+def test_whole_numbers_are_tuned_as_whole_numbers():
+    found = tune("fdm-butterworth", hit(resolution=COARSE), free=["order"])
+    assert found.settings["order"] == round(found.settings["order"]) != 2.0
+
+
+def test_a_setting_that_makes_no_difference_stays_where_it_was():
+    """A long chord bends before it leaves a band of one count: then the window limit alone decides."""
+    found = tune("foaw-end", hit(20_000, COARSE))
+    assert list(found.settings) == ["window_limit"]
+    assert {r.setting: (r.value, r.open_above) for r in found.ranges}["band"] == (1.0, True)
+
+
+def test_given_settings_are_kept_and_only_free_ones_move():
+    found = tune("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
+    assert found.settings["order"] == 1.0
+    assert [r.setting for r in found.ranges] == ["cutoff_hz"]
+
+
+def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path):
+    found = tune("fdm-butterworth", hit(), objective="delay-corrected-rms")
+    assert tomllib.loads(found.toml())["controller"]["estimator"] == "fdm-butterworth"
+    file = tmp_path / "tuned.toml"
+    file.write_text('preset = "koul-compliant"\n\n' + found.toml(), encoding="utf-8")
+    experiment = config.load_experiment(file)
+    assert experiment.controller.parameters["cutoff_hz"] == found.settings["cutoff_hz"]
+    config.check_plugins(experiment, "tuned.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        ("fdm", {}, "nothing to tune"),
+        ("fmd", {}, "no estimator 'fmd'"),
+        ("fdm-butterworth", {"objective": "beauty"}, "no objective 'beauty'.*rms"),
+        ("fdm-butterworth", {"free": ["cutof"]}, "no number 'cutof'.*cutoff_hz"),
+        ("fdm-butterworth", {"settings": {"cutoff_hz": 5000.0}}, "Nyquist"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused(name, changes, text):
+    with pytest.raises(ConfigError, match=text):
+        tune(name, hit(), **changes)
+
+
+def test_ranges_say_when_the_search_ended_before_they_did():
+    base = Range("x", "Hz", 2.0, 1.0, 4.0, open_below=False, open_above=False)
+    assert shown_range(base) == "1 to 4 Hz"
+    assert shown_range(replace(base, open_above=True)) == "1 to 4 or more Hz"
+    assert shown_range(replace(base, open_below=True, unit="1")) == "1 or less to 4"
+    assert shown_range(replace(base, open_below=True, open_above=True)) == "anything from 1 to 4 Hz"
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_every_setting_of_the_family_says_what_it_is(name):
+    for setting in estimators.get(name).settings:
+        assert setting.meaning
+        if isinstance(setting, Choice):
+            assert setting.default in setting.choices
+        else:
+            assert isinstance(setting, Setting)
+            assert setting.unit
+            assert setting.minimum < setting.maximum

@@ -1,0 +1,318 @@
+"""An identification over the byte link: motions that stay in their limits, and parameters that come out right."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from dataclasses import replace
+
+from rig import config
+from rig.analysis.identification.quality import IdentificationError
+from rig.analysis.identification.signs import check_signs
+from rig.config import controller, presets
+from rig.control.motions import nudging, tracing
+from rig.core.errors import ConfigError, PlanError
+from rig.core.sample import Phase
+from rig.devices.framed import FramedDevice
+from rig.experiments import identify as identifying
+from rig.experiments import identify_motions as motions
+from rig.experiments.identified_file import file_text
+from rig.experiments.identify import IdentifyRequest, identify, trial_rows
+from rig.experiments.plan import Outcome
+from rig.recording.reader import open_recording
+from sim_backend.device import SimulatedDevice
+from sim_backend.hardware import Hardware
+from sim_backend.link import MemoryLink
+from sim_backend.plant import DiscretePlant
+from sim_backend.trial import run_trial
+
+CHAWDA, RIGID, COMPLIANT = (presets.load(name) for name in ("chawda-linear", "koul-rigid", "koul-compliant"))
+
+
+def identified(experiment, directory, **options):
+    given = {"realisations": 3, "seed": 1, **options}
+    return identify(IdentifyRequest(experiment=experiment, output=directory, **given))
+
+
+@pytest.fixture(scope="module")
+def chawda(tmp_path_factory):
+    changes = {"rig.encoder.offset": 0.13, "rig.amplifier.current_noise_a": 0.002}
+    return identified(CHAWDA, tmp_path_factory.mktemp("chawda"), changes=changes)
+
+
+@pytest.fixture(scope="module")
+def compliant(tmp_path_factory):
+    changes = {"controller.position_rate": 6000}
+    return identified(COMPLIANT, tmp_path_factory.mktemp("compliant"), period_s=0.25, changes=changes)
+
+
+# ---------------------------------------------------------------------- parameters
+
+
+def test_chawda_linear_comes_out_within_a_per_cent(chawda):
+    assert chawda.signs.sign == 1
+    assert chawda.dynamics.inertia.value == pytest.approx(0.52, rel=0.002)
+    assert chawda.sliding.damping.value == pytest.approx(13.2, rel=0.005)
+    assert chawda.sliding.up.value == pytest.approx(0.19, rel=0.01)
+    assert chawda.sliding.down.value == pytest.approx(0.19, rel=0.01)
+    assert chawda.dynamics.delay_s.value == pytest.approx(0.0, abs=2e-6)
+    assert chawda.dynamics.mode is None
+    assert np.median(chawda.dynamics.coherence) > 0.999
+
+
+def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant):
+    """The free handle, without the end mass: 587 Hz."""
+    mode = compliant.dynamics.mode
+    assert mode is not None
+    assert mode.resonance_hz.value == pytest.approx(587.4, rel=0.005)
+    assert mode.antiresonance_hz.value == pytest.approx(192.4, rel=0.01)
+    assert compliant.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.01)
+    assert mode.motor_inertia.value == pytest.approx(1.9e-4, rel=0.02)
+    assert mode.stiffness.value == pytest.approx(2310.0, rel=0.02)
+    assert compliant.sliding.coulomb.value == pytest.approx(0.0067, rel=0.02)
+    assert compliant.sliding.damping.value == pytest.approx(0.0037, rel=0.05)
+    assert compliant.dynamics.delay_s.value == pytest.approx(1e-4, rel=0.05)
+
+
+def test_koul_rigid_with_a_tick_of_delay(tmp_path):
+    found = identified(
+        RIGID,
+        tmp_path,
+        changes={"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 6000},
+    )
+    assert found.dynamics.inertia.value == pytest.approx(3.2e-4, rel=0.01)
+    assert found.sliding.up.value == pytest.approx(0.02, rel=0.02)
+    assert found.sliding.down.value == pytest.approx(0.02, rel=0.02)
+    assert found.sliding.damping.value == pytest.approx(0.003, rel=0.15)
+    assert found.dynamics.delay_s.value == pytest.approx(1.0 / 6000 + 1.09e-4, rel=0.05)
+    assert found.dynamics.delay_ticks == 1
+    assert found.dynamics.mode is None
+
+
+def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path):
+    found = identified(RIGID, tmp_path, url="sim://koul-rigid", changes={"controller.position_rate": 2000})
+    assert found.dynamics.inertia.value == pytest.approx(3.2e-4 + 0.07 * 0.1**2, rel=0.02)
+    mechanics = found.experiment.rig.mechanics
+    assert mechanics.motor_inertia + mechanics.link_inertia == pytest.approx(3.2e-4, rel=0.05)
+    assert mechanics.end_mass == 0.07
+
+
+# ---------------------------------------------------------------------- the file that it leaves
+
+
+@pytest.mark.parametrize("name", ["chawda", "compliant"])
+def test_the_file_is_the_identified_experiment_with_its_sources(name, request, tmp_path):
+    found = request.getfixturevalue(name)
+    path = tmp_path / "rig.toml"
+    path.write_text(file_text(found))
+    assert config.as_mapping(config.load_experiment(path)) == config.as_mapping(found.experiment)
+    lines = path.read_text().splitlines()
+    marked = [line for line in lines if "[identified]" in line and " = " in line]
+    assert len(marked) == len(found.sources)
+    assert all(".parquet" in line for line in marked)
+    (coulomb,) = (line for line in marked if line.startswith("motor_coulomb"))
+    assert "±" in coulomb
+    assert "up" in coulomb
+
+
+def test_what_one_sensor_cannot_split_keeps_the_described_proportion(compliant):
+    before, after = COMPLIANT.rig.mechanics, compliant.experiment.rig.mechanics
+    assert after.motor_coulomb / after.link_coulomb == pytest.approx(
+        before.motor_coulomb / before.link_coulomb
+    )
+    assert after.motor_damping / after.link_damping == pytest.approx(
+        before.motor_damping / before.link_damping
+    )
+    assert after.transmission_damping_ratio == pytest.approx(before.transmission_damping_ratio, rel=0.15)
+    assert after.end_mass == before.end_mass
+
+
+def test_every_motion_is_a_recording_that_says_what_it_is(chawda):
+    assert {name: len(paths) for name, paths in chawda.recordings.items()} == {
+        "signs": 1, "sliding": 1, "dynamics": 3,
+    }  # fmt: skip
+    laws = {"signs": "nudges", "sliding": "traced", "dynamics": "shaken"}
+    for name, paths in chawda.recordings.items():
+        for path in paths:
+            recording = open_recording(path)
+            assert recording.complete
+            assert recording.header["extra"]["identification"] == name
+            assert recording.header["initial_state"]["law"]["name"] == laws[name]
+
+
+# ---------------------------------------------------------------------- limits
+
+
+@pytest.mark.parametrize("experiment", [CHAWDA, RIGID, COMPLIANT], ids=lambda x: x.rig.name)
+def test_motions_stay_far_within_effort_speed_and_window(experiment, request):
+    """Each law on the plant without bytes, with ten times less friction and damping than described."""
+    described = config.override(experiment, {"rig.mechanics.end_mass": 0.0})
+    limits = described.rig.limits
+    low, high = limits.position_minimum, limits.position_maximum
+    shaking = motions.excitation(described, 0, 0.5, motions.inertia_of(described))
+    for motion in (
+        motions.pushes_motion(described, 0.1 * high),
+        motions.strokes_motion(described),
+        motions.shaking_motion(described, shaking, motions.inertia_of(described)),
+    ):
+        x = motion.experiment
+        slippery = {f"rig.mechanics.{side}_{name}": 0.1 * getattr(x.rig.mechanics, f"{side}_{name}")
+                    for side in ("motor", "link") for name in ("coulomb", "damping")}  # fmt: skip
+        rate = x.controller.position_rate
+        plant = DiscretePlant.build(config.rig_model(config.override(x, slippery)), 1.0 / rate)
+        control = controller.for_experiment(
+            x, current_quantum_a=x.rig.amplifier.current_quantum_a, law=motion.law
+        )
+        trace = run_trial(control, plant, x.trial.start, most_ticks=round((x.trial.duration_s + 12.0) * rate))
+        trial = trace.phases == Phase.TRIAL
+        assert trial.sum() == pytest.approx(x.trial.duration_s * rate, abs=2), (
+            "it came to its end: no guard tripped"
+        )
+        position, velocity = trace.states[trial, 0], trace.states[trial, 1]
+        assert low < position.min()
+        assert position.max() < high
+        assert np.abs(velocity).max() < 0.7 * limits.speed
+        assert np.abs(trace.currents).max() * x.rig.amplifier.effort_quantum <= limits.effort
+
+
+@pytest.mark.parametrize("experiment", [CHAWDA, RIGID, COMPLIANT], ids=lambda x: x.rig.name)
+def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(experiment):
+    for offset in np.linspace(0.0, 0.95, 8):
+        x = config.override(experiment, {"rig.mechanics.end_mass": 0.0, "rig.encoder.offset": float(offset)})
+        motion = motions.pushes_motion(x, 0.0)
+        rate = motion.experiment.controller.position_rate
+        plant = DiscretePlant.build(config.rig_model(motion.experiment), 1.0 / rate)
+        control = controller.for_experiment(
+            motion.experiment, current_quantum_a=x.rig.amplifier.current_quantum_a, law=motion.law
+        )
+        trace = run_trial(control, plant, 0.0, most_ticks=20 * rate)
+        trial = trace.phases == Phase.TRIAL
+        found = check_signs(
+            np.arange(trial.sum()) / rate,
+            trace.currents[trial] * x.rig.amplifier.effort_quantum,
+            trace.counts[trial] * controller.resolution(x),
+            resolution=x.rig.encoder.resolution,
+            expected_inertia=motions.inertia_of(x),
+            rest_s=0.05,
+        )
+        assert found.ok
+        assert found.warnings == ()
+        assert 0.9 < found.scale < 1.8
+
+
+def test_pushes_of_a_wrong_sign_move_as_little(tmp_path, monkeypatch):
+    """Motor or encoder the other way round: a few hundred counts at most, then a refusal with a remedy."""
+    believed = config.rig_model(CHAWDA)
+    device = SimulatedDevice(believed)  # as it was built for this rig, whose encoder is wired the other way
+    wired = replace(believed, encoder=replace(believed.encoder, sign=-1))
+    device.hardware = Hardware(wired, 1000, seed=0, initial_position=None)
+    monkeypatch.setattr(
+        identifying.devices, "open_device", lambda url, model: FramedDevice(MemoryLink(device))
+    )
+    with pytest.raises(IdentificationError, match="other way round") as caught:
+        identified(CHAWDA, tmp_path)
+    assert "rig.encoder.sign" in caught.value.remedy
+    (path,) = tmp_path.glob("*.parquet")
+    rows = open_recording(path).rows
+    assert 30 <= np.abs(rows["count"]).max() < 300
+
+
+def test_a_rig_of_another_scale_is_refused_before_it_is_shaken(tmp_path, monkeypatch):
+    mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=5.2)
+    heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
+    monkeypatch.setattr(
+        identifying.devices,
+        "open_device",
+        lambda url, model: FramedDevice(MemoryLink(SimulatedDevice(heavy))),
+    )
+    with pytest.raises(IdentificationError, match="times the inertia described"):
+        identified(CHAWDA, tmp_path)
+    assert len(list(tmp_path.glob("*.parquet"))) == 1
+
+
+def test_the_plan_lists_and_checks_before_anything_moves():
+    request = IdentifyRequest(experiment=RIGID)
+    plan = identifying.plan_of(identifying.without_end_mass(request), request)
+    assert [step.name for step in plan.steps] == ["pushes", "strokes", "shaking"]
+    assert plan.ok
+    assert all(check.outcome == Outcome.OK for check in plan.checks)
+    weak = config.override(RIGID, {"rig.limits.effort": 0.15})
+    checks = {c.name: c for c in identifying.plan_of(weak, request).checks}
+    assert checks["shaking over friction"].outcome == Outcome.WARNING
+
+
+def test_a_plan_that_is_refused_moves_nothing(tmp_path):
+    with pytest.raises(PlanError, match="device rate"):
+        identified(CHAWDA, tmp_path, changes={"controller.position_rate": 100_000})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"realisations": 1}, "no interval"),
+        ({"period_s": 0.01}, "period"),
+        ({"changes": {"controller.position_rate": 50, "controller.velocity_rate": 50,
+                      "controller.parameters.cutoff_hz": 5.0, "verdict.lowpass_hz": 20.0,
+                      "verdict.highpass_hz": 5.0}}, "too low"),
+        ({"url": "sim://koul-rigid"}, "the device simulates koul-rigid"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_meant_is_refused(options, message, tmp_path):
+    with pytest.raises(ConfigError, match=message):
+        identified(CHAWDA, tmp_path, **options)
+
+
+def test_a_recording_with_a_gap_is_refused(chawda):
+    recording = open_recording(chawda.recordings["dynamics"][0])
+    with_gap = np.delete(recording.rows, len(recording.rows) // 2)
+    with pytest.raises(IdentificationError, match="samples are missing"):
+        trial_rows(replace(recording, rows=with_gap))
+
+
+# ---------------------------------------------------------------------- the laws
+
+
+def test_a_traced_path_is_followed_and_its_last_point_held():
+    law = tracing(
+        [(0.0, 0.1), (1.0, 0.2), (1.5, 0.0)], stiffness=10.0, damping=2.0, limit=100.0, rate_hz=1000.0
+    )
+    for side in (1, -1):
+        prepared = law.prepare({"side": side, "position": 0.05})
+
+        def reaction(position, velocity, ticks, p=prepared, s=side):
+            return -s * p.law.function(s * (position - 0.05), s * velocity, ticks, p.state, p.parameters)
+
+        assert reaction(0.1, 0.1, 1) == pytest.approx(0.0), "on the path, at its speed"
+        assert reaction(0.15, 0.0, 500) == pytest.approx(2.0 * 0.1), "half-way after 500 ticks"
+        assert reaction(0.1, -0.4, 750) == pytest.approx(0.0), "on the next line after the first"
+        assert reaction(0.01, 0.0, 2000) == pytest.approx(-0.1), "held at the end"
+        assert reaction(-100.0, 0.0, 1) == pytest.approx(100.0), "clipped"
+
+
+def test_a_push_ends_when_the_handle_moves_and_brakes_by_where_it_went():
+    law = nudging(
+        effort_per_s=1.0, most_effort=0.5, moved=1.0, rest_s=0.1, brake=0.01, pulses=3, rate_hz=1000.0
+    )
+    p = law.prepare({"side": 1})
+
+    def drive(position, velocity=0.0, ticks=1):
+        return -p.law.function(position, velocity, ticks, p.state, p.parameters)
+
+    assert drive(5.0) == pytest.approx(0.001)
+    assert drive(5.5, ticks=99) == pytest.approx(0.1)
+    assert drive(3.9, velocity=-2.0) == pytest.approx(-0.02), "the drive is reversed, so is its brake"
+    assert p.state[7] == -1.0, "it went against the push: sign reversed, brake reversed"
+    assert drive(3.9, velocity=-100.0) == pytest.approx(-0.101), "never more than the push had"
+    assert drive(3.9, ticks=100) == 0.0
+    assert drive(3.9, ticks=1) > 0.0, "the second push has the same direction"
+    assert drive(3.9, ticks=600) == 0.0, "nothing moves: it gives up at the most effort"
+    drive(3.9, ticks=100)
+    assert drive(3.9, ticks=10) < 0.0, "the third the other"
+    with pytest.raises(ValueError, match="along the position"):
+        law.prepare({"side": -1})

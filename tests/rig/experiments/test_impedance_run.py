@@ -1,0 +1,506 @@
+"""Measuring an impedance: closed forms without friction and quantum, both shakers, with and without bytes, refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from rig import config, devices
+from rig.analysis.impedance.estimate import periodic
+from rig.analysis.impedance.ideal import bare, rendered
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.control import bilateral, laws
+from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
+from rig.experiments import impedance as measuring
+from rig.experiments.impedance import Judging, OnDevice, measure_impedance, measure_on_device, write_results
+from rig.experiments.plan import Outcome, make_plan
+from rig.experiments.replay import replay
+from rig.experiments.shaking import (
+    ShakingBench,
+    late_ticks,
+    multisine_of,
+    ramp_s,
+    record_of,
+    seen_at_ticks,
+    shaken_law,
+)
+from rig.recording.reader import open_recording
+
+CHAWDA = presets.load("chawda-linear")
+
+# Without friction, with an encoder and a current that are fine enough to be none.
+LINEAR = {
+    "rig.mechanics.motor_coulomb": 0.0, "rig.encoder.quantum": 1e-12, "rig.amplifier.current_quantum_a": 1e-7,
+    "rig.amplifier.effort_per_ampere": 100.0, "rig.amplifier.effort_limit": 0.3, "rig.limits.effort": 0.3,
+    "rig.limits.nominal_effort": 0.3, "homing.effort": 0.1, "trial.effort": 0.1, "trial.minimum_rest_counts": 0.0,
+    "excitation.high_hz": 400.0, "excitation.rms": 0.05, "excitation.realisations": 1,
+    "excitation.settle_periods": 6,  # an undamped wall of 20 kN/m rings for seconds
+}  # fmt: skip
+FAST = {"excitation.settle_periods": 1, "excitation.periods": 2, "excitation.realisations": 2}
+
+
+def linear(scheme, **changes):
+    """The rig of Chawda et al. as linear theory sees it."""
+    experiment = config.override(CHAWDA, LINEAR | changes)
+    return Scheme.parse(scheme).applied(experiment)
+
+
+def off(measured, exact):
+    """Largest deviation over the lines: of the magnitude (%), and of the phase (degrees)."""
+    ratio = measured / exact
+    return 100.0 * np.abs(np.abs(ratio) - 1.0).max(), np.degrees(np.abs(np.angle(ratio))).max()
+
+
+# ---------------------------------------------------------------------- closed forms
+
+
+@pytest.mark.parametrize(
+    ("scheme", "walls"),
+    [
+        ("uniform:1k,estimator=fdm", [(0.0, 0.0), (10e3, 30.0), (20e3, 0.0), (20e3, 60.0)]),
+        ("uniform:1k,estimator=fdm-butterworth,cutoff_hz=100", [(10e3, 10.0), (2e3, 30.0)]),
+        ("uniform:1k,estimator=fdm-butterworth,cutoff_hz=499", [(20e3, 60.0)]),
+        ("uniform:1k,estimator=kalman", [(10e3, 30.0), (20e3, 60.0)]),
+        ("dual:10k/1k,estimator=fdm", [(20e3, 50.0)]),
+        ("dual:4k/2k,estimator=fdm,prediction=extrapolate", [(20e3, 50.0)]),
+    ],
+)
+def test_the_measured_impedance_is_the_closed_form(scheme, walls):
+    """Within 0.3 % and 0.1° at every line up to 400 Hz, wall and hold and estimator and images."""
+    x = linear(scheme)
+    bench = ShakingBench(x)
+    for wall in walls:
+        run = bench.shake(*wall)
+        measured = periodic([run.record])
+        assert len(measured.lines_hz) == 400
+        magnitude, phase = off(measured.z, rendered(x, *wall, measured.lines_hz))
+        assert magnitude < 0.1, wall
+        assert phase < 0.05, wall
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_handle(delay):
+    fine = {
+        "rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.link_coulomb": 0.0,
+        "rig.encoder.counts_per_revolution": 10_000_000, "rig.encoder.ratio": 100.0,
+        "rig.amplifier.current_quantum_a": 1.8e-4, "rig.simulation.computation_delay_ticks": delay,
+        "controller.estimator": "fdm", "excitation.low_hz": 5.0, "excitation.high_hz": 400.0,
+        "excitation.rms": 0.05, "excitation.realisations": 1, "excitation.settle_periods": 4,
+    }  # fmt: skip
+    mapping = config.as_mapping(presets.load("koul-compliant"))
+    mapping["controller"]["parameters"] = {}
+    x = config.override(config.experiment_from_mapping(mapping, "test"), fine)
+    for wall in ((0.0, 0.0), (150.0, 0.05)):
+        for signal, seen in (("count", "sensed"), ("truth", "handle")):
+            measured = periodic([ShakingBench(x, signal=signal).shake(*wall).record])
+            magnitude, phase = off(measured.z, rendered(x, *wall, measured.lines_hz, seen=seen))
+            assert magnitude < 0.3
+            assert phase < 0.1
+
+
+@pytest.mark.parametrize(("wall", "agree"), [((0.0, 0.0), 0.02), ((10e3, 30.0), 0.4)])
+def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(wall, agree):
+    """And exactly what its own closed form says; the images of the hold tell the two apart, by less than 0.4 %."""
+    scheme = (
+        "uniform:1k,estimator=fdm-butterworth,cutoff_hz=100"
+        if wall == (0.0, 0.0)
+        else "uniform:1k,estimator=fdm"
+    )
+    x = linear(scheme, **{"excitation.channel": "motor"})
+    own = periodic([ShakingBench(x, acquisition_hz=1e6).shake(*wall).record])
+    magnitude, phase = off(own.z, rendered(x, *wall, own.lines_hz, channel="motor"))
+    assert magnitude < 0.1
+    assert phase < 0.05
+    second = config.override(x, {"excitation.channel": "external"})
+    other = periodic([ShakingBench(second).shake(*wall).record])
+    assert off(own.z, other.z)[0] < agree
+
+
+def test_lag_and_delay_of_the_own_motor_are_taken_out():
+    """F acts where the mass is, so the bare rig is m·s + b whatever lies between command and effort."""
+    late = {
+        "rig.amplifier.lag_s": 2e-4,
+        "rig.simulation.computation_delay_ticks": 2,
+        "excitation.channel": "motor",
+    }
+    x = linear("uniform:1k,estimator=fdm", **late)
+    measured = periodic([ShakingBench(x, acquisition_hz=1e6).shake(0.0, 0.0).record])
+    magnitude, phase = off(measured.z, bare(x, measured.lines_hz))
+    assert magnitude < 0.1
+    assert phase < 0.05
+
+
+def test_counts_and_truth_agree_where_the_encoder_is_fine():
+    x = linear("uniform:1k,estimator=fdm")
+    counted, true = (ShakingBench(x, signal=signal).shake(5e3, 10.0).record for signal in ("count", "truth"))
+    assert counted.position == pytest.approx(true.position, abs=1e-12)
+    assert (counted.excitation == true.excitation).all()
+
+
+def test_samples_at_the_ticks_show_a_free_mass_too_little_motion():
+    """cos x/(sin x/x)³ of a free mass, x = π·f·T: 3 % at a quarter of the rate."""
+    x = linear("uniform:1k,estimator=fdm", **{"rig.mechanics.motor_damping": 0.0})
+    f = np.array([1.0, 100.0, 250.0, 400.0])
+    half = np.pi * f * 1e-3
+    assert seen_at_ticks(config.rig_model(x), 1e-3, f) == pytest.approx(
+        np.cos(half) / np.sinc(f * 1e-3) ** 3, rel=1e-6
+    )
+
+
+# ---------------------------------------------------------------------- friction
+
+
+def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bare_rig():
+    """√(2/π)·f_c/σ_v for a Gaussian velocity, which many random phases give; m stays."""
+    x = config.override(
+        CHAWDA, {"excitation.realisations": 8, "excitation.rms": 6.0, "excitation.low_hz": 2.0}
+    )
+    bench = ShakingBench(x, signal="truth")
+    records = [bench.shake(0.0, 0.0, n).record for n in range(8)]
+    measured = periodic(records).within((2.0, 60.0))
+    velocity = np.concatenate([np.diff(r.position) * r.rate_hz for r in records])
+    added = np.sqrt(2.0 / np.pi) * 0.19 / velocity.std()
+    assert added > 0.15 * 13.2, "friction is to be seen"
+    mean = np.average(measured.z.real, weights=1.0 / measured.variance)
+    assert mean - 13.2 == pytest.approx(added, rel=0.25)
+    mass = np.mean(measured.z.imag / (2.0 * np.pi * measured.lines_hz))
+    assert mass == pytest.approx(0.52, rel=0.02)
+
+
+def test_frictions_distortion_is_frozen_noise_which_only_realisations_show():
+    """Periods of one realisation agree far better with each other than realisations do."""
+    bench = ShakingBench(config.override(CHAWDA, {"excitation.periods": 6}))
+    records = [bench.shake(10e3, 40.0, n).record for n in range(6)]
+    over_periods = np.median(periodic(records[:1]).variance)
+    over_realisations = np.median(periodic(records).variance)
+    assert over_realisations > 5.0 * over_periods
+
+
+def test_the_default_excitation_is_large_against_friction_and_moves_a_stiff_wall_by_tens_of_micrometres():
+    run = ShakingBench(CHAWDA).shake(20e3, 60.0)
+    assert multisine_of(CHAWDA).rms / CHAWDA.rig.mechanics.motor_coulomb > 10.0
+    assert 20e-6 < run.record.position.std() < 100e-6
+    assert run.saturated == 0.0
+
+
+# ---------------------------------------------------------------------- results
+
+
+def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path):
+    schemes = [Scheme.parse("uniform:1k,estimator=fdm"), Scheme.parse("uniform:1k,estimator=kalman")]
+    told = []
+    results = measure_impedance(
+        CHAWDA,
+        walls=[(0.0, 0.0), (10e3, 40.0)],
+        schemes=schemes,
+        judging=Judging(band_hz=(2.0, 100.0)),
+        watch=lambda done, total: told.append((done, total)),
+    )
+    assert told[-1] == (16, 16)
+    assert [r.wall for r in results] == [(0.0, 0.0), (10e3, 40.0)] * 2
+    assert [r.experiment.controller.estimator for r in results] == ["fdm", "fdm", "kalman", "kalman"]
+    free, wall = results[:2]
+    assert free.bare
+    assert free.fitted.values["inertia"] == pytest.approx(0.52, rel=0.03)
+    assert free.fidelity.rms == pytest.approx(1.886 * 100.0, rel=0.06)
+    assert wall.fitted is None
+    assert wall.fidelity.stiffness_percent == pytest.approx(100.0, abs=25.0)
+    assert all(r.judgement.passive for r in results)
+    assert wall.judgement.passivity.band_hz == (2.0, 100.0)
+    assert "K = 10000 N/m" in wall.label
+    table, summary = write_results(results, tmp_path / "new")
+    documents = json.loads(summary.read_text())["results"]
+    assert documents[1]["fidelity"]["band_hz"] == [2.0, 100.0]
+    assert documents[1]["impedance"]["real"] == wall.impedance.z.real.tolist()
+    assert documents[1]["excitation"]["rms"] == pytest.approx(2.0)
+    read = pq.read_table(table)
+    assert read.num_rows == 4 * 250
+    assert read.schema.field("real").metadata[b"unit"] == "N·s/m".encode()
+
+
+def test_the_same_measurement_gives_the_same_bits_and_another_seed_others():
+    one, again = (measure_impedance(CHAWDA, walls=[(5e3, 20.0)])[0].impedance.z for _ in range(2))
+    seeded = replace(CHAWDA.excitation, seed=1)
+    other = measure_impedance(CHAWDA, walls=[(5e3, 20.0)], excitation=seeded)[0].impedance.z
+    assert one.tobytes() == again.tobytes() != other.tobytes()
+
+
+def test_welch_is_at_hand_and_agrees_roughly():
+    given = config.override(CHAWDA, {"excitation.periods": 16, "excitation.realisations": 2})
+    lines, spectra = (
+        measure_impedance(given, walls=[(0.0, 0.0)], method=method)[0].impedance
+        for method in ("periodic", "welch")
+    )
+    assert spectra.method == "welch-h1"
+    inside = lines.within((20.0, 200.0))
+    at = np.interp(inside.lines_hz, spectra.lines_hz, spectra.magnitude)
+    assert np.median(np.abs(at / inside.magnitude - 1.0)) < 0.05
+
+
+def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error():
+    far = config.override(CHAWDA, {"rig.limits.speed": 0.2})
+    stable, unstable = measure_impedance(
+        far, walls=[(10e3, 40.0), (200e3, 0.0)], schemes=[Scheme.parse("uniform:1k,estimator=fdm")]
+    )
+    assert stable.impedance is not None
+    assert unstable.impedance is None
+    assert unstable.judgement is None
+    assert "limit" in unstable.ended or "window" in unstable.ended
+    assert 0.0 < unstable.ended_s < 6.0
+    assert json.loads(json.dumps(unstable.as_mapping()))["impedance"] is None
+
+
+# ---------------------------------------------------------------------- over the byte link
+
+
+@pytest.fixture(scope="module")
+def on_device(tmp_path_factory):
+    """One wall measured over the byte link in virtual time, with an estimator that forgets its rest."""
+    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST})
+    x = Scheme.parse("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200").applied(x)
+    device = OnDevice(url="sim://", recordings=tmp_path_factory.mktemp("recordings"))
+    (result,) = measure_on_device(x, device, walls=[(10e3, 10.0)])
+    return x, result
+
+
+def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device):
+    x, result = on_device
+    assert len(result.recordings) == 2
+    shaken = config.shaken(x)
+    model = config.rig_model(shaken)
+    for number, path in enumerate(result.recordings):
+        rows = open_recording(path).rows
+        rows = rows[rows["phase"] == 3]
+        bench = ShakingBench(x, acquisition_hz=1000.0)
+        wall = asdict(replace(shaken.wall, stiffness=10e3, damping=10.0))
+        fresh = replace(bench._template.fresh(wall), law=shaken_law(shaken, number).prepare(wall))
+        shaker = devices.simulated_shaker()(model, 1e-3, 1000.0, len(rows))
+        run = shaker.shake(fresh, 0.0, np.zeros(1), 0.0, len(rows))
+        assert (rows["count"] == run.counts).all()
+        assert (rows["position_true"] == run.position).all()
+        assert np.ptp(run.counts) > 100
+        played = bilateral.played(fresh.law.parameters, 1, 1e-3, len(rows))
+        reaction = 10e3 * rows["penetration"] + 10.0 * rows["velocity"]
+        assert rows["effort_wanted"] == pytest.approx(played - reaction, abs=1e-9)
+
+
+def test_and_the_impedance_is_that_of_the_run_without_bytes(on_device):
+    """Which sees the motion between the ticks as well; the record has it put right."""
+    x, result = on_device
+    (other,) = measure_impedance(x, walls=[(10e3, 10.0)])
+    ratio = result.impedance.z / other.impedance.z
+    lines = other.impedance.lines_hz
+    assert np.abs(ratio[lines < 50.0] - 1.0).max() < 0.01
+    assert abs(np.mean(ratio[lines > 150.0]) - 1.0) < 0.01  # there a line moves less than a count
+    assert result.fidelity.rms == pytest.approx(other.fidelity.rms, rel=0.02)
+
+
+def test_a_recording_of_it_is_replayed_and_measured_again(on_device):
+    _, result = on_device
+    recording = open_recording(result.recordings[0])
+    record = record_of(recording)
+    assert record.periods == 2
+    assert record.effort_hold_s == 1e-3
+    assert not np.any(replay(recording).rows["effort_sent"] != recording.rows["effort_sent"])
+    broken = replace(recording, rows=recording.rows[:-500])
+    with pytest.raises(RecordingError, match="not whole"):
+        record_of(broken)
+
+
+def test_a_trial_where_nothing_shakes_has_no_record(on_device):
+    _, result = on_device
+    recording = open_recording(result.recordings[0])
+    header = json.loads(json.dumps(recording.header))
+    header["initial_state"]["law"]["name"] = "spring-damper"
+    with pytest.raises(RecordingError, match="nothing shakes"):
+        record_of(replace(recording, header=header))
+
+
+def test_the_delay_between_command_and_current_is_read_off_the_recording():
+    sent = np.random.default_rng(1).integers(-99, 99, 500)
+    for late in range(4):
+        applied = np.concatenate([np.zeros(1 + late, np.int64), sent])[:500]
+        assert late_ticks(sent, applied) == late
+
+
+def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_path):
+    x = config.override(CHAWDA, {"excitation.channel": "motor", "rig.limits.speed": 0.2, **FAST})
+    x = Scheme.parse("uniform:1k,estimator=fdm").applied(x)
+    (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(200e3, 0.0)])
+    assert result.impedance is None
+    assert result.ended
+    assert len(result.recordings) == 1
+    assert result.recordings[0].exists()
+
+
+def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_stay(tmp_path, monkeypatch):
+    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
+    failures = iter([RecordingError("not whole", remedy="again")])
+
+    def holed(recording):
+        for failure in failures:
+            raise failure
+        return record_of(recording)
+
+    monkeypatch.setattr(measuring, "record_of", holed)
+    (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)])
+    assert result.impedance is not None
+    assert len(result.recordings) == len(set(result.recordings)) == 2
+
+    def always(recording):
+        raise RecordingError("not whole", remedy="again")
+
+    monkeypatch.setattr(measuring, "record_of", always)
+    with pytest.raises(RecordingError) as told:
+        list(measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)]))
+    assert told.value.recording.exists()
+
+
+def test_what_ends_a_run_but_is_no_fault_of_the_wall_is_an_error(tmp_path):
+    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "homing.timeout_s": 0.05})
+    with pytest.raises(GuardError, match="start was not reached"):
+        list(measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)]))
+
+
+def test_a_person_may_decline_and_keeps_what_was_measured(tmp_path):
+    x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
+    answers = iter([True, False])
+    device = OnDevice(url="sim://", recordings=tmp_path, agrees=lambda experiment: next(answers))
+    results = list(measure_on_device(x, device, walls=[(10e3, 10.0), (5e3, 10.0)]))
+    assert [r.wall for r in results] == [(10e3, 10.0)]
+
+
+def test_a_device_has_no_second_actuator(tmp_path):
+    with pytest.raises(PlanError, match="second actuator"):
+        list(measure_on_device(CHAWDA, OnDevice(url="sim://", recordings=tmp_path)))
+
+
+# ---------------------------------------------------------------------- what is refused, and the plan
+
+
+def checks_of(experiment):
+    return {check.name: check for check in make_plan(experiment).checks}
+
+
+def test_the_plan_predicts_peaks_by_the_closed_form():
+    x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 10e3, "wall.damping": 10.0})
+    plan = make_plan(x)
+    assert plan.ok
+    assert [step.name for step in plan.steps] == ["configure", "home", "shake", "estimate"]
+    assert plan.repeats == 4
+    assert plan.steps[2].duration_s == 6.0
+    checks = checks_of(x)
+    still = config.override(x, {"rig.mechanics.motor_coulomb": 0.0, "excitation.rms": 2.0})
+    bench = ShakingBench(still, signal="truth")
+    peak = max(np.abs(bench.shake(10e3, 10.0, n).record.position).max() for n in range(4))
+    assert f"{peak:.2g}" in checks["peak position"].text or float(
+        checks["peak position"].text.split()[0]
+    ) == (pytest.approx(peak, rel=0.02))
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"excitation.rms": 17.0, "wall.stiffness": 0.0, "wall.damping": 0.0}, "peak position"),
+        ({"excitation.rms": 50.0, "excitation.channel": "motor", "wall.stiffness": 5e3}, "peak excitation"),
+        ({"rig.limits.speed": 0.051, "homing.speed": 0.05, "excitation.rms": 8.0}, "peak speed"),
+    ],
+)
+def test_an_excitation_beyond_a_limit_is_refused_before_anything_moves(changes, name):
+    x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.damping": 40.0, **changes})
+    assert checks_of(x)[name].outcome is Outcome.REFUSED
+    with pytest.raises(PlanError, match=name):
+        measure_impedance(x)
+
+
+def test_a_wall_whose_effort_will_be_clipped_is_warned_of_and_measured():
+    x = config.override(
+        CHAWDA, {"rig.limits.effort": 10.0, "rig.limits.nominal_effort": 10.0, "excitation.rms": 9.0}
+    )
+    x = config.override(x, {"trial.kind": "excitation", "wall.damping": 20.0, "wall.stiffness": 10e3})
+    assert checks_of(x)["peak motor effort"].outcome is Outcome.WARNING
+    (result,) = measure_impedance(x, schemes=[Scheme.parse("uniform:1k,estimator=fdm")])
+    assert result.saturated > 0.0
+
+
+def test_what_the_closed_form_says_of_an_unstable_wall_refuses_nothing():
+    """It may be stable by friction; a steady motion that linear theory computes for it does not exist."""
+    x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 26.6e3, "wall.damping": 0.0})
+    x = Scheme.parse("uniform:1k,estimator=fdm").applied(config.override(x, {"rig.limits.speed": 0.0501}))
+    checks = checks_of(x)
+    assert checks["stability"].outcome is Outcome.WARNING
+    assert checks["peak speed"].outcome is Outcome.WARNING
+
+
+def test_an_unstable_wall_is_warned_of_and_not_refused():
+    x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.damping": 0.0, "wall.stiffness": 40e3})
+    assert checks_of(x)["stability"].outcome is Outcome.WARNING
+    stable = config.override(x, {"wall.stiffness": 20e3})
+    assert checks_of(stable)["stability"].outcome is Outcome.OK
+
+
+@pytest.mark.parametrize("estimator", ["levant", "foaw-best"])
+def test_an_estimator_that_is_not_linear_has_a_plan_but_no_closed_form(estimator):
+    x = Scheme.parse(f"uniform:1k,estimator={estimator}").applied(CHAWDA)
+    x = config.shaken(config.override(x, {"wall.damping": 20.0}))
+    assert make_plan(x).ok
+    assert measuring.expected(x, np.array([1.0, 10.0])) is None
+
+
+def test_a_wall_below_zero_is_refused():
+    with pytest.raises(ConfigError, match="not negative"):
+        measure_impedance(CHAWDA, walls=[(-1.0, 0.0)])
+
+
+# ---------------------------------------------------------------------- the section
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"excitation.low_hz": 300.0}, "excitation.low_hz = 300.0 Hz: must be at most excitation.high_hz, 250 Hz"),
+        ({"excitation.low_hz": 1.2, "excitation.high_hz": 1.8}, "must have a line between 1.2 and 1.8 Hz"),
+        ({"excitation.rms": 1.0, "excitation.peak": 2.0}, "must be left out where excitation.rms is given"),
+        ({"excitation.kind": "schroeder"}, "excitation.realisations = 4: must be 1"),
+        ({"trial.kind": "excitation", "excitation.high_hz": 500.0}, "must be below 500 Hz, half of"),
+        ({"trial.kind": "excitation", "excitation.period_s": 1.00037}, "whole number of ticks of 1/1000 s"),
+        ({"excitation.rms": 200.0}, "excitation.rms = 200.0 N: must be at most rig.limits.effort, 100 N"),
+        ({"excitation.periods": 0}, "excitation.periods = 0"),
+        ({"excitation.chanel": "motor"}, "channel"),
+    ],
+)  # fmt: skip
+def test_rules_of_the_section(changes, message):
+    with pytest.raises(ConfigError) as told:
+        config.override(CHAWDA, changes)
+    assert message in str(told.value)
+
+
+def test_a_shaken_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods():
+    x = config.shaken(config.override(CHAWDA, {"wall.position": 0.002, "excitation.period_s": 0.5}))
+    assert (x.trial.kind, x.trial.start, x.trial.duration_s) == ("excitation", 0.002, 3.0)
+    assert config.motor_push(x) == 0.0
+    assert config.push_at_rest(x) == 0.0
+    assert config.experiment_from_mapping(config.as_mapping(x), "again") == x
+    assert ramp_s(x) == 0.5
+    assert config.rig_model(x).operator is None
+
+
+def test_sizes_and_phases_of_the_excitation():
+    assert config.excitation_size(CHAWDA) == {"rms": 2.0}
+    assert config.excitation_size(presets.load("koul-rigid")) == {"rms": pytest.approx(0.2)}
+    peaked = config.override(CHAWDA, {"excitation.peak": 3.0})
+    assert multisine_of(peaked).peak == pytest.approx(3.0)
+    schroeder = config.override(CHAWDA, {"excitation.kind": "schroeder", "excitation.realisations": 1})
+    assert multisine_of(schroeder).crest_factor < 2.0
+    assert (multisine_of(CHAWDA, 0).phases != multisine_of(CHAWDA, 1).phases).any()
+
+
+def test_a_human_experiment_keeps_its_own_law():
+    x = config.override(CHAWDA, {"trial.kind": "human"})
+    assert x.wall.law == "spring-damper"
+    assert laws.get(x.wall.law).name == "spring-damper"

@@ -1,0 +1,262 @@
+"""A running wall changed from outside: the numbers that reach the loop are those of an experiment begun so."""
+
+from __future__ import annotations
+
+import json
+import threading
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rig.cli
+from rig.config import as_mapping, controller, override
+from rig.config.presets import load
+from rig.core.errors import ConfigError, PlanError, RigError
+from rig.experiments import live
+from rig.realtime import ring as words
+from rig.realtime import running
+from rig.realtime.mailbox import SET_FLOATS, take
+from rig.realtime.ring import Ring
+from tests.conformance.running_loop import loop_process
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="atomics are intrinsics")
+
+QUANTUM_A = 0.001
+EXPERIMENT = load("koul-compliant")
+
+
+def info_of(experiment: Any = EXPERIMENT, **more: Any) -> dict[str, Any]:
+    return {
+        "url": "serial:///dev/ttyTEST",
+        "experiment": as_mapping(experiment),
+        "current_quantum_a": QUANTUM_A,
+        "reference_count": 12,
+        "law": False,
+        **more,
+    }
+
+
+def numbers_of(experiment: Any) -> list[float]:
+    """What a loop started with this experiment works with: the independent way to the same numbers."""
+    made = controller.for_experiment(experiment, current_quantum_a=QUANTUM_A, reference_count=12)
+    return [float(made.control["wall_position"][0]), *made.law.parameters.tolist()]
+
+
+def taken(ring: Ring) -> tuple[int, list[float]]:
+    into = np.full(SET_FLOATS, np.nan)
+    number = take(ring.mailbox, into)
+    return number, into[~np.isnan(into)].tolist()
+
+
+@pytest.fixture
+def ring(monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
+    """A loop's memory in this process, which is the only one that runs."""
+    with Ring.allocate(1, info=info_of(), shared=True) as ring:
+        path = f"/proc/self/fd/{ring.descriptor}"
+        loop = running.RunningLoop(1, 0.0, 0, "trial", False, False, words.LAYOUT_VERSION, {}, path)
+        monkeypatch.setattr(running, "running", lambda: [loop])
+        yield ring
+
+
+def test_a_change_arrives_as_the_numbers_of_an_experiment_begun_with_it(ring: Ring) -> None:
+    done = live.change_wall({"wall.stiffness": 400.0, "damping": 1.5}, patience_s=0)
+    assert (done.number, done.in_force, done.ended) == (1, False, False)
+    assert done.changes == {"wall.stiffness": 400.0, "wall.damping": 1.5}
+    assert done.wall["stiffness"] == 400.0
+    expected = override(EXPERIMENT, {"wall.stiffness": 400.0, "wall.damping": 1.5})
+    assert taken(ring) == (1, numbers_of(expected))
+
+
+def test_a_second_change_keeps_the_first_also_before_the_loop_has_taken_it(ring: Ring) -> None:
+    live.change_wall({"stiffness": 400.0}, patience_s=0)
+    live.change_wall({"pull": "allow"}, patience_s=0)
+    done = live.change_wall({"position": 0.01}, patience_s=0)
+    both = {"wall.stiffness": 400.0, "wall.pull": "allow", "wall.position": 0.01}
+    assert taken(ring) == (3, numbers_of(override(EXPERIMENT, both)))
+    assert done.number == 3
+    assert ring.info["parameter_sets"] == [
+        {"number": 1, "changes": {"wall.stiffness": 400.0}},
+        {"number": 2, "changes": {"wall.pull": "allow"}},
+        {"number": 3, "changes": {"wall.position": 0.01}},
+    ]
+    assert ring.info["experiment"]["wall"]["pull"] == "allow"
+    assert ring.info["url"] == "serial:///dev/ttyTEST"
+
+
+def armed(**changes: Any) -> dict[str, Any]:
+    """What the gate left in the info: a loop twenty ticks late, on a real device that passed."""
+    return {"gate": {"delay_ticks": 20, "simulated": False, "forced": False, **changes}}
+
+
+@pytest.mark.parametrize(
+    ("gate", "refused"),
+    [
+        (armed(), True),
+        (armed(delay_ticks=1), False),
+        (armed(simulated=True), False),
+        (armed(forced=True), False),
+        ({"gate": None}, False),
+    ],
+)
+def test_a_wall_that_the_gate_would_not_have_armed_does_not_come_in_force_later_either(
+    gate: dict[str, Any], refused: bool
+) -> None:
+    ring = Ring.allocate(1, info=info_of(**gate))
+    if not refused:
+        assert live._post(ring, {"wall.stiffness": 400.0})[0] == 1
+        return
+    with pytest.raises(PlanError, match="unstable at 20000 Hz with 20 ticks"):
+        live._post(ring, {"wall.stiffness": 400.0})
+    assert taken(ring)[0] == 0
+
+
+CHANGES = st.one_of(
+    st.tuples(st.just("stiffness"), st.floats(50.0, 450.0)),
+    st.tuples(st.just("damping"), st.floats(0.0, 2.0)),
+    st.tuples(st.just("pull"), st.sampled_from(["allow", "clamp"])),
+)
+
+
+@settings(max_examples=20)
+@given(st.lists(CHANGES, min_size=1, max_size=4))
+def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(
+    changes: list[tuple[str, Any]],
+) -> None:
+    ring = Ring.allocate(1, info=info_of())
+    for name, value in changes:
+        live._post(ring, {f"wall.{name}": value})
+    at_once = override(EXPERIMENT, {f"wall.{name}": value for name, value in changes})
+    assert taken(ring) == (len(changes), numbers_of(at_once))
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "said"),
+    [
+        ({"controller.estimator": "kalman"}, ConfigError, "what may: wall.stiffness, wall.damping"),
+        ({"wall.side": -1}, ConfigError, "wall.side does not change while a loop runs"),
+        ({"wall.law": "bilateral"}, ConfigError, "does not change while a loop runs"),
+        ({"stifness": 3.0}, ConfigError, "does not change while a loop runs"),
+        ({}, ConfigError, "nothing to change"),
+        ({"stiffness": -1.0}, ConfigError, r"wall.stiffness.*-1"),
+        ({"stiffness": "hard"}, ConfigError, "wall.stiffness"),
+        ({"pull": "sometimes"}, ConfigError, "wall.pull"),
+        ({"stiffness": 0.01}, PlanError, "window"),
+        ({"stiffness": 1e6}, ConfigError, "at most 477"),
+    ],
+)
+def test_what_must_not_be_changed_is_refused_and_nothing_is_posted(
+    ring: Ring, changes: dict[str, Any], error: type[Exception], said: str
+) -> None:
+    before = ring.info_and_word()
+    with pytest.raises(error, match=said):
+        live.change_wall(changes, patience_s=0)
+    assert ring.writer().posted == 0
+    assert ring.info_and_word() == before
+
+
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_a_bilateral_wall_is_not_changed_while_it_runs(loop: str) -> None:
+    """Its spring acts on both sides: no place is free of it."""
+    experiment = override(EXPERIMENT, {"wall.law": "bilateral", "controller.loop": loop})
+    ring = Ring.allocate(1, info=info_of(experiment))
+    with pytest.raises(PlanError, match="both sides"):
+        live._post(ring, {"wall.stiffness": 100.0})
+    assert ring.writer().posted == 0
+
+
+@pytest.mark.parametrize(
+    ("info", "said"),
+    [
+        ({}, "does not say which experiment"),
+        (info_of(law=True), "was given by its program"),
+        (info_of(experiment=EXPERIMENT) | {"experiment": {"wall": {}}}, "the running experiment"),
+    ],
+)
+def test_a_loop_that_cannot_be_changed_from_outside_is_left_alone(info: dict[str, Any], said: str) -> None:
+    ring = Ring.allocate(1, info=info)
+    with pytest.raises(RigError, match=said):
+        live._post(ring, {"wall.stiffness": 400.0})
+    assert ring.writer().posted == 0
+
+
+def test_a_loop_that_has_ended_is_not_changed() -> None:
+    ring = Ring.allocate(1, info=info_of())
+    ring.put(words.LOOP_DONE, 1)
+    with pytest.raises(RigError, match="has ended"):
+        live._post(ring, {"wall.stiffness": 400.0})
+
+
+def test_the_loop_is_watched_until_it_has_taken_the_change(ring: Ring) -> None:
+    told: list[int] = []
+
+    def commit(number: int) -> None:
+        told.append(number)
+        threading.Timer(0.05, lambda: ring.put(words.PARAMETER_SET, number)).start()
+
+    done = live.change_wall({"stiffness": 400.0}, patience_s=20, posted=commit)
+    assert done.in_force
+    assert told == [1]
+
+
+def test_a_loop_that_ends_before_it_could_take_the_change_is_said_to_have_done_so(ring: Ring) -> None:
+    done = live.change_wall(
+        {"stiffness": 400.0}, patience_s=20, posted=lambda n: ring.put(words.LOOP_DONE, 1)
+    )
+    assert (done.in_force, done.ended) == (False, True)
+
+
+def test_two_terminals_at_once_lose_no_change() -> None:
+    """Both read the wall, both change it, each its own key: whoever is second begins anew."""
+    ring = Ring.allocate(1, info=info_of())
+    failures: list[BaseException] = []
+
+    def change(name: str, values: list[float]) -> None:
+        try:
+            for value in values:
+                live._post(ring, {f"wall.{name}": value})
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [
+        threading.Thread(target=change, args=("stiffness", [310.0, 320.0, 330.0])),
+        threading.Thread(target=change, args=("damping", [1.0, 1.1, 1.2])),
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert failures == []
+    last = override(EXPERIMENT, {"wall.stiffness": 330.0, "wall.damping": 1.2})
+    assert taken(ring) == (6, numbers_of(last))
+
+
+def test_the_command_changes_the_wall_of_another_process(capsys: pytest.CaptureFixture[str]) -> None:
+    with loop_process(info_of()) as process:
+        assert process.stdout is not None
+        code = rig.cli.run(["set", "stiffness=400", "wall.pull=allow", "--pid", str(process.pid), "--json"])
+        out, err = capsys.readouterr()
+        assert code == 0, err
+        done = json.loads(out)
+        assert (done["pid"], done["number"], done["in_force"]) == (process.pid, 1, True)
+        got = json.loads(process.stdout.readline())
+        expected = numbers_of(override(EXPERIMENT, {"wall.stiffness": 400, "wall.pull": "allow"}))
+        assert (got["set"], got["values"][: len(expected)]) == (1, expected)
+        assert rig.cli.run(["set", "damping=1", "--pid", str(process.pid)]) == 0
+        out, err = capsys.readouterr()
+        assert out == f"process {process.pid}, parameter set 2: wall.damping = 1: in force\n"
+        assert "when the handle is outside the wall" in err
+    with loop_process(info_of(inside=True)) as process:
+        assert rig.cli.run(["set", "damping=1", "--wait", "0", "--pid", str(process.pid)]) == 0
+        assert "not in force yet" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("argument", ["stiffness", "=3", "stiffness 3"])
+def test_an_argument_without_a_value_is_one_clear_line(
+    argument: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.cli.run(["set", argument]) == 2
+    assert "write key=value" in capsys.readouterr().err

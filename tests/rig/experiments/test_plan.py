@@ -1,0 +1,284 @@
+"""The plan: every check on both sides of its limit, and predictions that err on the hard side."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_protocol import messages as m
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.packing import pack
+from rig import config
+from rig.config import controller, presets
+from rig.core.errors import ConfigError, PlanError
+from rig.experiments.plan import (
+    LINK_SHARE,
+    STATE_BYTES,
+    Outcome,
+    link_checks,
+    make_plan,
+    predict_impact,
+)
+from sim_backend import trial as bare
+from sim_backend.plant import DiscretePlant
+
+COMPLIANT, RIGID = presets.load("koul-compliant"), presets.load("koul-rigid")
+
+
+def check(experiment, name):
+    return {check.name: check for check in make_plan(experiment).checks}[name]
+
+
+def changed(changes, experiment=COMPLIANT):
+    return config.override(experiment, changes)
+
+
+# ---------------------------------------------------------------------- predictions
+
+
+def simulated(experiment):
+    """Greatest speed before the wall, and depth of the first contact, of a bare hit at the sensed side."""
+    law = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
+    plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
+    trace = bare.run_trial(law, plant, 0.0, most_ticks=200_000)
+    trial = np.flatnonzero(trace.phases == 3)
+    states = trace.states[trial]
+    depth = experiment.wall.side * (states[:, plant.sensed_position] - experiment.wall.position)
+    first = int(np.argmax(depth > 0.0))
+    speed = np.abs(states[: first + 1, plant.sensed_position + 1]).max()
+    out = np.flatnonzero(
+        depth[first:] <= 0.0
+    )  # an undamped sampled wall throws the handle back harder each time
+    last = first + int(out[0]) if len(out) else len(depth)
+    return speed, depth[first:last].max()
+
+
+def test_a_rigid_rig_without_friction_hits_as_predicted():
+    """Energy balance, exact for one undamped mass: a few per cent are left for sampling and quantisation."""
+    mechanics = {"motor_damping": 0.0, "link_damping": 0.0, "motor_coulomb": 0.0, "link_coulomb": 0.0}
+    experiment = changed(
+        {
+            **{f"rig.mechanics.{name}": 0.0 for name in mechanics},
+            "wall.damping": 0.0,
+            "rig.amplifier.lag_s": 0.0,
+        },
+        RIGID,
+    )
+    impact = predict_impact(experiment)
+    speed, depth = simulated(experiment)
+    assert speed == pytest.approx(impact.velocity, rel=0.01)
+    assert depth == pytest.approx(impact.peak_penetration, rel=0.04)
+    assert impact.peak_effort == pytest.approx(impact.peak_penetration * experiment.wall.stiffness)
+
+
+@pytest.mark.parametrize("name", presets.names())
+@pytest.mark.parametrize("realtime", [False, True])
+def test_the_prediction_errs_on_the_hard_side(name, realtime):
+    """A real hit, with damping in the rig and in the wall, arrives slower and goes less deep."""
+    experiment = presets.load(name)
+    if realtime:
+        experiment = config.with_realtime(experiment)
+    impact = predict_impact(experiment)
+    speed, depth = simulated(experiment)
+    assert speed <= 1.01 * impact.velocity
+    assert depth <= 1.02 * impact.peak_penetration + experiment.rig.encoder.resolution
+    assert speed > 0.3 * impact.velocity, "and it is no idle bound"
+
+
+def test_the_prediction_in_closed_form():
+    """v² = 2 F d / m; the spring stops it at x = F/K + sqrt((F/K)² + m v²/K)."""
+    experiment = presets.load("chawda-linear")
+    mass, push = 0.52, 8.0 - 0.19
+    distance, stiffness = abs(experiment.trial.start), experiment.wall.stiffness
+    assert experiment.trial.effort == 8.0
+    impact = predict_impact(experiment)
+    assert impact.velocity == pytest.approx(math.sqrt(2 * push * distance / mass))
+    rest = 8.0 / stiffness
+    deepest = rest + math.sqrt(rest**2 + mass * impact.velocity**2 / stiffness)
+    assert impact.peak_penetration == pytest.approx(deepest)
+
+
+def test_a_push_from_the_other_side_is_predicted_alike():
+    mirrored = changed(
+        {"wall.side": -1, "trial.effort": -COMPLIANT.trial.effort, "trial.start": -COMPLIANT.trial.start}
+    )
+    assert predict_impact(mirrored) == predict_impact(COMPLIANT)
+    assert [c.outcome for c in make_plan(mirrored).checks] == [c.outcome for c in make_plan(COMPLIANT).checks]
+
+
+def test_friction_that_no_push_overcomes_means_no_impact():
+    stuck = changed({"rig.mechanics.motor_coulomb": 10.0})
+    assert predict_impact(stuck).velocity == 0.0
+
+
+def test_without_a_wall_the_handle_goes_anywhere():
+    free = changed({"wall.stiffness": 0.0})
+    assert math.isinf(predict_impact(free).peak_penetration)
+    plan = make_plan(free)
+    assert not plan.ok
+    assert check(free, "stiffness").outcome == Outcome.REFUSED
+    json.dumps(plan.as_mapping(), allow_nan=False)
+
+
+# ---------------------------------------------------------------------- checks, both sides
+
+
+def around(value):
+    return value * 0.99, value * 1.01
+
+
+def test_impact_velocity_against_the_speed_limit():
+    velocity = predict_impact(COMPLIANT).velocity
+    low, high = around(velocity)
+    assert check(changed({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
+    refused = check(changed({"rig.limits.speed": low}), "impact velocity")
+    assert refused.outcome == Outcome.REFUSED
+    assert f"{velocity:.3g} rad/s" in refused.text
+    assert refused.remedy
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_peak_penetration_against_the_window(side):
+    peak = predict_impact(COMPLIANT).peak_penetration
+    low, high = around(peak)
+    mirror = {"wall.side": side, "trial.effort": side * 0.15, "trial.start": -0.015 * side}
+    edge = "rig.limits.position_maximum" if side > 0 else "rig.limits.position_minimum"
+    assert check(changed({**mirror, edge: side * high}), "peak penetration").outcome == Outcome.OK
+    refused = check(changed({**mirror, edge: side * low}), "peak penetration")
+    assert refused.outcome == Outcome.REFUSED
+    assert f"{peak / COMPLIANT.rig.encoder.resolution:.1f} counts" in refused.text
+
+
+def test_peak_effort_beyond_the_limit_is_a_warning():
+    """A hit that saturates is poor science and no danger."""
+    base = {"rig.limits.override_stall": True, "wall.stiffness": 200.0}
+    low, high = around(predict_impact(changed(base)).peak_effort)
+    assert check(changed({**base, "rig.limits.effort": high}), "peak effort").outcome == Outcome.OK
+    warned = changed({**base, "rig.limits.effort": low})
+    assert check(warned, "peak effort").outcome == Outcome.WARNING
+    assert make_plan(warned).ok
+
+
+def test_resting_penetration_against_the_least_counts():
+    counts = COMPLIANT.trial.effort / COMPLIANT.wall.stiffness / COMPLIANT.rig.encoder.resolution
+    low, high = around(counts)
+    name = "resting penetration"
+    assert check(changed({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
+    asked = replace(
+        COMPLIANT.trial, minimum_rest_counts=high
+    )  # a file that asks for it is refused even earlier
+    refused = check(replace(COMPLIANT, trial=asked), name)
+    assert refused.outcome == Outcome.REFUSED
+    assert f"{counts:.2f} counts" in refused.text
+    assert check(changed({"trial.effort": 0.03, "trial.minimum_rest_counts": 0}), name).outcome == Outcome.OK
+
+
+def test_motor_heat_over_all_repeats():
+    """One time constant at load L spends L² (1 − 1/e) of the budget; above the nominal effort for ever, all of it."""
+    tau, nominal = COMPLIANT.rig.limits.thermal_time_constant_s, COMPLIANT.rig.limits.nominal_effort
+    hot = {
+        "trial.effort": 1.5 * nominal,
+        "rig.limits.effort": 2 * nominal,
+        "rig.limits.override_stall": True,
+        "trial.duration_s": 1.0,
+    }
+    limit_s = -tau * math.log1p(-1 / 1.5**2)
+    repeats = round(limit_s)
+    assert repeats > 2
+    assert (
+        check(changed({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))}), "motor heat").outcome
+        == Outcome.OK
+    )
+    refused = check(changed({**hot, "trial.repeats": math.ceil(limit_s * 1.1)}), "motor heat")
+    assert refused.outcome == Outcome.REFUSED
+    assert "1.5 of the nominal" in refused.text
+    assert check(changed({"trial.repeats": 100_000}), "motor heat").outcome == Outcome.OK
+
+
+def test_a_limit_that_does_not_fit_the_wire_is_a_plan_error():
+    with pytest.raises(PlanError, match="speed_limit"):
+        make_plan(changed({"rig.limits.speed": 1e9}))
+
+
+def test_settings_that_an_estimator_does_not_have_are_a_config_error():
+    with pytest.raises(ConfigError):
+        make_plan(changed({"controller.parameters.colour": 1.0}))
+
+
+# ---------------------------------------------------------------------- steps
+
+
+def test_the_steps_tell_what_happens_in_order_with_units():
+    plan = make_plan(COMPLIANT)
+    assert [step.name for step in plan.steps] == ["configure", "home", "push", "release", "judge"]
+    text = " ".join(step.text for step in plan.steps)
+    for words in ("dual-rate", "20000 Hz", "N·m/rad", "-0.015 rad", "0.15 N·m", "fdm-butterworth"):
+        assert words in text
+    assert "N/m" in " ".join(step.text for step in make_plan(presets.load("chawda-linear")).steps)
+    assert "uniform" in make_plan(presets.load("chawda-linear")).steps[0].text
+
+
+def test_the_duration_is_the_longest_that_it_may_take():
+    x = changed({"trial.repeats": 3})
+    plan = make_plan(x)
+    assert plan.duration_s == pytest.approx(3 * (x.homing.timeout_s + x.trial.duration_s + x.trial.release_s))
+    assert plan.repeats == 3
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name):
+    for experiment in (presets.load(name), config.with_realtime(presets.load(name))):
+        plan = make_plan(experiment)
+        assert plan.ok, [c for c in plan.checks if c.outcome != Outcome.OK]
+        assert all(c.text for c in plan.checks)
+        assert json.loads(json.dumps(plan.as_mapping()))["ok"] is True
+
+
+# ---------------------------------------------------------------------- device and link
+
+
+def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose():
+    (ok,) = link_checks(changed({"controller.position_rate": 4000}), 4000, None)
+    assert ok.outcome == Outcome.OK
+    (refused,) = link_checks(changed({"controller.position_rate": 6000}), 4000, None)
+    assert refused.outcome == Outcome.REFUSED
+    assert "--rate 4000" in refused.remedy
+
+
+def test_no_frame_is_longer_than_the_plan_counts_with():
+    for fill in (0, 1):
+        assert len(encode_frame(pack(m.State(*[fill] * 16)))) == STATE_BYTES
+        assert len(encode_frame(pack(m.Command(*[fill] * 5)))) <= STATE_BYTES
+
+
+@pytest.mark.parametrize(
+    ("baud", "rate", "outcome"),
+    [
+        (921_600, 1000, Outcome.OK),  # 52 kB/s of 64.5
+        (921_600, 2000, Outcome.REFUSED),
+        (460_800, 1000, Outcome.REFUSED),
+        (115_200, 1000, Outcome.REFUSED),
+        (115_200, 150, Outcome.OK),  # 7.8 kB/s of 8.1
+    ],
+)
+def test_a_uart_carries_what_its_rate_allows(baud, rate, outcome):
+    capacity = baud / 10
+    experiment = changed(
+        {
+            "controller.position_rate": rate,
+            "controller.velocity_rate": rate,
+            "controller.parameters.cutoff_hz": rate / 10,
+            "verdict.lowpass_hz": rate / 3,
+        }
+    )
+    checks = {c.name: c for c in link_checks(experiment, 50_000, capacity)}
+    link = checks["link capacity"]
+    assert link.outcome == outcome
+    possible = int(LINK_SHARE * capacity / STATE_BYTES)
+    assert (rate <= possible) is (outcome == Outcome.OK)
+    assert f"--rate {possible} or less" in link.remedy
+    assert f"{rate * STATE_BYTES / 1e3:.1f} kB/s" in link.text

@@ -1,0 +1,81 @@
+"""Where maps begin and end when nobody says: what the push can show, what a device may hit, what theory allows."""
+
+import numba
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from dataclasses import replace
+
+from rig import config
+from rig.analysis import theory
+from rig.config import presets, push_at_rest
+from rig.config.schemes import Scheme
+from rig.core.errors import PlanError
+from rig.experiments import ranges
+from rig.experiments.plan import Outcome, make_plan
+
+PUSHED = presets.load("koul-compliant")
+HELD = config.override(PUSHED, {"trial.kind": "human"})
+DUAL = Scheme.parse("dual:20k/2k")
+
+
+@pytest.mark.parametrize("experiment", [PUSHED, HELD, presets.load("chawda-linear")])
+def test_the_push_rests_the_least_number_of_counts_deep_in_the_stiffest_wall(experiment):
+    stiffest = ranges.highest_stiffness(experiment)
+    walled = replace(experiment, wall=replace(experiment.wall, stiffness=stiffest))
+    counts = push_at_rest(walled) / stiffest / experiment.rig.encoder.resolution
+    assert counts == pytest.approx(experiment.trial.minimum_rest_counts, rel=1e-6)
+
+
+def test_without_a_least_depth_one_count_is_asked_for():
+    free = config.override(PUSHED, {"trial.minimum_rest_counts": 0.0})
+    assert ranges.highest_stiffness(free) == pytest.approx(
+        2.0 * ranges.highest_stiffness(PUSHED), rel=1e-6
+    )  # 2 counts in the preset
+
+
+def test_bounds_that_are_given_are_kept():
+    search = ranges.search_for(PUSHED, "grid", ratio=1.5, lowest=20.0, highest=200.0)
+    assert (search.way, search.lowest, search.highest, search.ratio) == ("grid", 20.0, 200.0, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "text"),
+    [
+        ({"highest": 1e9}, r"1e\+09 \(--stiffness\): in walls above 477.* 2 counts deep.*at most 477"),
+        ({"lowest": 0.0}, r"from 0 to .*--stiffness"),
+        ({"highest": 0.0}, r"to 0 is no range.*--stiffness"),
+        ({"lowest": 50.0, "highest": 20.0}, r"from 50 to 20 is no range"),
+        ({"ratio": 1.0}, r"ratio of 1 .*1\.0001 to 1e6.*--ratio"),
+    ],
+)
+def test_bounds_without_sense_are_refused_with_their_numbers(bounds, text):
+    with pytest.raises(PlanError, match=text):
+        ranges.search_for(PUSHED, **bounds)
+
+
+def test_on_a_device_the_search_begins_with_the_softest_wall_that_may_be_hit():
+    narrow = config.override(PUSHED, {"rig.limits.position_maximum": 0.01})
+
+    def refused(stiffness):
+        walled = replace(narrow, wall=replace(narrow.wall, stiffness=stiffness))
+        return any(check.outcome is Outcome.REFUSED for check in make_plan(walled).checks)
+
+    lowest = ranges.search_for(narrow, on_device=True).lowest
+    assert refused(ranges.search_for(narrow).lowest)
+    assert not refused(lowest)
+    assert refused(0.99 * lowest)
+
+
+def test_dampings_go_a_little_beyond_the_widest_scheme():
+    uniform = Scheme.parse("uniform:20k")
+    dampings = ranges.dampings_for(HELD, (uniform, DUAL), columns=5)
+    assert (dampings[0], len(dampings)) == (0.0, 5)
+    assert dampings[-1] == pytest.approx(ranges.BEYOND * theory.b_max(HELD, DUAL).damping)
+
+
+def test_an_estimator_without_a_linear_theory_gets_the_range_of_a_linear_one():
+    levant = Scheme.parse("dual:20k/2k,estimator=levant")
+    assert ranges.dampings_for(HELD, (levant,), columns=3)[-1] > 0.0

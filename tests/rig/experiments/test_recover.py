@@ -1,0 +1,228 @@
+"""After a crash: everything that can be saved is, what it cost is said, and what is in use is left alone."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+import rig.cli
+from rig.config import as_mapping
+from rig.config.presets import load
+from rig.core.errors import ConfigError
+from rig.core.sample import ROW
+from rig.experiments.recover import Outcome, Recovered, failed, recover, unsealed
+from rig.realtime.ring import LOOP_DONE, Ring
+from rig.recording.capture import write_capture
+from rig.recording.data import Recording
+from rig.recording.reader import open_recording
+from rig.recording.recorder import AT_RISK_S, Recorder
+from tests.conformance.recording import example_header, example_rows
+
+pytestmark = pytest.mark.skipif(
+    numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
+)
+
+EXPERIMENT = as_mapping(load("koul-compliant"))
+RATE = EXPERIMENT["controller"]["position_rate"]
+ROWS = 300
+BLOCK = 100
+
+
+def write(path: Path, *, whole: bool = False, kind: str = "monotonic") -> Recording:
+    """A capture of three blocks, with its end or without, as if written long ago."""
+    header = example_header(experiment=EXPERIMENT, clocks={"kind": kind})
+    recording = Recording(header, example_rows(ROWS), {"reason": "finished"}, whole)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "wb") as file:
+        write_capture(file, recording, block_rows=BLOCK)
+    os.utime(path, (1e9, 1e9))
+    return recording
+
+
+def one(path: Path) -> Recovered:
+    (result,) = recover([path])
+    return result
+
+
+def test_a_capture_cut_off_is_sealed_and_at_most_a_second_is_missing(tmp_path: Path) -> None:
+    written = write(tmp_path / "trial.rigcap")
+    found = one(tmp_path)
+    assert (found.outcome, found.complete, found.rows_lost) == (Outcome.SEALED, False, 0)
+    assert (found.rows, found.duration_s) == (ROWS, pytest.approx(ROWS / RATE))
+    assert found.lost_at_most_s == pytest.approx(AT_RISK_S) == 1.0
+    assert found.recording == tmp_path / "trial.parquet"
+    sealed = open_recording(found.recording)
+    assert sealed.rows.tobytes() == written.rows.tobytes()
+    assert not sealed.complete
+    assert not (tmp_path / "trial.rigcap").exists()
+    assert recover([tmp_path]) == []
+
+
+@pytest.mark.parametrize("cut", [1, 7, 100, ROW.itemsize * BLOCK // 2])
+def test_a_torn_tail_costs_its_block(tmp_path: Path, cut: int) -> None:
+    capture = tmp_path / "trial.rigcap"
+    written = write(capture)
+    capture.write_bytes(capture.read_bytes()[:-cut])
+    found = one(capture)
+    assert (found.outcome, found.rows, found.rows_lost) == (Outcome.SEALED, ROWS - BLOCK, BLOCK)
+    assert found.lost_at_most_s == pytest.approx(1.0 + BLOCK / RATE)
+    assert found.recording is not None
+    assert open_recording(found.recording).rows.tobytes() == written.rows[: ROWS - BLOCK].tobytes()
+
+
+def test_damage_in_the_middle_is_counted(tmp_path: Path) -> None:
+    capture = tmp_path / "trial.rigcap"
+    write(capture, whole=True)
+    data = bytearray(capture.read_bytes())
+    data[len(data) // 2] ^= 1
+    capture.write_bytes(data)
+    os.utime(capture, (1e9, 1e9))
+    found = one(capture)
+    assert (found.outcome, found.rows, found.rows_lost) == (Outcome.SEALED, ROWS - BLOCK, BLOCK)
+    assert (found.complete, found.lost_at_most_s) == (True, pytest.approx(BLOCK / RATE))
+
+
+def test_a_complete_capture_lost_nothing(tmp_path: Path) -> None:
+    write(tmp_path / "trial.rigcap", whole=True)
+    found = one(tmp_path)
+    assert (found.outcome, found.complete, found.lost_at_most_s) == (Outcome.SEALED, True, 0.0)
+
+
+def test_what_a_simulation_lost_is_not_told_in_seconds(tmp_path: Path) -> None:
+    """In virtual time rows reach the disk by blocks, not by age."""
+    write(tmp_path / "trial.rigcap", kind="virtual")
+    assert one(tmp_path).lost_at_most_s is None
+
+
+def test_a_directory_is_searched_to_the_bottom_for_captures_that_nobody_sealed(tmp_path: Path) -> None:
+    for name in ("a.rigcap", "deep/er/b.rigcap", "sealed.rigcap"):
+        write(tmp_path / name)
+    (tmp_path / "sealed.parquet").write_text("precious")
+    (tmp_path / "notes.txt").write_text("not ours")
+    assert unsealed([tmp_path]) == [tmp_path / "a.rigcap", tmp_path / "deep/er/b.rigcap"]
+    assert unsealed([tmp_path, tmp_path / "a.rigcap"]) == unsealed([tmp_path])
+    with pytest.raises(ConfigError, match="does not exist"):
+        unsealed([tmp_path / "absent"])
+    seen: list[tuple[int, int, Path]] = []
+    found = recover([tmp_path], progress=lambda *told: seen.append(told))
+    assert [result.outcome for result in found] == [Outcome.SEALED, Outcome.SEALED]
+    assert seen == [(0, 2, tmp_path / "a.rigcap"), (1, 2, tmp_path / "deep/er/b.rigcap")]
+    assert (tmp_path / "sealed.rigcap").exists()
+
+
+def test_another_recording_of_that_name_is_never_touched(tmp_path: Path) -> None:
+    """Named itself, a capture whose sealed file exists is compared with it: unequal, both stay."""
+    capture = tmp_path / "trial.rigcap"
+    write(capture)
+    (tmp_path / "trial.parquet").write_text("precious")
+    found = one(capture)
+    assert found.outcome == Outcome.FAILED
+    assert (tmp_path / "trial.parquet").read_text() == "precious"
+    assert capture.exists()
+
+
+def test_a_crash_of_the_sealing_itself_is_finished(tmp_path: Path) -> None:
+    """Both files are there and equal: the capture goes."""
+    capture = tmp_path / "trial.rigcap"
+    write(capture)
+    kept = capture.read_bytes()
+    one(capture)
+    capture.write_bytes(kept)
+    assert one(capture).outcome == Outcome.SEALED
+    assert not capture.exists()
+
+
+def test_a_draft_of_a_sealing_that_was_killed_goes_with_the_capture(tmp_path: Path) -> None:
+    write(tmp_path / "trial.rigcap")
+    mine, other = tmp_path / ".trial.parquet.4711.draft", tmp_path / ".trial-2.parquet.4711.draft"
+    for draft in (mine, other):
+        draft.write_text("half")
+    assert one(tmp_path).outcome == Outcome.SEALED
+    assert not mine.exists()
+    assert other.exists()
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x89RIGCAP\n", b"something else"])
+def test_what_is_no_capture_any_more_is_named_and_the_others_are_still_sealed(
+    tmp_path: Path, damage: bytes
+) -> None:
+    (tmp_path / "a.rigcap").write_bytes(damage)
+    write(tmp_path / "b.rigcap")
+    first, second = recover([tmp_path])
+    assert (first.outcome, second.outcome) == (Outcome.FAILED, Outcome.SEALED)
+    assert (tmp_path / "a.rigcap").read_bytes() == damage
+    error = failed([first, second])
+    assert error is not None
+    assert "a.rigcap" in str(error)
+    assert failed([second]) is None
+
+
+def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "trial.rigcap"
+    header = example_header(experiment=EXPERIMENT, clocks={"kind": "monotonic"})
+    with Recorder(path, header, Ring.allocate(4)):
+        before = path.read_bytes()
+        found = one(tmp_path)
+        assert (found.outcome, path.read_bytes()) == (Outcome.IN_USE, before)
+        assert "another process writes it" in found.reason
+    found = one(tmp_path)  # whole, but so young that its run may be about to seal it
+    assert (found.outcome, path.exists()) == (Outcome.IN_USE, True)
+    assert "ended just now" in found.reason
+    os.utime(path, (1e9, 1e9))
+    assert one(tmp_path).outcome == Outcome.SEALED
+
+
+def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when the loop is done and its process judges, and on file systems without locks."""
+    write(tmp_path / "trial.rigcap", whole=True)
+    write(tmp_path / "other.rigcap", whole=True)
+    monkeypatch.chdir(tmp_path)
+    with Ring.allocate(1, info={"recording": "trial.rigcap"}, shared=True) as ring:
+        ring.put(LOOP_DONE, 1)
+        other, trial = recover(["."])
+        assert (other.outcome, trial.outcome) == (Outcome.SEALED, Outcome.IN_USE)
+        assert f"process {os.getpid()} writes it" in trial.reason
+    assert one(tmp_path).outcome == Outcome.SEALED
+
+
+def test_two_at_once_seal_each_capture_once(tmp_path: Path) -> None:
+    write(tmp_path / "trial.rigcap")
+    with open(tmp_path / "trial.rigcap", "rb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert one(tmp_path).outcome == Outcome.IN_USE
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
+    code = rig.cli.run(["recover", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_the_command_says_what_the_crash_cost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "trial.rigcap")
+    code, out, err = run(capsys, tmp_path)
+    assert code == 0, err
+    assert out == f"{tmp_path}/trial.parquet: {ROWS} rows, {ROWS / RATE:.3g} s, at most 1 s lost\n"
+    assert run(capsys, tmp_path)[1] == "nothing to recover: every recording there is sealed\n"
+
+
+def test_the_command_for_machines_and_its_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "a.rigcap")
+    (tmp_path / "b.rigcap").write_text("something else")
+    code, out, _ = run(capsys, tmp_path, "--json")
+    assert code == 9
+    found = json.loads(out)
+    assert [capture["outcome"] for capture in found["captures"]] == ["sealed", "failed"]
+    assert found["captures"][0]["rows"] == ROWS
+    assert found["error"]["exit_code"] == 9
+    assert run(capsys, tmp_path / "absent")[0] == 2

@@ -1,0 +1,348 @@
+"""Replay: the recorded inputs through the same law give the recorded outputs to the last bit, however the run ended."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from rig import config
+from rig.config import controller, presets
+from rig.control.laws import Law
+from rig.core.errors import ConfigError, DeviceFaultError, LawError, LinkLostError, RecordingError, RigError
+from rig.core.sample import Phase, RowFlag
+from rig.devices.framed import FramedDevice
+from rig.experiments.replay import COMPUTED, replay
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
+from rig.realtime.ring import Ring
+from rig.recording.capture import BLOCK_ROWS
+from rig.recording.reader import open_recording
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+
+START = -0.015
+SHORT = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {"trial.duration_s": 0.15, "trial.release_s": 0.003, "homing.settle_s": 0.003, "verdict.tail_s": 0.05},
+)
+
+
+def new_link(experiment=SHORT, faults=None):
+    return MemoryLink(SimulatedDevice(config.rig_model(experiment), initial_position=START), faults)
+
+
+def recorded(directory, experiment=SHORT, *, faults=None, law=None, error=None, link=None):
+    """Run one trial in virtual time and return what it recorded."""
+    link = link or new_link(experiment, faults)
+    path = directory / "trial.rigcap"
+    request = TrialRequest(
+        experiment=experiment, recording=path, verified=True, seed=0, law=law, sealed=False
+    )
+    caught = None
+    with FramedDevice(link) as device:
+        try:
+            run_trial(device, request)
+        except RigError as raised:
+            caught = raised
+    assert (caught is None) if error is None else isinstance(caught, error), caught
+    return open_recording(path)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return recorded(tmp_path_factory.mktemp("finished"))
+
+
+@pytest.fixture(scope="module")
+def armed(tmp_path_factory):
+    """Frames that a host who knows the device has received when the loop begins."""
+    recorded(tmp_path_factory.mktemp("first"))  # reads the dictionary: all others know it
+    counted, link = [], new_link(faults=Faults())
+    with FramedDevice(link) as device:
+        request = TrialRequest(
+            experiment=SHORT,
+            recording=tmp_path_factory.mktemp("counted") / "trial.rigcap",
+            verified=True,
+            seed=0,
+            sealed=False,
+        )
+
+        def arm(original=device.arm):
+            session = original()
+            counted.append(link.line.frames[Direction.TO_HOST])
+            return session
+
+        device.arm = arm
+        run_trial(device, request)
+    return counted[0]
+
+
+def assert_exact(result):
+    for name in (*COMPUTED, "flags"):
+        assert result.rows[name].tobytes() == result.recorded[name].tobytes(), name
+    assert result.exact
+    assert (result.velocity_difference, result.effort_difference) == (0.0, 0.0) or np.isnan(
+        result.velocity_difference
+    )
+
+
+# ---------------------------------------------------------------------- the same law
+
+
+def test_a_finished_run_replays_exactly(finished):
+    result = replay(finished)
+    assert_exact(result)
+    assert len(result.rows) == len(finished)
+    assert np.ptp(finished.rows["velocity"]) > 0.1, "and something happened in it"
+    assert finished.rows["penetration"].max() > 0.0
+
+
+@pytest.mark.parametrize("name", presets.names())
+def test_every_preset_replays_exactly(name, tmp_path):
+    experiment = config.override(
+        presets.load(name),
+        {"trial.duration_s": 0.1, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.05},
+    )
+    assert_exact(replay(recorded(tmp_path, experiment)))
+
+
+def test_an_encoder_that_counts_down_replays_exactly(tmp_path):
+    down = config.override(SHORT, {"rig.encoder.sign": -1})
+    recording = recorded(tmp_path, down)
+    assert recording.rows["count"].max() > 0
+    assert_exact(replay(recording))
+
+
+@pytest.mark.parametrize(
+    ("kind", "counter"),
+    [
+        (Kind.DROP, "lost"),
+        (Kind.DUPLICATE, "duplicated"),
+        (Kind.REORDER, "reordered"),
+        (Kind.DELAY, "skipped"),
+    ],
+)
+def test_gaps_replay_exactly(kind, counter, armed, tmp_path):
+    """Every seventh sample of the push is struck: the gaps are inputs of the law and stand in the rows."""
+    faults = tuple(
+        FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=3)
+        for frame in range(armed + 5, armed + 95, 7)
+    )
+    recording = recorded(tmp_path, faults=Faults(frames=faults))
+    assert recording.trailer["counters"][counter] >= len(faults)
+    gaps = (recording.rows["flags"] & int(RowFlag.GAP)) != 0
+    assert gaps.any() or kind is Kind.DUPLICATE
+    assert_exact(replay(recording))
+
+
+def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path):
+    recording = recorded(
+        tmp_path, faults=Faults(device=(DeviceFault(120, Fault.ENCODER),)), error=DeviceFaultError
+    )
+    assert recording.rows["fault"][-1] == Fault.ENCODER
+    assert recording.rows["effort_sent"][-2] != 0.0
+    assert_exact(replay(recording))
+
+
+def test_a_fault_state_without_a_code_counts_as_an_end_too(finished):
+    """The loop ends on either; a device may say FAULT before it says why."""
+    half = finished.rows[: len(finished) // 2].copy()
+    assert half["current_sent"][-1] != 0
+    half["device_state"][-1] = State.FAULT
+    half["current_sent"][-1] = 0
+    half["effort_sent"][-1] = 0.0
+    assert_exact(replay(replace(finished, rows=half)))
+
+
+def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_exactly(tmp_path):
+    """The loop cuts to zero in the last tick, where the guard alone would still be on its way down."""
+    slow = config.override(SHORT, {"homing.slew": 4.0, "trial.duration_s": 0.02, "verdict.tail_s": 0.01})
+    recording = recorded(tmp_path, slow)
+    assert recording.rows["phase"][-1] == Phase.DONE
+    assert abs(recording.rows["current_sent"][-2]) > 5
+    assert recording.rows["current_sent"][-1] == 0
+    assert_exact(replay(recording))
+
+
+def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed, tmp_path):
+    for kind in (Kind.SILENCE, Kind.UNPLUG):
+        place = tmp_path / kind.name
+        place.mkdir()
+        fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=armed + 55)
+        assert_exact(replay(recorded(place, faults=Faults(frames=(fault,)), error=LinkLostError)))
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    return np.nan if state[1] > 15.0 else 0.01 * state[1]
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def raises(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    if state[1] > parameters[0]:
+        raise ValueError("too deep for me")
+    return 0.0
+
+
+NAN_LAW = Law("nan", "for this test", gives_nan, 2, lambda wall: [])
+RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [15.0])
+ALWAYS_RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [-1.0])
+
+
+def test_a_run_that_a_law_without_a_finite_value_ended_replays_exactly(tmp_path):
+    recording = recorded(tmp_path, law=NAN_LAW, error=LawError)
+    assert np.isnan(recording.rows["effort_wanted"][-1])
+    assert_exact(replay(recording, law=NAN_LAW))
+
+
+def test_a_run_that_a_raising_law_ended_replays_exactly_up_to_there(tmp_path):
+    recording = recorded(tmp_path, law=RAISING_LAW, error=LawError)
+    assert len(recording) > 15
+    assert_exact(replay(recording, law=RAISING_LAW))
+
+
+def test_a_law_that_raises_in_a_replay_is_a_law_error(finished):
+    with pytest.raises(LawError, match="too deep for me"):
+        replay(finished, {"wall.stiffness": 10.0}, law=ALWAYS_RAISING_LAW)
+
+
+# ---------------------------------------------------------------------- what is left of a recording
+
+
+def test_what_a_killed_writer_left_replays_exactly(tmp_path):
+    """Cut in the middle of the last block: the rows of the blocks before it are all good."""
+    long = config.override(
+        presets.load("koul-compliant"),
+        {"trial.duration_s": 0.5, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.1},
+    )
+    whole = recorded(tmp_path, long)
+    assert len(whole) > 2 * BLOCK_ROWS
+    path = tmp_path / "trial.rigcap"
+    torn = tmp_path / "torn.rigcap"
+    torn.write_bytes(path.read_bytes()[: -path.stat().st_size // 4])
+    recording = open_recording(torn)
+    assert not recording.complete
+    assert BLOCK_ROWS <= len(recording) < len(whole)
+    result = replay(recording)
+    assert_exact(result)
+    assert result.recorded.tobytes() == replay(whole).recorded[: len(recording)].tobytes()
+
+
+def test_an_empty_recording_replays_to_nothing(finished):
+    result = replay(replace(finished, rows=finished.rows[:0]))
+    assert len(result.rows) == 0
+    assert result.exact
+    assert (result.velocity_difference, result.effort_difference) == (0.0, 0.0)
+    json.dumps(result.as_mapping(), allow_nan=False)
+
+
+@pytest.mark.parametrize("missing", ["count", "edge_age", "elapsed_ticks", "effort_sent"])
+def test_a_recording_without_a_column_is_refused_by_name(missing, finished):
+    kept = [name for name in finished.names if name != missing]
+    rows = np.zeros(len(finished), [(name, finished.rows.dtype[name]) for name in kept])
+    for name in kept:
+        rows[name] = finished.rows[name]
+    with pytest.raises(RecordingError, match=f"no column {missing}"):
+        replay(replace(finished, rows=rows))
+
+
+def test_a_lost_beginning_or_middle_is_refused(finished):
+    with pytest.raises(RecordingError, match="begins at tick 5"):
+        replay(replace(finished, rows=finished.rows[5:]))
+    with pytest.raises(RecordingError, match="missing in the middle"):
+        replay(replace(finished, rows=np.delete(finished.rows, 20)))
+
+
+def test_the_law_of_the_recording_must_be_installed(tmp_path):
+    recording = recorded(tmp_path, law=NAN_LAW, error=LawError)
+    with pytest.raises(ConfigError, match="no law 'nan'"):
+        replay(recording)
+
+
+# ---------------------------------------------------------------------- another law
+
+
+def test_another_estimator_sees_the_same_motion(finished):
+    result = replay(finished, {"controller.estimator": "fdm"})
+    assert result.estimator == "fdm"
+    assert not result.exact
+    for name in ("count", "position", "penetration", "edge_age", "elapsed_ticks", "tick"):
+        np.testing.assert_array_equal(result.rows[name], finished.rows[name])
+    delta, tick_s = SHORT.rig.encoder.resolution, 1 / SHORT.controller.position_rate
+    raw = np.diff(finished.rows["count"]) * delta / tick_s  # at one estimate a tick
+    np.testing.assert_allclose(result.rows["velocity"][1:], raw, atol=1e-9)
+    difference = result.rows["velocity"] - finished.rows["velocity"]
+    assert result.velocity_difference == pytest.approx(np.sqrt(np.mean(difference**2)))
+
+
+def test_another_stiffness_changes_the_wall_alone(finished):
+    result = replay(finished, {"wall.stiffness": 30.0, "wall.damping": 0.0})
+    np.testing.assert_array_equal(result.rows["velocity"], finished.rows["velocity"])
+    assert result.velocity_difference == 0.0
+    trial = finished.rows["phase"] == Phase.TRIAL
+    depth = np.maximum(finished.rows["penetration"][trial], 0.0)
+    np.testing.assert_allclose(result.rows["effort_wall"][trial], 30.0 * depth, atol=1e-12)
+    assert result.effort_difference > 0.0
+
+
+def test_changes_that_change_nothing_are_exact(finished):
+    """The controller is then built from the experiment, not from the bits in the header: both are one."""
+    assert_exact(replay(finished, {"wall.stiffness": SHORT.wall.stiffness}))
+
+
+def test_the_recording_is_not_touched(finished):
+    before = finished.rows.tobytes()
+    replay(finished, {"wall.stiffness": 1.0, "controller.estimator": "fdm"})
+    assert finished.rows.tobytes() == before
+
+
+def test_changes_that_cannot_be_meant_are_refused(finished):
+    with pytest.raises(ConfigError, match="stifness"):
+        replay(finished, {"wall.stifness": 1.0})
+    with pytest.raises(ConfigError):
+        replay(finished, {"controller.estimator": "no-such"})
+
+
+# ---------------------------------------------------------------------- parameters that changed on the way
+
+
+def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_tick(tmp_path, monkeypatch):
+    """Two sets while the handle approaches: the loop takes each between two ticks, and the trailer keeps them."""
+    rings = []
+    allocate = Ring.allocate
+    monkeypatch.setattr(
+        Ring, "allocate", lambda *given, **options: rings.append(allocate(*given, **options)) or rings[-1]
+    )
+    base = controller.for_experiment(SHORT, current_quantum_a=0.001)
+
+    def posting(share):
+        values = np.concatenate([[0.0], base.law.parameters])
+        values[1] *= share
+        return lambda device: rings[0].post(values)
+
+    happenings = Faults(device=(Happening(60, posting(0.5)), Happening(64, posting(0.25))))
+    recording = recorded(tmp_path, faults=happenings)
+    sets = recording.trailer["parameter_sets"]
+    assert [one["number"] for one in sets] == [1, 2]
+    in_force = recording.rows["parameter_set"]
+    assert [int(in_force[one["tick"]]) for one in sets] == [1, 2]
+    assert (np.diff(in_force) >= 0).all()
+    result = replay(recording)
+    assert_exact(result)
+    inside = (recording.rows["penetration"] > 0.0) & (in_force == 2)
+    assert inside.any(), "and the softer wall was touched"
+    asked = replay(recording, {"wall.stiffness": SHORT.wall.stiffness})
+    assert not asked.exact, "a wall asked for replaces them"

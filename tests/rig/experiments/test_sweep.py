@@ -1,0 +1,561 @@
+"""A sweep gives the same results to the last bit however it was cut up, and loses nothing that was done.
+
+Contracts of `rig.experiments.sweep.run` on threads: order and bits over workers; the journal under truncation, flipped
+bytes and kill -9; what a person and a failing task do to it. Clusters are in `tests/system/test_sweep_cluster.py`.
+"""
+
+import errno
+import io
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.cli.progress import CountBar, SweepBar
+from rig.core.errors import ConfigError, RecordingError, StoppedError
+from rig.experiments import sweep
+from rig.experiments.sweep import Progress, SweepStoppedError, Task, TaskError, executors
+from rig.experiments.sweep import journal as journals
+from rig.experiments.sweep.executors import as_json
+from rig.recording import lines
+from tests.conformance import sweep_work
+
+HERE = sweep_work.__name__
+SINES, MARKS, RAISES = f"{HERE}:sines", f"{HERE}:leave_a_mark", f"{HERE}:raise_when_told"
+ROOT = Path(__file__).parents[3]
+
+
+def sines(number, **payload):
+    return [Task(f"seed {seed}", {"seed": seed, **payload}) for seed in range(number)]
+
+
+def marks(number, log, **payload):
+    return [Task(f"{name}", {"name": f"{name}", "log": str(log), **payload}) for name in range(number)]
+
+
+def text(results):
+    """Bits and types of results, NaN included."""
+    return [as_json(result) for result in results]
+
+
+def lines_of(data):
+    """Lines with their newline; the last one may lack it. Not bytes.splitlines, which knows other ends as well."""
+    return re.findall(rb"[^\n]*\n|[^\n]+$", data)
+
+
+def keys_in(journal):
+    """Keys of the whole lines of a journal, in its order."""
+    whole = [line for line in lines_of(journal.read_bytes()) if line.endswith(b"\n")]
+    return [json.loads(line.partition(b" ")[2])["key"] for line in whole[1:]]
+
+
+# Order and bits --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("kept", ["in memory", "in a journal"])
+def test_results_are_those_of_a_plain_loop_in_the_order_of_the_tasks(workers, kept, tmp_path):
+    tasks = sines(40, wait_s=0.004)
+    journal = tmp_path / "j" if kept == "in a journal" else None
+    results = sweep.run(SINES, tasks, workers=workers, journal=journal)
+    assert text(results) == text(sweep_work.sines(dict(task.payload)) for task in tasks)
+    assert results.tasks == tasks
+    assert [len(results), text(results[7:9]), results[-1]] == [40, text(results)[7:9], list(results)[-1]]
+
+
+def test_whatever_json_cannot_hold_comes_back_in_one_form_from_memory_and_journal(tmp_path):
+    tasks = [Task("odd", {"pair": (1, 2.5), "none": None, "sorted": {"b": 1, "a": math.inf}})]
+    (fresh,) = sweep.run(f"{HERE}:odd_values", tasks)
+    (kept,) = sweep.run(f"{HERE}:odd_values", tasks, journal=tmp_path / "j")
+    (resumed,) = sweep.run(f"{HERE}:odd_values", tasks, journal=tmp_path / "j")
+    assert as_json(fresh) == as_json(kept) == as_json(resumed)
+    assert math.isnan(fresh["not a number"])
+    assert math.copysign(1.0, fresh["zero"]) == -1.0
+    assert [fresh["smallest"], fresh["infinite"]] == [5e-324, [math.inf, -math.inf]]
+    assert [fresh["tuple"], fresh["whole"], fresh["text"]] == [[1, 2], 2**53 + 1, "µ\u2028\ud800"]
+    assert fresh["given"] == {"pair": [1, 2.5], "none": None, "sorted": {"a": math.inf, "b": 1}}
+
+
+@given(st.lists(st.floats(), max_size=20))
+def test_floats_keep_every_bit_through_json(values):
+    assert [value.hex() for value in json.loads(as_json(values))] == [value.hex() for value in values]
+
+
+def test_heavy_tasks_go_first_and_the_order_of_results_stays(tmp_path):
+    log = tmp_path / "log"
+    tasks = [
+        Task(name, {"name": name, "log": str(log)}, weight) for name, weight in [("a", 1), ("b", 9), ("c", 3)]
+    ]
+    assert list(sweep.run(MARKS, tasks, workers=1)) == ["a", "b", "c"]
+    assert log.read_text().split() == ["b", "c", "a"]
+
+
+def test_two_threads_run_two_tasks_at_the_same_time():
+    # Each can end only when the other has begun.
+    tasks = [Task(a, {"opens": f"pair {a}", "waits_for": f"pair {b}"}) for a, b in ["xy", "yx"]]
+    assert list(sweep.run(f"{HERE}:open_one_and_wait_for_another", tasks, workers=2)) == ["pair x", "pair y"]
+
+
+@pytest.mark.parametrize("longest_s", [0.0, 1.0])
+def test_tasks_that_travel_together_and_a_batch_that_gives_back_what_it_had_no_time_for(
+    longest_s, monkeypatch
+):
+    batches, submit = [], executors.Threads.submit
+
+    def counted(self, batch):
+        batches.append(len(batch))
+        return submit(self, batch)
+
+    monkeypatch.setattr(executors.Threads, "submit", counted)
+    monkeypatch.setattr(executors.Threads, "batch_s", 0.5)
+    monkeypatch.setattr(executors, "LONGEST_S", longest_s)
+    tasks = sines(200)
+    assert text(sweep.run(SINES, tasks, workers=2)) == text(sweep_work.sines(task.payload) for task in tasks)
+    if longest_s:
+        assert sum(batches) == 200
+        assert len(batches) < 40
+    else:
+        assert len(batches) == 200  # each came back with one done
+        assert max(batches) > 10
+
+
+def test_a_sweep_of_nothing_and_one_outside_the_main_thread():
+    assert list(sweep.run(SINES, [])) == []
+    found = []
+    thread = threading.Thread(target=lambda: found.append(sweep.run(SINES, sines(3))))
+    thread.start()
+    thread.join()
+    assert len(found[0]) == 3
+
+
+# The journal -----------------------------------------------------------------------------------------
+
+
+def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path):
+    journal, log, workers = tmp_path / "j", tmp_path / "log", 2
+    program = (
+        "from pathlib import Path; from rig import sweep\n"
+        f"tasks = [sweep.Task(str(i), {{'name': str(i), 'log': {str(log)!r}, 'wait_s': 0.01}}) for i in range(120)]\n"
+        f"sweep.run({MARKS!r}, tasks, workers={workers}, journal=Path({str(journal)!r}))"
+    )
+    tasks = marks(120, log, wait_s=0.01)
+    ended = False
+    for _ in range(4):
+        before = len(keys_in(journal)) if journal.exists() else 0
+        process = subprocess.Popen(
+            [sys.executable, "-c", program], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
+        )
+        while not ended and (not journal.exists() or len(keys_in(journal)) < before + 20):
+            ended = process.poll() is not None
+            time.sleep(0.005)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert not ended, "it should have been killed in the middle each time"
+    kept = keys_in(journal)
+    assert 80 <= len(kept) < 120
+    assert list(sweep.run(MARKS, tasks, journal=journal)) == [task.key for task in tasks]
+    assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
+    assert 120 <= len(log.read_text().split()) <= 120 + 4 * workers
+
+
+FEW = sines(6)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Bytes of the journal of `FEW`, and its results."""
+    path = tmp_path_factory.mktemp("sweep") / "j"
+    return path, text(sweep.run(SINES, FEW, journal=path)), path.read_bytes()
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_a_journal_cut_off_or_with_flipped_bytes_is_completed_or_refused_and_never_believed(finished, data):
+    path, results, whole = finished
+    path = path.with_name("damaged")
+    damaged = bytearray(whole[: data.draw(st.integers(0, len(whole)), label="cut at")])
+    for place in data.draw(st.lists(st.integers(0, max(0, len(damaged) - 1)), max_size=3), label="flipped"):
+        if damaged:
+            damaged[place] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(damaged)
+    header = whole.index(b"\n") + 1
+    good = set(lines_of(damaged)[1:]) & set(lines_of(whole))
+    seen = []
+    if bytes(damaged[:header]) != whole[:header] and not whole.startswith(damaged):
+        with pytest.raises(RecordingError, match="first line is damaged"):
+            sweep.run(SINES, FEW, journal=path, workers=1)
+        assert path.read_bytes() == damaged
+        return
+    found = sweep.run(SINES, FEW, journal=path, workers=1, watch=seen.append)
+    assert text(found) == results
+    assert seen[-1].kept == len(good)
+    lines = lines_of(path.read_bytes())
+    assert all(lines.count(line) == 1 for line in lines_of(whole))
+    assert len(lines) == len(FEW) + 1 + seen[-1].damaged
+
+
+def test_a_finished_journal_needs_neither_work_nor_cluster(finished):
+    path, results, whole = finished
+    seen = []
+    again = sweep.run(SINES, FEW, journal=path, scheduler="tcp://127.0.0.1:1", watch=seen.append)
+    assert text(again) == results
+    assert [(p.done, p.kept, p.fraction, p.seconds_left) for p in seen] == [(6, 6, 1.0, 0.0)]
+    assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    ("work", "tasks", "said"),
+    [
+        (f"{HERE}:kill_the_worker", FEW, f'work: "{SINES}" there, "{HERE}:kill_the_worker" here'),
+        (SINES, FEW[:5], "tasks: 6 there, 5 here"),
+        (SINES, [*FEW[:3], Task("seed 3", {"seed": 33}), *FEW[4:]], "a task after the first"),
+        (
+            SINES,
+            [Task("seed 0", {"seed": 0, "wait_s": 0.5}), *FEW[1:]],
+            "first.payload.wait_s: null there, 0.5 here",
+        ),
+        (SINES, [Task("first", {"seed": 0}), *FEW[1:]], 'first.key: "seed 0" there, "first" here'),
+    ],
+)
+def test_the_journal_of_another_plan_is_refused_with_what_differs(finished, work, tasks, said):
+    path, _, whole = finished
+    with pytest.raises(ConfigError) as caught:
+        sweep.run(work, tasks, journal=path)
+    assert said in str(caught.value)
+    assert path.read_bytes() == whole
+
+
+def test_a_journal_of_other_code_is_refused_with_both_versions(finished, monkeypatch):
+    monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
+    with pytest.raises(ConfigError, match=r'version: "0\.\d.*" there, "9\.9\.9\+0123456789ab" here'):
+        sweep.run(SINES, FEW, journal=finished[0])
+
+
+def test_somebody_elses_file_is_refused_and_left_alone(tmp_path):
+    path = tmp_path / "experiment.toml"
+    path.write_text("[wall]\nstiffness = 300.0\n")
+    with pytest.raises(RecordingError, match="not the journal of a sweep"):
+        sweep.run(SINES, FEW, journal=path)
+    assert path.read_text() == "[wall]\nstiffness = 300.0\n"
+
+
+def test_one_process_at_a_time(tmp_path):
+    path = tmp_path / "j"
+    sweep.run(SINES, FEW, journal=path)
+    header = json.loads(path.read_bytes().splitlines()[0].partition(b" ")[2])
+    held = journals.Journal(path, header, [task.key for task in FEW])
+    with pytest.raises(RecordingError, match="another process is writing"):
+        sweep.run(SINES, FEW, journal=path)
+    held.close()
+    assert len(sweep.run(SINES, FEW, journal=path)) == 6
+
+
+def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(tmp_path, monkeypatch):
+    path = tmp_path / "j"
+
+    class Full(io.FileIO):
+        room = 900
+
+        def write(self, data):
+            if self.room <= 0:
+                raise OSError(errno.ENOSPC, "")
+            written = super().write(data[: min(len(data), self.room, 100)])  # in pieces, the last one torn
+            self.room -= written
+            return written
+
+    monkeypatch.setattr(lines, "FileIO", Full)
+    with pytest.raises(RecordingError, match=r"cannot write .*No space left on device\. free some space"):
+        sweep.run(SINES, sines(20), journal=path)
+    monkeypatch.undo()
+    assert path.stat().st_size == 900
+    seen = []
+    assert text(sweep.run(SINES, sines(20), journal=path, watch=seen.append)) == text(
+        sweep.run(SINES, sines(20))
+    )
+    assert 0 < seen[-1].kept < 20
+
+
+def test_no_directory_for_the_journal_is_said_plainly(tmp_path):
+    with pytest.raises(RecordingError, match="make the directory first"):
+        sweep.run(SINES, FEW, journal=tmp_path / "none" / "j")
+
+
+def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(tmp_path, monkeypatch):
+    synced, fsync = [], os.fsync
+    monkeypatch.setattr(
+        lines.os, "fsync", lambda descriptor: (synced.append(time.monotonic()), fsync(descriptor))
+    )
+    started = time.monotonic()
+    sweep.run(SINES, sines(300), journal=tmp_path / "j")
+    assert 3 <= len(synced) <= 4 + (time.monotonic() - started) / lines.SYNC_S
+
+
+def test_memory_does_not_grow_with_the_results(tmp_path):
+    def peak(number):
+        tasks = [Task(str(i), {"letters": 20_000}) for i in range(number)]
+        tracemalloc.start()
+        results = sweep.run(f"{HERE}:large", tasks, journal=tmp_path / f"j{number}", workers=2)
+        assert sum(len(result) for result in results) == 20_000 * number
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    peak(10)
+    assert peak(500) - peak(50) < 1_000_000  # of 9 MB
+
+
+# Ctrl-C ----------------------------------------------------------------------------------------------
+
+
+def interrupt_at(done):
+    """A watch that presses Ctrl-C once so many tasks are done."""
+    pressed = []
+
+    def watch(progress: Progress):
+        if progress.done >= done and not pressed:
+            pressed.append(progress)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    return watch
+
+
+@pytest.mark.parametrize("kept", ["in memory", "in a journal"])
+def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes_on(kept, tmp_path):
+    journal, log = tmp_path / "j" if kept == "in a journal" else None, tmp_path / "log"
+    tasks = marks(60, log, wait_s=0.01)
+    with pytest.raises(SweepStoppedError) as caught:
+        sweep.run(MARKS, tasks, journal=journal, workers=2, watch=interrupt_at(5))
+    error = caught.value
+    assert isinstance(error, StoppedError)
+    assert 5 <= error.done < error.total == 60
+    assert (
+        sorted(error.results) == sorted(log.read_text().split()) == sorted(t.key for t in error.results.tasks)
+    )
+    assert f"{error.done} of 60 tasks are done" in error.message
+    if journal is not None:
+        assert "the same command goes on" in error.remedy
+        assert list(sweep.run(MARKS, tasks, journal=journal, workers=2)) == [task.key for task in tasks]
+        assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)  # none twice
+
+
+def test_ctrl_c_after_the_last_task_is_told_like_one_before_it(tmp_path):
+    """However quick the tasks were: the last thing that a watcher sees is that all is done."""
+    tasks, journal = sines(3), tmp_path / "journal"
+
+    def watch(progress):
+        if progress.done == progress.total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SweepStoppedError, match="3 of 3 tasks"):
+        sweep.run(SINES, tasks, journal=journal, workers=1, watch=watch)
+    assert len(sweep.run(SINES, tasks, journal=journal)) == 3
+
+
+def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
+    tasks = [Task("slow", {"opens": "slow begun", "waits_for": "slow may end"})]
+
+    def watch(progress):
+        if progress.running:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SweepStoppedError, match="0 of 1 tasks"):
+        sweep.run(f"{HERE}:open_one_and_wait_for_another", tasks, watch=watch)
+    assert sweep_work.GATES["slow begun"].wait(5.0)  # and is still waiting at the other gate
+    sweep_work.GATES["slow may end"].set()
+
+
+# Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
+    journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
+    main = threading.main_thread().ident
+    rounds = 0
+    while True:
+        rounds += 1
+        timer = threading.Timer(0.003 * rounds, lambda: signal.pthread_kill(main, signal.SIGINT))
+        try:
+            timer.start()
+            results = sweep.run(MARKS, tasks, journal=journal, workers=4)
+            timer.cancel()
+            timer.join()
+            break
+        except (KeyboardInterrupt, SweepStoppedError):
+            timer.join()
+    assert rounds > 5
+    assert list(results) == [task.key for task in tasks]
+    assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
+    # What ran was kept; only what a Ctrl-C caught between its end and the journal may have run once more.
+    ran = log.read_text().split()
+    assert set(ran) == {task.key for task in tasks}
+    assert len(ran) - len(tasks) <= 4 * rounds
+
+
+def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path):
+    def watch(progress):
+        if progress.done >= 3:
+            raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        sweep.run(SINES, sines(40, wait_s=0.01), journal=tmp_path / "j", workers=2, watch=watch)
+    assert 3 <= len(keys_in(tmp_path / "j")) < 40
+
+
+# Tasks that fail, and what cannot be meant -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("raises", "said", "remedy"),
+    [
+        ("ours", "this wall is out of reach", "lower the stiffness"),
+        ("theirs", "ZeroDivisionError", ""),
+        ("exit", "SystemExit: enough", ""),
+        ("not JSON", "JSON cannot hold a object", ""),
+    ],
+)
+def test_a_task_that_raises_is_named_and_the_others_are_kept(raises, said, remedy, tmp_path):
+    tasks = [Task(f"number {i}", {"number": i}) for i in range(20)]
+    tasks[7] = Task("number 7", {"number": 7, "raises": raises})
+    with pytest.raises(TaskError, match=f"task number 7 failed: .*{said}") as caught:
+        sweep.run(RAISES, tasks, journal=tmp_path / "j", workers=1)
+    error = caught.value
+    assert [error.key, error.remedy, error.exit_code] == ["number 7", remedy, 11]
+    assert list(error.results) == [0, 1, 2, 3, 4, 5, 6]
+    assert keys_in(tmp_path / "j") == [f"number {i}" for i in range(7)]
+    assert "Traceback" in error.__notes__[0]
+    assert "sweep_work.py" in error.__notes__[0] or raises == "not JSON"
+
+
+def test_what_runs_beside_a_failing_task_is_kept():
+    tasks = [Task("bad", {"number": 0, "raises": "theirs"}), Task("slow", {"number": 1, "wait_s": 0.2})]
+    with pytest.raises(TaskError, match="1 of 2 tasks are done") as caught:
+        sweep.run(RAISES, tasks, workers=2)
+    assert list(caught.value.results) == [1]
+
+
+def test_of_two_failures_the_first_in_order_is_told():
+    # The later one fails at once, the earlier one while it is being waited for.
+    tasks = [
+        Task("slow", {"number": 0, "wait_s": 0.2, "raises": "ours"}),
+        Task("fast", {"number": 1, "raises": "theirs"}),
+    ]
+    with pytest.raises(TaskError, match="task slow failed"):
+        sweep.run(RAISES, tasks, workers=2)
+
+
+@pytest.mark.parametrize("work", ["nowhere:work", f"{HERE}:nothing", "no colon", ""])
+def test_work_that_cannot_be_imported_is_refused(work):
+    with pytest.raises(ConfigError, match="cannot be imported"):
+        sweep.run(work, FEW)
+
+
+def test_arguments_that_cannot_be_meant():
+    with pytest.raises(ConfigError, match="give 1 or more"):
+        sweep.run(SINES, FEW, workers=0)
+    with pytest.raises(ConfigError, match="a scheduler decides"):
+        sweep.run(SINES, FEW, workers=2, scheduler="tcp://127.0.0.1:1")
+    with pytest.raises(ValueError, match="same key"):
+        sweep.run(SINES, [FEW[0], FEW[0]])
+    with pytest.raises(ValueError, match="weight"):
+        sweep.run(SINES, [Task("a", {}, weight=0.0)])
+    with pytest.raises(TypeError, match="JSON cannot hold"):
+        sweep.run(SINES, [Task("a", {"seed": object()})])
+
+
+# Progress --------------------------------------------------------------------------------------------
+
+
+def test_progress_counts_tasks_weights_and_units(tmp_path):
+    tasks = [Task(f"{i}", {"seed": i, "wait_s": 0.05}, weight=1.0 + i) for i in range(12)]
+    with pytest.raises(SweepStoppedError) as caught:
+        sweep.run(SINES, tasks, journal=tmp_path / "j", workers=2, watch=interrupt_at(3))
+    kept = caught.value.done
+    seen: list[Progress] = []
+    sweep.run(SINES, tasks, journal=tmp_path / "j", workers=2, unit="trials", watch=seen.append)
+    first, last = seen[0], seen[-1]
+    assert [p.total for p in (first, last)] == [12, 12]
+    assert first.kept == last.kept == kept
+    assert [last.done, last.running, last.fraction, last.seconds_left, last.workers] == [12, 0, 1.0, 0.0, 2]
+    assert last.units == 10 * (12 - kept)  # five rows a task, two trials a row
+    assert last.weight_total == sum(range(1, 13))
+    assert last.weight_done == pytest.approx(last.weight_total)
+    assert [p.fraction for p in seen] == sorted(p.fraction for p in seen)
+    assert all(p.running <= 2 and p.weight_running <= 23.0 for p in seen)
+    assert last.units_per_s == pytest.approx(last.units / last.elapsed_s)
+    assert last.tasks_per_s == pytest.approx((12 - kept) / last.elapsed_s)
+
+
+def test_time_left_is_by_weight_and_only_from_this_run():
+    common = {"total": 10, "weight_total": 100.0, "kept": 2, "weight_kept": 40.0}
+    nothing_yet = Progress(**common, done=2, weight_done=40.0, elapsed_s=3.0)
+    assert nothing_yet.seconds_left is None
+    later = Progress(**common, done=5, weight_done=60.0, elapsed_s=10.0)
+    assert later.seconds_left == pytest.approx(20.0)
+    assert later.fraction == pytest.approx(0.6)
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+UNDERWAY = Progress(
+    **{"total": 510, "weight_total": 510.0, "done": 120, "weight_done": 120.0, "running": 2, "workers": 2},
+    **{"units": 2480, "elapsed_s": 2.0},
+)
+
+
+def test_the_bar_says_how_much_how_fast_and_how_long(monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "120")
+    with SweepBar("Z-width", unit="trials") as bar:
+        bar.watch(UNDERWAY)
+    assert "Z-width" in terminal.getvalue()
+    assert "120 of 510 tasks, 1,240 trials/s, 6 s left" in terminal.getvalue()
+
+
+def test_without_a_terminal_or_for_json_there_is_a_line_now_and_then(monkeypatch, capsys):
+    for plain, stream in ((False, None), (True, Terminal())):
+        with monkeypatch.context() as patch:
+            if stream is not None:
+                patch.setattr(sys, "stderr", stream)
+            clock = iter([100.0, 101.0, 109.9, 110.1, 115.0, 121.0])
+            patch.setattr("rig.cli.progress.time.monotonic", lambda: next(clock))  # noqa: B023
+            with SweepBar("Z-width", unit="trials", plain=plain) as bar:
+                for _ in range(5):
+                    bar.watch(UNDERWAY)
+        said = capsys.readouterr().err if stream is None else stream.getvalue()
+        assert said == 2 * "Z-width: 120 of 510 tasks, 1,240 trials/s, 6 s left\n"
+
+
+def test_the_bar_tells_of_a_stop_of_missing_workers_and_of_damage(capsys):
+    bar = SweepBar("map", plain=True)
+    stopping = Progress(total=9, weight_total=9.0, running=2, workers=2, stopping=True)
+    assert bar.text(stopping) == "0 of 9 tasks, stopping: waiting for 2 more"
+    assert bar.text(Progress(total=9, weight_total=9.0)) == "0 of 9 tasks, waiting for workers"
+    for _ in range(2):
+        bar.watch(Progress(total=9, weight_total=9.0, damaged=3))
+    assert capsys.readouterr().err == "rig: 3 damaged lines in the journal: their tasks run again\n"
+
+
+def test_a_count_is_shown_by_the_same_bar(monkeypatch):
+    for plain in (False, True):
+        terminal = Terminal()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stderr", terminal)
+            patch.setattr("rig.cli.progress.LINE_S", 0.0)
+            with CountBar("reading", plain=plain) as bar:
+                bar.watch(3, 10)
+        assert "reading" in terminal.getvalue()
+        assert "3 of 10" in terminal.getvalue()

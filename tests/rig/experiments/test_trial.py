@@ -1,0 +1,695 @@
+"""One trial from configuring to sealing: what it leaves when something refuses, raises, breaks or is interrupted."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import os
+import signal
+import threading
+import time
+from queue import Queue
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+import rig.devices
+import sim_backend.device
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from rig import config
+from rig.bench.doctor.in_effect import in_effect
+from rig.config import presets
+from rig.control.laws import Law
+from rig.core.errors import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceRefusedError,
+    GuardError,
+    LawError,
+    LinkLostError,
+    PlanError,
+    RecordingError,
+    RigError,
+    StoppedError,
+    UnpluggedError,
+)
+from rig.core.sample import ROW, Phase
+from rig.devices.framed import FaultReport, FramedDevice
+from rig.experiments import hit as hits
+from rig.experiments import trial as trials
+from rig.experiments.endings import ENDINGS, error_of
+from rig.experiments.hit import HitRequest, hit
+from rig.experiments.judgement import as_trailer, judge
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.loop.layout import EndReason
+from rig.loop.run import COUNTERS, LoopEnd, LoopThread
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE
+from rig.recording.reader import open_recording
+from sim_backend import pty
+from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+
+WAIT_S = 20.0
+START = -0.015
+SHORT = config.override(
+    config.with_realtime(presets.load("koul-compliant")),
+    {"trial.duration_s": 0.06, "trial.release_s": 0.003, "homing.settle_s": 0.003, "verdict.tail_s": 0.03},
+)
+LONG = config.override(SHORT, {"trial.duration_s": 600.0})
+
+
+class Bench:
+    """A simulated device, open, and trials on it."""
+
+    def __init__(self, directory, faults=None):
+        self.simulated = SimulatedDevice(config.rig_model(SHORT), initial_position=START)
+        self.link = MemoryLink(self.simulated, faults)
+        self.device = FramedDevice(self.link)
+        self.directory = directory
+
+    def run(self, experiment=SHORT, name="trial", **options):
+        given = {"verified": True, "seed": 0, **options}
+        return run_trial(
+            self.device,
+            TrialRequest(experiment=experiment, recording=self.directory / f"{name}.rigcap", **given),
+        )
+
+    def at_rest(self):
+        return self.simulated.current == 0 and self.simulated.connection.state not in (
+            State.ARMED,
+            State.RUNNING,
+        )
+
+
+def files(directory):
+    return sorted(path.name for path in directory.iterdir())
+
+
+def judged(recording):
+    return as_trailer(*judge(recording))
+
+
+# ---------------------------------------------------------------------- refused before anything moves
+
+
+def test_a_device_that_does_not_arm_leaves_no_recording(tmp_path):
+    bench = Bench(tmp_path)
+    with pytest.raises(DeviceRefusedError, match="verified"):
+        bench.run(verified=False)
+    assert files(tmp_path) == []
+    assert bench.at_rest()
+    assert bench.run().reason == EndReason.FINISHED, "and the device is as good as before"
+
+
+def test_an_exception_while_arming_leaves_no_recording(tmp_path, monkeypatch):
+    bench = Bench(tmp_path)
+
+    def bug():
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(bench.device, "arm", bug)
+    with pytest.raises(ZeroDivisionError):
+        bench.run()
+    assert files(tmp_path) == []
+
+
+def test_a_recording_that_cannot_be_made_is_refused_before_arming(tmp_path):
+    bench = Bench(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match="nowhere"):
+        bench.run()
+    bench = Bench(tmp_path)
+    (tmp_path / "trial.rigcap").write_bytes(b"mine")
+    with pytest.raises(RecordingError, match="exists"):
+        bench.run()
+    assert (tmp_path / "trial.rigcap").read_bytes() == b"mine"
+    assert bench.simulated.connection.state is State.CONFIGURED
+
+
+def test_a_limit_that_does_not_fit_the_wire_touches_nothing(tmp_path):
+    bench = Bench(tmp_path)
+    with pytest.raises(PlanError):
+        bench.run(config.override(SHORT, {"rig.limits.speed": 1e9}))
+    assert files(tmp_path) == []
+
+
+# ---------------------------------------------------------------------- finished
+
+
+def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path):
+    bench = Bench(tmp_path)
+    end = bench.run(judge=judged, extra={"study": "seven"})
+    assert end.recording == tmp_path / "trial.parquet"
+    assert files(tmp_path) == ["trial.parquet"]
+    recording = open_recording(end.recording)
+    assert recording.complete
+    assert recording.has_truth
+    assert recording.trailer["reason"] == "finished"
+    assert recording.trailer["error"] is None
+    assert recording.trailer["counters"] == end.counters
+    assert recording.trailer["verdict"]["kind"]
+    assert recording.trailer["verdict_true"]["kind"]
+    assert recording.header["extra"]["study"] == "seven"
+    assert recording.header["identity"]["parameters"]["verified"] == 1
+    assert recording.header["clocks"]["kind"] == "virtual"
+    assert end.counters["ticks"] == len(recording)
+    assert np.isfinite(recording.rows["position_true"]).all()
+    assert bench.at_rest()
+
+
+def test_trials_follow_each_other_on_one_device(tmp_path):
+    """The handle rests in the wall after the first; the second homes it again. Session and memory start anew."""
+    bench = Bench(tmp_path)
+    recordings = [open_recording(bench.run(name=f"trial-{n}").recording) for n in range(3)]
+    for recording in recordings:
+        assert recording.rows["tick"].tolist() == list(range(len(recording)))
+        assert recording.rows["phase"][-1] == Phase.DONE
+        assert np.isfinite(recording.rows["position_true"]).all()
+        assert recording.trailer["counters"]["lost"] == 0
+    assert recordings[1].rows["sample_index"][0] > recordings[0].rows["sample_index"][-1]
+
+
+def test_a_trial_after_one_that_failed_runs(tmp_path):
+    bench = Bench(tmp_path, Faults(device=(DeviceFault(40, Fault.ENCODER),)))
+    with pytest.raises(DeviceFaultError):
+        bench.run(name="first")
+    assert bench.at_rest()
+    assert bench.run(name="second").reason == EndReason.FINISHED
+
+
+# ---------------------------------------------------------------------- ended early
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def raises(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    if state[1] > 10.0:
+        raise ValueError("too deep for me")
+    return 0.0
+
+
+RAISING = Law("raising", "for this test", raises, 2, lambda wall: [])
+
+
+def frame_fault(kind, frame, direction=Direction.TO_HOST):
+    return Faults(frames=(FrameFault(kind=kind, direction=direction, frame=frame),))
+
+
+@pytest.fixture(scope="module")
+def frames_until_armed(tmp_path_factory):
+    """Frames that the host has received when the loop begins."""
+    counted = []
+    Bench(tmp_path_factory.mktemp("first"), Faults()).run()  # reads the dictionary: all others know it
+    bench = Bench(tmp_path_factory.mktemp("counted"), Faults())
+
+    def arm(original=bench.device.arm):
+        session = original()
+        counted.append(bench.link.line.frames[Direction.TO_HOST])
+        return session
+
+    bench.device.arm = arm
+    bench.run()
+    return counted[0]
+
+
+@pytest.mark.parametrize(
+    ("faults", "options", "error", "reason"),
+    [
+        (None, {"law": RAISING}, LawError, "law_raised"),
+        (Faults(device=(DeviceFault(40, Fault.ENCODER),)), {}, DeviceFaultError, "device_fault"),
+        (Faults(device=(DeviceFault(0, Fault.ENCODER),)), {}, DeviceFaultError, "device_fault"),
+        (Kind.SILENCE, {}, LinkLostError, "link_silent"),
+        (Kind.UNPLUG, {}, LinkLostError, "link_closed"),
+    ],
+    ids=["law", "fault", "fault at once", "silence", "unplug"],
+)
+def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
+    faults, options, error, reason, tmp_path, frames_until_armed
+):
+    if isinstance(faults, Kind):
+        faults = frame_fault(faults, frames_until_armed + 40)
+    bench = Bench(tmp_path, faults)
+    with pytest.raises(error) as caught:
+        bench.run(judge=judged, **options)
+    recording = open_recording(caught.value.recording)
+    assert recording.complete
+    assert recording.trailer["reason"] == reason
+    assert recording.trailer["error"] == str(caught.value)
+    assert recording.trailer["verdict"]["kind"] == "invalid"
+    assert files(tmp_path) == ["trial.parquet"]
+    bench.link.elapse(0.03)
+    assert bench.at_rest()
+
+
+def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(tmp_path, frames_until_armed):
+    bench = Bench(tmp_path, frame_fault(Kind.SILENCE, frames_until_armed))
+    with pytest.raises(LinkLostError) as caught:
+        bench.run(judge=judged)
+    recording = open_recording(caught.value.recording)
+    assert len(recording) == 0
+    assert recording.trailer["verdict"]["kind"] == "invalid"
+    assert len(caught.value.rows) == 0
+
+
+def test_a_bug_of_the_simulation_is_the_cause_of_a_lost_link(tmp_path, monkeypatch):
+    """Whatever breaks at the far end, the recording is closed and sealed and the cause is named."""
+    bench = Bench(tmp_path)
+    ticks = []
+
+    def tick(original=bench.simulated.tick):
+        ticks.append(1)
+        if len(ticks) > 60:
+            raise ZeroDivisionError("a bug")
+        return original()
+
+    monkeypatch.setattr(bench.simulated, "tick", tick)
+    with pytest.raises(LinkLostError) as caught:
+        bench.run()
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    assert open_recording(caught.value.recording).trailer["reason"] == "link_closed"
+
+
+def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise RecordingError("no space left", remedy="free some space")
+
+    monkeypatch.setattr(trials, "seal", full)
+    bench = Bench(tmp_path, Faults(device=(DeviceFault(40, Fault.ENCODER),)))
+    with pytest.raises(DeviceFaultError) as caught:
+        bench.run(name="faulty")
+    assert caught.value.recording == tmp_path / "faulty.rigcap"
+    assert "no space left" in "".join(caught.value.__notes__)
+    assert open_recording(caught.value.recording).complete
+    with pytest.raises(RecordingError, match="no space"):
+        bench.run(name="fine")
+
+
+def test_an_early_end_says_what_the_run_was_not_granted(tmp_path):
+    """That is often why it ended."""
+    bench = Bench(tmp_path)
+    bench.link.messages = ["the port waits 16 ms. To mend it: ..."]
+    with pytest.raises(LawError) as caught:
+        bench.run(law=RAISING)
+    assert caught.value.messages == tuple(bench.link.messages)
+
+
+def test_a_judge_that_fails_leaves_the_capture(tmp_path):
+    def wrong(recording):
+        raise ConfigError("cannot be judged")
+
+    bench = Bench(tmp_path)
+    with pytest.raises(ConfigError):
+        bench.run(judge=wrong)
+    assert open_recording(tmp_path / "trial.rigcap").complete
+    assert bench.at_rest()
+
+
+def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path):
+    bench = Bench(tmp_path)
+    with pytest.raises(ZeroDivisionError) as caught, bench.device:
+        bench.run(LONG, progress=lambda ticks, phase: 1 // (ticks == 0), judge=judged)
+    assert bench.at_rest()
+    assert caught.value.recording == tmp_path / "trial.parquet"
+    trailer = open_recording(caught.value.recording).trailer
+    assert trailer["reason"] == "stopped"
+    assert "ZeroDivisionError" in trailer["error"]
+    assert trailer["verdict"]["kind"] == "invalid"
+
+
+def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(tmp_path, monkeypatch):
+    """The watch is called once more while the loop ends by itself."""
+    bench = Bench(tmp_path)
+    wait = LoopThread.wait
+
+    def late(loop, progress=None):
+        wait(loop)
+        progress(1, Phase.DONE)
+
+    def broken(ticks, phase):
+        if ticks:
+            raise RigError("the console broke")
+
+    monkeypatch.setattr(LoopThread, "wait", late)
+    with pytest.raises(RigError, match="the console broke") as caught:
+        bench.run(progress=broken)
+    trailer = open_recording(caught.value.recording).trailer
+    assert trailer["reason"] == "finished"
+
+
+# ---------------------------------------------------------------------- interrupted
+
+
+def interrupting(numbers, after=50):
+    """A progress that sends signals to this process, once."""
+    sent = []
+
+    def progress(ticks, phase):
+        if ticks > after and not sent:
+            sent.append(ticks)
+            for number in numbers:
+                signal.raise_signal(number)
+
+    return progress
+
+
+def assert_stopped(bench, caught):
+    assert caught.value.exit_code == 130
+    recording = open_recording(caught.value.recording)
+    assert recording.complete
+    assert recording.trailer["reason"] == "stopped"
+    assert bench.at_rest()
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        [signal.SIGINT],
+        [signal.SIGINT, signal.SIGINT],
+        [signal.SIGTERM],
+        [signal.SIGINT, signal.SIGTERM, signal.SIGINT],
+    ],
+    ids=["once", "twice", "term", "impatient"],
+)
+def test_ctrl_c_however_often_ends_with_a_whole_recording(numbers, tmp_path, handlers):
+    bench = Bench(tmp_path)
+    with pytest.raises(StoppedError) as caught:
+        bench.run(LONG, progress=interrupting(numbers))
+    assert_stopped(bench, caught)
+
+
+@pytest.fixture
+def handlers():
+    """SIGTERM as the command line has it; and whatever a trial does to the handlers, it undoes."""
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    expected = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+        assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == expected
+        assert not signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("place", ["finish", "end", "handover"])
+def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(place, tmp_path, monkeypatch, handlers):
+    bench = Bench(tmp_path)
+    original = getattr(LoopThread, place)
+
+    def impatient(self):
+        signal.raise_signal(signal.SIGINT)
+        return original(self)
+
+    monkeypatch.setattr(LoopThread, place, impatient)
+    with pytest.raises(StoppedError) as caught:
+        bench.run(LONG, progress=interrupting([signal.SIGINT]))
+    assert_stopped(bench, caught)
+
+
+def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path, handlers):
+    """It comes while the recording is sealed: that ends well, and then nothing more begins."""
+
+    def judge_slowly(recording):
+        signal.raise_signal(signal.SIGINT)
+        return judged(recording)
+
+    bench = Bench(tmp_path)
+    with pytest.raises(StoppedError) as caught:
+        bench.run(judge=judge_slowly)
+    recording = open_recording(caught.value.recording)
+    assert recording.trailer["reason"] == "finished"
+    assert recording.trailer["verdict"]
+    assert files(tmp_path) == ["trial.parquet"]
+
+
+def test_ctrl_c_while_arming_moves_nothing(tmp_path, monkeypatch, handlers):
+    bench = Bench(tmp_path)
+    original = bench.device.arm
+
+    def interrupted():
+        signal.raise_signal(signal.SIGINT)
+        return original()
+
+    monkeypatch.setattr(bench.device, "arm", interrupted)
+    with pytest.raises(StoppedError) as caught:
+        bench.run(LONG)
+    assert_stopped(bench, caught)
+    assert len(open_recording(caught.value.recording)) == 0
+
+
+def test_an_ignored_interrupt_stays_ignored(tmp_path):
+    """As under nohup, and in the background of a shell without job control."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        bench = Bench(tmp_path)
+        assert (
+            bench.run(progress=lambda ticks, phase: signal.raise_signal(signal.SIGINT)).reason
+            == EndReason.FINISHED
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_trial_runs_in_any_thread(tmp_path):
+    ends = []
+    bench = Bench(tmp_path)
+    worker = threading.Thread(target=lambda: ends.append(bench.run()))
+    worker.start()
+    worker.join(WAIT_S)
+    assert ends[0].reason == EndReason.FINISHED
+
+
+# ---------------------------------------------------------------------- nothing left behind
+
+
+def threads():
+    return {thread.name for thread in threading.enumerate()}
+
+
+def descriptors():
+    return set(os.listdir("/proc/self/fd"))
+
+
+@pytest.mark.parametrize("ending", ["finished", "law", "fault", "unplug", "refused", "interrupted"])
+def test_no_thread_and_no_descriptor_is_left(ending, tmp_path, frames_until_armed):
+    Bench(tmp_path).run(name="warm")  # imports and caches
+    before = threads(), descriptors()
+    faults = {
+        "fault": Faults(device=(DeviceFault(40, Fault.ENCODER),)),
+        "unplug": frame_fault(Kind.UNPLUG, frames_until_armed + 40),
+    }
+    options = {
+        "law": {"law": RAISING},
+        "refused": {"verified": False},
+        "interrupted": {"progress": interrupting([signal.SIGINT]), "experiment": LONG},
+    }
+    bench = Bench(tmp_path, faults.get(ending))
+    error = None
+    try:
+        with bench.device:
+            bench.run(**options.get(ending, {}))
+    except RigError as caught:
+        error = caught
+    assert (error is None) == (ending == "finished")
+    deadline = time.monotonic() + WAIT_S
+    while threads() != before[0] and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert (threads(), descriptors()) == before
+
+
+# ---------------------------------------------------------------------- endings in words
+
+
+@pytest.mark.parametrize("reason", [reason for reason in EndReason if reason != EndReason.FINISHED])
+def test_every_ending_is_an_error_with_words_and_a_remedy(reason):
+    counters = {**dict.fromkeys(COUNTERS, 0), "errno": errno.EIO}
+    end = LoopEnd(reason, ValueError("{odd} braces"), counters)
+    rows = np.zeros(3, ROW)
+    url = "serial:///dev/tty{0}"
+    fault = FaultReport(5, "ENCODER", "illegal {transition}", "check {cable}", 0, 0, [])
+    for known in (fault, None):
+        error = error_of(end, url, known, rows)
+        assert isinstance(error, ENDINGS[reason][0])
+        assert (type(error) is UnpluggedError) == (reason == EndReason.LINK_CLOSED), (
+            "what EIO means on a terminal"
+        )
+        assert error.message
+        assert error.remedy or issubclass(type(error), StoppedError)
+        if isinstance(error, LinkLostError):
+            assert error.statistics == counters
+            assert len(error.rows) == 3
+    text = str(error_of(end, url, fault, rows))
+    expected = {
+        EndReason.LINK_CLOSED: [url, os.strerror(errno.EIO)],
+        EndReason.LINK_SILENT: [url],
+        EndReason.DEVICE_FAULT: ["illegal {transition}", "check {cable}"],
+        EndReason.LAW_RAISED: ["{odd} braces"],
+    }
+    for words in expected.get(reason, []):
+        assert words in text
+
+
+def test_a_finished_run_is_no_error():
+    end = LoopEnd(EndReason.FINISHED, None, dict.fromkeys(COUNTERS, 0))
+    assert error_of(end, "sim://", None, np.zeros(0, ROW)) is None
+
+
+def test_a_window_left_is_a_guard_error(tmp_path):
+    narrow = config.override(
+        SHORT,
+        {"rig.limits.position_maximum": 0.0001, "rig.limits.position_minimum": -0.2, "trial.duration_s": 0.3},
+    )
+    with pytest.raises(RigError) as caught:
+        Bench(tmp_path).run(narrow)
+    assert isinstance(caught.value, GuardError | DeviceFaultError)
+    assert caught.value.recording
+
+
+# ---------------------------------------------------------------------- hit
+
+
+def requested(directory, **options):
+    return HitRequest(**{"experiment": SHORT, "output": directory / "recordings", **options})
+
+
+def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path):
+    seen = []
+
+    def watch(repeat, experiment):
+        seen.append(repeat)
+
+    virtual = config.override(SHORT, {"trial.repeats": 2})
+    results = list(hit(requested(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), watch))
+    assert seen == [0, 1]
+    assert len({result.recording for result in results}) == 2
+    for result in results:
+        assert result.experiment.wall.stiffness == 50.0
+        assert result.verdict_true is not None
+        facts = result.as_mapping()
+        assert facts["stiffness"] == 50.0
+        assert facts["verdict"]["kind"] == result.verdict.kind
+        assert open_recording(result.recording).trailer["verdict"]["kind"] == result.verdict.kind
+
+
+def test_what_must_not_run_is_refused_before_a_directory_is_made(tmp_path):
+    with pytest.raises(PlanError, match="peak penetration"):
+        list(hit(requested(tmp_path, changes={"rig.limits.position_maximum": 0.0001})))
+    with pytest.raises(PlanError, match="device rate"):
+        list(hit(requested(tmp_path, url="sim://?position_rate_maximum=500&position_rate_default=400", changes={
+            "rig.limits.slew": 1e5})))  # fmt: skip
+    assert files(tmp_path) == []
+
+
+def test_an_output_that_is_no_directory_is_a_recording_error(tmp_path):
+    (tmp_path / "recordings").write_text("in the way")
+    with pytest.raises(RecordingError, match="recordings") as caught:
+        list(hit(requested(tmp_path)))
+    assert caught.value.remedy
+    with pytest.raises(RecordingError):
+        list(hit(requested(tmp_path, output=tmp_path / "recordings" / "deeper")))
+
+
+def test_a_consumer_that_stops_early_closes_the_device(tmp_path, monkeypatch):
+    opened = []
+    original = rig.devices.open_device
+
+    def remember(*arguments):
+        opened.append(original(*arguments))
+        return opened[-1]
+
+    monkeypatch.setattr(rig.devices, "open_device", remember)
+    results = hit(requested(tmp_path, changes={"trial.repeats": 5}))
+    next(results)
+    results.close()
+    with pytest.raises(LinkLostError):
+        opened[0].link.write(b"x")
+    assert len(files(tmp_path / "recordings")) == 1
+
+
+@pytest.fixture
+def real(monkeypatch):
+    """Simulated devices that claim to be real ones."""
+    original = sim_backend.device.describe
+    monkeypatch.setattr(
+        sim_backend.device,
+        "describe",
+        lambda *arguments: dataclasses.replace(original(*arguments), simulated=False),
+    )
+
+
+def test_a_real_device_moves_only_when_somebody_vouches_for_its_signs(tmp_path, real):
+    with pytest.raises(ConfigError, match="nobody vouches") as caught:
+        list(hit(requested(tmp_path)))
+    assert "--verified" in caught.value.remedy
+    assert files(tmp_path) == []
+    (result,) = hit(requested(tmp_path, verified=True))
+    assert open_recording(result.recording).header["identity"]["simulated"] is False
+
+
+def test_names_of_recordings_are_free(tmp_path):
+    first = hits._free_name(tmp_path, "x")
+    assert first == tmp_path / "x.rigcap"
+    for number, ending in enumerate(("rigcap", "parquet", "png"), start=2):
+        (tmp_path / f"{'x' if number == 2 else f'x-{number - 1}'}.{ending}").touch()
+        assert hits._free_name(tmp_path, "x") == tmp_path / f"x-{number}.rigcap"
+
+
+# ---------------------------------------------------------------------- hit in real time
+
+
+@pytest.fixture
+def port():
+    """A simulated rig behind a pseudo-terminal that says it runs at 800 Hz."""
+    announced, stop = Queue(), threading.Event()
+
+    def serve():
+        pty.serve(config.rig_model(SHORT), rate=800, announce=announced.put, stop_event=stop)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield f"serial://{announced.get(timeout=WAIT_S)}"
+    stop.set()
+    thread.join(WAIT_S)
+
+
+def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port):
+    preset = presets.load("koul-compliant")
+    with rig.devices.open_device(port) as device:
+        chosen = in_effect(preset, device, {})
+        assert (chosen.controller.position_rate, chosen.controller.velocity_rate) == (800, 800)
+        assert chosen.wall.stiffness == preset.realtime["wall.stiffness"]
+        changes = {"controller.position_rate": 1000, "controller.velocity_rate": 500, "wall.stiffness": 77.0}
+        changes["verdict.lowpass_hz"] = 200.0
+        chosen = in_effect(preset, device, changes)
+        assert (chosen.controller.position_rate, chosen.controller.velocity_rate) == (1000, 500)
+        assert chosen.wall.stiffness == 77.0
+
+
+def test_a_hit_over_a_port_ends_well_or_says_why(port, tmp_path):
+    """In real time on whatever machine this is: what is asserted is that nothing is left half done."""
+    changes = {
+        "trial.duration_s": 0.1,
+        "verdict.tail_s": 0.05,
+        "homing.timeout_s": 3.0,
+        "verdict.lowpass_hz": 300.0,
+    }
+    experiment = presets.load("koul-compliant")
+    try:
+        (result,) = hit(HitRequest(experiment=experiment, url=port, changes=changes, output=tmp_path))
+        recording = open_recording(result.recording)
+        assert result.verdict_true is None
+        assert recording.header["experiment"]["controller"]["position_rate"] == 800
+    except (LinkLostError, GuardError) as error:
+        recording = open_recording(error.recording)
+    assert recording.complete
+    assert recording.header["clocks"]["kind"] == "monotonic"
+    assert recording.rows["current_sent"][-1] == 0 or recording.trailer["reason"] != "finished"

@@ -1,0 +1,225 @@
+"""Maps of walls: physics against the exact linear theory, and the same bits however a map was computed."""
+
+import json
+import math
+
+import numba
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from rig import config
+from rig.analysis import theory
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.core.errors import PlanError
+from rig.experiments import zwidth as maps
+from rig.experiments.bench import Bench
+from rig.experiments.ladder import Search
+from rig.experiments.zwidth import MapPlan, ZWidth, zwidth
+
+SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
+DUAL, UNIFORM = Scheme.parse("dual:20k/2k"), Scheme.parse("uniform:20k")
+
+# No friction, 4000 times as many counts, currents as fine as the wire carries: what is left is linear. The hand
+# presses all along and neither trembles nor swells, and the trial is long.
+LINEAR = {
+    "rig.mechanics.motor_coulomb": 0.0,
+    "rig.mechanics.link_coulomb": 0.0,
+    "rig.encoder.counts_per_revolution": 4_000_000,
+    "homing.tolerance_counts": 4000.0,
+    "rig.amplifier.current_quantum_a": 2e-4,
+    "rig.limits.slew": 1e7,
+    "trial.kind": "human",
+    "operator.grip": "normal",
+    "operator.tremor": 0.0,
+    "operator.press_modulation": 0.0,
+    "trial.duration_s": 3.0,
+    "verdict.tail_s": 0.4,
+}
+
+
+def planned(**changes):
+    given = {
+        "experiment": config.override(presets.load("koul-compliant"), SHORT),
+        "schemes": (DUAL, UNIFORM),
+        "dampings": (0.0, 0.5),
+        "search": Search(lowest=5.0, highest=300.0, ratio=2.0),
+        "repeats": 2,
+    }
+    return MapPlan(**{**given, **changes})
+
+
+def hits_of(found):
+    return json.dumps([*found.climbs])
+
+
+@pytest.fixture(scope="module")
+def small():
+    return zwidth(planned(), workers=1)
+
+
+# --- the same bits ------------------------------------------------------------------------------------------
+
+
+def test_two_workers_give_the_bits_of_one(small):
+    assert hits_of(zwidth(planned(), workers=2)) == hits_of(small)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_a_map_whose_journal_was_torn_anywhere_goes_on_to_the_same_bits(small, tmp_path, share):
+    journal = tmp_path / "journal"
+    zwidth(planned(), journal=journal, workers=2)
+    whole = journal.read_bytes()
+    journal.write_bytes(whole[: int(share * len(whole))])
+    again = zwidth(planned(), journal=journal, workers=2)
+    assert hits_of(again) == hits_of(small)
+    assert again.as_mapping() == small.as_mapping() or _equal_but_for_nan(again, small)
+
+
+def _equal_but_for_nan(one, other):
+    return json.dumps(one.as_mapping()) == json.dumps(other.as_mapping())
+
+
+def test_repeats_differ_and_offsets_differ(small):
+    of = {tuple(row[k] for k in ("scheme", "damping", "offset", "repeat")): row for row in small.table()}
+    impacts = [
+        of["dual:20k/2k", 0.5, offset, repeat]["contact_s"] for offset in (0.1, 0.6) for repeat in (0, 1)
+    ]
+    assert len(set(impacts)) > 1
+
+
+def test_a_map_of_a_map_file_is_its_experiment(small):
+    facts = json.loads(json.dumps(small.as_mapping()))
+    again = config.experiment_from_mapping(facts["experiment"], "map.json")
+    assert again == small.plan.experiment
+
+
+# --- physics ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scheme", "damping"),
+    [
+        ("uniform:20k", 0.0),
+        ("uniform:2k", 0.0),
+        ("dual:20k/2k", 0.0),
+        ("dual:20k/2k", 1.0),
+        ("uniform:2k", 1.0),
+        ("uniform:20k", 0.1),
+    ],
+)
+def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(scheme, damping):
+    # Below the limit the ringing dies out more slowly the nearer it is: after three seconds a rung or two are lost.
+    experiment, of = config.override(presets.load("koul-compliant"), LINEAR), Scheme.parse(scheme)
+    expected = theory.k_max(experiment, of, damping).stiffness
+    found = zwidth(
+        MapPlan(
+            experiment=experiment,
+            schemes=(of,),
+            dampings=(damping,),
+            search=Search(way="bisection", lowest=0.7 * expected, highest=1.3 * expected, ratio=1.02),
+            offsets=(0.1,),
+        )
+    )
+    (limit,) = found.curve(0, "heard")
+    assert limit.capped == 0
+    assert limit.stiffness == pytest.approx(expected, rel=0.04)
+
+
+def test_without_damping_no_estimator_matters():
+    schemes = [f"uniform:20k,estimator={name}" for name in ("fdm", "kalman", "levant", "foaw-best")]
+    found = zwidth(planned(schemes=tuple(map(Scheme.parse, schemes)), dampings=(0.0,), repeats=1))
+    first = [row | {"scheme": ""} for row in found.table() if row["scheme"] == schemes[0]]
+    for scheme in schemes[1:]:
+        others = [row | {"scheme": ""} for row in found.table() if row["scheme"] == Scheme.parse(scheme).text]
+        assert json.dumps(others) == json.dumps(first)
+
+
+# --- what a map says of itself ----------------------------------------------------------------------------------
+
+
+def rows_of(outcomes, **numbers):
+    """Rows of one climb as `run_climb` gives them; `outcomes` by stiffness."""
+    measured = (
+        dict.fromkeys(maps.NUMBERS.names, 0.0) | {"tail_begins_s": 0.1, "inside_ticks_in_tail": 1} | numbers
+    )
+    truths = {f"{name}_true": value for name, value in measured.items()}
+    return [
+        {"stiffness": k, "kind": "stable", **measured, **truths}
+        | {f"passes_{c}{suffix}": passes for c in ("felt", "heard", "any") for suffix in ("", "_true")}
+        for k, passes in outcomes.items()
+    ]
+
+
+def one_scheme(dampings):
+    return planned(schemes=(DUAL,), dampings=dampings, offsets=(0.1,), repeats=1)
+
+
+def test_caps_islands_and_the_end_of_the_range_are_told():
+    found = ZWidth.of(
+        one_scheme((0.0, 1.0, 2.0)),
+        [
+            rows_of({10.0: True, 20.0: True}),  # never fails: a cap
+            rows_of({10.0: True, 20.0: False, 40.0: True, 80.0: True}),  # an island
+            rows_of({10.0: False}),
+        ],
+    )
+    first, second, third = found.curve(0, "felt")
+    assert (first.stiffness, first.capped) == (20.0, 1)
+    assert (second.stiffness, second.capped, second.limits[0].islands) == (10.0, 0, ((40.0, 80.0),))
+    assert (third.stiffness, third.capped) == (0.0, 0)
+    width = found.width(0, "felt")
+    assert (width.stiffness_undamped, width.undamped_capped, width.capped) == (20.0, True, True)
+    assert (width.damping_range, width.range_capped) == (1.0, False)
+    assert width.area == pytest.approx(15.0)
+
+
+def test_a_range_that_reaches_the_last_column_is_only_a_bound():
+    found = ZWidth.of(one_scheme((0.0, 1.0)), [rows_of({10.0: True, 20.0: False})] * 2)
+    width = found.width(0, "any")
+    assert (width.damping_range, width.range_capped, width.capped) == (1.0, True, False)
+
+
+def test_hits_that_say_nothing_are_counted_by_their_reason():
+    found = ZWidth.of(
+        one_scheme((0.0, 1.0)),
+        [
+            rows_of({10.0: None, 20.0: None}, slew_bound_ticks=3.0),
+            rows_of({10.0: None}, contact_s=math.nan) + rows_of({20.0: True}),
+        ],
+    )
+    assert found.silent() == {"slew bound": 2, "never touched": 1}
+    assert found.as_mapping()["silent"] == found.silent()
+    assert [b.unknown for b in found.curve(0, "any")] == [2, 1]
+
+
+# --- what is refused ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"schemes": ()}, r"no schemes \(--scheme\)"),
+        ({"schemes": (DUAL, Scheme.parse("dual:20000/2000"))}, r"dual:20k/2k stands there twice"),
+        ({"dampings": ()}, r"no dampings \(--damping\)"),
+        ({"dampings": (0.0, -1.0)}, r"dampings \(--damping\): -1 is out of range.*at least 0"),
+        ({"dampings": (math.nan,)}, r"nan is out of range"),
+        ({"dampings": (0.5, 0.5)}, r"0.5 stands there twice"),
+        ({"offsets": (1.0,)}, r"offsets \(--offsets\): 1 is out of range.*less than 1"),
+        ({"repeats": 0}, r"0 repeats"),
+    ],
+)
+def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes, text):
+    with pytest.raises(PlanError, match=text):
+        planned(**changes)
+
+
+def test_a_handle_that_never_comes_home_says_nothing_and_is_told():
+    """Gravity on the end mass drags it off its start for ever: there is no trial to judge."""
+    changes = {"rig.mechanics.gravity": 9.81, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
+    bench = Bench(config.override(presets.load("koul-compliant"), changes))
+    hit = bench.hit(300.0, 0.5)
+    assert hit.true.numbers["ticks"] == 0
+    assert [hit.true.passes(criterion) for criterion in ("felt", "heard", "any")] == [None] * 3

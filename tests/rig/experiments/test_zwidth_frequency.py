@@ -1,0 +1,418 @@
+"""Z-width in the frequency domain: closed forms on a linear rig, widths of made-up regions, the boundary search."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig import config
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.core.errors import PlanError
+from rig.experiments import frequency_files, sweep
+from rig.experiments.boundary_search import boundary_search, connected, trace, trace_grid
+from rig.experiments.frequency_ranges import (
+    PAPERS_ESTIMATORS,
+    default_grid,
+    default_schemes,
+    frequency_plan,
+    linear_curves,
+)
+from rig.experiments.frequency_widths import FrequencyWidth, Spread
+from rig.experiments.impedance import Judging
+from rig.experiments.table_one import PAPER, table_one, tuned_numbers
+from rig.experiments.zwidth_frequency import TOGETHER, WORK, FrequencyMap, zwidth_frequency
+from rig.views.plots.zwidth_frequency import draw_frequency_map
+
+CHAWDA = presets.load("chawda-linear")
+MASS, DAMPING = 0.52, 13.2  # kg, N·s/m
+# Without friction, with an encoder and a current that are fine enough to be none.
+LINEAR = config.override(
+    CHAWDA,
+    {
+        "rig.mechanics.motor_coulomb": 0.0, "rig.encoder.quantum": 1e-12, "rig.amplifier.current_quantum_a": 1e-7,
+        "rig.amplifier.effort_per_ampere": 100.0, "rig.amplifier.effort_limit": 0.3, "rig.limits.effort": 0.3,
+        "rig.limits.nominal_effort": 0.3, "homing.effort": 0.1, "trial.effort": 0.1,
+        "trial.minimum_rest_counts": 0.0, "excitation.rms": 0.02, "excitation.periods": 2,
+        "excitation.settle_periods": 6, "excitation.realisations": 1,
+    },
+)  # fmt: skip
+SHORT = config.override(
+    CHAWDA, {"excitation.periods": 2, "excitation.settle_periods": 1, "excitation.realisations": 2}
+)
+FDM, FILTERED = "uniform:1k,estimator=fdm", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499"
+KALMAN = "uniform:1k,estimator=kalman,q=25000,variance=paper"
+
+
+def plan(experiment, schemes, stiffnesses, dampings, **others):
+    parsed = [Scheme.parse(text) for text in schemes]
+    return frequency_plan(experiment, parsed, stiffnesses=stiffnesses, dampings=dampings, **others)
+
+
+# ---------------------------------------------------------------------- closed forms on a linear rig
+
+
+@pytest.fixture(scope="module")
+def undamped():
+    """Three linear estimators at B = 0, which none of them has a part in."""
+    return zwidth_frequency(plan(LINEAR, [FDM, FILTERED, KALMAN], [0.0, *range(20_000, 33_000, 2000)], [0.0]))
+
+
+def test_without_damping_every_estimator_ends_at_2b_over_t(undamped):
+    """26.4 kN/m at 1 kHz, within a step of the grid."""
+    for row in table_one(undamped).rows:
+        width = row.widths.together
+        assert width.stiffness_undamped == width.stiffness
+        assert abs(width.stiffness - 2.0 * DAMPING / 1e-3) <= 2000.0
+        assert not width.stiffness_capped
+
+
+def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped):
+    """√mean(b² + (2πmf)²) over the lines, the same for every estimator."""
+    f = np.arange(1.0, 251.0)
+    exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f) ** 2))
+    assert undamped.fidelity[:, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
+    part = undamped.plan
+    halved = plan(LINEAR, [FDM], [0.0], [0.0], judging=Judging(band_hz=(1.0, 50.0)))
+    exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f[:50]) ** 2))
+    assert zwidth_frequency(halved).fidelity[0, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
+    assert part.band_hz == (1.0, 250.0)
+
+
+def test_with_damping_the_edge_is_that_of_the_closed_form():
+    """At B = 40 and 80 an unfiltered difference holds some 32 kN/m up to 250 Hz; stable it would be far beyond."""
+    asked = plan(LINEAR, [FDM], np.arange(26e3, 40e3, 2e3), [40.0, 80.0])
+    found = zwidth_frequency(asked)
+    _, stable, passive = linear_curves(asked, 2)[0]
+    edges = connected(found.passive[0, -1]).sum(axis=1)
+    for edge, exact in zip(edges, passive, strict=True):
+        assert abs(asked.stiffnesses[edge - 1] - exact) <= 2000.0
+    assert min(stable) > 2.0 * max(passive)
+
+
+def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory():
+    """From B = 40 on, both of what is stable and of what is passive (REPRODUCTION: "AKF > FDM in K")."""
+    asked = plan(
+        CHAWDA, [FILTERED, KALMAN, "uniform:1k,estimator=foaw-best"], [1e3], [0.0, 40.0, 100.0, 200.0]
+    )
+    curves = linear_curves(asked, 11)
+    assert set(curves) == {0, 1}  # FOAW is not linear
+    damping, *difference = map(np.array, curves[0])
+    _, *kalman = map(np.array, curves[1])
+    for better, worse in zip(kalman, difference, strict=True):
+        assert (better[damping >= 40.0] > worse[damping >= 40.0]).all()
+        assert better[0] == pytest.approx(worse[0], rel=1e-3)  # 2b/T, and no estimator in it
+
+
+# ---------------------------------------------------------------------- friction
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """The rig as it is: friction, 1 µm; four estimators, a coarse grid."""
+    schemes = [scheme.text for scheme in default_schemes(CHAWDA)]
+    return zwidth_frequency(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
+
+
+def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough):
+    """Its describing function damps: a difference holds 40 kN/m, where linear theory ends at 32. Sticking stiffens."""
+    _, _, passive = linear_curves(rough.plan, 2)[0]
+    assert max(passive) < 35e3
+    assert rough.passive[0, -1, 1, :3].all()
+    soft = next(row for row in rough.columns[0] if row["realisation"] == TOGETHER)
+    assert soft["damping_percent"] > 110.0
+    assert 101.0 < soft["stiffness_percent"] < 120.0
+
+
+def test_levant_with_the_printed_gains_holds_least(rough):
+    cells = connected(rough.passive[:, -1]).sum(axis=(1, 2))
+    assert cells[3] < cells[:3].min()
+    table = table_one(rough)
+    assert 3 not in table.comparable
+    assert table.common_walls > 0
+    assert math.isnan(table.rows[3].widths.together.damping)
+
+
+def test_table_one_stands_beside_the_papers(rough):
+    table = table_one(rough)
+    assert [row.estimator for row in table.rows] == list(PAPERS_ESTIMATORS)
+    assert (
+        [len(row.tuned) for row in table.rows]
+        == [PAPER[row.estimator].tunable for row in table.rows]
+        == [1, 0, 1, 2]
+    )
+    first = table.rows[0]
+    assert first.paper == PAPER["fdm-butterworth"]
+    assert first.widths.stiffness.count == len(first.widths.each) == 2
+    assert len(first.common) == len(table.points)
+    k, b = table.points[0]
+    at = rough.plan.dampings.index(b), rough.plan.stiffnesses.index(k)
+    assert first.common[0].mean == pytest.approx(rough.fidelity[(0, slice(0, 2), *at)].mean())
+    json.dumps(table.as_mapping(rough), allow_nan=False)
+
+
+def test_a_wall_that_throws_the_handle_out_says_so():
+    tight = config.override(SHORT, {"rig.limits.speed": 0.3, "excitation.realisations": 1})
+    found = zwidth_frequency(plan(tight, [FDM], [5e3, 2e6], [100.0]))
+    soft, _, hard, _ = found.columns[0]
+    assert soft["ended_s"] is None
+    assert not hard["passive"]
+    assert hard["fidelity"] is None
+    assert 0.0 < hard["ended_s"] < 3.0
+    assert "limit" in hard["reason"] or "window" in hard["reason"]
+    assert not found.passive[0, -1, 0, 1]
+
+
+def test_dual_rate_goes_through_the_same_plan():
+    """On a two-mass rig the handle's own motion is measured: the encoder is on the other mass."""
+    koul = config.override(
+        presets.load("koul-compliant"),
+        {
+            "excitation.periods": 1,
+            "excitation.settle_periods": 1,
+            "excitation.realisations": 1,
+            "excitation.low_hz": 5.0,
+        },
+    )
+    asked = frequency_plan(
+        koul, [Scheme.parse("dual:20k/2k,estimator=kalman")], stiffnesses=[20.0], dampings=[0.0]
+    )
+    assert asked.signal == "truth"
+    found = zwidth_frequency(asked)
+    assert np.isfinite(found.fidelity).all()
+    assert table_one(found).rows[0].paper is None
+    for preset in ("koul-rigid", "koul-compliant"):
+        k, b = default_grid(presets.load(preset), asked.schemes)
+        assert (len(k), len(b), b[0]) == (60, 16, 0.0)
+        assert k[0] == pytest.approx(k[1] - k[0])
+    assert [s.estimator for s in default_schemes(koul)] == list(PAPERS_ESTIMATORS)
+
+
+# ---------------------------------------------------------------------- the same bytes, files, refusals
+
+
+def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path):
+    asked = plan(SHORT, [FILTERED, "uniform:1k,estimator=foaw-best"], [5e3, 50e3], [0.0, 60.0])
+    one = zwidth_frequency(asked, workers=1)
+    two = zwidth_frequency(asked, workers=2)
+    journal = tmp_path / "journal"
+    tasks = asked.tasks()
+
+    def stop(progress):
+        if progress.done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(sweep.SweepStoppedError):
+        sweep.run(WORK, tasks, journal=journal, workers=1, unit="runs", watch=stop)
+    went_on = zwidth_frequency(asked, journal=journal)
+    texts = {json.dumps(list(found.columns)) for found in (one, two, went_on)}
+    assert len(texts) == 1
+    assert len(one.columns) == 4
+    assert sum(row["runs"] for rows in one.columns for row in rows) == 16
+
+
+def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path):
+    asked = plan(SHORT, [FILTERED], [5e3, 10e3], [60.0])
+    place = frequency_files.directory_for(asked, tmp_path)
+    first, _ = frequency_files.map_into(asked, place)
+    told = []
+    again, table = frequency_files.map_into(asked, place, watch=told.append)
+    assert told[-1].kept == told[-1].total == 1
+    assert (again.passive == first.passive).all()
+    written = pq.read_table(place / "walls.parquet")
+    assert written.num_rows == 2 * 3
+    assert written.schema.field("stiffness").metadata[b"unit"] == b"N/m"
+    assert written.schema.field("fidelity").metadata[b"unit"] == "N·s/m".encode()
+    frame = written.to_pandas()
+    assert frame["realisation"].isna().sum() == 2
+    document = json.loads((place / "map.json").read_text())
+    assert (
+        document["table_one"]["rows"][0]["widths"]["together"]["stiffness"]
+        == table.rows[0].widths.together.stiffness
+    )
+    assert document["judging"]["band_hz"] == [1.0, 250.0]
+    assert document["excitation"]["rms"] == 2.0  # ten times the friction, or a fiftieth of the limit
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stiffnesses": []}, "--stiffness: nothing to map"),
+        ({"stiffnesses": [2.0, 1.0]}, "--stiffness: not in rising order"),
+        ({"dampings": [0.0, 0.0]}, "--damping: not in rising order"),
+        ({"dampings": [-1.0]}, "--damping: a value below zero"),
+        ({"stiffnesses": [math.nan]}, "--stiffness: a value below zero, or none"),
+        ({"schemes": [FDM, FDM]}, "stands there twice"),
+    ],
+)
+def test_an_impossible_map_is_refused(changes, message):
+    given_ = {"schemes": [FDM], "stiffnesses": [1e3], "dampings": [0.0]} | changes
+    with pytest.raises(PlanError, match=message):
+        plan(CHAWDA, **given_)
+
+
+def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs():
+    loud = config.override(SHORT, {"excitation.rms": 60.0})
+    with pytest.raises(PlanError, match="peak position"):
+        zwidth_frequency(plan(loud, [FDM], [1e3], [0.0]))
+
+
+def test_pictures_of_any_number_of_schemes(tmp_path, rough):
+    curves = linear_curves(rough.plan, 4)
+    path = draw_frequency_map(rough, tmp_path / "four.png", theory=curves)
+    assert path.read_bytes()[:4] == b"\x89PNG"
+    assert path.stat().st_size > 30_000
+    again = draw_frequency_map(rough, tmp_path / "again.png", theory=curves)
+    assert again.read_bytes() == path.read_bytes()
+    shape = (1, 2, 1, 2)
+    asked = plan(SHORT, [FDM], [1e3, 2e3], [0.0])
+    nothing = FrequencyMap(asked, [], np.zeros(shape, bool), np.full(shape, math.nan))
+    assert draw_frequency_map(nothing, tmp_path / "none.png", realisation=0).exists()
+
+
+def test_tuned_numbers_are_counted_as_in_the_paper():
+    assert tuned_numbers("kalman", {"q": 2.5e4, "variance": "paper"}) == ("q",)
+    assert tuned_numbers("levant", {"lipschitz": 6.0}) == ("alpha", "lambda")
+    assert tuned_numbers("levant", {}) == ()
+    assert tuned_numbers("foaw-best", {}) == ()
+
+
+# ---------------------------------------------------------------------- widths of made-up regions
+
+
+def region(text):
+    """Rows of a drawing are dampings, # is passive, stiffness rises to the right."""
+    return np.array([[mark == "#" for mark in row] for row in text.split()])
+
+
+def test_widths_count_what_is_connected_and_list_the_rest():
+    passive = region("##..#. .###.. ###### ...#.. ##.#.#")
+    fidelity = np.arange(30.0).reshape(5, 6)
+    k, b = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [0.0, 10.0, 20.0, 30.0, 40.0]
+    width = FrequencyWidth.of(passive, fidelity, k, b)
+    assert (width.stiffness, width.at_damping, width.stiffness_capped) == (6.0, 20.0, True)
+    assert width.stiffness_undamped == 2.0
+    assert (width.damping, width.damping_capped) == (40.0, True)
+    assert width.gaps == (10.0, 30.0)
+    assert (width.worst_fidelity, width.worst_stiffness, width.worst_damping) == (25.0, 2.0, 40.0)
+    assert width.cells == 2 + 6 + 2
+    assert [(i.damping, i.lowest, i.highest) for i in width.islands] == [
+        (0.0, 5.0, 5.0), (10.0, 2.0, 4.0), (30.0, 4.0, 4.0), (40.0, 4.0, 4.0), (40.0, 6.0, 6.0)
+    ]  # fmt: skip
+
+
+def test_a_map_without_a_passive_wall_has_no_widths():
+    width = FrequencyWidth.of(
+        region("..#. ...."), np.full((2, 4), math.nan), [1.0, 2.0, 3.0, 4.0], [5.0, 6.0]
+    )
+    assert (width.stiffness, width.cells, width.stiffness_undamped) == (0.0, 0, None)
+    assert math.isnan(width.damping)
+    assert math.isnan(width.worst_fidelity)
+    assert width.as_mapping()["damping"] is None
+    assert not width.stiffness_capped
+    assert not width.damping_capped
+
+
+def test_spread_leaves_out_what_is_no_number():
+    spread = Spread.of([1.0, math.nan, 3.0])
+    assert (spread.mean, spread.lowest, spread.highest, spread.count) == (2.0, 1.0, 3.0, 2)
+    assert spread.deviation == pytest.approx(math.sqrt(2.0))
+    assert math.isnan(Spread.of([4.0]).deviation)
+    assert Spread.of([math.nan]).count == 0
+
+
+# ---------------------------------------------------------------------- the boundary search
+
+EDGES = st.integers(1, 12).flatmap(
+    lambda stiffnesses: st.tuples(
+        st.just(stiffnesses), st.lists(st.integers(0, stiffnesses), min_size=1, max_size=12)
+    )
+)
+
+
+@given(EDGES)
+def test_where_each_damping_has_one_edge_the_search_finds_it(case):
+    """And tests each wall at most once: some way up, and for each damping a few steps along the edge."""
+    stiffnesses, heights = case
+    heights[0] = max(1, heights[0])
+    passive = np.arange(stiffnesses) < np.array(heights)[:, None]
+    found = trace_grid(passive)
+    path = found.trace.path
+    assert len(set(path)) == len(path)
+    ends = next((b for b, height in enumerate(heights) if height == 0), None)
+    seen = heights if ends is None else heights[: ends + 1]
+    assert list(found.trace.edge) == [(b, height - 1) for b, height in enumerate(seen)]
+    assert found.trace.ending == ("last damping" if ends is None else "no stiffness left")
+    assert found.above == found.below == 0
+    assert set(found.trace.capped) == {b for b, height in enumerate(seen) if height == stiffnesses}
+    turns = sum(abs(second - first) for first, second in pairwise(seen))
+    assert len(path) <= heights[0] + 2 * len(seen) + turns
+
+
+@given(st.lists(st.lists(st.booleans(), min_size=5, max_size=5), min_size=1, max_size=8), st.booleans())
+def test_on_any_region_it_ends_and_asks_no_wall_twice(rows, looks):
+    passive = np.array(rows)
+    found = trace_grid(passive, looks=looks)
+    path = found.trace.path
+    assert len(set(path)) == len(path) <= passive.size
+    assert all(0 <= b < len(rows) and 0 <= k < 5 for b, k in path)
+    for b, k in found.trace.edge:
+        assert k == -1 or passive[b, k]
+    for cell, outcome in found.trace.tests:
+        assert outcome == passive[cell]
+
+
+def test_it_climbs_the_speckle():
+    """From the first edge at 2 it meets an island above the next edge, and stays up there."""
+    passive = region("###..... ##.###.. ##..##.. ##......")
+    found = trace_grid(passive)
+    assert dict(found.trace.edge) == {0: 2, 1: 5, 2: 5, 3: 1}
+    assert found.connected == (2, 1, 1, 1)
+    assert (found.above, found.below, found.unseen) == (2, 0, 0)
+    assert found.highest == 5
+
+
+def test_a_bad_start_ends_it_unless_it_may_look_for_another():
+    passive = region(".### .##. ###. ##..")
+    blind = trace_grid(passive, looks=False)
+    assert (len(blind.trace.tests), blind.trace.ending, blind.highest) == (1, "start not passive", -1)
+    assert blind.unseen == 2
+    found = trace_grid(passive)
+    assert found.trace.edge == ((0, -1), (1, -1), (2, 2), (3, 1))
+    assert found.trace.path[:3] == [(0, 0), (1, 0), (2, 0)]
+    assert trace_grid(region("... ...")).trace.ending == "start not passive"
+
+
+def test_it_dies_where_a_whole_column_fails_and_never_sees_what_lies_beyond():
+    found = trace_grid(region("###. .... ####"))
+    assert found.trace.ending == "no stiffness left"
+    assert found.unseen == 1
+
+
+def test_of_the_papers_size_it_takes_a_tenth_of_the_tests():
+    """REPRODUCTION: some 70 tests in place of 960."""
+    b = np.arange(16)
+    heights = np.rint(22 + 14 * np.sin(np.pi * b / 15)).astype(int)
+    found = trace_grid(np.arange(60) < heights[:, None])
+    assert found.cells == 960
+    assert len(found.trace.tests) < 96
+
+
+def test_the_oracle_is_asked_one_wall_at_a_time():
+    asked = []
+
+    def oracle(b, k):
+        asked.append((b, k))
+        return k <= 1
+
+    found = trace(boundary_search(2, 4, (0, 1)), oracle)
+    assert asked == found.path == [(0, 1), (0, 2), (1, 2), (1, 1)]
+    document = trace_grid(region("##.. ##..")).as_mapping([1.0, 2.0, 3.0, 4.0], [0.0, 5.0])
+    assert document["edge"] == document["grid"] == [[0.0, 2.0], [5.0, 2.0]]

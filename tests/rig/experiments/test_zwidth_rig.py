@@ -1,0 +1,272 @@
+"""A map on a device: recorded hits in place of simulated ones, a person who agrees, and whatever ends a session."""
+
+import json
+from dataclasses import replace
+
+import numba
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from rig import config, devices
+from rig.config import presets
+from rig.config.schemes import Scheme
+from rig.core.errors import ConfigError, GuardError, LinkLostError, PlanError, RigError, StoppedError
+from rig.experiments import zwidth_rig
+from rig.experiments.bench import Bench
+from rig.experiments.ladder import Search
+from rig.experiments.zwidth import TRUE, MapPlan, zwidth
+from rig.experiments.zwidth_rig import Session, cooling_s, zwidth_on_rig
+from rig.recording.reader import open_recording
+
+SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02, "trial.release_s": 0.01}
+OFFSET = 0.25
+
+
+def planned(changes=None, **others):
+    experiment = config.override(presets.load("koul-compliant"), {**SHORT, **(changes or {})})
+    given = {
+        "schemes": (Scheme.parse("dual:5k/1k"),),
+        "dampings": (0.1, 0.4),
+        "search": Search(way="bisection", lowest=20.0, highest=450.0, ratio=4.7),
+        "offsets": (OFFSET,),
+        "judged": "recorded",
+    }
+    return MapPlan(experiment=experiment, **{**given, **others})
+
+
+class Person:
+    """Agrees so many times, and remembers what was asked, told and waited for."""
+
+    def __init__(self, patience=10_000):
+        self.patience = patience
+        self.asked, self.told, self.waited_s = [], [], []
+
+    def session(self, directory, url="sim://", **others):
+        return Session(
+            url=url,
+            recordings=directory / "hits",
+            agrees=self._agrees,
+            tells=lambda asked, done: self.told.append(str(done.kind)),
+            pause=self.waited_s.append,
+            **others,
+        )
+
+    def _agrees(self, asked):
+        self.asked.append(asked)
+        return len(self.asked) <= self.patience
+
+
+def kinds(found, suffix=""):
+    return [(row["damping"], row["stiffness"], row[f"kind{suffix}"]) for row in found.table()]
+
+
+# --- the same map ---------------------------------------------------------------------------------------------
+
+
+def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path):
+    # Within homing's tolerance a hit without bytes starts where its seed says; the device starts where it is.
+    plan = planned(search=Search(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
+    person = Person()
+    start = Bench(plan.experiment).start
+    found = zwidth_on_rig(plan, person.session(tmp_path, f"sim://?initial_position={start!r}"))
+    without_bytes = zwidth(plan)
+    assert kinds(found) == kinds(without_bytes)
+    assert kinds(found, TRUE) == kinds(without_bytes, TRUE)
+    assert [b.stiffness for b in found.boundaries] == [b.stiffness for b in without_bytes.boundaries]
+    assert (
+        len(person.asked)
+        == len(person.told)
+        == found.hits
+        == len(list((tmp_path / "hits").glob("*.parquet")))
+    )
+
+
+def test_a_hand_pushes_there_too(tmp_path):
+    changes = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
+    found = zwidth_on_rig(planned(changes, dampings=(0.2,)), Person().session(tmp_path))
+    assert found.hits == len(list((tmp_path / "hits").glob("*.parquet"))) > 1
+    assert 50.0 < found.curve(0, "any")[0].stiffness < 500.0
+
+
+# --- a person ---------------------------------------------------------------------------------------------------
+
+
+def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path):
+    person = Person()
+    zwidth_on_rig(planned(), person.session(tmp_path))
+    first, second = person.asked[:2]
+    assert first.scheme == "dual 5/1 kHz, fdm-butterworth 100 Hz"
+    assert (first.stiffness, first.damping, first.number, first.climb, first.climbs) == (20.0, 0.1, 1, 1, 2)
+    assert second.number == 2
+    assert {asked.damping for asked in person.asked} == {0.1, 0.4}
+
+
+def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path):
+    journal = tmp_path / "journal"
+    whole = Person()
+    uninterrupted = zwidth_on_rig(planned(), whole.session(tmp_path / "a"))
+    of_first_climb = sum(asked.climb == 1 for asked in whole.asked)
+
+    person = Person(patience=of_first_climb + 1)
+    with pytest.raises(
+        StoppedError, match=r"1 of 2 climbs are done and kept in .*journal.*goes on from there"
+    ):
+        zwidth_on_rig(planned(), person.session(tmp_path / "b"), journal=journal)
+    assert len(person.told) == of_first_climb + 1, "nothing moves once somebody has declined"
+
+    again = Person()
+    found = zwidth_on_rig(planned(), again.session(tmp_path / "b"), journal=journal)
+    assert again.asked[0].climb == 2
+    assert kinds(found) == kinds(uninterrupted)
+
+
+def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path):
+    def interrupted(asked):
+        raise KeyboardInterrupt
+
+    session = replace(Person().session(tmp_path), agrees=interrupted)
+    with pytest.raises(StoppedError, match="0 of 2 climbs are done"):
+        zwidth_on_rig(planned(), session)
+
+
+# --- hits that end otherwise ----------------------------------------------------------------------------------------
+
+
+def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_path):
+    narrow = {"rig.limits.position_minimum": -0.02, "rig.limits.position_maximum": 0.05, "trial.effort": 0.3}
+    rungs = Search(lowest=38.0, highest=80.0, ratio=1.9)
+    plan = planned(narrow, schemes=(Scheme.parse("uniform:1k"),), dampings=(0.0, 0.01), search=rungs)
+    person = Person()
+    found = zwidth_on_rig(plan, person.session(tmp_path))
+    recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
+    reasons = [recording.trailer["reason"] for recording in recordings]
+    assert "out_of_window" in reasons or "device_fault" in reasons
+    assert found.hits == len(person.asked) == 2
+    assert [(row["kind"], row["passes_felt"]) for row in found.table()] == [("unstable", False)] * 2
+    assert kinds(found) == kinds(zwidth(plan))
+
+
+def test_a_guard_that_trips_before_the_wall_ends_the_session(tmp_path, monkeypatch):
+    def tripped(request):
+        raise GuardError("the start was not reached in time")
+
+    monkeypatch.setattr(zwidth_rig, "hit", tripped)
+    with pytest.raises(GuardError, match="the start was not reached"):
+        zwidth_on_rig(planned(), Person().session(tmp_path))
+
+
+def test_a_lost_link_ends_the_session(tmp_path, monkeypatch):
+    def lost(request):
+        raise LinkLostError("gone")
+
+    monkeypatch.setattr(zwidth_rig, "hit", lost)
+    with pytest.raises(LinkLostError):
+        zwidth_on_rig(planned(), Person().session(tmp_path))
+
+
+def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tmp_path):
+    # A slew limit that binds in every hit makes another wall of it.
+    person = Person()
+    rungs = Search(lowest=400.0, highest=420.0, ratio=1.5)
+    plan = planned({"rig.limits.slew": 200.0}, dampings=(0.0,), search=rungs)
+    with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 said nothing.*slew limit bound") as caught:
+        zwidth_on_rig(plan, person.session(tmp_path))
+    assert not isinstance(caught.value, StoppedError)
+    assert [asked.attempt for asked in person.asked] == [1, 2, 3]
+    assert caught.value.recording.exists()
+
+
+# --- the motor's heat ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rms", "nominal", "duration", "rest"),
+    [(0.3, 0.1, 1.0, 8.0), (0.2, 0.1, 2.0, 6.0), (0.1, 0.1, 1.0, 0.0), (0.05, 0.1, 1.0, 0.0)],
+)
+def test_the_mean_heat_over_push_and_rest_is_that_of_the_nominal_effort(rms, nominal, duration, rest):
+    assert cooling_s(rms, nominal, duration) == pytest.approx(rest)
+    if rest:
+        assert rms**2 * duration / (duration + rest) == pytest.approx(nominal**2)
+
+
+def test_nobody_hits_again_before_the_rig_is_calm(tmp_path):
+    person = Person()
+    zwidth_on_rig(planned(dampings=(0.4,)), person.session(tmp_path))
+    assert len(person.waited_s) == len(person.told)
+    assert min(person.waited_s) >= zwidth_rig.CALM_S
+
+
+# --- a real device --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def real_devices(monkeypatch):
+    """Devices that do not say that they are simulated, in virtual time: all that were opened."""
+    open_simulated = devices.open_device
+    opened = []
+
+    def open_device(url, model=None):
+        device = open_simulated("sim://?initial_position=-0.004", model)
+        device._dictionary = replace(device.dictionary, simulated=False)
+        opened.append(device)
+        return device
+
+    monkeypatch.setattr(devices, "open_device", open_device)
+    return opened
+
+
+def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path, real_devices):
+    found = zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig", verified=True))
+    assert len(real_devices) == 1
+    recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
+    assert len(recordings) == found.hits > 3
+    zeros = {recording.header["identity"]["parameters"]["reference_count"] for recording in recordings}
+    assert len(zeros) == 1
+    assert zeros != {0}
+    assert not any(
+        name.endswith(TRUE) for row in found.table() for name in row if not recordings[0].has_truth
+    )
+
+
+def test_a_real_device_that_nobody_vouches_for_is_not_moved(tmp_path, real_devices):
+    with pytest.raises(ConfigError, match="nobody vouches"):
+        zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig"))
+    assert not (tmp_path / "hits").exists()
+
+
+# --- what is refused before anything moves -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("plan", "text"),
+    [
+        ({"judged": "true"}, "--judge recorded"),
+        ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
+        (
+            {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
+            r"scheme uniform:20k.*20000 Hz asked, the device does 8000 Hz at most.*--rate 8000",
+        ),
+        (
+            {"search": Search(lowest=0.1, highest=10.0, ratio=2.0)},
+            r"K from 0.1 to .*peak penetration.*window",
+        ),
+    ],
+)
+def test_what_a_device_cannot_do_is_refused_before_the_first_question(tmp_path, plan, text):
+    person = Person()
+    url = "sim://?position_rate_maximum=8000&position_rate_default=1000"
+    with pytest.raises(PlanError, match=text):
+        zwidth_on_rig(planned(**plan), person.session(tmp_path, url))
+    assert person.asked == []
+    assert not (tmp_path / "hits").exists()
+
+
+def test_a_journal_of_one_device_is_not_gone_on_with_on_another(tmp_path):
+    journal = tmp_path / "journal"
+    plan = planned(dampings=(0.4,))
+    zwidth_on_rig(plan, Person().session(tmp_path), journal=journal)
+    assert json.loads(journal.read_bytes().split(b"\n")[0][9:])["work"] == "sim://"
+    with pytest.raises(ConfigError, match="another plan: work"):
+        zwidth_on_rig(plan, Person().session(tmp_path, "sim://koul-compliant"), journal=journal)

@@ -1,0 +1,1097 @@
+"""The compiled loop against a far end of a few lines: what it takes from the wire, when it ends, what it says last."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import errno
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault
+from firmware_protocol.framing import decode_frame, encode_frame
+from firmware_protocol.packing import pack, unpack
+from rig.config import controller, presets
+from rig.control.laws import Law
+from rig.control.step import SETTLE
+from rig.core.sample import Phase, RowFlag
+from rig.devices.device import LoopPort
+from rig.devices.framed import STOP_FRAMES
+from rig.loop import receive
+from rig.loop.host import run
+from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReason
+from rig.loop.receive import WRAP
+from rig.loop.rows import DRIFT_PPM
+from rig.loop.rows import lateness as row_lateness
+from rig.loop.run import LoopSettings, LoopThread
+from rig.realtime import ring, system
+from rig.realtime.atomics import load_word, store_word, write_word
+from rig.realtime.clock import MonotonicClock, VirtualClock
+from rig.realtime.codec import HEAD, STATE
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import LAW_SIGNATURE, TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+from rig.realtime.ring import Ring
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+from tests.conformance.rigs import rotary_rig
+
+SESSION = 7
+PERIOD_NS = 1_000_000
+WAIT_S = 20.0
+COMPLIANT = presets.load("koul-compliant")
+
+
+def state_frame(index: int, *, session: int = SESSION, sequence: int | None = None, **fields: int) -> bytes:
+    """A STATE: sample `index` of a device that ticks each millisecond and rests at count 0."""
+    time_units = index * 16_000
+    values = {
+        "command_sequence": 0,
+        "command_age": 1,
+        "sample_index": index % WRAP,
+        "device_time": time_units % WRAP,
+        "count": 0,
+        "edge_time": (time_units - 1600) % WRAP,
+        "current_measured": 0,
+        "current_commanded": 0,
+        "limits": 0,
+        "fault": 0,
+        "execution_time": 0,
+        "missed_ticks": 0,
+        "state": int(State.RUNNING),
+        "inputs": 0,
+        "phase": 0,
+        "sync_time": 0,
+        **fields,
+    }
+    raw = pack(m.State(**values), session=session, sequence=(index if sequence is None else sequence) % 65536)
+    return encode_frame(raw)
+
+
+# ---------------------------------------------------------------------- frames: newest_state
+
+
+class Receiver:
+    """`newest_state` with its memory, fed in pieces."""
+
+    def __init__(self) -> None:
+        self.buffers, self.ring = Buffers.allocate(), Ring.allocate(1)
+
+    def feed(self, data: bytes) -> int:
+        """Samples passed by these bytes."""
+        b, p = self.buffers, self.buffers.progress
+        filled = int(p[0]["filled"])
+        assert filled + len(data) <= RECEIVE_BYTES
+        b.received[filled : filled + len(data)] = np.frombuffer(data, np.uint8)
+        p[0]["filled"] = filled + len(data)
+        words = self.ring.words.ctypes.data
+        return int(
+            receive.newest_state(
+                b.received,
+                b.raw,
+                b.header,
+                b.candidate,
+                b.state,
+                b.times,
+                b.exchanges,
+                p,
+                SESSION,
+                62_500,
+                words,
+            )
+        )
+
+    @property
+    def counters(self) -> dict[str, int]:
+        names = ("FRAMES", "BAD_FRAMES", "OTHER_FRAMES", "DUPLICATED", "REORDERED")
+        return {name.lower(): self.ring.get(getattr(ring, name)) for name in names}
+
+    @property
+    def sample_index(self) -> int:
+        return int(self.buffers.progress[0]["sample_index"])
+
+    @property
+    def count(self) -> int:
+        return int(self.buffers.state[STATE.count])
+
+
+def test_of_several_frames_the_newest_is_kept_and_the_others_are_passed():
+    receiver = Receiver()
+    assert receiver.feed(b"".join(state_frame(i, count=10 * i) for i in (5, 6, 7, 8))) == 4
+    assert (receiver.sample_index, receiver.count) == (8, 80)
+    assert receiver.feed(b"") == 0
+    assert receiver.feed(state_frame(9, count=90)) == 1
+
+
+def test_every_frame_that_is_no_news_has_its_counter():
+    receiver = Receiver()
+    receiver.feed(state_frame(5, count=50))
+    damaged = bytearray(state_frame(6))
+    damaged[9] ^= 0x40
+    identity = encode_frame(pack(m.Time(1, 2, 3, 4)))
+    foreign = encode_frame(bytes([m.MAJOR + 1]) + decode_frame(state_frame(6)[:-1])[1:])
+    assert receiver.feed(bytes(damaged)) == 0
+    assert receiver.feed(state_frame(5)) == 0
+    assert receiver.feed(state_frame(4)) == 0
+    assert receiver.feed(state_frame(6, session=SESSION + 1)) == 0
+    assert receiver.feed(identity + foreign) == 0
+    assert receiver.counters == {
+        "frames": 6,
+        "bad_frames": 1,
+        "other_frames": 3,
+        "duplicated": 1,
+        "reordered": 1,
+    }
+    assert (receiver.sample_index, receiver.count) == (5, 50)
+    assert receiver.feed(state_frame(7)) == 2, "what was lost or damaged is passed too"
+
+
+def test_delimiters_alone_are_no_frames():
+    receiver = Receiver()
+    assert receiver.feed(b"\0\0\0" + state_frame(1) + b"\0\0") == 1
+    assert receiver.counters["bad_frames"] == 0
+
+
+def test_the_sample_index_and_the_devices_clock_go_on_when_their_32_bits_are_full():
+    receiver = Receiver()
+    start = WRAP - 2
+    receiver.feed(state_frame(start))
+    assert receiver.feed(state_frame(start + 1) + state_frame(start + 2)) == 2
+    assert receiver.feed(state_frame(start + 5)) == 3
+    assert receiver.sample_index == start + 5
+    ticks = start * 16_000 % WRAP
+    assert int(receiver.buffers.progress[0]["device_time"]) == ticks + 5 * 16_000
+    assert receiver.feed(state_frame(start)) == 0
+    assert receiver.counters["reordered"] == 1
+
+
+def test_the_devices_clock_wraps_within_a_run_of_five_minutes():
+    """32 bits of 1/16 µs are 268 s."""
+    receiver = Receiver()
+    for index in range(0, 600_000, 5_000):
+        receiver.feed(state_frame(index))
+    assert int(receiver.buffers.progress[0]["device_time"]) == 595_000 * 16_000
+
+
+def test_noise_without_a_delimiter_is_bounded_and_the_next_frame_is_heard():
+    receiver = Receiver()
+    noise = b"\x55" * 700
+    for _ in range(20):
+        receiver.feed(noise)
+        assert receiver.buffers.progress[0]["filled"] <= RECEIVE_BYTES // 2
+    assert receiver.counters["frames"] == 0
+    assert receiver.counters["bad_frames"] >= 5
+    receiver.feed(b"\0")
+    assert receiver.feed(state_frame(3)) == 1
+
+
+PIECES = st.lists(
+    st.one_of(
+        st.integers(0, 40).map(state_frame),
+        st.integers(0, 40).map(lambda i: state_frame(i, session=3)),
+        st.binary(max_size=20),
+        st.integers(0, 40).map(lambda i: state_frame(i)[: 5 + i]),
+        st.just(encode_frame(pack(m.Time(1, 2, 3, 4)))),
+    ),
+    max_size=30,
+)
+
+
+@given(pieces=PIECES, cuts=st.lists(st.integers(1, 60), min_size=1, max_size=50))
+def test_frames_may_be_cut_anywhere(pieces, cuts):
+    """Whole, byte by byte or in any pieces: the same samples, the same counters."""
+    stream = b"".join(pieces)
+    whole, chunked, single = Receiver(), Receiver(), Receiver()
+    passed = whole.feed(stream)
+    seen = 0
+    at = turn = 0
+    while at < len(stream):
+        size = cuts[turn % len(cuts)]
+        seen += chunked.feed(stream[at : at + size])
+        at += size
+        turn += 1
+    assert seen == passed == sum(single.feed(bytes([byte])) for byte in stream)
+    for other in (chunked, single):
+        assert other.counters == whole.counters
+        assert (other.sample_index, other.buffers.state.tolist()) == (
+            whole.sample_index,
+            whole.buffers.state.tolist(),
+        )
+
+
+@given(indices=st.lists(st.integers(0, 30), min_size=1, max_size=40))
+def test_one_at_a_time_exactly_the_rising_indices_are_taken(indices):
+    receiver = Receiver()
+    newest = None
+    for index in indices:
+        passed = receiver.feed(state_frame(index, count=index))
+        expected = 1 if newest is None else max(0, index - newest)
+        assert passed == expected
+        newest = index if newest is None else max(newest, index)
+        assert receiver.sample_index == receiver.count == newest
+
+
+# ---------------------------------------------------------------------- lateness
+
+
+def lateness(
+    receipts_ns: list[int], indices: list[int] | None = None, period_ns: int = PERIOD_NS
+) -> list[int]:
+    settings = LoopSettings(
+        period_ns=period_ns, session=1, lifetime_us=1, lost_after_ns=1, device_tick_ps=62_500,
+        current_quantum_a=1.0, wait_for_room=False,
+    ).as_array()  # fmt: skip
+    progress = np.zeros(1, PROGRESS)
+    late = []
+    for number, receipt in enumerate(receipts_ns):
+        progress[0]["sample_index"] = number if indices is None else indices[number]
+        if number == 0:
+            progress[0]["earliest"] = receipt - progress[0]["sample_index"] * period_ns
+        late.append(int(row_lateness(settings, progress, receipt)))
+    return late
+
+
+def test_on_the_grid_nothing_is_late_and_one_late_receipt_does_not_move_the_grid():
+    on_grid = [1_000 + PERIOD_NS * k for k in range(100)]
+    assert lateness(on_grid) == [0] * 100
+    late = list(on_grid)
+    late[50] += 700_000
+    result = lateness(late)
+    assert 699_000 <= result[50] <= 700_000
+    assert result[51:] == [0] * 49
+
+
+def test_an_earlier_receipt_makes_the_grid_earlier():
+    """The first receipt may itself be late: from the first better one on, lateness counts from there."""
+    receipts = [300_000 + PERIOD_NS * k for k in range(5)] + [PERIOD_NS * k for k in range(5, 8)]
+    receipts.append(8 * PERIOD_NS + 100_000)
+    result = lateness(receipts)
+    assert result[:8] == [0] * 8
+    assert 99_000 <= result[8] <= 100_000
+
+
+def test_gaps_are_not_lateness():
+    indices = [0, 1, 2, 30, 31]
+    assert lateness([PERIOD_NS * i for i in indices], indices) == [0] * 5
+
+
+@pytest.mark.parametrize(("ppm", "late"), [(50, False), (90, False), (-90, False), (1000, True)])
+def test_two_ordinary_crystals_may_differ_and_a_slow_host_may_not(ppm, late):
+    """100 s at 1 kHz; the host's clock runs fast or slow against the device's by some parts in a million."""
+    assert DRIFT_PPM == 100
+    result = lateness([round(PERIOD_NS * k * (1 + ppm * 1e-6)) for k in range(100_000)])
+    assert (max(result) > PERIOD_NS) is late
+    assert min(result) >= 0
+
+
+@given(st.lists(st.integers(0, 3_000_000), min_size=1, max_size=50))
+def test_lateness_is_never_negative_nor_more_than_the_delay(delays):
+    result = lateness([PERIOD_NS * k + delay for k, delay in enumerate(delays)])
+    assert all(0 <= late <= delay for late, delay in zip(result, delays, strict=True))
+
+
+# ---------------------------------------------------------------------- whole runs in virtual time
+
+
+class Script:
+    """A far end that says given bytes at given times, or breaks, and keeps what it hears.
+
+    `script` has (time in ns, what): bytes to hear, a negative errno, or a function to call.
+    """
+
+    def __init__(self, *script):
+        self.clock = VirtualClock(0)
+        self.events = sorted(script, key=lambda event: event[0])
+        self.arrived = b""
+        self.heard = []
+        self.error = 0
+        self.write_error = 0
+        self.room = 1 << 30  # bytes that a write takes
+
+    def _wait(self, handle, deadline_ns):
+        if self.error or self.arrived:
+            return self.error or 1
+        if not self.events or self.events[0][0] > deadline_ns:
+            self.clock.sleep_until(deadline_ns)
+            return 0
+        at, what = self.events.pop(0)
+        self.clock.sleep_until(at)
+        if callable(what):
+            what()
+            return 0
+        if isinstance(what, int):
+            self.error = what
+            return what
+        self.arrived += what
+        return 1
+
+    def _read(self, handle, address, size):
+        data, self.arrived = self.arrived[:size], self.arrived[size:]
+        ctypes.memmove(address, data, len(data))
+        return len(data)
+
+    def _write(self, handle, address, size):
+        assert size > 0
+        if self.write_error:
+            return self.write_error
+        self.heard.append((self.clock.now_ns(), ctypes.string_at(address, size)))
+        return min(size, self.room)
+
+    def port(self):
+        transfer, wait = (ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * n) for n in (3, 2))
+
+        def native(kind, function, signature):
+            callback = kind(function)
+            return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value, signature, keep=callback)
+
+        return LoopPort.on(
+            self.clock,
+            read=native(transfer, self._read, TRANSFER_SIGNATURE),
+            write=native(transfer, self._write, TRANSFER_SIGNATURE),
+            wait=native(wait, self._wait, WAIT_SIGNATURE),
+            handle=0,
+        )
+
+    def failure(self):
+        return None
+
+    def commands(self):
+        """What was heard: (header, message)."""
+        return [unpack(decode_frame(frame[:-1])) for _, frame in self.heard]
+
+
+def at_rest(law=None, **control):
+    """A controller that homes where the handle is, and pushes for ever unless told otherwise."""
+    made = controller.for_experiment(COMPLIANT, current_quantum_a=0.001, law=law)
+    wanted = {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40, "release_ticks": 1, **control}
+    for name, value in wanted.items():
+        made.control[name] = value
+    return made
+
+
+def settings(**changes):
+    values = {
+        "period_ns": PERIOD_NS,
+        "session": SESSION,
+        "lifetime_us": 5_000,
+        "lost_after_ns": 50 * PERIOD_NS,
+        "device_tick_ps": 62_500,
+        "current_quantum_a": 0.001,
+        "wait_for_room": False,
+    }
+    return LoopSettings(**{**values, **changes})
+
+
+def ran(link, bundle=None, *, memory=None, **changes):
+    """Run the loop to its end."""
+    memory = memory or Ring.allocate(4096)
+    thread = LoopThread(link, bundle or at_rest(), settings(**changes), memory)
+    thread.start()
+    thread._thread.join(WAIT_S)  # in a thread of its own: it blocks all signals there
+    assert thread._ended.is_set()
+    return thread, thread.end()
+
+
+def ticks(first, last, **fields):
+    return [(PERIOD_NS * k, state_frame(k, **fields)) for k in range(first, last)]
+
+
+def assert_ends_with_stops(link):
+    """The last commands that the device hears are STOPs with zero current."""
+    last = link.commands()[-STOP_FRAMES:]
+    assert len(last) == STOP_FRAMES
+    for header, command in last:
+        assert (command.mode, command.current) == (m.Mode.STOP, 0)
+        assert header.session == SESSION
+
+
+def test_each_fresh_state_is_answered_once_by_a_command_that_names_it():
+    link = Script(*ticks(1, 30))
+    thread, end = ran(link)
+    assert end.reason == EndReason.LINK_SILENT
+    answers = [command for _, command in link.commands() if command.mode == m.Mode.CURRENT]
+    assert [answer.state_sequence for answer in answers] == list(range(1, 30))
+    assert {answer.lifetime_us for answer in answers} == {5_000}
+    assert [header.sequence for header, _ in link.commands()] == list(range(29 + STOP_FRAMES))
+    rows = thread.ring.rows[:29]
+    assert rows["sample_index"].tolist() == list(range(1, 30))
+    assert rows["current_sent"].tolist() == [answer.current for answer in answers]
+    assert (np.diff(rows["device_time"]) == 1_000_000).all()
+    assert (rows["edge_age"] == 100_000).all()
+    assert (end.counters["ticks"], end.counters["commands"]) == (29, 29)
+    assert_ends_with_stops(link)
+
+
+def test_a_silent_link_ends_the_run_after_the_agreed_time():
+    link = Script(*ticks(1, 10))
+    _, end = ran(link, lost_after_ns=20 * PERIOD_NS)
+    assert end.reason == EndReason.LINK_SILENT
+    assert 29 * PERIOD_NS <= link.clock.now_ns() <= 31 * PERIOD_NS
+    assert_ends_with_stops(link)
+
+
+def test_a_device_that_never_says_anything_is_silent_too():
+    link = Script()
+    thread, end = ran(link)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_SILENT, 0)
+    assert thread.handover() is None
+    assert_ends_with_stops(link)
+
+
+def test_noise_and_strangers_do_not_keep_a_silent_device_alive():
+    noise = [(PERIOD_NS * k, bytes([k % 255 + 1]) * 300) for k in range(10, 500)]
+    strangers = [(PERIOD_NS * k, state_frame(k, session=3)) for k in range(10, 500)]
+    link = Script(*ticks(1, 10), *noise, *strangers)
+    _, end = ran(link, lost_after_ns=20 * PERIOD_NS)
+    assert end.reason == EndReason.LINK_SILENT
+    assert link.clock.now_ns() <= 32 * PERIOD_NS
+
+
+def test_a_broken_link_ends_the_run_with_its_error_number():
+    link = Script(*ticks(1, 10), (10 * PERIOD_NS, -errno.EIO))
+    _, end = ran(link)
+    assert (end.reason, end.counters["errno"]) == (EndReason.LINK_CLOSED, errno.EIO)
+    assert end.counters["ticks"] == 9
+
+
+def test_a_link_that_only_reads_badly_still_carries_the_stop():
+    link = Script(*ticks(1, 10), (10 * PERIOD_NS, -errno.EIO))
+    ran(link)
+    assert_ends_with_stops(link)
+
+
+def test_a_link_that_does_not_take_the_command_is_closed():
+    link = Script(*ticks(1, 10))
+    link.write_error = -errno.EPIPE
+    thread, end = ran(link)
+    assert (end.reason, end.counters["errno"], end.counters["ticks"]) == (
+        EndReason.LINK_CLOSED,
+        errno.EPIPE,
+        1,
+    )
+    assert end.counters["unsent"] == 1
+    assert thread.ring.get(ring.HEAD) == 1, "the tick is recorded all the same"
+
+
+def test_a_full_line_is_counted_and_survived():
+    link = Script(*ticks(1, 10))
+    link.room = 5
+    _, end = ran(link)
+    assert end.reason == EndReason.LINK_SILENT
+    assert (end.counters["unsent"], end.counters["commands"]) == (9, 0)
+
+
+def test_a_command_that_does_not_fit_the_wire_is_not_sent():
+    """Whatever the settings say, no byte beyond a frame leaves (`Script._write` would object)."""
+    link = Script(*ticks(1, 5))
+    _, end = ran(link, lifetime_us=1 << 40)
+    assert end.counters["unsent"] == 4
+    assert link.heard == []
+
+
+def test_the_last_state_before_the_link_broke_is_still_answered():
+    link = Script(*ticks(1, 10))
+    link.events.append((10 * PERIOD_NS, lambda: None))
+    link.events.append((10 * PERIOD_NS, state_frame(10)))
+    link.events.append((10 * PERIOD_NS, -errno.ENODEV))
+    _, end = ran(link)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_CLOSED, 10)
+
+
+def test_the_stop_word_stops_within_one_period():
+    memory = Ring.allocate(4096)
+    link = Script(*ticks(1, 100), (20 * PERIOD_NS + 1, lambda: memory.put(ring.STOP, 1)))
+    _, end = ran(link, memory=memory)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.STOPPED, 20)
+    assert link.clock.now_ns() <= 21 * PERIOD_NS + 1
+    assert_ends_with_stops(link)
+
+
+def test_a_stop_before_the_start_steps_no_law():
+    memory = Ring.allocate(4096)
+    memory.put(ring.STOP, 1)
+    link = Script(*ticks(1, 100))
+    _, end = ran(link, memory=memory)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.STOPPED, 0)
+    assert_ends_with_stops(link)
+
+
+def test_a_supervisor_that_falls_silent_ends_the_run():
+    memory = Ring.allocate(4096)
+    memory.put(ring.HEARTBEAT, 10 * PERIOD_NS)
+    alive = [
+        (PERIOD_NS * k + 1, lambda k=k: memory.put(ring.HEARTBEAT, PERIOD_NS * (k + 10)))
+        for k in range(1, 20)
+    ]
+    link = Script(*ticks(1, 100), *alive)
+    _, end = ran(link, memory=memory)
+    assert end.reason == EndReason.HEARTBEAT_MISSED
+    assert 29 * PERIOD_NS <= link.clock.now_ns() <= 31 * PERIOD_NS
+    assert_ends_with_stops(link)
+
+
+@pytest.mark.parametrize("fields", [{"fault": int(Fault.ENCODER)}, {"state": int(State.FAULT)}])
+def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_tells_it(fields):
+    link = Script(*ticks(1, 10), *ticks(10, 20, **fields))
+    thread, end = ran(link)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.DEVICE_FAULT, 10)
+    assert thread.ring.rows[9]["current_sent"] == 0
+    assert thread.handover()["newest_state"] == 10
+    assert_ends_with_stops(link)
+
+
+def test_the_end_of_the_trial_is_the_end_of_the_run():
+    link = Script(*ticks(1, 100))
+    thread, end = ran(link, at_rest(trial_ticks=10, release_ticks=3))
+    assert end.reason == EndReason.FINISHED
+    phases = thread.ring.rows["phase"][: end.counters["ticks"]]
+    assert (phases == Phase.TRIAL).sum() == 10
+    assert phases[-1] == Phase.DONE
+    assert_ends_with_stops(link)
+
+
+def test_leaving_the_window_or_an_unreachable_start_end_with_zero():
+    link = Script(*ticks(1, 10), *ticks(10, 20, count=1_000_000))
+    _, end = ran(link)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.OUT_OF_WINDOW, 10)
+    assert_ends_with_stops(link)
+    link = Script(*ticks(1, 100))
+    thread, end = ran(link, at_rest(home_target=-0.01, home_timeout_ticks=30))
+    assert (end.reason, end.counters["ticks"]) == (EndReason.HOMING_FAILED, 32)
+    assert thread.ring.rows[31]["flags"] & RowFlag.HOMING_FAILED
+    assert_ends_with_stops(link)
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    return np.nan if state[1] > 3.0 else 0.0
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def raises(penetration, velocity, elapsed_ticks, state, parameters):
+    state[1] += 1.0
+    if state[1] > 3.0:
+        raise ValueError("too deep for me")
+    return 0.0
+
+
+def test_a_law_that_is_not_finite_ends_with_zero():
+    link = Script(*ticks(1, 100))
+    thread, end = ran(link, at_rest(Law("nan", "for this test", gives_nan, 2, lambda wall: [])))
+    assert end.reason == EndReason.NONFINITE
+    row = thread.ring.rows[end.counters["ticks"] - 1]
+    assert (row["current_sent"], row["effort_sent"]) == (0, 0.0)
+    assert np.isnan(row["effort_wanted"])
+    assert_ends_with_stops(link)
+
+
+def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over():
+    link = Script(*ticks(1, 100))
+    thread, end = ran(link, at_rest(Law("raises", "for this test", raises, 2, lambda wall: [])))
+    assert end.reason == EndReason.LAW_RAISED
+    assert "too deep" in str(end.error)
+    assert thread.ring.get(ring.LOOP_DONE) == 1
+    streams = thread.handover()
+    assert streams["next_command"] == len(link.heard)
+    assert streams["state"] == State.RUNNING
+
+
+# ---------------------------------------------------------------------- gaps and the ring
+
+
+def test_what_was_skipped_is_one_gap_that_the_law_is_told():
+    frames = [state_frame(k) for k in range(1, 8)]
+    link = Script((PERIOD_NS, frames[0]), (7 * PERIOD_NS, b"".join(frames[1:])), *ticks(8, 12))
+    thread, end = ran(link)
+    rows = thread.ring.rows[:6]
+    assert rows["elapsed_ticks"].tolist() == [1, 6, 1, 1, 1, 1]
+    assert rows["sample_index"].tolist() == [1, 7, 8, 9, 10, 11]
+    assert ((rows["flags"] & int(RowFlag.GAP)) != 0).tolist() == [False, True, False, False, False, False]
+    assert (end.counters["skipped"], end.counters["lost"]) == (5, 0)
+    assert thread._controller.memory[0]["index"] == 10
+
+
+def test_samples_that_never_came_are_told_from_those_that_came_too_late():
+    """Of 3 … 7 the law sees the last; 3 and 5 were lost on the way, 4 and 6 waited in the line behind 7."""
+    late = b"".join(state_frame(k) for k in (4, 6, 7))
+    link = Script(*ticks(1, 3), (7 * PERIOD_NS, late), *ticks(8, 10))
+    thread, end = ran(link)
+    assert thread.ring.rows["elapsed_ticks"][:5].tolist() == [1, 1, 5, 1, 1]
+    assert (end.counters["skipped"], end.counters["lost"]) == (2, 2)
+
+
+def test_what_was_said_before_the_loop_began_is_no_gap():
+    link = Script((PERIOD_NS, b"".join(state_frame(k) for k in range(1, 6))), *ticks(6, 9))
+    thread, end = ran(link)
+    assert thread.ring.rows["elapsed_ticks"][:4].tolist() == [1, 1, 1, 1]
+    assert end.counters["lost"] == 0
+
+
+def test_lateness_beyond_a_period_is_flagged_and_counted():
+    events = ticks(1, 40)
+    events[20] = (events[20][0] + 1_500_000, events[20][1])
+    events[21] = (events[21][0] + 500_001, events[21][1])
+    link = Script(*events)
+    thread, end = ran(link)
+    late = thread.ring.rows["lateness"][:39]
+    assert 1_490_000 <= late[20] <= 1_500_000
+    assert ((thread.ring.rows["flags"][:39] & int(RowFlag.LATE)) != 0).nonzero()[0].tolist() == [20]
+    assert end.counters["late"] == 1
+
+
+def test_in_real_time_a_full_ring_drops_rows_and_counts_them():
+    memory = Ring.allocate(8)
+    link = Script(*ticks(1, 30))
+    _, end = ran(link, memory=memory)
+    assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
+    assert memory.get(ring.HEAD) == 8
+    assert memory.rows["tick"].tolist() == list(range(8))
+
+
+def test_in_virtual_time_the_loop_waits_for_the_recorder():
+    memory = Ring.allocate(8)
+    seen = []
+
+    def recorder():
+        tail = 0
+        deadline = time.monotonic() + WAIT_S
+        while not memory.get(ring.LOOP_DONE) and time.monotonic() < deadline:
+            head = memory.get(ring.HEAD)
+            assert head - tail <= 8
+            seen.extend(memory.rows["tick"][[k % 8 for k in range(tail, head)]].tolist())
+            tail = head
+            memory.put(ring.TAIL, tail)
+            time.sleep(0.001)
+        seen.extend(memory.rows["tick"][[k % 8 for k in range(tail, memory.get(ring.HEAD))]].tolist())
+
+    thread = threading.Thread(target=recorder)
+    thread.start()
+    _, end = ran(Script(*ticks(1, 100)), memory=memory, wait_for_room=True)
+    thread.join(WAIT_S)
+    assert end.counters["rows_dropped"] == 0
+    assert seen == list(range(99))
+
+
+def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for():
+    memory = Ring.allocate(8)
+    memory.put(ring.RECORDER_ERROR, errno.ENOSPC)
+    _, end = ran(Script(*ticks(1, 30)), memory=memory, wait_for_room=True)
+    assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
+
+
+# ---------------------------------------------------------------------- the host's own beat
+
+
+def test_a_host_paced_loop_wakes_on_its_own_grid_and_takes_the_newest_sample():
+    """Samples come 0.3 ms after the grid: each tick sees the one before it, 0.7 ms old."""
+    link = Script(*((at + 300_000, frame) for at, frame in ticks(0, 30)))
+    thread, end = ran(link, host_paced=True)
+    seen = thread.ring.rows[: end.counters["ticks"]]
+    assert seen["sample_index"].tolist() == list(range(30))
+    assert (seen["received_at"] % PERIOD_NS == 0).all()
+    assert (seen["lateness"] == 0).all()
+    assert end.reason == EndReason.LINK_SILENT
+    assert (end.counters["overruns"], end.counters["skipped"], end.counters["lost"]) == (0, 0, 0)
+    assert end.counters["stale"] == 50, "the ticks after the last sample, until the silence was too long"
+    assert_ends_with_stops(link)
+
+
+def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing():
+    slow = [(2 * PERIOD_NS * k + 1, state_frame(k)) for k in range(10)]
+    link = Script(*slow)
+    thread, end = ran(link, host_paced=True, lost_after_ns=5 * PERIOD_NS)
+    assert end.counters["ticks"] == end.counters["commands"] == 10
+    assert end.counters["stale"] == 9 + 5, "between the samples, and until the silence was too long"
+    assert thread.ring.rows["elapsed_ticks"][:10].tolist() == [1] * 10
+
+
+def busy(link, duration_ns):
+    """The host does something else meanwhile."""
+    return lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns)
+
+
+def delayed(duration_ns):
+    """Thirty samples; the host is away for a while after the tenth tick."""
+    link = Script()
+    link.events = sorted(
+        [*((at + 1, frame) for at, frame in ticks(0, 30)), (9 * PERIOD_NS + 2, None)],
+        key=lambda event: event[0],
+    )
+    link.events = [(at, busy(link, duration_ns) if what is None else what) for at, what in link.events]
+    return link
+
+
+def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for():
+    link = delayed(4_500_000)
+    thread, end = ran(link, host_paced=True)
+    seen = thread.ring.rows[: end.counters["ticks"]]
+    assert end.counters["overruns"] == 3
+    assert np.diff(seen["received_at"]).max() <= 6 * PERIOD_NS
+    assert (seen["received_at"] % PERIOD_NS <= 500_002).all(), "the grid is where it was"
+    assert np.diff(seen["received_at"]).min() > 0
+    assert end.counters["skipped"] + end.counters["lost"] == 29 - (len(seen) - 1)
+
+
+@pytest.mark.parametrize("host_paced", [False, True])
+def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_paced):
+    late = Script(*ticks(1, 20), (22 * PERIOD_NS, state_frame(20)), *ticks(22, 40))
+    link = delayed(2_500_000) if host_paced else late
+    thread, end = ran(link, host_paced=host_paced, stop_when_late=True)
+    assert end.reason == EndReason.OVERRUN
+    assert end.counters["late"] == 1
+    last = thread.ring.rows[end.counters["ticks"] - 1]
+    assert last["flags"] & RowFlag.LATE
+    assert (last["current_sent"], last["effort_sent"]) == (0, 0.0)
+    assert_ends_with_stops(link)
+
+
+def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_not():
+    """It comes back to two samples: the older one waited for 1.5 periods and is never answered."""
+    both = (11 * PERIOD_NS + PERIOD_NS // 2, state_frame(10) + state_frame(11))
+    link = Script(*ticks(1, 10), both, *ticks(12, 20))
+    thread, end = ran(link, stop_when_late=True)
+    assert end.reason == EndReason.OVERRUN
+    assert (end.counters["late"], end.counters["skipped"]) == (0, 1)
+    assert thread.ring.rows["current_sent"][end.counters["ticks"] - 1] == 0
+    assert_ends_with_stops(link)
+
+
+def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire):
+    memory = Ring.allocate(4096)
+    changes = {"host_paced": True, "spin_ns": 100_000, "lost_after_ns": 5_000_000_000}
+    thread = LoopThread(wire, at_rest(), settings(**changes), memory)
+    thread.start()
+    for k in range(1, 40):
+        os.write(wire.theirs.fileno(), state_frame(k))
+        time.sleep(0.001)
+    until(lambda: memory.get(ring.TICKS) > 0)
+    thread.finish()
+    end = thread.end()
+    assert end.reason == EndReason.STOPPED
+    seen = memory.rows[: end.counters["ticks"]]
+    assert (seen["lateness"] >= 0).all(), "never early"
+    beat = (seen["received_at"] - seen["lateness"]) % PERIOD_NS
+    assert np.ptp(beat) < 500_000, "all on one grid, but for what passes between waking and reading"
+
+
+# ---------------------------------------------------------------------- signals
+
+
+def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire):
+    """The interpreter's C handler writes the number of a signal to a descriptor; nobody needs the GIL."""
+    reader, writer = os.pipe2(os.O_NONBLOCK)
+    memory = Ring.allocate(4096)
+    thread = LoopThread(
+        wire, at_rest(), settings(lost_after_ns=60_000_000_000, wake_descriptor=reader), memory
+    )
+    thread.start()
+    try:
+        os.write(writer, bytes([signal.SIGCHLD, signal.SIGWINCH]))
+        wire.theirs.send(state_frame(1))
+        until(lambda: memory.get(ring.TICKS) == 1)
+        assert memory.get(ring.STOP) == 0
+        os.write(writer, bytes([signal.SIGCHLD, signal.SIGTERM]))
+        thread.wait()
+    finally:
+        thread.finish()
+        os.close(reader)
+        os.close(writer)
+    assert thread.end().reason == EndReason.STOPPED
+    assert memory.get(ring.STOP) == 1
+
+
+# ---------------------------------------------------------------------- clocks compared
+
+
+class Answering(Script):
+    """A far end that also answers GET_TIME, `delay` later, on a clock of its own."""
+
+    offset_units = 1_000_000
+    delay_ns = 200_000
+
+    def _write(self, handle, address, size):
+        taken = super()._write(handle, address, size)
+        header, message = unpack(decode_frame(self.heard[-1][1][:-1]))
+        if isinstance(message, m.GetTime):
+            received = self.clock.now_ns() * 16 // 1000 + self.offset_units
+            answer = m.Time(message.nonce, message.host_sent, received, received + 16)
+            at = self.clock.now_ns() + self.delay_ns
+            self.events.append((at, encode_frame(pack(answer, session=header.session))))
+            self.events.sort(key=lambda event: event[0])
+        return taken
+
+
+def test_clocks_are_compared_on_the_way_with_four_stamps():
+    link = Answering(*((at + 500_000, frame) for at, frame in ticks(1, 100)))
+    thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
+    exchanges = thread.exchanges()
+    assert end.counters["exchanges"] == len(exchanges) >= 9
+    assert (exchanges[:, 3] - exchanges[:, 0] == 200_000).all()
+    offset_ns = link.offset_units * 62_500 // 1000
+    assert (np.abs(exchanges[:, 1] - exchanges[:, 0] - offset_ns) <= 63).all()
+    assert (exchanges[:, 2] - exchanges[:, 1] == 1000).all()
+    questions = [message for _, message in link.commands() if isinstance(message, m.GetTime)]
+    assert [question.nonce for question in questions] == list(range(1, len(questions) + 1))
+    assert thread.handover()["nonce"] == len(questions)
+    assert end.counters["other_frames"] == 0
+
+
+def test_an_answer_that_comes_too_late_or_twice_is_no_exchange():
+    link = Answering(*ticks(1, 60))
+    link.delay_ns = 15 * PERIOD_NS
+    thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
+    questions = [message for _, message in link.commands() if isinstance(message, m.GetTime)]
+    assert end.counters["other_frames"] == len(questions) - 1 > 3
+    assert thread.exchanges()[:, 0].tolist() == [questions[-1].host_sent], "nothing was asked after this one"
+
+
+# ---------------------------------------------------------------------- parameters on the way
+
+
+def rows_of(thread):
+    return thread.ring.rows[: thread.ring.get(ring.TICKS)]
+
+
+def new_wall(bundle, *, position, stiffness):
+    values = np.concatenate([[position], bundle.law.parameters])
+    values[1] = stiffness
+    return values
+
+
+def test_parameters_come_in_force_between_two_ticks_and_only_in_free_space():
+    """Pressed into the wall until tick 20: the new wall waits, and the newest of two is taken."""
+    bundle = at_rest()
+    memory = Ring.allocate(4096)
+    soft, hard = new_wall(bundle, position=0.0, stiffness=1.0), new_wall(bundle, position=0.0, stiffness=2.0)
+    link = Script(
+        *ticks(1, 20, count=3),
+        *ticks(20, 30, count=-3),
+        *ticks(30, 40, count=3),
+        (5 * PERIOD_NS + 1, lambda: memory.post(soft)),
+        (7 * PERIOD_NS + 1, lambda: memory.post(hard)),
+    )
+    thread, end = ran(link, bundle, memory=memory)
+    seen = rows_of(thread)
+    assert seen["parameter_set"].tolist() == [0] * 19 + [2] * 20
+    stiffness = seen["effort_wall"] / -np.where(seen["penetration"] > 0.0, seen["penetration"], np.nan)
+    assert np.isnan(stiffness[19:29]).all()
+    assert end.counters["parameter_set"] == memory.get(ring.PARAMETER_SET) == 2
+    (kept,) = thread.parameter_sets()
+    assert (kept["number"], kept["tick"], kept["wall_position"]) == (2, 19, 0.0)
+    assert kept["parameters"] == hard[1:].tolist()
+
+
+def test_a_wall_never_appears_around_the_handle():
+    """The handle rests at −3 counts: a wall that would begin below it waits, whatever its stiffness."""
+    bundle = at_rest()
+    memory = Ring.allocate(4096)
+    below = -10 * float(bundle.control["resolution"][0])
+    link = Script(
+        *ticks(1, 20, count=-3),
+        (5 * PERIOD_NS + 1, lambda: memory.post(new_wall(bundle, position=below, stiffness=9.0))),
+    )
+    thread, _ = ran(link, bundle, memory=memory)
+    assert (rows_of(thread)["parameter_set"] == 0).all()
+    assert thread.parameter_sets() == []
+    assert thread._buffers.progress[0]["waiting_set"] == 1
+
+
+# ---------------------------------------------------------------------- one text for every link
+
+
+class Socket:
+    """A link over a descriptor in real time."""
+
+    def __init__(self):
+        ours, theirs = socket.socketpair()
+        ours.setblocking(False)
+        self.ours, self.theirs = ours, theirs
+        self.clock = MonotonicClock()
+
+    def port(self):
+        return LoopPort.on(
+            self.clock,
+            read=system.descriptor_read,
+            write=system.descriptor_write,
+            wait=system.descriptor_wait,
+            handle=self.ours.fileno(),
+        )
+
+    def failure(self):
+        return None
+
+    def close(self):
+        self.ours.close()
+        self.theirs.close()
+
+
+@pytest.fixture
+def wire():
+    made = Socket()
+    yield made
+    made.close()
+
+
+def until(condition):
+    deadline = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def heard(wire):
+    wire.theirs.setblocking(False)
+    data = b""
+    try:
+        while True:
+            data += wire.theirs.recv(65536)
+    except BlockingIOError:
+        pass
+    return [unpack(decode_frame(frame)) for frame in data.split(b"\0") if frame]
+
+
+def test_virtual_and_real_time_run_the_same_machine_code(wire):
+    """The loop object is compiled once, against the types of its plugs, whatever is plugged in."""
+    before = list(run.signatures)
+    assert len(before) == 1
+    _, virtual = ran(Script(*ticks(1, 10)))
+    simulated = MemoryLink(SimulatedDevice(rotary_rig()))
+    _, simulation = ran(simulated)
+    for k in range(1, 10):
+        wire.theirs.send(state_frame(k))
+    _, real = ran(wire, lost_after_ns=20_000_000)
+    assert virtual.reason == simulation.reason == real.reason == EndReason.LINK_SILENT
+    assert virtual.counters["ticks"] == 9
+    assert real.counters["frames"] == 9
+    assert run.signatures == before
+    assert len(run.overloads) == 1
+
+
+def test_the_loop_needs_no_python_while_it_runs(wire):
+    """One thread holds the GIL without letting go (a C call through PyDLL); the loop answers every sample."""
+    memory = Ring.allocate(4096)
+    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=10_000_000_000), memory)
+    interval = sys.getswitchinterval()
+    thread.start()
+    try:
+        wire.theirs.send(state_frame(1))
+        until(lambda: memory.get(ring.TICKS) == 1)
+        sys.setswitchinterval(60.0)  # nobody is asked to give the GIL away
+        for k in range(2, 60):
+            os.write(wire.theirs.fileno(), state_frame(k))
+        ctypes.PyDLL(None).usleep(300_000)
+        stepped = memory.get(ring.TICKS), memory.get(ring.SKIPPED)
+    finally:
+        sys.setswitchinterval(interval)
+        thread.finish()
+    assert sum(stepped) == 59
+    assert thread.end().reason == EndReason.STOPPED
+
+
+def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire):
+    memory = Ring.allocate(4096)
+    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), memory)
+    seen = []
+    thread.start()
+    wire.theirs.send(state_frame(1))
+    threading.Timer(0.1, thread.stop).start()
+    thread.wait(lambda done, phase: seen.append((done, phase)))
+    thread.finish()
+    assert thread.end().reason == EndReason.STOPPED
+    commands = heard(wire)
+    assert [command.mode for _, command in commands] == [m.Mode.CURRENT] + [m.Mode.STOP] * STOP_FRAMES
+    assert seen
+    assert not thread._thread.is_alive() or not thread._thread.join(WAIT_S)
+
+
+def test_a_hang_up_in_real_time_is_a_closed_link(wire):
+    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
+    thread.start()
+    wire.theirs.send(state_frame(1))
+    until(lambda: thread.ring.get(ring.TICKS) == 1)
+    wire.theirs.close()
+    thread.wait()
+    end = thread.end()
+    assert end.reason == EndReason.LINK_CLOSED
+    assert end.counters["errno"] in (errno.EPIPE, errno.ECONNRESET, errno.EIO)
+
+
+def test_a_loop_that_was_never_started_finishes_at_once():
+    thread = LoopThread(Script(), at_rest(), settings(), Ring.allocate(8))
+    before = time.monotonic()
+    thread.finish()
+    assert time.monotonic() - before < 1.0
+    assert thread.end().reason == EndReason.RUNNING
+    assert thread.handover() is None
+
+
+def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wire):
+    thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
+    thread.start()
+    with pytest.raises(ZeroDivisionError):
+        thread.wait(lambda done, phase: 1 // 0)
+    thread.finish()
+    assert thread.end().reason == EndReason.STOPPED
+
+
+def test_settings_and_buffers_have_the_fields_that_the_loop_reads():
+    assert {field.name for field in dataclasses.fields(LoopSettings)} == set(SETTINGS.names)
+    buffers = Buffers.allocate()
+    assert len(buffers.state) == len(STATE)
+    assert len(buffers.header) == len(HEAD)
+    assert buffers.received.nbytes == RECEIVE_BYTES
+    assert SETTLE == Phase.SETTLE
+
+
+# ---------------------------------------------------------------------- a law that does not return
+
+
+@kernel(LAW_SIGNATURE, cache=False)
+def waits_for_a_word(penetration, velocity, elapsed_ticks, state, parameters):
+    entered, freed = np.int64(parameters[0]), np.int64(parameters[1])
+    store_word(entered, 1)
+    while load_word(freed) == 0:
+        pass
+    return 0.0
+
+
+def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(wire, monkeypatch):
+    monkeypatch.setattr("rig.loop.run.JOIN_S", 0.2)
+    words = np.zeros(2, np.int64)
+    entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))
+    law = Law("waits", "for this test", waits_for_a_word, 2, lambda wall: [float(entered), float(freed)])
+    memory = Ring.allocate(64)
+    thread = LoopThread(wire, at_rest(law), settings(lost_after_ns=60_000_000_000), memory)
+    thread.start()
+    try:
+        for k in range(1, 9):
+            os.write(wire.theirs.fileno(), state_frame(k))
+            until(lambda k=k: memory.get(ring.TICKS) == k or words[0])
+        assert words[0] == 1
+        thread.stop()
+        thread.wait()
+        thread.finish()
+        end = thread.end()
+        heard(wire)
+    finally:
+        write_word(freed, 1)
+    until(lambda: not thread._thread.is_alive())
+    assert heard(wire) == [], "its descriptor may be somebody else's by now: not even a stop leaves"
+    assert end.reason == EndReason.STUCK
+    assert thread._ended.wait(WAIT_S)
+    assert thread.end().reason == EndReason.STOPPED

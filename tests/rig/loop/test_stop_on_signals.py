@@ -1,0 +1,64 @@
+"""Signals while a loop runs, and in the moment when the program gets its own handlers back."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from rig.loop.signals import STOPPING, stop_on_signals
+from rig.realtime import ring as words
+from rig.realtime.ring import Ring
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """As they are in a program of its own."""
+    before = {number: signal.getsignal(number) for number in STOPPING}
+    for number in STOPPING:  # which a shell may have told this process to ignore
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", STOPPING)
+def test_a_signal_sets_the_stop_word_and_raises_nothing(number: int) -> None:
+    memory = Ring.allocate(1)
+    with stop_on_signals(memory) as caught:
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+    assert memory.get(words.STOP) == 1
+    assert caught.seen == [number, number]
+
+
+@pytest.mark.parametrize("place", range(len(STOPPING)))
+def test_ctrl_c_while_handlers_return_is_raised_when_all_of_them_have(
+    monkeypatch: pytest.MonkeyPatch, place: int
+) -> None:
+    """Raised in between, it would leave handlers that swallow SIGTERM, and a wake-up descriptor that is closed."""
+    told: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
+    signal.signal(signal.SIGHUP, lambda number, frame: told.append(number))
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
+    restored: list[int] = []
+
+    def set_handler(number: int, handler: Any) -> Any:
+        if number in STOPPING and handler is before[number]:
+            if len(restored) == place:
+                signal.raise_signal(signal.SIGINT)
+            restored.append(number)
+        return plain(number, handler)
+
+    plain = signal.signal
+    open_before = set(os.listdir("/proc/self/fd"))
+    with monkeypatch.context() as patch:  # noqa: SIM117
+        with pytest.raises(KeyboardInterrupt), stop_on_signals(Ring.allocate(1)):
+            patch.setattr(signal, "signal", set_handler)
+    assert {number: signal.getsignal(number) for number in STOPPING} == before
+    assert signal.set_wakeup_fd(-1) == -1
+    assert set(os.listdir("/proc/self/fd")) == open_before

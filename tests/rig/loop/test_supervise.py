@@ -1,0 +1,651 @@
+"""The loop of a law on the device, against a far end of a few lines: rows, gaps, endings, and new walls on the way."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("plug points are function types of compiled code", allow_module_level=True)
+
+from firmware_protocol import messages as m
+from firmware_protocol.connection import State
+from firmware_protocol.faults import Fault, LimitFlag, Status
+from firmware_protocol.framing import encode_frame
+from firmware_protocol.packing import pack
+from firmware_protocol.parameters import decode_block
+from rig.config import controller, presets
+from rig.control.laws import Law
+from rig.control.step import new_memory
+from rig.core.errors import PlanError
+from rig.core.sample import Phase, RowFlag
+from rig.devices.framed import STOP_FRAMES
+from rig.experiments.replay import COMPUTED
+from rig.loop.layout import EndReason
+from rig.loop.replay import NO_SETS, replay_rows
+from rig.loop.run import LoopSettings, LoopThread
+from rig.loop.supervised import SupervisedThread
+from rig.realtime import ring
+from rig.realtime.ring import Ring
+from tests.conformance.batch_device import BatchDevice
+from tests.rig.loop.test_loop import Script, state_frame
+
+SESSION, PERIOD_NS = 7, 1_000_000
+WAIT_S = 20.0
+COMPLIANT = presets.load("koul-compliant")
+TIMING = int(RowFlag.GAP | RowFlag.LATE)
+
+
+def controlled(law: Law | None = None, **control: float):
+    """Homes where the handle is, and pushes for ever unless told otherwise."""
+    made = controller.for_experiment(COMPLIANT, current_quantum_a=0.001, law=law)
+    wanted = {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40, "release_ticks": 1, **control}
+    for name, value in wanted.items():
+        made.control[name] = value
+    return made
+
+
+def loop_settings(**changes) -> LoopSettings:
+    values = {
+        "period_ns": PERIOD_NS,
+        "session": SESSION,
+        "lifetime_us": 20_000,
+        "lost_after_ns": 50 * PERIOD_NS,
+        "device_tick_ps": 62_500,
+        "current_quantum_a": 0.001,
+        "wait_for_room": False,
+        "supervise_every_ns": 5_000_000,
+        "batch_samples": 5,
+        "agreement_quanta": 1,
+    }
+    return LoopSettings(**{**values, **changes})
+
+
+def ran(device: BatchDevice, bundle=None, *, memory: Ring | None = None, live=None, **changes):
+    """Run the loop to its end."""
+    memory = memory or Ring.allocate(8192)
+    thread = SupervisedThread(device, bundle or controlled(), loop_settings(**changes), memory, live=live)
+    thread.start()
+    thread._thread.join(WAIT_S)
+    assert thread._ended.is_set()
+    return thread, thread.end()
+
+
+def rows_of(thread: LoopThread) -> np.ndarray:
+    return thread.ring.rows[: thread.ring.get(ring.HEAD)]
+
+
+def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
+    """Counts of a handle that is pushed in and out of the wall."""
+    noise = np.random.default_rng(seed).integers(-1, 2, ticks)
+    return (np.rint(depth * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
+
+
+def by_the_host(counts: Sequence[int], bundle) -> np.ndarray:
+    """Rows of the loop on the host for the same samples."""
+    memory = Ring.allocate(8192)
+    link = Script(*((PERIOD_NS * (k + 1), state_frame(100 + k, count=c)) for k, c in enumerate(counts)))
+    changes = {"supervise_every_ns": 0, "lost_after_ns": 10 * PERIOD_NS}
+    thread = LoopThread(link, bundle, loop_settings(**changes), memory)
+    thread.start()
+    thread._thread.join(WAIT_S)
+    return rows_of(thread)
+
+
+def replayed(rows: np.ndarray, bundle) -> np.ndarray:
+    """`rig.control.step` over the samples of rows again."""
+    again = rows.copy()
+    bundle.memory[0] = new_memory()[0]
+    replay_rows(
+        bundle.estimator.estimator.update, bundle.law.law.function, rows, again, NO_SETS, *bundle.arguments()
+    )
+    return again
+
+
+def assert_replays(rows: np.ndarray, bundle) -> None:
+    """Every computed column to the last bit; of the last row as the loop ended it."""
+    again = replayed(rows.copy(), bundle)
+    for name in (*COMPUTED, "flags"):
+        assert again[name][:-1].tobytes() == rows[name][:-1].tobytes(), name
+
+
+def assert_ends_with_stops(device: BatchDevice) -> None:
+    last = device.commands()[-STOP_FRAMES:]
+    assert len(last) == STOP_FRAMES
+    assert {(c.mode, c.current) for c in last} == {(m.Mode.STOP, 0)}
+
+
+# ---------------------------------------------------------------------- rows
+
+
+@pytest.mark.parametrize("layout", [0, 1, 2])
+def test_the_rows_are_those_of_a_loop_on_the_host(layout):
+    counts = taps(400)
+    bundle = controlled()
+    expected = by_the_host(counts, controlled())
+    device = BatchDevice(counts, expected["current_sent"].tolist(), layout=layout)
+    device.at[400] = lambda: setattr(device, "silent", True)
+    thread, end = ran(device, bundle)
+    rows = rows_of(thread)[:400]
+    assert end.reason == EndReason.LINK_SILENT
+    for name in (*COMPUTED, "flags", "tick", "sample_index", "elapsed_ticks", "count", "parameter_set"):
+        assert (rows[name] == expected[name]).all(), name
+    assert rows["current_applied"].tolist() == [0, *expected["current_sent"][:-1].tolist()]
+    assert (rows["current_measured"] == (0.0 if layout == 1 else 0.007)).all()
+    assert (rows["edge_age"] == 0).all()
+    assert (rows["computed_at"] == 0).all()
+    assert (rows["sent_at"] == 0).all()
+    assert (np.diff(rows["device_time"]) == PERIOD_NS).all()
+    assert thread.agreement().holds
+    assert thread.agreement().differing == 0
+    assert thread.agreement().compared >= 390
+    assert_ends_with_stops(device)
+
+
+def test_the_device_hears_of_the_host_in_time_and_clocks_are_compared():
+    device = BatchDevice(taps(300))
+    device.at[300] = lambda: setattr(device, "silent", True)
+    thread, end = ran(device, exchange_every_ns=20 * PERIOD_NS)
+    supervising = [at for at, c in device.heard if isinstance(c, m.Command) and c.mode == m.Mode.SUPERVISE]
+    assert supervising[0] == 0, "nothing comes before the device hears of us"
+    assert set(np.diff(supervising)) == {5_000_000}
+    assert end.counters["commands"] == len(supervising)
+    assert end.counters["exchanges"] == len(thread.exchanges()) >= 14
+    assert thread.handover()["nonce"] == sum(isinstance(c, m.GetTime) for _, c in device.heard)
+
+
+def test_what_a_batch_does_not_say_comes_from_the_newest_state_before_the_sample():
+    """STATEs at 100, 105, …; each batch of five begins there."""
+    device = BatchDevice([0] * 60, states_every=5)
+    device.at[12] = lambda: setattr(device, "limits", int(LimitFlag.SPEED))  # told by the STATE of sample 115
+    device.at[60] = lambda: setattr(device, "silent", True)
+    thread, _ = ran(device)
+    rows = rows_of(thread)
+    assert rows["limits"][rows["sample_index"] < 115].max() == 0
+    assert (
+        rows["limits"][(rows["sample_index"] >= 115) & (rows["sample_index"] < 120)] == LimitFlag.SPEED
+    ).all()
+    assert (rows["inputs"][5:] == 2).all()
+    assert (rows["execution_time"][5:] == 10_000).all()
+    assert (rows["device_state"] == State.RUNNING).all()
+
+
+# ---------------------------------------------------------------------- frames that suffer
+
+
+def damaged(frame: bytes) -> bytes:
+    return frame[:20] + bytes([frame[20] % 255 + 1]) + frame[21:]
+
+
+MANGLED = {
+    "damage": lambda held, frame: [damaged(frame)],
+    "drop": lambda held, frame: [],
+    "duplicate": lambda held, frame: [frame, frame],
+    "truncate": lambda held, frame: [frame[:30]],  # runs into the next one
+    "short": lambda held, frame: [frame[:30] + b"\0"],
+    "stranger": lambda held, frame: [frame, encode_frame(pack(m.Batch(0, 0, 0, 0, b"12345"), session=3))],
+    "no samples": lambda held, frame: [encode_frame(pack(m.Batch(0, 0, 0, 0, b""), session=SESSION))],
+    "unknown layout": lambda held, frame: [encode_frame(pack(m.Batch(0, 0, 0, 9, b"123"), session=SESSION))],
+}
+
+
+@pytest.mark.parametrize("kind", [*MANGLED, "reorder"])
+@pytest.mark.parametrize("struck", [(3,), (0,), (5, 6, 20), (0, 1, 2)])
+def test_a_frame_that_suffers_is_a_gap_that_is_counted_and_never_a_wrong_row(kind, struck):
+    counts = taps(200, seed=4)
+    held: list[bytes] = []
+
+    def mangle(number: int, frame: bytes) -> list[bytes]:
+        if number in struck:
+            if kind == "reorder":
+                held.append(frame)
+                return []
+            return MANGLED[kind](held, frame)
+        late, held[:] = list(held), []
+        return [frame, *late]
+
+    device = BatchDevice(counts, mangle=mangle)
+    device.at[200] = lambda: setattr(device, "silent", True)
+    bundle = controlled()
+    thread, end = ran(device, bundle)
+    rows = rows_of(thread)
+    assert end.reason == EndReason.LINK_SILENT
+    place = rows["sample_index"] - 100
+    assert (np.diff(place) > 0).all()
+    assert rows["count"].tolist() == [counts[k] for k in place], "each count is its own sample's"
+    assert rows["elapsed_ticks"].tolist() == np.diff(place, prepend=-1).tolist()
+    assert (rows["device_time"] == rows["device_time"][0] + (place - place[0]) * PERIOD_NS).all()
+    lost = 200 - len(rows)
+    assert end.counters["lost"] == lost
+    assert ((rows["flags"] & RowFlag.GAP) != 0).sum() == np.count_nonzero(rows["elapsed_ticks"] > 1)
+    assert (lost > 0) == (kind not in ("duplicate", "stranger"))
+    assert end.counters["duplicated"] == (5 * len(struck) if kind == "duplicate" else 0)
+    assert end.counters["reordered"] == (5 * len(struck) if kind == "reorder" else 0)
+    assert_replays(rows, controlled())
+
+
+@settings(max_examples=25)
+@given(
+    st.dictionaries(st.integers(0, 39), st.sampled_from([*MANGLED]), max_size=12),
+    st.integers(1, 45),
+    st.integers(0, 2**32 - 1),
+)
+def test_whatever_happens_to_frames_each_row_is_its_own_samples(struck, samples, first_index):
+    counts = taps(400, seed=2)
+
+    def mangle(number: int, frame: bytes) -> list[bytes]:
+        return MANGLED[struck[number]]([], frame) if number in struck else [frame]
+
+    device = BatchDevice(counts, mangle=mangle, samples=samples, first_index=first_index)
+    device.at[400] = lambda: setattr(device, "silent", True)
+    thread, end = ran(device, batch_samples=samples, lost_after_ns=1000 * PERIOD_NS)
+    rows = rows_of(thread)
+    place = rows["sample_index"] - first_index
+    if len(rows):
+        place -= (place[0] // 2**32) * 2**32  # the very first may come behind the wrap
+    assert rows["count"].tolist() == [counts[k] for k in place]
+    assert rows["elapsed_ticks"].tolist() == np.diff(place, prepend=-1).tolist()
+    assert end.counters["lost"] == rows["elapsed_ticks"].sum() - len(rows)
+    if len(rows):
+        assert_replays(rows, controlled())
+
+
+def test_ticks_that_the_device_missed_are_gaps_too():
+    counts = taps(100)
+    device = BatchDevice(counts, missing=[20, 21, 22, 50])
+    device.at[100] = lambda: setattr(device, "silent", True)
+    thread, end = ran(device)
+    rows = rows_of(thread)
+    assert rows["elapsed_ticks"][[20, 47]].tolist() == [4, 2]
+    assert end.counters["lost"] == 4
+    sampled = [count for k, count in enumerate(counts) if k not in (20, 21, 22, 50)]
+    assert rows["count"].tolist() == sampled[: len(rows)]
+    assert len(rows) > 90
+
+
+@pytest.mark.parametrize("first_index", [2**32 - 7, 2**32 - 1, 0])
+def test_index_and_time_go_on_when_their_32_bits_are_full(first_index):
+    device = BatchDevice(taps(50), first_index=first_index)
+    device._next_ns = 268_435_456_000 - 9 * PERIOD_NS  # nine ticks before the clock wraps
+    device.at[50] = lambda: setattr(device, "silent", True)
+    device.clock.sleep_until(device._next_ns - 1)
+    thread, _ = ran(device)
+    rows = rows_of(thread)
+    assert rows["sample_index"].tolist() == list(range(first_index, first_index + 50))
+    assert (np.diff(rows["device_time"]) == PERIOD_NS).all()
+
+
+def test_the_period_need_not_be_a_whole_number_of_the_devices_units():
+    device = BatchDevice([0] * 90, period_ns=333_333, samples=15)
+    device.at[90] = lambda: setattr(device, "silent", True)
+    thread, _ = ran(device, period_ns=333_333, batch_samples=15)
+    time = rows_of(thread)["device_time"]
+    assert np.abs(time - time[0] - np.arange(90) * 1e9 / 3000).max() < 200
+
+
+# ---------------------------------------------------------------------- endings
+
+
+def test_the_run_ends_when_its_own_law_is_done():
+    device = BatchDevice([0] * 200)
+    thread, end = ran(device, controlled(trial_ticks=30, release_ticks=5))
+    assert end.reason == EndReason.FINISHED
+    rows = rows_of(thread)
+    assert rows["phase"][-1] == Phase.DONE
+    assert (rows["phase"] == Phase.TRIAL).sum() == 30
+    assert rows["current_sent"][-1] == 0
+    assert_ends_with_stops(device)
+
+
+def test_leaving_the_window_or_an_unreachable_start_end_the_run():
+    device = BatchDevice([*[0] * 20, *range(0, 100_000, 100)])
+    _, end = ran(device)
+    assert end.reason == EndReason.OUT_OF_WINDOW
+    assert_ends_with_stops(device)
+    thread, end = ran(BatchDevice([0] * 200), controlled(home_target=-0.01, home_timeout_ticks=30))
+    assert end.reason == EndReason.HOMING_FAILED
+    assert rows_of(thread)["flags"][-1] & RowFlag.HOMING_FAILED
+
+
+@pytest.mark.parametrize("tick", [0, 3, 4, 17])
+def test_a_fault_of_the_device_ends_the_run_with_every_sample_up_to_it(tick):
+    device = BatchDevice([0] * 100)
+    device.faults_at[tick] = int(Fault.ENCODER)
+    thread, end = ran(device)
+    assert end.reason == EndReason.DEVICE_FAULT
+    assert thread.fault == Fault.ENCODER
+    rows = rows_of(thread)
+    assert rows["sample_index"].tolist() == list(range(100, 101 + tick))
+    assert rows["fault"].tolist() == [0] * tick + [Fault.ENCODER]
+    assert rows["current_sent"][-1] == 0
+    assert_ends_with_stops(device)
+    assert thread.handover()["state"] == State.FAULT
+
+
+def test_the_stop_word_stops_and_what_was_on_the_way_is_kept():
+    memory = Ring.allocate(8192)
+    device = BatchDevice(taps(300))
+    device.at[42] = lambda: memory.put(ring.STOP, 1)
+    thread, end = ran(device, memory=memory)
+    assert end.reason == EndReason.STOPPED
+    stopped = next(at for at, c in device.heard if isinstance(c, m.Command) and c.mode == m.Mode.STOP)
+    assert stopped <= 48 * PERIOD_NS, "within the time between two commands"
+    rows = rows_of(thread)
+    assert len(rows) == device.played, "also the samples of the frame that was not full"
+    assert (rows["elapsed_ticks"] == 1).all()
+    assert device.clock.now_ns() <= stopped + 25 * PERIOD_NS
+    assert_ends_with_stops(device)
+
+
+def test_a_stop_before_the_start_supervises_nothing():
+    memory = Ring.allocate(64)
+    memory.put(ring.STOP, 1)
+    device = BatchDevice([0] * 10)
+    _, end = ran(device, memory=memory)
+    assert (end.reason, end.counters["ticks"], device.played) == (EndReason.STOPPED, 0, 0)
+    assert_ends_with_stops(device)
+
+
+def test_a_supervisor_that_falls_silent_ends_the_run():
+    memory = Ring.allocate(8192)
+    memory.put(ring.HEARTBEAT, 20 * PERIOD_NS)
+    device = BatchDevice([0] * 300)
+    _, end = ran(device, memory=memory)
+    assert end.reason == EndReason.HEARTBEAT_MISSED
+    assert 20 <= device.played <= 27
+    assert_ends_with_stops(device)
+
+
+def test_a_device_that_never_says_anything_is_silent():
+    device = BatchDevice([0] * 10)
+    device.silent = True
+    thread, end = ran(device)
+    assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_SILENT, 0)
+    assert device.clock.now_ns() <= 60 * PERIOD_NS
+    handed = thread.handover()
+    assert handed == {
+        "next_command": len(device.commands()),
+        "newest_state": 0xFFFF,
+        "state": State.RUNNING,
+        "nonce": 0,
+    }
+
+
+def test_a_device_without_a_law_of_its_own_is_silent_though_its_states_come():
+    device = BatchDevice([0] * 300)
+    device.mangle = lambda number, frame: []
+    _, end = ran(device)
+    assert end.reason == EndReason.LINK_SILENT
+
+
+def test_a_broken_link_ends_the_run_with_its_error_number_and_all_that_came():
+    device = BatchDevice([0] * 100)
+    device.at[41] = lambda: setattr(device, "error", -errno.EIO)
+    thread, end = ran(device)
+    assert (end.reason, end.counters["errno"]) == (EndReason.LINK_CLOSED, errno.EIO)
+    assert len(rows_of(thread)) == 40
+    assert_ends_with_stops(device)
+
+
+def test_a_link_that_takes_no_command_is_closed():
+    device = BatchDevice([0] * 100)
+    device.write_error = -errno.EPIPE
+    thread, end = ran(device)
+    assert (end.reason, end.counters["errno"], end.counters["unsent"]) == (
+        EndReason.LINK_CLOSED,
+        errno.EPIPE,
+        1,
+    )
+    assert thread.handover()["next_command"] == 1 + STOP_FRAMES
+
+
+@pytest.mark.parametrize(
+    ("control", "reason"),
+    [
+        ({}, EndReason.DEVICE_ENDED),
+        ({"trial_ticks": 60, "release_ticks": 1000}, EndReason.FINISHED),
+    ],
+)
+def test_a_device_whose_law_ended_is_not_followed_for_ever(control, reason):
+    device = BatchDevice([0] * 500)
+    device.at[100] = lambda: setattr(device, "phase", int(Phase.DONE))
+    thread, end = ran(device, controlled(**control))
+    assert end.reason == reason
+    assert 140 <= len(rows_of(thread)) <= 170
+    assert_ends_with_stops(device)
+
+
+# ---------------------------------------------------------------------- does the device follow the law
+
+
+def apart(changes: dict[int, int], **options) -> SupervisedThread:
+    """A run whose device differs from the host's law by so much in these ticks."""
+    counts = taps(400)
+    currents = by_the_host(counts, controlled())["current_sent"]
+    for tick, amount in changes.items():
+        currents[tick] += amount
+    device = BatchDevice(counts, currents.tolist(), **options)
+    for tick in options.pop("limited", ()):
+        device.at[tick] = lambda: setattr(device, "limits", int(LimitFlag.RAMPING))
+    device.at[400] = lambda: setattr(device, "silent", True)
+    return ran(device)[0]
+
+
+def test_a_device_that_rounds_otherwise_agrees_and_the_difference_is_told():
+    found = apart(dict.fromkeys(range(0, 380, 3), 1)).agreement()
+    assert (found.greatest_quanta, found.beyond, found.holds) == (1, 0, True)
+    assert 120 <= found.differing <= 127
+
+
+def test_a_device_that_does_something_else_is_found_out():
+    found = apart(dict.fromkeys(range(100, 120), -40)).agreement()
+    assert (found.greatest_quanta, found.beyond, found.holds) == (40, 20, False)
+    assert found.as_mapping()["bound_quanta"] == 1
+
+
+def test_where_a_limit_acts_the_device_is_right_to_differ():
+    counts = taps(400)
+    currents = by_the_host(counts, controlled())["current_sent"]
+    currents[200:220] = 0
+    device = BatchDevice(counts, currents.tolist())
+    for tick in range(199, 222):
+        device.at[tick] = lambda: setattr(device, "limits", int(LimitFlag.RAMPING))
+    device.at[400] = lambda: setattr(device, "silent", True)
+    found = ran(device)[0].agreement()
+    assert (found.differing, found.beyond) == (0, 0)
+    assert 20 <= found.excluded <= 40
+    assert found.compared + found.excluded == 399
+
+
+def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it():
+    """The device saw what the host did not: for a while their velocities are apart."""
+    counts = taps(2000)
+    currents = by_the_host(counts, controlled())["current_sent"].tolist()
+    device = BatchDevice(counts, currents, mangle=lambda number, frame: [] if 20 <= number < 24 else [frame])
+    device.at[2000] = lambda: setattr(device, "silent", True)
+    thread, _ = ran(device)
+    rows = rows_of(thread)
+    found = thread.agreement()
+    assert np.abs(rows["current_applied"][101:150] - rows["current_sent"][100:149]).max() > 1
+    assert (found.beyond, found.holds) == (0, True)
+    assert 50 * 10 <= found.excluded <= 50 * 10 + 20
+
+
+# ---------------------------------------------------------------------- a new wall on the way
+
+
+def wall_values(bundle, *, position: float, stiffness: float) -> list[float]:
+    values = [position, *bundle.law.parameters.tolist()]
+    values[1] = stiffness
+    return values
+
+
+def as_device_parameters(values: Sequence[float]) -> dict[str, float]:
+    """Stands for `rig.config.device_law.live_parameters` here: ten parameters, so that the block takes two chunks."""
+    return {
+        "stiffness": values[1], "damping": values[2], "wall_position": values[0], "fixed_surface": 1,
+        "fixed_stiffness": 2, "fixed_damping": 3, "fixed_shift": 4, "fixed_constant_high": -5,
+        "fixed_constant_low": 2**32 - 6, "float_stiffness": 7.0,
+    }  # fmt: skip
+
+
+class Changing:
+    """A run with a wall that is changed at a tick."""
+
+    def __init__(
+        self, counts: Sequence[int], *sets: tuple[int, float], position: float = 0.0, **options
+    ) -> None:
+        self.bundle = controlled()
+        self.memory = Ring.allocate(16384)
+        self.device = BatchDevice(counts, **options)
+        self.device.at[len(counts)] = lambda: setattr(self.device, "silent", True)
+        self.position = position
+        for tick, stiffness in sets:
+            self.device.at[tick] = lambda stiffness=stiffness: self.post(stiffness)
+
+    def post(self, stiffness: float) -> None:
+        self.memory.post(wall_values(self.bundle, position=self.position, stiffness=stiffness))
+        self.thread._attend()
+
+    def run(self, **changes):
+        self.thread = SupervisedThread(
+            self.device, self.bundle, loop_settings(**changes), self.memory, live=as_device_parameters
+        )
+        self.thread.start()
+        self.thread._thread.join(WAIT_S)
+        assert self.thread._ended.is_set()
+        self.rows = rows_of(self.thread)
+        return self.thread.end()
+
+    def replay(self) -> np.ndarray:
+        """The rows again, from the recorded sets."""
+        fresh = controlled()
+        sets = np.array(
+            [[one["tick"], one["wall_position"], *one["parameters"]] for one in self.thread.parameter_sets()]
+        )
+        again = self.rows.copy()
+        law, estimator = fresh.law.law.function, fresh.estimator.estimator.update
+        replay_rows(estimator, law, self.rows, again, sets.reshape(len(sets), -1), *fresh.arguments())
+        return again
+
+
+TAP = [*[-3] * 60, *[4] * 60, *[-3] * 60]
+
+
+def test_a_new_wall_comes_in_force_on_both_sides_at_the_same_sample():
+    run = Changing(TAP, (22, 1.0), (30, 2.5))
+    run.run()
+    (first, block), (second, _) = run.device.commits
+    assert decode_block(block) == as_device_parameters(wall_values(run.bundle, position=0.0, stiffness=1.0))
+    index, sets = run.rows["sample_index"], run.rows["parameter_set"]
+    assert (sets == np.where(index >= second, 2, np.where(index >= first, 1, 0))).all()
+    inside = run.rows["penetration"] > 0.0
+    stiffness = -run.rows["effort_wall"][inside] / run.rows["penetration"][inside]
+    assert len(stiffness) == 60
+    assert [one["number"] for one in run.thread.parameter_sets()] == [1, 2]
+    again = run.replay()
+    for name in COMPUTED:
+        assert again[name].tobytes() == run.rows[name].tobytes(), name
+    assert not [text for text in run.thread.messages() if "parameter set" in text]
+    assert run.memory.get(ring.PARAMETER_SET) == 2
+    assert run.thread.handover()["parameters_crc"] > 0
+
+
+def test_the_wall_waits_until_the_handle_is_outside_and_the_newest_one_is_taken():
+    run = Changing(TAP, (70, 1.0), (80, 2.0))
+    run.run()
+    ((index, block),) = run.device.commits
+    assert index >= 220
+    assert decode_block(block)["stiffness"] == 2.0
+    assert [one["number"] for one in run.thread.parameter_sets()] == [2]
+
+
+def test_a_device_that_finds_the_handle_inside_is_asked_again():
+    run = Changing(TAP, (20, 1.0))
+    refused = iter([Status.INSIDE_WALL] * 3)
+    run.device.commit = lambda: next(refused, Status.OK)
+    run.run()
+    assert len(run.device.commits) == 1
+    assert [one["number"] for one in run.thread.parameter_sets()] == [1]
+    nonces = {c.nonce for _, c in run.device.heard if isinstance(c, m.SetCommit)}
+    assert len(nonces) == 4, "each time a new conversation"
+
+
+def test_a_wall_that_the_device_refuses_is_told_and_leaves_the_old_one():
+    run = Changing(TAP, (20, 1.0))
+    run.device.commit = lambda: Status.INCONSISTENT
+    run.run()
+    assert run.thread.parameter_sets() == []
+    assert (run.rows["parameter_set"] == 0).all()
+    (told,) = (text for text in run.thread.messages() if "parameter set" in text)
+    assert "parameter set 1" in told
+    assert Status.INCONSISTENT.text in told
+
+
+def test_a_wall_that_cannot_be_computed_is_told():
+    def refuses(values):
+        raise PlanError("stiffness does not fit", remedy="choose less")
+
+    bundle, memory = controlled(), Ring.allocate(8192)
+    device = BatchDevice(TAP)
+    thread = SupervisedThread(device, bundle, loop_settings(), memory, live=refuses)
+    memory.post(wall_values(bundle, position=0.0, stiffness=1.0))
+    thread._attend()
+    assert "stiffness does not fit" in thread.messages()[0]
+
+
+@pytest.mark.parametrize("lost", ["ack", "request"])
+@pytest.mark.parametrize("kind", [m.SetBegin, m.SetChunk, m.SetCommit])
+def test_what_gets_lost_is_said_again_and_the_sample_stays_exact(lost, kind):
+    """A commit whose answer is lost is in force on the device: samples wait here until that is known."""
+    run = Changing([*TAP, *TAP], (20, 1.0))
+    device = run.device
+    struck = []
+
+    answer = device._answer
+
+    def once(message):
+        if isinstance(message, kind) and not struck:
+            struck.append(message)
+            if lost == "ack":
+                before = device.arrived
+                answer(message)
+                device.arrived = before
+            return
+        answer(message)
+
+    device._answer = once
+    run.run()
+    assert struck
+    ((index, _),) = device.commits
+    assert (run.rows["parameter_set"] == (run.rows["sample_index"] >= index)).all()
+    assert len(run.rows) == 360
+    again = run.replay()
+    assert all(again[name].tobytes() == run.rows[name].tobytes() for name in COMPUTED)
+
+
+def test_a_device_that_never_answers_a_commit_does_not_hold_up_the_rows_for_ever():
+    run = Changing([*TAP * 60], (20, 1.0))
+    answer = run.device._answer
+    run.device._answer = lambda message: None if isinstance(message, m.SetCommit) else answer(message)
+    end = run.run()
+    assert end.reason == EndReason.LINK_SILENT
+    assert len(run.rows) == len(TAP) * 60
+    assert (run.rows["elapsed_ticks"] == 1).all()
+    assert run.thread.parameter_sets() == []
+
+
+def test_too_many_parameters_for_a_letter_are_refused():
+    from rig.core.errors import ConfigError  # noqa: PLC0415
+    from rig.loop.letters import letter_of  # noqa: PLC0415
+
+    with pytest.raises(ConfigError, match="too much"):
+        letter_of(1, bytes(102), [0.0])
+    with pytest.raises(ConfigError, match="too much"):
+        letter_of(1, bytes(12), [0.0] * 60)

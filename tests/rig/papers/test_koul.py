@@ -1,0 +1,221 @@
+"""Rules that judge the claims of Koul et al., on numbers made up to reach every verdict; and the pieces of the run."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from rig.analysis import theory
+from rig.experiments.ladder import Search
+from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.papers.frame import Finding, Status, finite, run_parts, shown, verdict_over, within
+from rig.papers.koul import ideas as koul_ideas
+from rig.papers.koul import parts as koul_parts
+from rig.papers.koul import reproduction as koul
+from rig.papers.koul import rules as koul_rules
+from rig.papers.koul import ways as koul_ways
+from rig.papers.koul.rigs import DUAL, FULL, HELD, MAIN, QUICK, SCHEMES, SLOW
+
+RATES = (1000, 2000, 20_000, 50_000)
+FITTED, UNFITTED = "fitted", "unfitted"
+
+
+# --- rules -----------------------------------------------------------------------------------------------------
+
+
+def test_a_claim_holds_in_all_cases_in_some_or_in_none() -> None:
+    assert verdict_over({"a": True, "b": True}, "x").verdict == "reproduced"
+    assert verdict_over({"a": True, "b": False}, "x").verdict == "reproduced only with a"
+    assert verdict_over({"a": False, "b": False}, "x").verdict == "not reproduced"
+    assert verdict_over({"a": True, "b": False}, "x", unconditional=["a"]).status is Status.REPRODUCED
+    assert verdict_over({}, "x").status is Status.NOT  # what was not tried is not confirmed
+
+
+def test_rising_wants_every_rate_and_the_whole_way() -> None:
+    up, flat, dip = [100, 200, 600, 700], [100, 400, 600, 700], [100, 50, 600, 700]
+    assert koul_rules.rises({"a": up}, RATES).status is Status.REPRODUCED
+    assert koul_rules.rises({"a": flat}, RATES).status is Status.NOT
+    assert koul_rules.rises({"a": dip}, RATES).status is Status.NOT
+    assert koul_rules.rises({"a": up, "b": flat}, RATES).verdict == "reproduced only with a"
+
+
+def test_levelling_off_needs_the_lag_when_the_control_goes_on_rising() -> None:
+    assert koul_rules.levels_off({"a": 1.2}, {"a": 2.0}).verdict == "reproduced only with the electrical lag"
+    assert koul_rules.levels_off({"a": 1.2}, {"a": None}).status is Status.ONLY_WITH  # beyond the search
+    assert koul_rules.levels_off({"a": 1.2}, {"a": 1.1}).status is Status.REPRODUCED
+    assert koul_rules.levels_off({"a": 1.9}, {"a": 2.0}).status is Status.NOT
+    assert koul_rules.levels_off({"a": None}, {"a": 2.0}).status is Status.NOT  # a cap shows no level
+
+
+def test_a_number_is_confirmed_by_the_rig_that_is_not_fitted() -> None:
+    def judged(fitted: float, unfitted: float) -> str:
+        values = {FITTED: fitted, UNFITTED: unfitted}
+        return koul_rules.near(values, 560.0, 1.65, "N·m/rad", unfitted=UNFITTED).verdict
+
+    assert judged(560.0, 800.0) == "reproduced"
+    assert judged(5000.0, 800.0) == "reproduced"
+    assert judged(560.0, 5000.0) == "reproduced only with fitted"
+    assert judged(5000.0, 5000.0) == "not reproduced"
+
+
+def test_equal_ranges_are_equal_in_every_case() -> None:
+    assert koul_rules.same({"a": 1.05}, {"a": 1.0}).status is Status.REPRODUCED
+    assert koul_rules.same({"a": 1.5, "b": 1.0}, {"a": 1.0}).condition == "2 of 3 cases; not with a"
+    assert koul_rules.same({"a": 1.12}, {"a": 1.0}, step=1.1).status is Status.REPRODUCED  # a rung more
+    assert koul_rules.same({"a": 2.0}, {"a": 1.2}).status is Status.NOT
+
+
+def test_equal_ranges_of_random_plants_want_most_of_them() -> None:
+    same, other = (2.0, 2.0), (2.0, 1.0)
+    assert koul_rules.same_of_plants([same] * 19 + [other]).status is Status.REPRODUCED
+    assert koul_rules.same_of_plants([same] * 10 + [other] * 10).status is Status.NOT
+
+
+def test_half_is_half_and_not_less() -> None:
+    assert koul_rules.half({"a": 0.5, "b": 0.4}).status is Status.REPRODUCED
+    assert koul_rules.half({"a": 0.5, "b": 0.2}).verdict == "reproduced only with a"
+    assert koul_rules.half({"a": 7.6}).status is Status.NOT
+    assert koul_rules.half_of_plants([(0.5, 1.0)] * 10).status is Status.REPRODUCED
+    assert koul_rules.half_of_plants([(0.5, 1.0), (7.0, 1.0)]).status is Status.ONLY_WITH
+    assert koul_rules.half_of_plants([(7.0, 1.0)]).status is Status.NOT
+
+
+def test_a_peak_is_higher_by_more_than_rounding() -> None:
+    assert koul_rules.higher_peak({"a": 1.4}).status is Status.REPRODUCED
+    assert koul_rules.higher_peak({"a": 1.4, "b": 0.9}).verdict == "reproduced only with a"
+    assert koul_rules.higher_peak({"a": 1.01}).status is Status.NOT
+
+
+def test_penetration_with_dual_rate_is_clearly_the_lowest() -> None:
+    assert koul_rules.lower_penetration({"a": (57, 40, 29)}).status is Status.REPRODUCED
+    assert koul_rules.lower_penetration({"a": (57, 30, 28), "b": (57, 57, 29)}).verdict.endswith("with b")
+    assert koul_rules.lower_penetration({"a": (57, 30, 28)}).status is Status.NOT
+    assert koul_rules.like_none({"a": (57, 57, 29)}).status is Status.REPRODUCED
+    assert koul_rules.like_none({"a": (57, 30, 29)}).status is Status.NOT
+
+
+def test_noise_and_null_readings_are_about_the_rate() -> None:
+    assert koul_rules.noisier({"a": 0.5}, 0.1).status is Status.REPRODUCED
+    assert koul_rules.noisier({"a": 0.5, "b": 0.1}, 0.1).verdict == "reproduced only with a"
+    assert koul_rules.noisier({"a": 0.1}, 0.1).status is Status.NOT
+    assert koul_rules.null_late({"a": (0.0, 0.9)}).status is Status.REPRODUCED
+    assert koul_rules.null_late({"a": (0.0, 0.0)}).status is Status.NOT  # null at 2 kHz as well
+    assert koul_rules.null_late({"a": (1.2, 1.0)}).status is Status.NOT
+    assert koul_rules.null_late_only({"a": (0.9, 0.1)}).status is Status.REPRODUCED
+    assert koul_rules.null_late_only({"a": (0.9, 0.1), "b": (0.0, 0.0)}).verdict == "reproduced only with a"
+    assert koul_rules.null_late_only({"a": (0.0, 0.0)}).status is Status.NOT  # never seen
+
+
+def test_a_verdict_says_its_condition_once() -> None:
+    assert Finding(status=Status.ONLY_WITH, ours="", condition="luck").verdict == "reproduced only with luck"
+    assert Finding(status=Status.NOT, ours="").verdict == "not reproduced"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0"), (9.996, "10.00"), (560.4, "560"), (1.234, "1.23"), (0.04567, "0.0457")]
+)
+def test_numbers_are_shown_with_three_digits(value: float, text: str) -> None:
+    assert shown(value) == text or value == 9.996
+    assert float(shown(value)) == pytest.approx(value, rel=5e-3)
+
+
+def test_what_is_not_finite_is_said_to_be_missing() -> None:
+    assert shown(None) == shown(float("nan")) == "–"
+    assert shown(float("inf")) == "∞"
+    assert finite({1: float("nan"), "a": (1.0, [float("inf")])}) == {"1": None, "a": [1.0, [None]]}
+    assert not within(0.0, 1.0, 10.0)
+
+
+# --- pieces ----------------------------------------------------------------------------------------------------
+
+
+def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
+    quick, full = (koul._Plan(scale).parts() for scale in (QUICK, FULL))
+    names = {name.partition("/")[0] for name in full}
+    assert names == {name.partition("/")[0] for name in quick}  # nothing is left out when it is quick
+    for part in quick.values():
+        assert len({task.key for task in part.tasks}) == len(part.tasks)
+        json.dumps([task.payload for task in part.tasks], allow_nan=False)
+
+
+def test_ideas_differ_in_key_and_are_all_possible_on_their_rig() -> None:
+    tried = koul_ideas.ideas()
+    assert len({idea.key for idea in tried}) == len(tried)
+    assert tried[0].key == koul_ideas.REFERENCE
+    for idea in tried:
+        idea.scheme.applied(idea.experiment())
+
+
+def test_linear_range_is_that_of_the_theory() -> None:
+    experiment = MAIN[0].experiment()
+    for scheme in SCHEMES.values():
+        lifted = theory.as_lifted(experiment, scheme)
+        assert koul_parts.linear_range(lifted) == pytest.approx(theory.b_max(lifted).damping, rel=1e-3)
+
+
+def test_what_is_not_linear_has_no_linear_limits() -> None:
+    levant = next(idea for idea in koul_ideas.ideas() if idea.key == "estimator-levant")
+    from rig import config  # noqa: PLC0415
+
+    payload = {
+        "experiment": config.as_mapping(levant.experiment()),
+        "scheme": levant.scheme.text,
+        "dampings": [0.0],
+        "islands": False,
+    }
+    assert "not_linear" in koul_parts.linear_limits(payload)
+
+
+def test_a_grid_tells_what_ladder_and_bisection_would_have_said() -> None:
+    search = Search(way="grid", lowest=1.0, highest=64.0, ratio=2.0)
+    plan = MapPlan(
+        experiment=MAIN[0].experiment(),
+        schemes=(SCHEMES[DUAL],),
+        dampings=(0.0,),
+        search=search,
+        offsets=(0.1,),
+    )
+    rows = [{"stiffness": k, "passes_any_true": k not in (2.0, 64.0)} for k in search.rungs]
+    for row in rows:
+        row |= {f"passes_{c}_true": row["passes_any_true"] for c in ("felt", "heard")}
+    (column,) = koul_ways.columns(ZWidth.of(plan, [rows]), 0, "any")
+    assert (column.ladder, column.highest, column.islands) == (1.0, 32.0, ((4.0, 32.0),))
+    assert column.bisection in (1.0, 32.0)  # the connected end of what it visited
+
+
+def test_ranges_are_the_same_whoever_computes_them() -> None:
+    """One part of each cheap kind, by one worker and by two: equal in every bit."""
+    held = HELD[0].experiment()
+    search = Search(way="bisection", lowest=0.05, highest=6.0, ratio=1.3)
+    schemes = (SCHEMES[DUAL], SCHEMES[SLOW])
+    tasks = koul_parts.range_tasks(held, schemes, (0.1,), stiffness=50.0, search=search, weight=1.0)
+    plants = {"schemes": [s.text for s in schemes], "numbers": [0, 1], "seed": 3, "islands": [0, 1]}
+    parts = {
+        "range": koul.Part(koul_parts.RANGE, tasks),
+        "plants": koul.part(koul_parts.PLANTS, plants, 1.0),
+        "noise": koul.part(koul_parts.NOISE, {"offsets": [0.4]}, 1.0),
+    }
+    one, two = (run_parts(parts, workers=workers) for workers in (1, 2))
+    found = [json.dumps({name: list(of) for name, of in done.results.items()}) for done in (one, two)]
+    assert found[0] == found[1]
+    ranges = koul_parts.ranges_of(one.results["range"], 1)
+    for criterion in ("felt", "heard", "any"):  # the paper's first claim, at one stiffness
+        dual, slow = (of[criterion].damping for of in ranges)
+        assert 0.5 < dual <= 6.0
+        assert within(dual, slow, 1.4)
+
+
+def test_noise_of_a_count_is_less_at_the_low_rate() -> None:
+    noise = koul_parts.velocity_noise({"offsets": [0.1, 0.7]})
+    assert noise["20 kHz, fs/10"] > noise["20 kHz, fs/20"] > 3.0 * noise["2 kHz"] > 0.0
+
+
+def test_random_plants_do_not_depend_on_how_they_are_dealt_out() -> None:
+    payload = {"schemes": [SCHEMES[DUAL].text], "seed": 1, "islands": [0]}
+    together = koul_parts.random_plants({**payload, "numbers": [0, 1, 2]})
+    apart = [koul_parts.random_plants({**payload, "numbers": [n]})[0] for n in (0, 1, 2)]
+    assert together == apart
+    assert all(np.isfinite(plant["ranges"]).all() for plant in together)
+    assert all(plant["with_islands"][0] >= 0.99 * plant["ranges"][0] for plant in together)

@@ -1,0 +1,299 @@
+"""The kernel decorator and its disk cache: fast the second time, and never stale.
+
+Each case runs in processes of its own, on a copy of `kernel.py` among packages made for the test: a stale
+cache shows only across processes, and nothing here may touch the real cache.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from rig.realtime import kernel as module
+from rig.realtime import source_files as sources
+from rig.realtime.kernel import cache_key, kernel
+from rig.realtime.source_files import compiled_files, source_files
+
+compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="without the compiler nothing is cached")
+
+CONSTANTS = """
+GAIN = {gain}
+"""
+
+HELPER = """
+from rig.constants import GAIN
+from rig.realtime.kernel import kernel
+
+@kernel("f8(f8)")
+def gain(x):
+    return GAIN * x
+"""
+
+LAW = """
+from rig.realtime.kernel import kernel
+from rig.helper import gain
+
+@kernel("f8(f8)")
+def law(x):
+    return gain(x) + 1.0
+"""
+
+REPORT = """
+import json
+from rig.realtime import kernel
+{before}
+from rig.law import law
+print(json.dumps({{
+    "value": law(1.0),
+    "hits": sum(law.stats.cache_hits.values()),
+    "misses": sum(law.stats.cache_misses.values()),
+    "cache": str(kernel.CACHE_DIRECTORY),
+    "cold": kernel.is_cold(),
+}}))
+{after}
+"""
+
+
+@dataclass
+class Project:
+    """A tiny package around the real decorator: a law, a helper in another file, and its constant in a third."""
+
+    root: Path
+    cache: str
+
+    def write(self, gain: float) -> None:
+        (self.root / "rig" / "constants.py").write_text(CONSTANTS.format(gain=gain))
+
+    def run(self, *, before: str = "", after: str = "") -> dict[str, Any]:
+        environment = {
+            name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "COVERAGE"))
+        }
+        environment |= {"PYTHONPATH": str(self.root), "HAPTIC_RIG_CACHE": self.cache}
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-c", REPORT.format(before=before, after=after)],
+            cwd=self.root, env=environment, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+        assert done.stderr == ""
+        return json.loads(done.stdout)
+
+
+@pytest.fixture
+def project(tmp_path) -> Project:
+    root = tmp_path / "project"
+    (root / "rig" / "realtime").mkdir(parents=True)
+    for package in ("rig", "rig/realtime"):
+        (root / package / "__init__.py").touch()
+    for copied in (module, sources):
+        shutil.copy(copied.__file__, root / "rig" / "realtime")
+    (root / "rig" / "helper.py").write_text(HELPER)
+    (root / "rig" / "law.py").write_text(LAW)
+    made = Project(root, str(tmp_path / "cache"))
+    made.write(gain=2.0)
+    return made
+
+
+@compiled
+def test_the_second_process_loads_what_the_first_compiled(project):
+    """It is cold until a whole run has said that it is warm."""
+    first, second = project.run(after="kernel.mark_warm()"), project.run()
+    assert (first["hits"], first["misses"], first["cold"]) == (0, 1, True)
+    assert (second["hits"], second["misses"], second["cold"]) == (1, 0, False)
+    assert first["value"] == second["value"] == 3.0
+    assert first["cache"] == second["cache"]
+    assert first["cache"].startswith(project.cache)
+
+
+@compiled
+def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(project):
+    before = project.run(after="kernel.mark_warm()")
+    project.write(gain=5.0)
+    after = project.run()
+    assert (before["value"], after["value"]) == (3.0, 6.0)
+    assert before["cache"] != after["cache"]
+    assert after["cold"]
+    project.write(gain=2.0)  # undone: the old machine code is found again
+    again = project.run()
+    assert (again["value"], again["cache"], again["cold"]) == (3.0, before["cache"], False)
+
+
+@compiled
+def test_without_the_key_the_edit_would_not_be_seen(project):
+    """The control of the test above: numba alone keeps the caller's old machine code."""
+    before = "kernel.numba.config.CACHE_DIR = " + repr(project.cache + "-fixed")
+    first = project.run(before=before)
+    project.write(gain=5.0)
+    assert project.run(before=before)["value"] == first["value"] == 3.0
+
+
+@compiled
+def test_a_cache_that_cannot_be_written_costs_time_but_never_the_run(project, tmp_path):
+    """A file where the directory should be stops every user, root too."""
+    (tmp_path / "cache").touch()
+    report = project.run(after="import shutil; shutil.rmtree(kernel.CACHE_DIRECTORY)")
+    assert report["value"] == 3.0
+    assert not report["cache"].startswith(project.cache)
+
+
+@compiled
+def test_directories_that_nobody_used_for_a_month_are_removed(project):
+    root = Path(project.cache)
+    for name, days in (("kernels-old", 40), ("kernels-recent", 20), ("something-else", 40)):
+        (root / name).mkdir(parents=True)
+        stamp = time.time() - days * 86_400
+        os.utime(root / name, (stamp, stamp))
+    current = project.run()["cache"]
+    assert sorted(p.name for p in root.iterdir()) == sorted(
+        ["kernels-recent", "something-else", Path(current).name]
+    )
+
+
+@compiled
+def test_an_edit_of_a_file_that_no_kernel_depends_on_compiles_nothing(project):
+    first = project.run(after="kernel.mark_warm()")
+    (project.root / "rig" / "command.py").write_text("from rig.law import law\n")
+    second = project.run()
+    assert (second["hits"], second["cache"], second["cold"]) == (1, first["cache"], False)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "recompiles"),
+    [
+        ("rig/core/sample.py", "    INSIDE = ", "    INSIDE = 64 + ", True),  # a row flag
+        ("firmware_protocol/messages.py", "    lifetime_us: ", "    lifetime: ", True),  # a field of COMMAND
+        ("rig/control/step.py", "def step(", "def step_(", True),
+        ("rig/cli/hit.py", "def ", "def x_", False),
+        ("rig/experiments/hit.py", '"""', '"""Edited. ', False),
+        ("rig/session/conduct.py", "def ", "def x_", False),
+    ],
+)
+def test_the_key_follows_what_kernels_depend_on_and_nothing_else(tmp_path, file, old, new, recompiles):
+    packages = {name: Path(module.__file__).parents[2] / name for name in sources.PACKAGES}
+    for name, path in packages.items():
+        shutil.copytree(path, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "firmware"))
+    before = key_of(tmp_path)
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new, 1))
+    assert (key_of(tmp_path) != before) == recompiles
+
+
+def key_of(root: Path) -> str:
+    code = (
+        "import importlib.machinery, importlib.util, sys\n"
+        f"importlib.util.find_spec = lambda name: importlib.machinery.PathFinder.find_spec(name, [{str(root)!r}])\n"
+        "from rig.realtime import source_files as sources\n"
+        "from hashlib import sha256\n"
+        "print(sha256(b''.join(path.read_bytes() for path in sources.compiled_files())).hexdigest())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    return done.stdout
+
+
+def test_compiled_code_lies_in_its_rooms():
+    """Control, realtime, loop, devices, recording, bench and the simulation; nowhere else."""
+    rooms = {".".join(name.split(".")[:2]) for name, path in source_files().items() if is_compiled(path)}
+    simulation = {room for room in rooms if room.startswith("sim_backend.")}
+    allowed = {f"rig.{room}" for room in ("control", "realtime", "loop", "devices", "recording", "bench")}
+    assert rooms - simulation <= allowed
+
+
+def is_compiled(path: Path) -> bool:
+    return "@kernel(" in path.read_text() and path != Path(sources.__file__)
+
+
+def test_the_key_covers_kernels_and_what_they_import():
+    names = {f"{path.parent.name}/{path.name}" for path in compiled_files()}
+    assert names >= {"realtime/kernel.py", "control/step.py", "estimators/fdm.py", "sim_backend/plant.py"}
+    assert names >= {"core/sample.py", "firmware_protocol/messages.py", "firmware_protocol/wire.py"}
+    assert source_files(["no_such_package"]) == {}
+
+
+def test_any_change_of_names_or_contents_changes_the_key(tmp_path):
+    def key(**contents: str) -> str:
+        for old in tmp_path.iterdir():
+            old.unlink()
+        for name, text in contents.items():
+            (tmp_path / f"{name}.py").write_text(text)
+        return cache_key(sorted(tmp_path.iterdir()))
+
+    keys = [key(a="1", b="2"), key(a="2", b="1"), key(a="12", b=""), key(a="1", c="2"), key(a="1"), key()]
+    assert len(set(keys)) == len(keys)
+    assert key(a="1", b="2") == keys[0]
+    assert all(len(k) == 16 and int(k, 16) >= 0 for k in keys)
+
+
+def test_the_key_covers_the_versions_of_the_compiler(monkeypatch):
+    before = cache_key([])
+    monkeypatch.setattr(module.numba, "__version__", "0.0.1")
+    assert cache_key([]) != before
+
+
+@kernel("f8(f8, f8)", cache=False)
+def quotient(a: float, b: float) -> float:
+    """Numpy's error model: no exception, also for zero."""
+    return a / b
+
+
+@kernel(["f8(f8)", "f4(f4)"], cache=False, inline=True)
+def twice(x):
+    return x + x
+
+
+@compiled
+def test_a_kernel_raises_nothing_and_holds_no_gil():
+    assert quotient(1.0, 0.0) == np.inf
+    assert np.isnan(quotient(0.0, 0.0))
+    assert quotient.targetoptions["nogil"] is True
+    assert quotient.targetoptions["fastmath"] is False
+
+
+@compiled
+def test_a_kernel_is_compiled_for_its_signatures_and_no_others():
+    assert [str(s) for s in twice.nopython_signatures] == ["(float64,) -> float64", "(float32,) -> float32"]
+    with pytest.raises(TypeError, match="No matching definition"):
+        twice("ab")
+
+
+def test_a_kernel_keeps_its_name_and_documentation():
+    assert quotient.__name__ == "quotient"
+    assert "error model" in quotient.__doc__
+
+
+def test_importing_the_protocol_does_not_load_the_compiler():
+    script = "import sys, firmware_protocol, rig; assert not {'numba', 'scipy'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
+@compiled
+def test_a_borrowing_kernel_writes_into_its_arrays_and_cannot_make_one():
+    """No references are counted: the arrays stay the caller's, and an allocation is refused by the compiler."""
+
+    @kernel("f8(f8[::1])", cache=False, borrow=True)
+    def double_first(values):
+        values[0] *= 2.0
+        return values[0]
+
+    values = np.array([3.0])
+    holders = sys.getrefcount(values)
+    assert double_first(values) == 6.0
+    assert values[0] == 6.0
+    assert sys.getrefcount(values) == holders
+
+    def allocate(size):
+        return np.zeros(size)[0]
+
+    with pytest.raises(numba.core.errors.NumbaError):
+        kernel("f8(i8)", cache=False, borrow=True)(allocate)

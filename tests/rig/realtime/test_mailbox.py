@@ -1,0 +1,417 @@
+"""The mailbox: whatever two sides do at whatever moment, sets arrive whole and in order, and the newest arrives."""
+
+from __future__ import annotations
+
+import fcntl
+import itertools
+import threading
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numba import types
+
+from rig.core.errors import ConfigError, RigError
+from rig.realtime import mailbox
+from rig.realtime.atomics import compare_exchange_word, read_word, write_word
+from rig.realtime.kernel import kernel
+from rig.realtime.mailbox import EMPTY, FRESH, MAILBOX_BYTES, NUMBER, SET_FLOATS, Mailbox, take
+from rig.realtime.ring import Ring
+from rig.realtime.system import monotonic_now
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="atomics are intrinsics")
+
+PATIENCE_NS = 20_000_000_000
+JOIN_S = 30.0
+
+
+class Box:
+    """A mailbox in memory of its own."""
+
+    def __init__(self) -> None:
+        self.memory = np.zeros(MAILBOX_BYTES // 8, np.int64)
+        self.address = self.memory.ctypes.data
+        mailbox.clear(self.address)
+
+    @property
+    def state(self) -> int:
+        return int(self.memory[0])
+
+
+def slots_of(state: int) -> tuple[int, int, int]:
+    return state & 3, state >> 2 & 3, state >> 4 & 3
+
+
+def expected(number: int, count: int) -> list[float]:
+    """Values that belong to a set: no two sets share one."""
+    return [number + i / 128 for i in range(count)]
+
+
+# One side at a time -----------------------------------------------------------------------------------
+
+
+def test_sets_are_numbered_from_one_and_each_is_taken_once() -> None:
+    box, into = Box(), np.zeros(4)
+    writer = Mailbox(box.address)
+    assert take(box.address, into) == 0
+    assert writer.posted == 0
+    assert writer.post([1.0, 2.0, 3.0, 4.0]) == 1
+    assert take(box.address, into) == 1
+    assert into.tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert take(box.address, into) == 0
+    assert into.tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert [writer.post([n]) for n in range(5)] == [2, 3, 4, 5, 6]
+    assert writer.posted == 6
+    assert take(box.address, into) == 6
+    assert into.tolist() == [4.0, 2.0, 3.0, 4.0]  # what the set does not fill stays
+
+
+@given(st.lists(st.floats(allow_nan=False), max_size=SET_FLOATS), st.integers(0, SET_FLOATS))
+def test_every_float_passes_bit_for_bit_and_nothing_is_written_beyond_either_end(
+    values: list[float], room: int
+) -> None:
+    box = Box()
+    memory = np.full(room + 2, -7.0)
+    assert Mailbox(box.address).post(values) == 1
+    assert take(box.address, memory[1 : room + 1]) == 1
+    count = min(len(values), room)
+    assert memory[1 : count + 1].tobytes() == np.array(values[:count], np.float64).tobytes()
+    assert (memory[[0, *range(count + 1, room + 2)]] == -7.0).all()
+
+
+def test_the_largest_set_fits_its_slot() -> None:
+    assert mailbox.SLOT_BYTES >= 8 * (2 + SET_FLOATS)
+    box, into = Box(), np.zeros(SET_FLOATS)
+    for number in range(1, 5):
+        Mailbox(box.address).post(expected(number, SET_FLOATS))
+        assert take(box.address, into) == number
+        assert into.tolist() == expected(number, SET_FLOATS)
+
+
+@pytest.mark.parametrize("values", [[float("nan")], [1.0, float("nan")], np.zeros(SET_FLOATS + 1)])
+def test_what_no_law_can_work_with_is_refused_before_it_is_posted(values: list[float]) -> None:
+    box = Box()
+    with pytest.raises(ConfigError):
+        Mailbox(box.address).post(values)
+    assert box.state == EMPTY
+
+
+# Two sides: the states ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+@pytest.mark.parametrize("fresh", [0, FRESH])
+@pytest.mark.parametrize("number", [0, 1, 77, 2**40])
+def test_a_change_of_hands_swaps_two_slots_and_touches_no_third(
+    order: tuple[int, int, int], fresh: int, number: int
+) -> None:
+    writer, mail, reader = order
+    state = writer | mail << 2 | reader << 4 | fresh | number << NUMBER
+    posted, taken = mailbox.published(state), mailbox.claimed(state)
+    assert slots_of(posted) == (mail, writer, reader)
+    assert (posted & FRESH, posted >> NUMBER) == (FRESH, number + 1)
+    assert slots_of(taken) == (writer, reader, mail)
+    assert (taken & FRESH, taken >> NUMBER) == (0, number)
+
+
+# Two sides, every interleaving of a small case ------------------------------------------------------------
+
+WIDTH = 2  # numbers in a set: enough to be torn
+POSTS, TAKES, KILLS = 4, 4, 2
+
+
+class World(NamedTuple):
+    """Shared memory and both sides' places in their programs, one atomic action a step."""
+
+    state: int
+    slots: tuple[tuple[int, ...], ...]  # each: the number of the set, then the set
+    place: int = 0  # of the writer
+    seen: int = 0
+    tries: int = 0
+    posts: int = 0
+    kills: int = 0
+    read_place: int = 0
+    read_seen: int = 0
+    taken: tuple[int, ...] = ()
+    last: int = 0  # newest set taken
+    takes: int = 0
+    at_start: int = 0  # newest set posted before this take began
+
+
+def write_step(w: World) -> World:
+    """The writer: load, number, values, load, swap."""
+    if w.posts == POSTS:
+        return w
+    if w.place == 0:
+        return w._replace(place=1, seen=w.state, tries=0)
+    number = (w.seen >> NUMBER) + 1
+    if w.place <= 1 + WIDTH:
+        slot = w.seen & 3
+        values = list(w.slots[slot])
+        values[w.place - 1] = number
+        return w._replace(slots=(*w.slots[:slot], tuple(values), *w.slots[slot + 1 :]), place=w.place + 1)
+    if w.place == 2 + WIDTH:
+        return w._replace(place=w.place + 1, seen=w.state)
+    if w.state != w.seen:
+        assert w.tries == 0, "the writer failed twice in one post"
+        return w._replace(place=2 + WIDTH, tries=1)
+    return w._replace(state=mailbox.published.py_func(w.state), place=0, posts=w.posts + 1)
+
+
+def kill_step(w: World) -> World:
+    """kill -9 of the writer; another one begins anew."""
+    return w._replace(place=0, seen=0, tries=0, kills=w.kills + 1) if w.place and w.kills < KILLS else w
+
+
+def read_step(w: World) -> World:  # noqa: PLR0911  (one for each step of the program)
+    """The reader: load, swap, copy word by word."""
+    if w.takes == TAKES:
+        return w
+    if w.read_place == 0:
+        if not w.state & FRESH:
+            assert w.last == w.state >> NUMBER, "the newest set has not arrived, and nothing is fresh"
+            return w._replace(takes=w.takes + 1)
+        return w._replace(read_place=1, read_seen=w.state, at_start=w.state >> NUMBER)
+    if w.read_place == 1:
+        if w.state != w.read_seen:
+            return w._replace(read_place=0)
+        return w._replace(state=mailbox.claimed.py_func(w.state), read_place=2, taken=())
+    slot = w.read_seen >> 2 & 3
+    taken = (*w.taken, w.slots[slot][len(w.taken)])
+    if len(taken) <= WIDTH:
+        return w._replace(taken=taken)
+    assert len(set(taken)) == 1, f"torn: {taken}"
+    assert taken[0] > w.last, "older than one already seen"
+    assert taken[0] >= w.at_start, "older than what was posted before"
+    return w._replace(read_place=0, taken=(), last=taken[0], takes=w.takes + 1)
+
+
+def test_every_interleaving_of_four_posts_and_four_takes_with_writers_killed_anywhere() -> None:
+    empty = (0,) * (1 + WIDTH)
+    start = World(EMPTY, (empty, empty, empty))
+    known, open_ends, finals = {start}, [start], set()
+    while open_ends:
+        world = open_ends.pop()
+        assert sorted(slots_of(world.state)) == [0, 1, 2]
+        after = {step(world) for step in (write_step, read_step, kill_step)} - {world}
+        if not after:
+            finals.add((world.posts, world.last, bool(world.state & FRESH)))
+        for new in after - known:
+            known.add(new)
+            open_ends.append(new)
+    assert len(known) > 10_000  # the search did search
+    assert {posts for posts, _, _ in finals} == {POSTS}
+    # The newest was taken, or it lies there fresh for the next take: nothing that was last is ever lost.
+    assert all(last == POSTS or fresh for _, last, fresh in finals)
+    assert {last for _, last, _ in finals} == set(range(POSTS + 1))
+
+
+# Two sides, the machine code -------------------------------------------------------------------------------
+
+
+@kernel(types.int64(types.uintp, types.int64, types.int64), cache=False)
+def swap(address, seen, after):  # type: ignore[no-untyped-def]
+    """`compare_exchange_word` for Python."""
+    return compare_exchange_word(address, seen, after)
+
+
+def test_a_word_is_exchanged_only_for_what_it_was() -> None:
+    word = np.array([5], np.int64)
+    assert swap(word.ctypes.data, 4, 9) == 0
+    assert word[0] == 5
+    assert swap(word.ctypes.data, 5, -9) == 1
+    assert word[0] == -9
+
+
+def writer_of(box: Box, count: int):  # type: ignore[no-untyped-def]
+    """One post, a step for each word written and for each access to the state."""
+    seen = read_word(box.address)
+    number = (seen >> NUMBER) + 1
+    slot = mailbox.slot_address(box.address, mailbox.writers_slot(seen))
+    yield
+    for i, word in enumerate([number, count, *np.array(expected(number, count)).view(np.int64).tolist()]):
+        write_word(slot + 8 * i, word)
+        yield
+    for _ in range(2):
+        seen = read_word(box.address)
+        yield
+        if swap(box.address, seen, mailbox.published(seen)):
+            return number
+        yield
+    raise AssertionError("the writer failed twice in one post")
+
+
+def reader_of(box: Box, room: int):  # type: ignore[no-untyped-def]
+    """One take; the last word copied ends it."""
+    for _ in range(mailbox.ATTEMPTS):
+        seen = read_word(box.address)
+        if not seen & FRESH:
+            return 0, []
+        yield
+        after = mailbox.claimed(seen)
+        if swap(box.address, seen, after):
+            break
+        yield
+    else:
+        return 0, []
+    yield
+    slot = mailbox.slot_address(box.address, mailbox.readers_slot(after))
+    count = read_word(slot + 8)
+    yield
+    words = []
+    for i in range(min(count, room)):
+        words.append(read_word(slot + 8 * (2 + i)))
+        yield
+    return read_word(slot), np.array(words, np.int64).view(np.float64).tolist()
+
+
+ACTIONS = st.lists(
+    st.sampled_from(["write", "write", "write", "read", "read", "read", "kill", "post", "take"]),
+    min_size=20,
+    max_size=200,
+)
+
+
+@given(ACTIONS, st.integers(1, 4))
+def test_interleaved_steps_of_the_machine_code(actions: list[str], count: int) -> None:
+    """Single steps of both sides, the whole kernels at any moment in between, and writers killed half-way."""
+    box, into = Box(), np.zeros(count)
+    writer = reader = None
+    posted = last = at_start = 0
+
+    def arrived(number: int, values: list[float]) -> None:
+        nonlocal last
+        if number == 0:
+            return
+        assert number > last
+        assert number >= at_start
+        assert values == expected(number, count)
+        last = number
+
+    for action in actions:
+        if action == "kill":
+            writer = None
+        elif action == "post" and writer is None:  # one writer at a time: that is what the lock is for
+            number = posted + 1
+            assert mailbox.fill(box.address, np.array(expected(number, count))) == number
+            assert mailbox.publish(box.address) == number
+            posted = number
+        elif action == "write":
+            writer = writer or writer_of(box, count)
+            try:
+                next(writer)
+            except StopIteration as end:
+                posted, writer = posted + 1, None
+                if end.value != posted:
+                    pytest.fail(f"number {end.value} instead of {posted}")
+        elif action == "take" and reader is None:
+            at_start = posted
+            arrived(take(box.address, into), into.tolist())
+            assert last == posted  # alone, a take always gets the newest
+        elif action == "read":
+            if reader is None:
+                reader, at_start = reader_of(box, count), 0
+            try:
+                next(reader)
+            except StopIteration as end:
+                arrived(*end.value)
+                reader = None
+        assert sorted(slots_of(box.state)) == [0, 1, 2]
+        assert box.state >> NUMBER == posted
+    while reader is not None:  # what has begun ends, and then the last set arrives
+        try:
+            next(reader)
+        except StopIteration as end:
+            arrived(*end.value)
+            reader = None
+    arrived(take(box.address, into), into.tolist())
+    assert last == posted
+
+
+@kernel(types.int64(types.uintp, types.float64[::1], types.int64, types.uintp), cache=False)
+def read_until(address, into, newest, found):  # type: ignore[no-untyped-def]
+    """A loop that takes until it has the newest; counts sets, torn ones and old ones in the three words at `found`."""
+    last, deadline = 0, monotonic_now(0) + PATIENCE_NS
+    sets = torn = old = 0
+    while last < newest and monotonic_now(0) < deadline:
+        number = take(address, into)
+        if number == 0:
+            continue
+        sets += 1
+        old += number <= last
+        last = number
+        for i in range(len(into)):
+            torn += into[i] != number + i / 128
+    write_word(found, sets)
+    write_word(found + 8, torn)
+    write_word(found + 16, old)
+    return last
+
+
+@kernel(types.int64(types.uintp, types.float64[::1], types.int64), cache=False)
+def write_many(address, values, times):  # type: ignore[no-untyped-def]
+    """A writer without mercy; returns the number of the last set."""
+    number = 0
+    for n in range(times):
+        for i in range(len(values)):
+            values[i] = n + 1 + i / 128
+        number = mailbox.post_set(address, values)
+    return number
+
+
+def test_two_threads_hammer_the_mailbox_without_the_gil() -> None:
+    box, times = Box(), 200_000
+    into, values, found = np.zeros(SET_FLOATS), np.zeros(SET_FLOATS), np.zeros(3, np.int64)
+    results: list[int] = []
+    reader = threading.Thread(
+        target=lambda: results.append(read_until(box.address, into, times, found.ctypes.data)), daemon=True
+    )
+    reader.start()
+    assert write_many(box.address, values, times) == times
+    reader.join(JOIN_S)
+    sets, torn, old = found.tolist()
+    assert results == [times]  # the last one arrived
+    assert (torn, old) == (0, 0)
+    assert 1 <= sets <= times
+    assert into.tolist() == expected(times, SET_FLOATS)
+
+
+def test_many_writers_in_threads_get_numbers_of_their_own() -> None:
+    box, into = Box(), np.zeros(2)
+    numbers: list[list[int]] = [[] for _ in range(4)]
+
+    def write(mine: list[int], who: int) -> None:
+        writer = Mailbox(box.address)
+        mine.extend(writer.post([float(who), float(n)]) for n in range(500))
+
+    threads = [threading.Thread(target=write, args=(mine, who)) for who, mine in enumerate(numbers)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(JOIN_S)
+    assert sorted(itertools.chain(*numbers)) == list(range(1, 2001))
+    assert all(mine == sorted(mine) for mine in numbers)
+    assert take(box.address, into) == 2000
+    assert into[1] == 499.0
+
+
+# Writers in several processes: the lock ---------------------------------------------------------------------
+
+
+def test_a_writer_of_another_process_is_waited_for_but_not_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second opening of the same memory stands for the other process: its lock is another's."""
+    monkeypatch.setattr(mailbox, "PATIENCE_S", 0.05)
+    with Ring.allocate(1, shared=True) as ring, Ring.attach(f"/proc/self/fd/{ring.descriptor}") as other:
+        fcntl.flock(other.descriptor, fcntl.LOCK_EX)
+        with pytest.raises(RigError, match="does not let go"):
+            ring.post([1.0])
+        assert Mailbox(ring.mailbox).posted == 0
+        fcntl.flock(other.descriptor, fcntl.LOCK_UN)
+        assert ring.post([1.0]) == 1
+        assert other.post([2.0]) == 2
+        into = np.zeros(1)
+        assert take(ring.mailbox, into) == 2
+        assert into[0] == 2.0

@@ -1,0 +1,91 @@
+"""The plug points: whatever has the signature can be plugged into a function compiled once."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+
+import numba
+import numpy as np
+import pytest
+from numba import types
+
+from rig.control import estimators, laws
+from rig.realtime import plugs
+from rig.realtime.kernel import kernel
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="function types need the compiler")
+
+
+@kernel(types.float64(plugs.LAW, types.float64, types.float64[::1], types.float64[::1]), cache=False)
+def ask_law(law, penetration, state, parameters):
+    return law(penetration, 0.0, 1, state, parameters)
+
+
+@kernel(types.int64(plugs.NOW, types.int64), cache=False)
+def ask_clock(now, handle):
+    return now(handle)
+
+
+@kernel(plugs.LAW_SIGNATURE, cache=False)
+def magnet(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+    return -parameters[0] * penetration
+
+
+@kernel(plugs.LAW_SIGNATURE, cache=False)
+def raising(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+    if penetration > 1.0:
+        raise ValueError("deeper than the wall is thick")
+    return 0.0
+
+
+@pytest.mark.parametrize("name", estimators.names())
+def test_every_estimator_has_the_signature_of_its_plug(name):
+    assert estimators.get(name).update.nopython_signatures == [plugs.ESTIMATOR_SIGNATURE]
+
+
+@pytest.mark.parametrize("name", laws.names())
+def test_every_law_has_the_signature_of_its_plug(name):
+    assert laws.get(name).function.nopython_signatures == [plugs.LAW_SIGNATURE]
+
+
+def test_a_third_partys_law_runs_in_a_caller_compiled_before_it_was_known():
+    state, parameters = np.zeros(1), np.array([100.0, 0.0, 0.0, 0.0])
+    assert ask_law(magnet, 0.5, state, parameters) == -50.0
+    assert ask_law(laws.get("spring-damper").function, 0.5, state, parameters) == 50.0
+    assert len(ask_law.signatures) == 1
+
+
+def test_an_exception_in_a_law_reaches_the_caller_as_itself():
+    with pytest.raises(ValueError, match="deeper than the wall is thick"):
+        ask_law(raising, 2.0, np.zeros(1), np.zeros(1))
+    assert ask_law(raising, 0.5, np.zeros(1), np.zeros(1)) == 0.0
+
+
+def test_a_python_callback_plugs_in_by_its_address():
+    seen = []
+
+    @ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
+    def now(handle):
+        seen.append(handle)
+        return 1000 + handle
+
+    plug = plugs.NativeFunction(ctypes.cast(now, ctypes.c_void_p).value, plugs.NOW_SIGNATURE, keep=now)
+    assert ask_clock(plug, 7) == 1007
+    assert seen == [7]
+
+
+def test_a_c_librarys_function_plugs_in_by_its_address():
+    labs = ctypes.CDLL(ctypes.util.find_library("c")).labs
+    plug = plugs.NativeFunction(ctypes.cast(labs, ctypes.c_void_p).value, plugs.NOW_SIGNATURE, keep=labs)
+    assert ask_clock(plug, -(1 << 40)) == 1 << 40
+
+
+def test_a_plug_keeps_its_callback_alive():
+    @ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
+    def now(handle):
+        return handle + 1
+
+    plug = plugs.NativeFunction(ctypes.cast(now, ctypes.c_void_p).value, plugs.NOW_SIGNATURE, keep=now)
+    del now
+    assert [ask_clock(plug, n) for n in range(100)] == list(range(1, 101))

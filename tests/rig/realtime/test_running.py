@@ -1,0 +1,245 @@
+"""Loops as other terminals see them: found, told apart from what only looks like one, and stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+import rig.cli
+from rig.core.errors import ConfigError, RigError
+from rig.realtime import ring as words
+from rig.realtime import running
+from rig.realtime.ring import Ring
+from tests.conformance.running_loop import loop_process
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="atomics are intrinsics")
+
+INFO = {"url": "serial:///dev/ttyTEST", "recording": "here.rigcap"}
+
+
+def mine(*pids: int) -> list[running.RunningLoop]:
+    """Loops of these processes: other tests may run some too."""
+    return [loop for loop in running.running() if loop.pid in pids]
+
+
+def test_a_loop_of_another_process_is_found_and_stopped() -> None:
+    with loop_process(INFO) as process:
+        (loop,) = mine(process.pid)
+        assert loop.info == INFO
+        assert (loop.phase, loop.stopping, loop.done) == ("trial", False, False)
+        assert abs(loop.since - time.time()) < 60
+        assert loop.as_mapping()["url"] == "serial:///dev/ttyTEST"
+        (stopped,) = running.stop(process.pid, patience_s=20)
+        assert stopped.ended
+        assert stopped.loop.pid == process.pid
+        assert mine(process.pid) == []  # it is done, though its process lives
+        assert process.poll() is None
+        (again,) = [one for one in running.running(done=True) if one.pid == process.pid]
+        assert again.done
+        with pytest.raises(ConfigError, match="runs no loop"):
+            running.stop(process.pid)
+
+
+def test_a_dead_process_leaves_nothing_to_find() -> None:
+    with loop_process(INFO) as process:
+        (loop,) = mine(process.pid)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert mine(process.pid) == []
+        with pytest.raises(ConfigError, match="there is no process"):
+            running.stop(process.pid)
+        with pytest.raises(RigError, match="has ended"), running.opened(loop):
+            pass
+
+
+def test_all_loops_are_stopped_by_one_call_and_one_that_does_not_listen_is_named() -> None:
+    with loop_process(INFO) as good, loop_process(INFO, "deaf") as deaf:
+        asked = {one.loop.pid: one.ended for one in running.stop(deaf.pid, patience_s=0.05)}
+        assert asked == {deaf.pid: False}
+        (loop,) = mine(deaf.pid)
+        assert loop.stopping
+        assert [one.loop.pid for one in running.stop(good.pid, patience_s=20)] == [good.pid]
+        with pytest.raises(ConfigError, match=f"process {good.pid} runs no loop"):
+            running.the_loop(good.pid)
+        assert running.the_loop(deaf.pid).pid == deaf.pid
+
+
+def test_whoever_looks_at_a_loop_is_not_taken_for_it() -> None:
+    """This process has the same memory open, and one started by `fork` inherits it: neither runs that loop."""
+    with loop_process(INFO) as process:
+        (loop,) = mine(process.pid)
+        with running.opened(loop) as ring:
+            assert ring.get(words.VERSION) == words.LAYOUT_VERSION
+            assert mine(os.getpid()) == []
+            (again,) = mine(process.pid)
+            assert again.path != f"/proc/{os.getpid()}/fd/{ring.descriptor}"
+
+
+def test_a_loop_of_this_process_is_found_once_though_it_is_mapped_too() -> None:
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        (loop,) = mine(os.getpid())
+        assert loop.info == INFO
+        with running.opened(loop) as other:
+            other.ask_to_stop()
+        assert ring.get(words.STOP) == 1
+        ring.put(words.LOOP_DONE, 1)
+        assert mine(os.getpid()) == []
+
+
+def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened() -> None:
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        ring.put(words.VERSION, 99)
+        (loop,) = mine(os.getpid())
+        assert (loop.version, loop.info, loop.phase) == (99, {}, "unknown")
+        with pytest.raises(RigError, match="another version"), running.opened(loop):
+            pass
+        ring.put(words.LOOP_DONE, 0)
+        (stopped,) = running.stop(os.getpid(), patience_s=0)
+        assert not stopped.ended
+        assert ring.get(words.STOP) == 1
+
+
+def test_the_only_loop_needs_no_name_and_of_several_one_must_be_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with loop_process(INFO) as one, loop_process(INFO) as two:
+        both = mine(one.pid, two.pid)
+        for loops, said in (
+            ([], "no loop runs in real time"),
+            (both, rf"2 loops run: {both[0].pid}, {both[1].pid}\. name one with --pid"),
+        ):
+            monkeypatch.setattr(running, "running", lambda loops=loops: loops)
+            with pytest.raises(ConfigError, match=said):
+                running.the_loop()
+        assert running.the_loop(two.pid).pid == two.pid
+        assert [loop.since for loop in both] == sorted(loop.since for loop in both)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become somebody else")
+def test_a_process_of_somebody_else_is_said_to_be_so() -> None:
+    """Run as nobody: it sees this process but may not look into it."""
+    program = f"""
+import os, sys
+sys.path[:0] = {sys.path!r}
+from rig import running
+from rig.core.errors import ConfigError
+os.setgid(65534); os.setuid(65534)
+try:
+    running.stop({os.getpid()})
+except ConfigError as error:
+    print(error)
+print([loop.pid for loop in running.running()])
+"""
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.stdout.splitlines() == [
+            f"process {os.getpid()} is not yours to look into. say it as its owner, or: sudo rig stop {os.getpid()}",
+            "[]",
+        ], done.stderr
+        assert ring.get(words.STOP) == 0
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become somebody else")
+def test_a_rig_of_somebody_else_is_never_passed_over_in_silence() -> None:
+    """Without rights nobody can tell whether it runs a loop; a person who wants to stop one must hear of it."""
+    program = f"""
+import os, sys
+sys.path[:0] = {sys.path!r}
+import rig.cli.stop
+os.setgid(65534); os.setuid(65534)
+sys.exit(rig.cli.run(["stop"]))
+"""
+    with subprocess.Popen(["rig", "60"], executable="/bin/sleep") as other:
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+            )
+            assert done.returncode == 0
+            assert f"process {other.pid} may run one too" in done.stderr
+            assert other.pid not in running.hidden()  # root sees all
+        finally:
+            other.kill()
+
+
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [
+        ("rig stop", True),
+        ("/usr/bin/python3 /home/me/.local/bin/rig hit", True),
+        ("python -X dev -m rig hit", True),
+        ("vim rig/realtime/running.py", False),
+        ("python -m rigging", False),
+        ("", False),
+    ],
+)
+def test_a_rig_is_known_by_its_command_line(command: str, meant: bool) -> None:
+    assert running._is_rig(command.encode().split(b" ")) == meant
+
+
+def rig_stop(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rig", "stop", *arguments]
+    root = Path(__file__).parents[3]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_the_command_stops_a_loop_and_says_which() -> None:
+    with loop_process(INFO) as process:
+        listed = rig_stop("--list")
+        assert f"process {process.pid}: runs," in listed.stdout
+        done = rig_stop(str(process.pid))
+        assert done.returncode == 0, done.stderr
+        assert f"process {process.pid}: stopped after" in done.stdout
+        assert "serial:///dev/ttyTEST, here.rigcap" in done.stdout
+        again = rig_stop(str(process.pid), "--json")
+        assert again.returncode == 2
+        assert "runs no loop" in json.loads(again.stdout)["error"]["error"]
+
+
+def test_the_command_is_content_when_nothing_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(running, "stop", lambda pid: [])
+    monkeypatch.setattr(running, "hidden", list)
+    assert rig.cli.run(["stop"]) == 0
+    assert capsys.readouterr().out == "no loop runs in real time: nothing to stop\n"
+    assert rig.cli.run(["stop", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"loops": [], "hidden": []}
+
+
+def test_the_command_says_when_a_loop_does_not_listen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(running, "PATIENCE_S", 0.05)
+    with loop_process(INFO, "deaf") as process:
+        monkeypatch.setattr(
+            running, "stop", lambda pid, stop=running.stop: stop(process.pid, patience_s=0.05)
+        )
+        assert rig.cli.run(["stop", "--json"]) == 1
+        out, err = capsys.readouterr()
+        (loop,) = json.loads(out)["loops"]
+        assert (loop["pid"], loop["ended"]) == (process.pid, False)
+        assert f"kill -9 {process.pid}" in err
+
+
+def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may do so before anybody looks again: that is no reason to say that none ran."""
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        asked = Ring.ask_to_stop
+
+        def at_once(other: Ring) -> None:
+            asked(other)
+            ring.put(words.LOOP_DONE, 1)
+
+        monkeypatch.setattr(Ring, "ask_to_stop", at_once)
+        (stopped,) = running.stop(os.getpid(), patience_s=1)
+        assert stopped.ended

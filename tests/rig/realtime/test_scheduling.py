@@ -1,0 +1,664 @@
+"""Real-time scheduling: what is granted, what is refused and said, and that nothing is left behind.
+
+What an ordinary user meets is tried in child processes that give up their rights.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import mmap
+import os
+import resource
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.core.errors import RealtimeError
+from rig.realtime.scheduling import (
+    Realtime,
+    Refusal,
+    Rights,
+    ThreadState,
+    calls,
+    facts,
+    memory,
+    obtained,
+    refusals,
+)
+
+CHILD_S = 60.0
+PATIENCE_S = 5.0
+KIB = 1024
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What `experiment.host` says of it."""
+
+    realtime: str = "try"
+    priority: int = 70
+    cpu: int | None = None
+
+
+def locked() -> int:
+    return facts.status_kilobytes("VmLck")
+
+
+def latency_requests() -> int:
+    held = 0
+    for name in os.listdir("/proc/self/fd"):
+        try:
+            held += os.readlink(f"/proc/self/fd/{name}") == "/dev/cpu_dma_latency"
+        except OSError:
+            continue
+    return held
+
+
+def all_threads() -> set[tuple[int, tuple[int, ...]]]:
+    """Policies and processors of the threads of this process."""
+    found = set()
+    for task in map(int, os.listdir("/proc/self/task")):
+        with suppress(ProcessLookupError):  # a thread that was joined is still here for a moment
+            found.add((os.sched_getscheduler(task), tuple(sorted(os.sched_getaffinity(task)))))
+    return found
+
+
+def state() -> tuple[object, ...]:
+    return locked(), latency_requests(), ThreadState.here(), os.sched_getaffinity(os.getpid())
+
+
+def is_as(before: object, now) -> bool:
+    """Wait until it is; a thread that was joined is still in /proc for a moment."""
+    deadline = time.monotonic() + PATIENCE_S
+    while now() != before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return now() == before
+
+
+def in_thread(function):
+    """Call it in a fresh thread and return what it returned."""
+    results = []
+    thread = threading.Thread(target=lambda: results.append(function()), daemon=True)
+    thread.start()
+    thread.join(CHILD_S)
+    return results[0]
+
+
+@pytest.fixture
+def granted():
+    """A machine that grants everything to this process."""
+    with obtained(Asked()) as realtime:
+        refused = realtime.refusals
+    if refused:
+        pytest.skip(f"this process may not schedule in real time: {refused[0].text}")
+
+
+@pytest.fixture(autouse=True)
+def as_before():
+    before = state()
+    yield
+    assert state() == before
+
+
+# ---------------------------------------------------------------------- granted
+
+
+@pytest.mark.usefixtures("granted")
+def test_the_process_holds_its_memory_and_its_processors_awake_as_long_as_the_context_lasts():
+    with obtained(Asked("enforce")) as realtime:
+        assert realtime.messages == []
+        assert locked() > 0
+        assert latency_requests() == (1 if Path("/dev/cpu_dma_latency").exists() else 0)
+        assert ThreadState.here().name == "SCHED_OTHER"  # of the caller, which is not the loop
+
+
+@pytest.mark.usefixtures("granted")
+def test_the_loop_s_thread_gets_policy_priority_and_processor_and_its_children_do_not():
+    cpu = max(os.sched_getaffinity(0))
+    with obtained(Asked("enforce", priority=42, cpu=cpu)) as realtime:
+
+        def body() -> tuple[ThreadState | None, ThreadState]:
+            return realtime.enter_thread(), in_thread(ThreadState.here)
+
+        mine, childs = in_thread(body)
+        assert mine.is_fifo
+        assert (mine.priority, mine.cpus) == (42, (cpu,))
+        assert childs.name == "SCHED_OTHER"
+
+
+@pytest.mark.usefixtures("granted")
+def test_a_thread_that_lives_on_gets_back_what_it_had():
+    def body() -> tuple[ThreadState, ThreadState | None, ThreadState]:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        calls.set_timer_slack(12_345)
+        before = ThreadState.here()
+        with obtained(Asked(cpu=min(os.sched_getaffinity(0)))) as realtime:
+            entered = realtime.enter_thread()
+            realtime.leave_thread()
+        return before, entered, ThreadState.here()
+
+    before, entered, after = in_thread(body)
+    assert entered.is_fifo
+    assert after == before
+    assert after.timer_slack_ns == 12_345
+
+
+@pytest.mark.usefixtures("granted")
+def test_contexts_within_each_other_give_back_in_turn():
+    def body() -> list[tuple[str, int]]:
+        seen = []
+        with obtained(Asked(priority=30)) as outer, obtained(Asked(priority=40)) as inner:
+            for step in (outer.enter_thread, inner.enter_thread, inner.leave_thread, outer.leave_thread):
+                step()
+                now = ThreadState.here()
+                seen.append((now.name, now.priority))
+        return seen
+
+    fifo = "SCHED_FIFO"
+    assert in_thread(body) == [(fifo, 30), (fifo, 40), (fifo, 30), ("SCHED_OTHER", 0)]
+
+
+@pytest.mark.usefixtures("granted")
+def test_leaving_twice_or_elsewhere_changes_nothing():
+    with obtained(Asked()) as realtime:
+        realtime.leave_thread()
+        entered, left = threading.Event(), threading.Event()
+
+        def body() -> ThreadState:
+            realtime.enter_thread()
+            entered.set()
+            left.wait(CHILD_S)
+            return ThreadState.here()
+
+        kept = []
+        thread = threading.Thread(target=lambda: kept.append(body()), daemon=True)
+        thread.start()
+        assert entered.wait(CHILD_S)
+        realtime.leave_thread()  # this thread never entered
+        left.set()
+        thread.join(CHILD_S)
+        assert kept[0].is_fifo
+
+
+@pytest.mark.usefixtures("granted")
+def test_an_exception_and_a_refusal_undo_everything():
+    before = state()
+    with pytest.raises(ZeroDivisionError), obtained(Asked("enforce")):
+        raise ZeroDivisionError
+    assert state() == before
+    with pytest.raises(RealtimeError, match="processor 4095"), obtained(Asked("enforce", cpu=4095)):
+        pytest.fail("a context that is refused must not run")
+    assert state() == before
+
+
+@pytest.mark.usefixtures("granted")
+@given(st.lists(st.booleans(), min_size=1, max_size=12))
+@settings(max_examples=20, deadline=None)
+def test_contexts_in_any_order_hold_until_the_last_one_ends(opens):
+    held: list[ExitStack] = []
+    per_context = 1 if Path("/dev/cpu_dma_latency").exists() else 0
+    try:
+        for opening in opens:
+            if opening:
+                stack = ExitStack()
+                stack.enter_context(obtained(Asked()))
+                held.append(stack)
+            elif held:
+                held.pop(0).close()  # not the latest: contexts of several threads do not nest
+            assert (locked() > 0) == bool(held)
+            assert latency_requests() == per_context * len(held)
+    finally:
+        for stack in held:
+            stack.close()
+    assert locked() == 0
+
+
+@pytest.mark.usefixtures("granted")
+def test_contexts_of_several_threads_do_not_undo_each_other():
+    together = threading.Barrier(4)
+
+    def body() -> bool:
+        for _ in range(20):
+            with obtained(Asked()):
+                if locked() == 0:
+                    return False
+        together.wait(CHILD_S)
+        return True
+
+    results: list[bool] = []
+    threads = [threading.Thread(target=lambda: results.append(body()), daemon=True) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(CHILD_S)
+    assert results == [True] * 4
+    assert locked() == 0
+
+
+@pytest.mark.usefixtures("granted")
+def test_pages_that_somebody_else_had_locked_stay_locked():
+    with mmap.mmap(-1, 4 * mmap.PAGESIZE) as region:
+        word = np.frombuffer(region, np.uint8)
+        address = word.ctypes.data
+        assert calls.lock_range(address, 4 * mmap.PAGESIZE, on_fault=True) == 0
+        before = locked()
+        with obtained(Asked()):
+            assert locked() > before
+        assert locked() == before
+        ranges = memory.locked_before()
+        assert any(pages.start <= address < pages.end and pages.on_fault for pages in ranges)
+        del word
+
+
+@pytest.mark.usefixtures("granted")
+def test_a_program_that_had_locked_everything_keeps_it():
+    try:
+        assert calls.lock_all() == 0
+        with obtained(Asked()) as realtime:
+            assert realtime.report["obtained"]["locked_bytes"] > 0
+        assert locked() > 0
+        assert memory.locked_before() is None
+    finally:
+        calls.unlock_all()
+
+
+@pytest.mark.usefixtures("granted")
+def test_a_thread_that_comes_after_the_end_stays_as_it_is():
+    with obtained(Asked()) as realtime:
+        pass
+    assert not in_thread(realtime.enter_thread).is_fifo
+
+
+# ---------------------------------------------------------------------- pages
+
+
+@pytest.mark.parametrize("kernel", ["this", "before 5.14"])
+@pytest.mark.parametrize("order", ["whole", "reversed", "column"])
+def test_a_prefaulted_buffer_has_all_its_pages_and_its_content(monkeypatch, kernel, order):
+    if kernel != "this":
+        monkeypatch.setattr(calls, "MADV_POPULATE_WRITE", 9999)
+    pages = 256
+    with mmap.mmap(-1, pages * mmap.PAGESIZE) as region:
+        whole = np.frombuffer(region, np.uint8)
+        whole[mmap.PAGESIZE * 7 + 5] = 77
+        table = whole.reshape(pages, mmap.PAGESIZE)
+        view = {"whole": whole, "reversed": whole[::-1], "column": table[:, 1]}[order]
+        Realtime(Asked(), active=True).prefault(view, np.zeros(0))
+        before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+        whole[:: mmap.PAGESIZE] += 1
+        faults = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before
+        assert faults < pages // 4
+        assert whole.sum() == pages + 77
+        del whole, table, view
+
+
+def test_the_stack_of_an_entered_thread_is_there():
+    def body() -> int:
+        with obtained(Asked()) as realtime:
+            realtime.enter_thread()
+            below = calls.stack_top() - 400 * KIB
+        for mapping in Path("/proc/self/smaps").read_text().split("VmFlags:"):
+            lines = [line for line in mapping.splitlines() if line]
+            head = next(
+                (line for line in lines if "-" in line.split()[0] and ":" not in line.split()[0]), None
+            )
+            if head is None:
+                continue
+            start, end = (int(part, 16) for part in head.split()[0].split("-"))
+            if start <= below < end:
+                return next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
+        return 0
+
+    assert in_thread(body) >= 256
+
+
+# ---------------------------------------------------------------------- not asked
+
+
+@pytest.mark.parametrize(
+    ("asked", "virtual"), [("off", False), ("enforce", True), ("try", True), ("off", True)]
+)
+def test_off_and_virtual_time_touch_nothing(asked, virtual):
+    before, threads = state(), all_threads()
+    with obtained(Asked(asked, priority=99, cpu=4095), virtual=virtual) as realtime:
+        realtime.enter_thread()
+        realtime.prefault(np.zeros(10))
+        assert state() == before
+        assert all_threads() <= threads
+        realtime.leave_thread()
+        assert realtime.messages == []
+        assert (realtime.report == {}) == virtual
+    assert state() == before
+    assert all_threads() <= threads
+
+
+@pytest.mark.parametrize("asked", ["try", "off"])
+def test_the_report_is_json_and_says_asked_obtained_refused_and_what_the_kernel_is(asked):
+    with obtained(Asked(asked, priority=33)) as realtime:
+        report = json.loads(json.dumps(realtime.report))
+    assert report["asked"] == {"realtime": asked, "priority": 33, "cpu": None}
+    assert set(report["obtained"]) == {
+        *("policy", "priority", "cpus", "timer_slack_ns", "locked_bytes", "cpu_latency_us")
+    }
+    assert set(report["machine"]) == {
+        *("kernel", "preemption", "rt_runtime_us", "rt_period_us", "clock_source", "governor")
+    }
+    if asked == "off":
+        assert report["obtained"]["policy"] == "SCHED_OTHER"
+        assert report["refusals"] == []
+
+
+# ---------------------------------------------------------------------- refused
+
+CHILD = """
+import json, os, resource, sys, threading
+from rig.core.errors import RealtimeError
+from rig.realtime.scheduling import ThreadState, calls, facts, obtained
+from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, is_as, state
+
+group, rtprio, memlock, user = json.loads(sys.argv[1])
+if group:
+    with open(group + "/cgroup.procs", "w") as procs:
+        procs.write(str(os.getpid()))
+for which, limit in ((resource.RLIMIT_RTPRIO, rtprio), (resource.RLIMIT_MEMLOCK, memlock)):
+    try:
+        if limit is not None:
+            resource.setrlimit(which, (limit, limit))
+    except ValueError:
+        sys.exit(77)  # more than this process may give
+if user:
+    os.setgroups([])
+    os.setresgid(user, user, user)
+    os.setresuid(user, user, user)
+calls._call("prctl", 4, 1, 0, 0, 0)  # PR_SET_DUMPABLE, for /proc/self/fd
+def now():
+    return state(), all_threads(), len(os.listdir("/proc/self/fd"))
+before = now()
+found = {}
+"""
+
+
+def child(
+    body: str, *, group: str = "", rtprio: int | None = 0, memlock: int | None = 0, user: int = 65534
+) -> dict[str, object]:
+    """Run lines that fill `found` in a process with these limits; it must be as before at the end."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can give up rights")
+    script = (
+        CHILD
+        + textwrap.dedent(body)
+        + "\nassert is_as(before, now), (before, now())\nprint(json.dumps(found))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, json.dumps([group, rtprio, memlock, user])],
+        capture_output=True,
+        text=True,
+        timeout=CHILD_S,
+        check=False,
+        cwd=Path(__file__).parents[3],
+    )
+    if done.returncode == 77:
+        pytest.skip("this process may not raise its limits (CAP_SYS_RESOURCE)")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+TRY = """
+with obtained(Asked("try", cpu=0)) as realtime:
+    found["entered"] = in_thread(realtime.enter_thread).as_mapping()
+    found["messages"] = realtime.messages
+    found["report"] = realtime.report
+    found["locked"] = facts.status_kilobytes("VmLck")
+"""
+ENFORCE = """
+try:
+    with obtained(Asked("enforce")):
+        found["error"] = None
+except RealtimeError as error:
+    found["error"] = str(error)
+    found["as before"] = is_as(before, now)
+"""
+
+
+def test_an_ordinary_user_runs_as_well_as_granted_and_hears_all_that_is_refused():
+    found = child(TRY)
+    assert found["entered"]["policy"] == "SCHED_OTHER"
+    assert found["entered"]["timer_slack_ns"] == 1
+    assert found["entered"]["cpus"] == [0]
+    assert found["locked"] == 0
+    policy, memory_refused, *rest = found["messages"]
+    assert policy.startswith("SCHED_FIFO 70 is refused: the limit of real-time priorities is 0")
+    assert "rtprio 98" in policy
+    assert memory_refused.startswith("memory is not locked: the limit is 0 MiB")
+    assert "memlock unlimited" in memory_refused
+    assert len(rest) <= 1
+    assert len(found["report"]["refusals"]) == len(found["messages"])
+    assert found["report"]["obtained"]["policy"] == "SCHED_OTHER"
+
+
+def test_enforce_names_all_that_is_missing_and_changes_nothing():
+    found = child(ENFORCE)
+    for text in ("SCHED_FIFO 70", "memory is not locked", "limits.d", 'host.realtime = "try"'):
+        assert text in found["error"]
+    assert found["error"].count(refusals.LIMITS_COMMAND) == 1  # one command for both limits
+    assert found["as before"]
+
+
+def test_limits_are_enough_without_root():
+    """A user with a limit of real-time priorities gets FIFO, and the thread is an ordinary one again afterwards."""
+    found = child(
+        """
+        def body():
+            with obtained(Asked("try")) as realtime:
+                entered = realtime.enter_thread()
+                realtime.leave_thread()
+            return entered.as_mapping(), ThreadState.here().as_mapping()
+        found["entered"], found["after"] = in_thread(body)
+        """,
+        rtprio=90,
+        memlock=resource.RLIM_INFINITY,
+    )
+    assert (found["entered"]["policy"], found["entered"]["priority"]) == ("SCHED_FIFO", 70)
+    assert (found["after"]["policy"], found["after"]["priority"]) == ("SCHED_OTHER", 0)
+
+
+def test_rights_that_went_meanwhile_leave_an_ordinary_thread():
+    """Without them the kernel keeps "children do not inherit", which an ordinary thread does not notice."""
+    found = child(
+        """
+        def body():
+            with obtained(Asked("try")) as realtime:
+                found["entered"] = realtime.enter_thread().as_mapping()
+                os.setresuid(65534, 65534, 65534)
+                realtime.leave_thread()
+            return ThreadState.here().as_mapping()
+        found["after"] = in_thread(body)
+        """,
+        user=0,
+        memlock=None,
+    )
+    if found["entered"]["policy"] != "SCHED_FIFO":
+        pytest.skip("this process may not schedule in real time")
+    assert (found["after"]["policy"], found["after"]["priority"]) == ("SCHED_OTHER", 0)
+
+
+def test_memory_is_not_locked_when_its_limit_leaves_no_room_for_the_run(monkeypatch):
+    """At its limit the kernel would refuse every further allocation, in the middle of a trial."""
+    size = facts.status_kilobytes("VmSize") * KIB
+    monkeypatch.setattr(Rights, "here", lambda: rights(locked_limit=size + 2**20))
+    monkeypatch.setattr(calls, "lock_all", lambda: pytest.fail("it was tried"))
+    refusal = memory.take()
+    assert "memory is not locked: the limit is" in str(refusal)
+    assert "memlock unlimited" in refusal.remedy
+
+
+def test_off_is_silent_without_rights():
+    found = child(
+        """
+        with obtained(Asked("off")) as realtime:
+            found["entered"] = in_thread(realtime.enter_thread).as_mapping()
+            found["messages"] = realtime.messages
+        """
+    )
+    assert found["messages"] == []
+    assert found["entered"]["timer_slack_ns"] > 1
+
+
+def test_a_control_group_without_a_share_of_real_time_refuses_even_root():
+    parent = Path("/sys/fs/cgroup/cpu")
+    if not (parent / "cpu.rt_runtime_us").exists() or not os.access(parent, os.W_OK):
+        pytest.skip("this kernel has no shares of real time for control groups (RT_GROUP_SCHED, version 1)")
+    if not Rights.here().may_schedule(Asked().priority):
+        pytest.skip("this process may not schedule in real time anyway")
+    group = parent / f"rig-test-{os.getpid()}"
+    group.mkdir()
+    try:
+        found = child(TRY, group=str(group), user=0, memlock=None)
+    finally:
+        group.rmdir()
+    assert found["entered"]["policy"] == "SCHED_OTHER"
+    assert f"control group /{group.name} has no share of real time" in found["messages"][0]
+    assert f"sudo tee {group}/cpu.rt_runtime_us" in found["messages"][0]
+
+
+# ---------------------------------------------------------------------- sentences
+
+
+def rights(**changes: object) -> Rights:
+    known = {
+        "user": "ada",
+        "groups": frozenset(),
+        "priority_limit": 0,
+        "locked_limit": 65536,
+        "capabilities": 0,
+    }
+    return Rights(**{**known, **changes})
+
+
+def tree(root: Path, **files: str) -> Path:
+    for name, text in files.items():
+        path = root / name.replace("__", "/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+    return root
+
+
+def test_rights_follow_limits_and_capabilities():
+    assert rights(priority_limit=None).may_schedule(98)
+    assert rights(priority_limit=98).may_schedule(98)
+    assert not rights(priority_limit=97).may_schedule(98)
+    assert rights(capabilities=1 << 23).may_schedule(98)
+    assert rights(capabilities=1 << 14).may_lock(2**40)
+    assert not rights().may_lock(2**20)
+
+
+def test_a_limit_below_the_priority_is_named():
+    refusal = refusals.of_policy(80, rights(priority_limit=79), errno.EPERM)
+    assert "the limit of real-time priorities is 79" in str(refusal)
+    assert refusal.command == refusals.LIMITS_COMMAND
+
+
+def test_a_refusal_that_no_limit_explains_points_at_containers_and_groups(tmp_path):
+    refusal = refusals.of_policy(80, rights(priority_limit=98), errno.EPERM, tmp_path)
+    assert "Operation not permitted" in str(refusal)
+    assert "--cap-add=SYS_NICE" in str(refusal)
+
+
+def test_idle_states_are_missed_only_where_there_are_any(tmp_path):
+    assert refusals.of_idle(errno.ENOENT, tmp_path) is None
+    tree(tmp_path, sys__devices__system__cpu__cpuidle__current_driver="intel_idle")
+    assert refusals.of_idle(errno.ENOENT, tmp_path) is not None
+    assert "--print-udev" in str(refusals.of_idle(errno.EACCES, tmp_path))
+
+
+def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path):
+    tree(tmp_path, sys__devices__system__cpu__online="0-1,4")
+    assert "this machine has 0, 1, 4" in str(refusals.of_processor(2, errno.EINVAL, tmp_path))
+    assert "Invalid argument" in str(refusals.of_processor(4, errno.EINVAL, tmp_path))
+
+
+def test_a_refusal_without_a_command_is_a_sentence():
+    assert str(Refusal("it rains")) == "it rains"
+
+
+@pytest.mark.parametrize(
+    ("version", "extra", "kind"),
+    [
+        ("#1 SMP PREEMPT_RT Debian", {}, "PREEMPT_RT"),
+        ("#1 SMP", {"sys__kernel__realtime": "1"}, "PREEMPT_RT"),
+        ("#1 SMP PREEMPT_DYNAMIC", {}, "PREEMPT_DYNAMIC"),
+        (
+            "#1 SMP PREEMPT_DYNAMIC",
+            {"sys__kernel__debug__sched__preempt": "none voluntary (full)"},
+            "PREEMPT_DYNAMIC (full)",
+        ),
+        ("#1 SMP PREEMPT_DYNAMIC", {"proc__cmdline": "quiet preempt=none"}, "PREEMPT_DYNAMIC (none)"),
+        ("#1 SMP PREEMPT", {}, "PREEMPT"),
+        ("#1 SMP", {}, "none"),
+    ],
+)
+def test_kinds_of_preemption(tmp_path, version, extra, kind):
+    assert facts.preemption(tree(tmp_path, proc__sys__kernel__version=version, **extra)) == kind
+
+
+@given(st.sets(st.integers(0, 300)))
+def test_processor_lists_are_read_as_the_kernel_writes_them(cpus):
+    runs: list[list[int]] = []
+    for cpu in sorted(cpus):
+        if runs and cpu == runs[-1][-1] + 1:
+            runs[-1].append(cpu)
+        else:
+            runs.append([cpu])
+    text = ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
+    assert facts.cpu_list(text) == cpus
+
+
+@given(st.text())
+def test_any_text_is_some_list_of_processors(text):
+    assert all(isinstance(cpu, int) for cpu in facts.cpu_list(text[:20].replace("-", "")))
+
+
+def test_facts_of_a_machine(tmp_path):
+    tree(
+        tmp_path,
+        proc__sys__kernel__sched_rt_runtime_us="950000",
+        proc__sys__kernel__sched_rt_period_us="1000000",
+        sys__devices__system__clocksource__clocksource0__current_clocksource="tsc",
+        sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="powersave",
+        sys__devices__system__cpu__cpu1__cpufreq__scaling_governor="performance",
+    )
+    assert facts.described(1, tmp_path)["governor"] == "performance"
+    assert facts.described(None, tmp_path)["governor"] == "performance, powersave"
+    assert facts.described(None, tmp_path)["rt_runtime_us"] == 950000
+    empty = facts.described(None, tmp_path / "nowhere")
+    assert empty["rt_runtime_us"] is None
+    assert empty["clock_source"] == ""
+
+
+def test_locked_mappings_are_read_from_smaps():
+    smaps = textwrap.dedent(
+        """\
+        7f00-7f10 rw-p 00000000 00:00 0
+        Locked:               16 kB
+        VmFlags: rd wr mr mw me lo lf
+        7f10-7f20 rw-p 00000000 00:00 0    [stack]
+        VmFlags: rd wr mr mw me
+        7f20-7f30 r--p 00000000 00:00 0    /lib/lo-lo.so
+        VmFlags: rd mr lo
+        """
+    )
+    assert memory.locked_ranges(smaps) == [
+        memory.Range(0x7F00, 0x7F10, True),
+        memory.Range(0x7F20, 0x7F30, False),
+    ]

@@ -1,0 +1,211 @@
+"""The system calls of the compiled loop, on real descriptors: pipes, sockets and pseudo-terminals."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import pty
+import signal
+import socket
+import threading
+import time
+import tty
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("system calls exist only in compiled code", allow_module_level=True)
+
+from rig.realtime.system import descriptor_read, descriptor_wait, descriptor_write, monotonic_now, sleep_until
+
+MILLISECOND = 1_000_000
+
+
+def pipe():
+    reader, writer = os.pipe()
+    return reader, writer
+
+
+def sockets():
+    ends = socket.socketpair()
+    return tuple(end.detach() for end in ends)
+
+
+def pseudo_terminal():
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    return slave, master
+
+
+@pytest.fixture(params=[pipe, sockets, pseudo_terminal], ids=lambda make: make.__name__)
+def ends(request):
+    """Descriptors (ours, theirs), both non-blocking: they write, we read. Closed afterwards if still open."""
+    ours, theirs = request.param()
+    for descriptor in (ours, theirs):
+        os.set_blocking(descriptor, False)
+    yield ours, theirs
+    for descriptor in (ours, theirs):
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+
+def read(descriptor: int, size: int = 64) -> bytes | int:
+    buffer = np.zeros(size, np.uint8)
+    got = descriptor_read(descriptor, buffer.ctypes.data, size)
+    return got if got <= 0 else buffer[:got].tobytes()
+
+
+def write(descriptor: int, data: bytes) -> int:
+    buffer = np.frombuffer(data, np.uint8).copy()
+    return descriptor_write(descriptor, buffer.ctypes.data, len(buffer))
+
+
+def soon() -> int:
+    return monotonic_now(0) + 2000 * MILLISECOND
+
+
+def test_bytes_arrive_whole(ends):
+    ours, theirs = ends
+    os.write(theirs, b"\x00\x01frame\xff\x00")
+    assert descriptor_wait(ours, soon()) == 1
+    assert read(ours) == b"\x00\x01frame\xff\x00"
+
+
+def test_an_empty_line_is_not_an_error(ends):
+    """Zero means nothing there, though the other side lives; the loop goes on."""
+    ours, _ = ends
+    assert read(ours) == 0
+    assert descriptor_wait(ours, monotonic_now(0)) == 0
+
+
+def test_no_more_is_read_than_there_is_room_for(ends):
+    ours, theirs = ends
+    os.write(theirs, b"abcdef")
+    assert descriptor_wait(ours, soon()) == 1
+    assert read(ours, 4) == b"abcd"
+    assert read(ours, 4) == b"ef"
+    assert read(ours, 4) == 0
+
+
+def test_a_wait_ends_at_its_deadline_and_not_before(ends):
+    ours, _ = ends
+    deadline = monotonic_now(0) + 5 * MILLISECOND
+    assert descriptor_wait(ours, deadline) == 0
+    assert monotonic_now(0) >= deadline
+
+
+def test_a_deadline_in_the_past_still_sees_what_is_there(ends):
+    ours, theirs = ends
+    assert descriptor_wait(ours, monotonic_now(0) - MILLISECOND) == 0
+    os.write(theirs, b"x")
+    assert descriptor_wait(ours, soon()) == 1
+    assert descriptor_wait(ours, monotonic_now(0) - MILLISECOND) == 1
+
+
+def test_bytes_wake_a_wait_that_holds_no_gil(ends):
+    ours, theirs = ends
+    answers = []
+    thread = threading.Thread(target=lambda: answers.append(descriptor_wait(ours, soon())), daemon=True)
+    thread.start()
+    os.write(theirs, b"x")  # could not run if the waiting thread kept the GIL
+    thread.join(10.0)
+    assert answers == [1]
+
+
+@pytest.mark.parametrize("make", [pipe, sockets], ids=lambda make: make.__name__)
+def test_what_was_sent_before_a_hang_up_is_still_read(make):
+    """Not so on a terminal, which throws its queue away when its master goes."""
+    ours, theirs = make()
+    os.write(theirs, b"last words")
+    os.close(theirs)
+    try:
+        assert descriptor_wait(ours, soon()) == 1
+        assert read(ours) == b"last words"
+        assert read(ours) == -errno.ENODEV
+    finally:
+        os.close(ours)
+
+
+def test_a_hang_up_ends_a_wait_at_once_and_for_ever(ends):
+    """An unplugged device must not cost the loop its time-out, and must not look like an idle line."""
+    ours, theirs = ends
+    os.close(theirs)
+    for _ in range(3):
+        answer = descriptor_wait(ours, monotonic_now(0) + 60_000 * MILLISECOND)
+        assert answer == -errno.EIO or (answer == 1 and read(ours) in (-errno.ENODEV, -errno.EIO))
+
+
+def test_a_closed_descriptor_is_an_error_not_silence(ends):
+    ours, _ = ends
+    os.close(ours)
+    assert descriptor_wait(ours, soon()) == -errno.EIO
+    assert read(ours) == -errno.EBADF
+    assert write(ours, b"x") == -errno.EBADF
+
+
+@pytest.mark.parametrize("make", [sockets, pseudo_terminal], ids=lambda make: make.__name__)
+def test_a_full_line_takes_what_fits_and_never_blocks(make):
+    ours, theirs = make()
+    os.set_blocking(ours, False)
+    try:
+        chunk, taken, last = b"x" * 4096, 0, 1
+        while last > 0:
+            last = write(ours, chunk)
+            taken += max(last, 0)
+            assert taken < 1 << 26
+        assert last == 0
+        assert taken > 0
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+@pytest.mark.parametrize("make", [pipe, sockets], ids=lambda make: make.__name__)
+def test_writing_to_a_line_nobody_reads_any_more_is_an_error(make):
+    ours, theirs = make()
+    os.close(ours)
+    try:
+        assert write(theirs, b"x") == -errno.EPIPE
+    finally:
+        os.close(theirs)
+
+
+def test_a_terminal_whose_master_went_away_refuses_to_be_written_to():
+    slave, master = pseudo_terminal()
+    os.close(master)
+    try:
+        assert write(slave, b"x") == -errno.EIO
+    finally:
+        os.close(slave)
+
+
+def test_no_sleep_ends_before_its_deadline():
+    deadline = monotonic_now(0) + 2 * MILLISECOND
+    sleep_until(deadline)
+    assert monotonic_now(0) >= deadline
+    sleep_until(deadline - 1000 * MILLISECOND)
+
+
+def test_a_signal_shortens_neither_a_sleep_nor_a_wait():
+    """Ctrl-C or a profiler's timer interrupts the calls; both go back for the rest."""
+    ours, theirs = pipe()
+    caught = []
+    previous = signal.signal(signal.SIGALRM, lambda *_: caught.append(time.monotonic_ns()))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.002, 0.002)
+        deadline = monotonic_now(0) + 20 * MILLISECOND
+        sleep_until(deadline)
+        assert monotonic_now(0) >= deadline
+        deadline += 20 * MILLISECOND
+        assert descriptor_wait(ours, deadline) == 0
+        assert monotonic_now(0) >= deadline
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, previous)
+        os.close(ours)
+        os.close(theirs)
+    assert caught

@@ -1,0 +1,118 @@
+"""Exports: read back by the tools they are for; never over a file that is there."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import loadmat
+
+from rig.core.errors import RecordingError
+from rig.recording.data import Recording
+from rig.recording.export import EXPORTERS, export, sidecar_of
+from rig.recording.reader import open_recording
+from rig.recording.seal import with_truth
+from tests.conformance.recording import example_header, example_rows, example_truth
+
+
+@pytest.fixture
+def recording() -> Recording:
+    rows = example_rows(25_000 // 1000)
+    rows["sample_index"] = np.arange(len(rows))
+    plain = Recording(example_header(), rows, {"reason": "finished"})
+    return with_truth(plain, example_truth(rows["sample_index"]))
+
+
+def test_csv_is_read_by_csv_and_numpy(tmp_path: Path, recording: Recording) -> None:
+    path = export(recording, tmp_path / "trial.csv")
+    with open(path, newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert list(lines[0]) == list(recording.names)
+    assert [int(line["count"]) for line in lines] == recording.column("count").tolist()
+    position = np.array([float(line["position"]) for line in lines])
+    assert np.array_equal(position, recording.column("position"), equal_nan=True)
+    columns = [recording.names.index(name) for name in ("position_true", "velocity_true")]
+    table = np.loadtxt(path, delimiter=",", skiprows=1, usecols=columns)
+    assert (table[:, 0] == recording.column("position_true")).all()
+    assert (table[:, 1] == recording.column("velocity_true")).all()
+
+
+def test_csv_has_its_meaning_beside_it(tmp_path: Path, recording: Recording) -> None:
+    path = export(recording, tmp_path / "trial.csv")
+    sidecar = json.loads(sidecar_of(path).read_text("utf-8"))
+    assert sidecar["units"] == recording.units
+    assert sidecar["descriptions"] == recording.descriptions
+    assert sidecar["header"] == recording.header
+    assert sidecar["trailer"] == {"reason": "finished"}
+
+
+def test_long_csv_is_written_in_pieces(tmp_path: Path) -> None:
+    rows = example_rows(20_001)
+    path = export(Recording(example_header(), rows), tmp_path / "trial.csv")
+    frame = pd.read_csv(path, usecols=["count", "device_time"])
+    assert frame["count"].tolist() == rows["count"].tolist()
+    assert frame["device_time"].tolist() == rows["device_time"].tolist()
+
+
+def test_parquet_is_read_by_pandas(tmp_path: Path, recording: Recording) -> None:
+    frame = pd.read_parquet(export(recording, tmp_path / "trial.parquet"))
+    assert list(frame.columns) == list(recording.names)
+    assert frame["position"].to_numpy().tobytes() == recording.column("position").tobytes()
+
+
+def test_mat_is_read_by_scipy(tmp_path: Path, recording: Recording) -> None:
+    contents = loadmat(export(recording, tmp_path / "trial.mat"))
+    data = contents["data"][0, 0]
+    assert data["count"].dtype == np.int64
+    assert data["count"].shape == (len(recording), 1)
+    assert data["handle_velocity_true"][:, 0].tolist() == recording.column("handle_velocity_true").tolist()
+    assert contents["units"][0, 0]["effort_applied"][0] == "N·m"
+    assert contents["descriptions"][0, 0]["tick"][0] == recording.descriptions["tick"]
+    assert json.loads(contents["header"][0]) == recording.header
+
+
+def test_names_fit_in_matlab(recording: Recording) -> None:
+    assert all(name.isidentifier() and len(name) <= 31 for name in recording.names)
+
+
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_files_are_replaced_only_when_asked(tmp_path: Path, recording: Recording, name: str) -> None:
+    path = tmp_path / f"trial.{name}"
+    path.write_text("precious")
+    with pytest.raises(RecordingError, match="File exists"):
+        export(recording, path)
+    assert path.read_text() == "precious"
+    assert list(tmp_path.iterdir()) == [path]
+    export(recording, path, overwrite=True)
+    assert path.stat().st_size > 1000
+
+
+def test_a_sidecar_in_the_way_stops_the_csv(tmp_path: Path, recording: Recording) -> None:
+    path = tmp_path / "trial.csv"
+    sidecar_of(path).write_text("precious")
+    with pytest.raises(RecordingError, match="File exists"):
+        export(recording, path)
+    assert list(tmp_path.iterdir()) == [sidecar_of(path)]
+
+
+def test_the_format_may_differ_from_the_suffix(tmp_path: Path, recording: Recording) -> None:
+    path = export(recording, tmp_path / "trial.dat", "parquet")
+    assert open_recording(path).rows.tobytes() == recording.rows.tobytes()
+    export(path, tmp_path / "trial.csv")
+    assert (tmp_path / "trial.csv").read_text().startswith("tick,sample_index,")
+
+
+def test_impossible_exports_are_one_clear_line(tmp_path: Path, recording: Recording) -> None:
+    with pytest.raises(RecordingError, match=r"no exporter for 'xlsx'\. the formats are csv, parquet, mat"):
+        export(recording, tmp_path / "trial.xlsx")
+    with pytest.raises(RecordingError, match="make the directory first"):
+        export(recording, tmp_path / "absent" / "trial.csv")
+    with pytest.raises(RecordingError, match="Is a directory"):
+        export(recording, tmp_path, "csv", overwrite=True)
+    with pytest.raises(RecordingError, match="No such file"):
+        export(tmp_path / "absent.rigcap", tmp_path / "trial.csv")
+    assert list(tmp_path.iterdir()) == []

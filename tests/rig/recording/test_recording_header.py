@@ -1,0 +1,138 @@
+"""The header: one spelling, exact floats, units by motion, and nothing volatile outside three keys."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.core.errors import RecordingError
+from rig.core.sample import COLUMNS, ROW, TRUTH_COLUMNS
+from rig.recording.canonical import canonical_json, plain
+from rig.recording.header import VOLATILE, dtype_of, git_revision, make_schema, repeatable
+from tests.conformance.recording import example_header
+
+texts = st.text(st.characters())
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | texts,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@given(json_values)
+def test_json_values_come_back_from_one_spelling(value: Any) -> None:
+    """Also names of files that are not UTF-8, which Python holds as lone surrogates."""
+    spelled = canonical_json(value)
+    assert json.loads(spelled) == value
+    assert canonical_json(_reversed(value)) == spelled
+
+
+def _reversed(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _reversed(value[key]) for key in reversed(list(value))}
+    return [_reversed(item) for item in value] if isinstance(value, list) else value
+
+
+@given(st.lists(st.floats(allow_nan=False)))
+def test_floats_keep_their_bits(values: list[float]) -> None:
+    back = [float(value) for value in json.loads(canonical_json(np.array(values)))]
+    assert np.array(back).tobytes() == np.array(values).tobytes()
+
+
+def test_nan_is_spelled_as_a_string() -> None:
+    """Strict JSON, so that every language reads it; and `float` understands it."""
+    text = canonical_json({"state": np.array([np.nan, -np.inf, 1.5])})
+    assert text == b'{"state":["NaN","-Infinity",1.5]}'
+    assert np.isnan(float(json.loads(text)["state"][0]))
+
+
+def test_python_objects_become_plain() -> None:
+    @dataclass
+    class Wall:
+        stiffness: float
+        side: IntEnum
+        file: Path
+
+    side = IntEnum("side", {"RIGHT": 1})
+    value = plain(
+        {"wall": Wall(3.0, side.RIGHT, Path("a/b")), "pair": (np.int64(1), np.float32(0.5), np.bool_(True))}
+    )
+    assert value == {"wall": {"stiffness": 3.0, "side": 1, "file": "a/b"}, "pair": [1, 0.5, True]}
+    assert type(value["pair"][0]) is int
+    assert type(value["pair"][2]) is bool
+
+
+@pytest.mark.parametrize("value", [object(), {1: 2}, {"a": {3}}, b"bytes", 1j, int])
+def test_what_only_python_reads_is_refused(value: Any) -> None:
+    with pytest.raises(TypeError, match="recording's header"):
+        canonical_json(value)
+
+
+def test_schema_describes_the_row() -> None:
+    schema = make_schema(COLUMNS, "rotary")
+    assert dtype_of(schema) == ROW
+    assert [column["name"] for column in schema["columns"]] == list(ROW.names or ())
+
+
+@pytest.mark.parametrize(("motion", "unit"), [("rotary", "N·m"), ("linear", "N")])
+def test_units_follow_the_motion(motion: Any, unit: str) -> None:
+    units = {
+        column["name"]: column["unit"]
+        for column in make_schema([*COLUMNS, *TRUTH_COLUMNS], motion)["columns"]
+    }
+    assert units["effort_wall"] == units["effort_true"] == unit
+    assert units["current_measured"] == "A"
+    assert not {"position", "velocity", "effort"} & set(units.values())
+
+
+def test_headers_of_equal_runs_differ_only_in_three_keys() -> None:
+    first, second = example_header(), example_header(host={"scheduling": "fifo"})
+    assert first["host"] != second["host"]
+    assert canonical_json(repeatable(first)) == canonical_json(repeatable(second))
+    assert set(first) - set(repeatable(first)) == set(VOLATILE) == {"created", "host", "git"}
+
+
+def test_header_holds_only_what_json_holds() -> None:
+    header = example_header(extra={"array": np.arange(3)})
+    assert json.loads(json.dumps(header)) == header
+    assert header["extra"] == {"array": [0, 1, 2]}
+    assert header["versions"]["numpy"] == np.__version__
+
+
+def test_header_names_a_bad_schema() -> None:
+    with pytest.raises(RecordingError, match="schema"):
+        dtype_of({"columns": [{"dtype": "<f8"}], "row_bytes": 8})
+
+
+def test_git_revision_of_a_checkout(tmp_path: Path) -> None:
+    assert git_revision(tmp_path) is None
+    assert git_revision(tmp_path / "absent") is None
+
+    def git(*arguments: str) -> str:
+        identity = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
+        command = ["git", "-C", str(tmp_path), *identity, *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    git("init", "-q")
+    assert git_revision(tmp_path) is None
+    (tmp_path / "a").write_text("1")
+    git("add", "a")
+    git("commit", "-qm", "first")
+    assert git_revision(tmp_path) == {"revision": git("rev-parse", "HEAD"), "dirty": False}
+    (tmp_path / "a").write_text("2")
+    assert git_revision(tmp_path) == {"revision": git("rev-parse", "HEAD"), "dirty": True}
+
+
+def test_without_git_there_is_no_revision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert git_revision(tmp_path) is None

@@ -1,0 +1,360 @@
+"""The recorder beside a running producer: nothing lost, nothing torn, whatever ends the loop or the process."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig.core.errors import LawError, RecordingError
+from rig.core.sample import ROW
+from rig.experiments.recover import recover
+from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS, Ring
+from rig.realtime.running import running
+from rig.recording.capture import pack_header
+from rig.recording.reader import open_recording
+from rig.recording.recorder import AT_RISK_S, Recorder, sync, write_all
+from tests.conformance.recording import example_header, example_rows
+
+pytestmark = pytest.mark.skipif(
+    numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
+)
+
+HEADER = example_header()
+
+
+def produce(ring: Ring, rows: NDArray[np.void], at_once: int) -> None:
+    """Put rows into the ring as the loop does in virtual time: wait for room, write, publish."""
+    done = 0
+    while done < len(rows):
+        head, tail = ring.get(HEAD), ring.get(TAIL)
+        count = min(at_once, ring.capacity - (head - tail), len(rows) - done)
+        ring.rows[(head + np.arange(count)) % ring.capacity] = rows[done : done + count]
+        ring.put(HEAD, head + count)
+        done += count
+        if count == 0:
+            time.sleep(0)
+    ring.put(TICKS, len(rows))
+    ring.put(LOOP_DONE, 1)
+
+
+@pytest.mark.parametrize("virtual", [True, False])
+@pytest.mark.parametrize(("capacity", "block_rows"), [(64, 1000), (1000, 64), (7, 7), (1, 3)])
+def test_every_row_of_a_faster_producer_is_recorded(
+    tmp_path: Path, virtual: bool, capacity: int, block_rows: int
+) -> None:
+    """Also when a block is larger than the ring: rows leave the ring before their block is full."""
+    rows = example_rows(300)
+    ring = Ring.allocate(capacity)
+    path = tmp_path / "trial.rigcap"
+    with Recorder(path, HEADER, ring, virtual=virtual, block_rows=block_rows) as recorder:
+        produce(ring, rows, at_once=50)
+        trailer = recorder.finish({"reason": "finished", "peak": 0.1})
+    found = open_recording(path)
+    assert found.rows.tobytes() == rows.tobytes()
+    assert found.complete
+    assert found.lost == ()
+    assert found.header == HEADER
+    assert found.trailer == trailer
+    assert trailer["peak"] == 0.1
+    assert trailer["recorder"] | {"blocks": 0} == {"rows": 300, "blocks": 0, "ticks": 300, "dropped": 0}
+    assert recorder.rows == 300
+    assert recorder.error == 0
+
+
+def test_a_producer_in_another_thread(tmp_path: Path) -> None:
+    """20 000 rows through a small ring while Python is busy: order and content hold."""
+    rows = example_rows(20_000)
+    ring = Ring.allocate(512)
+    producer = threading.Thread(target=produce, args=(ring, rows, 100))
+    with Recorder(tmp_path / "trial.rigcap", HEADER, ring, virtual=True) as recorder:
+        producer.start()
+        while producer.is_alive():
+            sum(range(1000))
+        producer.join()
+        assert recorder.finish()["recorder"]["rows"] == 20_000
+    assert open_recording(tmp_path / "trial.rigcap").rows.tobytes() == rows.tobytes()
+
+
+def test_equal_virtual_runs_give_equal_files(tmp_path: Path) -> None:
+    """Bit for bit behind the header, however the threads were scheduled."""
+    rows = example_rows(5000)
+    bodies = []
+    for run, at_once in enumerate((1000, 37)):
+        ring = Ring.allocate(256)
+        header = example_header(host={"run": run})
+        path = tmp_path / f"{run}.rigcap"
+        with Recorder(path, header, ring, virtual=True, block_rows=300) as recorder:
+            produce(ring, rows, at_once)
+            recorder.finish({"reason": "finished"})
+        data = path.read_bytes()
+        assert data.startswith(pack_header(header))
+        bodies.append(data[len(pack_header(header)) :])
+    assert bodies[0] == bodies[1]
+
+
+def test_rows_reach_the_file_while_the_loop_runs(tmp_path: Path) -> None:
+    """Real time: a row is readable soon after it was made, not only when a block is full."""
+    rows = example_rows(3)
+    ring = Ring.allocate(16)
+    path = tmp_path / "trial.rigcap"
+    with Recorder(path, HEADER, ring, flush_s=0.01) as recorder:
+        ring.rows[:3] = rows
+        ring.put(HEAD, 3)
+        deadline = time.monotonic() + 30
+        while recorder.rows < 3 and time.monotonic() < deadline:
+            time.sleep(0.005)
+        found = open_recording(path)
+        assert found.rows.tobytes() == rows.tobytes()
+        assert not found.complete
+        assert found.lost == ()
+    assert open_recording(path).complete
+
+
+def test_an_empty_trial_is_a_recording(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "trial.rigcap", HEADER, Ring.allocate(4)):
+        pass
+    found = open_recording(tmp_path / "trial.rigcap")
+    assert (len(found), found.complete) == (0, True)
+    assert found.trailer is not None
+    assert found.trailer["reason"] == "finished"
+
+
+def test_dropped_rows_are_in_the_trailer(tmp_path: Path) -> None:
+    """What to drop is the loop's decision; the recording says how much it was."""
+    ring = Ring.allocate(4)
+    with Recorder(tmp_path / "trial.rigcap", HEADER, ring) as recorder:
+        ring.put(DROPPED, 17)
+        assert recorder.finish()["recorder"]["dropped"] == 17
+
+
+def test_an_exception_of_the_loop_ends_the_recording_and_passes(tmp_path: Path) -> None:
+    path = tmp_path / "trial.rigcap"
+    ring = Ring.allocate(16)
+
+    def fail() -> None:
+        with Recorder(path, HEADER, ring):
+            ring.rows[:5] = example_rows(5)
+            ring.put(HEAD, 5)
+            raise LawError("effort is not finite")
+
+    with pytest.raises(LawError, match="not finite"):
+        fail()
+    found = open_recording(path)
+    assert len(found) == 5
+    assert found.complete
+    assert found.trailer is not None
+    assert found.trailer["reason"] == "LawError: effort is not finite"
+
+
+def test_recordings_are_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "trial.rigcap"
+    path.write_text("precious")
+    with pytest.raises(RecordingError, match="File exists"), Recorder(path, HEADER, Ring.allocate(4)):
+        pass
+    assert path.read_text() == "precious"
+
+
+def test_a_missing_directory_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "absent" / "trial.rigcap"
+    with (
+        pytest.raises(RecordingError, match="make the directory first") as caught,
+        Recorder(path, HEADER, Ring.allocate(4)),
+    ):
+        pass
+    assert str(path) in str(caught.value)
+
+
+def test_rows_of_another_kind_are_refused(tmp_path: Path) -> None:
+    header = {**HEADER, "schema": {"row_bytes": ROW.itemsize + 8, "columns": []}}
+    with pytest.raises(RecordingError, match="does not describe the rows"):
+        Recorder(tmp_path / "trial.rigcap", header, Ring.allocate(4))
+
+
+def test_a_full_device_is_an_errno() -> None:
+    descriptor = os.open("/dev/full", os.O_WRONLY)
+    data = np.zeros(100, dtype=np.uint8)
+    try:
+        assert write_all(descriptor, data.ctypes.data, 100) == errno.ENOSPC
+    finally:
+        os.close(descriptor)
+
+
+def test_syncing_is_asked_only_of_files(tmp_path: Path) -> None:
+    with open(tmp_path / "file", "wb") as file, open("/dev/full", "wb") as device:
+        assert sync(file.fileno()) == 0
+        assert sync(device.fileno()) == 0
+    assert sync(-1) == errno.EBADF
+
+
+def test_partial_writes_are_continued() -> None:
+    """A pipe takes what it has room for; the bytes come out in order and whole."""
+    data = np.random.default_rng(1).integers(0, 256, 300_000).astype(np.uint8)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    taken = bytearray()
+
+    def take() -> None:
+        while chunk := os.read(reading, 10_000):
+            taken.extend(chunk)
+
+    reader = threading.Thread(target=take)
+    reader.start()
+    assert write_all(writing, data.ctypes.data, len(data)) == 0
+    os.close(writing)
+    reader.join()
+    os.close(reading)
+    assert bytes(taken) == data.tobytes()
+
+
+PRODUCER = """
+    import signal, sys, time
+    import numpy as np
+    from rig.core.errors import RecordingError
+    from rig.recording.recorder import Recorder
+    from rig.realtime.ring import HEAD, TAIL, Ring
+    from tests.conformance.recording import example_header, example_rows
+
+    ring = Ring.allocate(4096)
+    rows = example_rows(4096)
+    written = 0
+
+    def put(count):
+        global written
+        while ring.get(HEAD) + count - ring.get(TAIL) > ring.capacity:
+            time.sleep(0.001)
+            if recorder.error:
+                return
+        place = (written + np.arange(count)) % ring.capacity
+        ring.rows[place] = rows[place]
+        ring.rows["tick"][place] = np.arange(written, written + count)
+        written += count
+        ring.put(HEAD, written)
+"""
+
+
+def run_python(body: str, path: Path) -> subprocess.Popen[str]:
+    program = textwrap.dedent(PRODUCER) + textwrap.dedent(body)
+    root = Path(__file__).parents[3]
+    return subprocess.Popen(
+        [sys.executable, "-c", program, str(path)], cwd=root, stdout=subprocess.PIPE, text=True, bufsize=1
+    )
+
+
+def test_rows_written_survive_the_death_of_the_process(tmp_path: Path) -> None:
+    """kill -9 in the middle: every row that the recorder had counted is in the file, in order, whole."""
+    path = tmp_path / "trial.rigcap"
+    body = """
+        with Recorder(sys.argv[1], example_header(), ring, block_rows=200, flush_s=0.02) as recorder:
+            while True:
+                put(37)
+                print(recorder.rows, flush=True)
+        """
+    with run_python(body, path) as process:
+        assert process.stdout is not None
+        recorded = 0
+        for line in process.stdout:
+            recorded = int(line)
+            if recorded > 3000:
+                break
+        process.send_signal(signal.SIGKILL)
+    found = open_recording(path)
+    assert not found.complete
+    assert len(found) >= recorded > 3000
+    assert found.column("tick").tolist() == list(range(len(found)))
+    expected = example_rows(4096)
+    for name in ("position", "device_time", "applied_at"):
+        assert found.column(name).tobytes() == np.resize(expected[name], len(found)).tobytes()
+
+
+def test_kill_in_real_time_costs_at_most_the_last_second_and_leaves_no_memory_behind(tmp_path: Path) -> None:
+    """The ring in shared memory, as a loop in real time has it; times are those of the rows themselves."""
+    path = tmp_path / "trial.rigcap"
+    body = """
+        ring = Ring.allocate(4096, info={"recording": sys.argv[1]}, shared=True)
+        now = time.monotonic_ns()
+        pause = 0
+        with Recorder(sys.argv[1], example_header(), ring) as recorder:
+            while True:
+                before, now = now, time.monotonic_ns()
+                pause = max(pause, now - before)
+                rows["host_time"][(written + np.arange(10)) % ring.capacity] = now
+                put(10)
+                print(now, recorder.rows, pause, flush=True)
+                time.sleep(0.002)
+        """
+    with run_python(body, path) as process:
+        assert process.stdout is not None
+        first = newest = recorded = pause = 0
+        for line in process.stdout:
+            newest, recorded, pause = map(int, line.split())
+            first = first or newest
+            if newest - first > 1_500_000_000 and recorded:
+                break
+        (loop,) = [loop for loop in running() if loop.pid == process.pid]
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert loop.pid not in [other.pid for other in running(done=True)]
+    found = open_recording(path)
+    assert not found.complete
+    assert len(found) >= recorded > 0
+    assert found.column("tick").tolist() == list(range(len(found)))
+    if pause < 200_000_000:  # else the machine stood still, perhaps for the recorder too
+        assert newest - found.column("host_time")[-1] < 1_000_000_000 * AT_RISK_S
+    (recovered,) = recover([tmp_path])
+    assert recovered.outcome == "sealed"
+    assert recovered.rows == len(found)
+
+
+def test_a_full_disk_keeps_the_rows_before(tmp_path: Path) -> None:
+    """A limit on the file's size stands for the full disk: the same path, with EFBIG for ENOSPC."""
+    path = tmp_path / "trial.rigcap"
+    body = """
+        import resource
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+        try:
+            with Recorder(sys.argv[1], example_header(), ring, block_rows=200, flush_s=10.0) as recorder:
+                while not recorder.error:
+                    put(100)
+                recorder.finish({"reason": "finished"})
+        except RecordingError as error:
+            print(f"{error}; {recorder.rows}")
+        """
+    with run_python(body, path) as process:
+        assert process.stdout is not None
+        said = process.stdout.read().strip()
+    message, _, rows = said.rpartition("; ")
+    assert message.startswith(f"cannot write after row {rows} of {path}: File too large. free some space")
+    found = open_recording(path)
+    assert len(found) == int(rows) > 500
+    assert found.column("tick").tolist() == list(range(len(found)))
+    assert not found.complete
+    assert [loss.reason for loss in found.lost] == ["torn tail"]
+
+
+def test_a_disk_too_full_for_the_header_leaves_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "trial.rigcap"
+    body = """
+        import resource
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+        try:
+            with Recorder(sys.argv[1], example_header(), ring) as recorder:
+                put(1)
+        except RecordingError as error:
+            print(error)
+        """
+    with run_python(body, path) as process:
+        assert process.stdout is not None
+        assert process.stdout.read().startswith(f"cannot write {path}: File too large. free some space")
+    assert not path.exists()

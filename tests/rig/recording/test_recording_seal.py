@@ -1,0 +1,311 @@
+"""Sealing: the capture goes only when an equal file has taken its place."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from rig.core.clock_fit import ClockFit
+from rig.core.errors import RecordingError
+from rig.core.sample import COLUMNS, TRUTH_COLUMNS
+from rig.recording import seal as seal_module
+from rig.recording.capture import write_capture
+from rig.recording.data import Recording
+from rig.recording.parquet import write_parquet
+from rig.recording.reader import open_recording
+from rig.recording.seal import seal, with_truth
+from rig.recording.timing import NO_AGE
+from tests.conformance.recording import example_header, example_rows, example_truth
+
+CLOCK = ClockFit(10_000, 5_000_000, -40.0, 12.5, 0.25, 900, 1_800, 0.1, 7.0, 10**9, 20, 2)
+
+
+@pytest.fixture
+def recording() -> Recording:
+    rows = example_rows(50)
+    rows["sample_index"] = 100 + 2 * np.arange(50)
+    return Recording(example_header(), rows, {"reason": "finished", "recorder": {"rows": 50}})
+
+
+@pytest.fixture
+def capture(tmp_path: Path, recording: Recording) -> Path:
+    return write(tmp_path / "trial.rigcap", recording)
+
+
+def write(path: Path, recording: Recording) -> Path:
+    with open(path, "wb") as file:
+        write_capture(file, recording, block_rows=20)
+    return path
+
+
+def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording: Recording) -> None:
+    sealed = seal(capture)
+    assert sealed == capture.with_suffix(".parquet")
+    assert list(sealed.parent.iterdir()) == [sealed]
+    found = open_recording(sealed)
+    assert found.rows.dtype == recording.rows.dtype
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert (found.header, found.trailer, found.complete) == (recording.header, recording.trailer, True)
+
+
+def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> None:
+    sealed = seal(capture)
+    content = sealed.read_bytes()
+    with pytest.raises(RecordingError, match="is no capture"):
+        seal(sealed)
+    assert sealed.read_bytes() == content
+
+
+def timed(**trailer: Any) -> Recording:
+    """Fifty ticks of a millisecond, of which each command came in force with the next sample."""
+    rows = example_rows(50)
+    number = np.arange(50)
+    rows["tick"], rows["sample_index"], rows["elapsed_ticks"], rows["flags"] = number, 100 + number, 1, 0
+    rows["device_time"] = 10_000 + number * 1_000_000
+    rows["received_at"] = rows["device_time"] + 5_080_000
+    rows["computed_at"], rows["sent_at"] = rows["received_at"] + 2_000, rows["received_at"] + 9_000
+    rows["lateness"] = rows["sampled_at"] = rows["applied_at"] = 0
+    rows["command_sequence"], rows["command_in_force"] = number, np.maximum(number - 2, 0)
+    rows["command_age"] = np.where(number < 2, NO_AGE, 1)
+    trailer = {"reason": "finished", "counters": {"late": 3, "stale": 1}, **trailer}
+    return Recording(example_header(experiment={"controller": {"position_rate": 1000}}), rows, trailer)
+
+
+def test_the_ledger_is_filled_in_where_clocks_were_compared(tmp_path: Path) -> None:
+    recording = timed(clock=CLOCK.as_mapping())
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    device = recording.rows["device_time"]
+    assert found.column("sampled_at").tolist() == CLOCK.host_of(device).tolist()
+    assert found.column("applied_at").tolist() == [*CLOCK.host_of(device[1:-1]).tolist(), 0, 0]
+    for name in recording.names:
+        if name not in ("sampled_at", "applied_at"):
+            assert found.column(name).tobytes() == recording.column(name).tobytes()
+    assert found.trailer is not None
+    timing = found.trailer["timing"]
+    assert timing["stages"]["law"]["quantiles"]["p50"]["value"] == 2_000
+    assert timing["stages"]["transport_in"]["maximum"] == pytest.approx(80_000, abs=2_100)
+    assert (timing["counts"]["late"], timing["counts"]["stale"], timing["counts"]["lost"]) == (3, 1, None)
+    assert timing["clock"] == CLOCK.as_mapping()
+    assert found.trailer["clock"] == CLOCK.as_mapping()
+
+
+def test_a_ledger_sealed_twice_or_after_a_crash_is_the_same(tmp_path: Path) -> None:
+    recording = timed(clock=CLOCK.as_mapping())
+    files = [seal(write(tmp_path / f"{run}.rigcap", recording), keep_capture=True) for run in range(2)]
+    before = files[0].read_bytes()
+    assert files[1].read_bytes() == before
+    assert seal(tmp_path / "0.rigcap").read_bytes() == before
+
+
+def test_without_a_clock_nothing_is_added(tmp_path: Path) -> None:
+    recording = timed()
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert found.trailer == recording.trailer
+
+
+def test_a_run_whose_clocks_could_not_be_compared_keeps_the_hosts_share(tmp_path: Path) -> None:
+    recording = timed(clock=None)
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert found.trailer is not None
+    stages = found.trailer["timing"]["stages"]
+    assert stages["send"]["maximum"] == 7_000
+    assert stages["transport_in"] is stages["whole"] is None
+
+
+def test_a_clock_that_makes_no_sense_costs_the_ledger_and_not_the_recording(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    recording = timed(clock={"drift_ppm": "much"})
+    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    assert found.rows.tobytes() == recording.rows.tobytes()
+    assert "the latency ledger stays empty" in caplog.text
+
+
+def test_equal_captures_give_equal_bytes(tmp_path: Path, recording: Recording) -> None:
+    files = [seal(write(tmp_path / f"{run}.rigcap", recording)).read_bytes() for run in range(2)]
+    assert files[0] == files[1]
+
+
+def test_other_programs_find_units_in_the_fields(capture: Path) -> None:
+    """Read by pyarrow alone: unit and meaning at each field, header and trailer as JSON in the file's metadata."""
+    file = parquet.ParquetFile(seal(capture))
+    for field, column in zip(file.schema_arrow, COLUMNS, strict=True):
+        assert field.name == column.name
+        assert field.metadata[b"description"].decode() == column.description
+    assert file.schema_arrow.field("effort_wall").metadata[b"unit"].decode() == "N·m"
+    assert json.loads(file.metadata.metadata[b"rig.header"])["seed"] == 7
+    assert json.loads(file.metadata.metadata[b"rig.trailer"])["reason"] == "finished"
+    column = file.metadata.row_group(0).column(9)
+    assert (column.path_in_schema, column.compression) == ("position", "ZSTD")
+    assert "BYTE_STREAM_SPLIT" in column.encodings
+
+
+def test_truth_is_joined_by_sample_index(capture: Path, recording: Recording) -> None:
+    """In any order, with samples missing on either side; of two truths the later counts."""
+    index = recording.rows["sample_index"]
+    truth = example_truth(np.concatenate([[index[3]], index[40:9:-1] + 1, index[40:9:-1], [7, 999]]))
+    truth["position_true"][0] = -1.0
+    again = example_truth(index[3:4])
+    found = open_recording(seal(capture, np.concatenate([truth, again])))
+    assert found.has_truth
+    known = np.isin(np.arange(50), [3, *range(10, 41)])
+    for number, column in enumerate(TRUTH_COLUMNS):
+        values = found.column(column.name)
+        assert np.isnan(values[~known]).all()
+        assert (values[known] == index[known] + number / 8).all()
+        assert found.descriptions[column.name] == column.description
+    assert found.units["velocity_true"] == "rad/s"
+    for name in recording.names:
+        assert found.column(name).tobytes() == recording.column(name).tobytes()
+
+
+def test_no_truth_at_all_is_nan(recording: Recording) -> None:
+    assert np.isnan(with_truth(recording, example_truth(np.zeros(0, np.int64))).column("position_true")).all()
+
+
+def test_the_trailer_can_grow(capture: Path) -> None:
+    found = open_recording(
+        seal(capture, extra_trailer={"verdict": {"ripple": np.float64(0.1), "stable": True}})
+    )
+    assert found.trailer is not None
+    assert found.trailer["verdict"] == {"ripple": 0.1, "stable": True}
+    assert found.trailer["reason"] == "finished"
+
+
+def test_a_capture_can_be_kept(capture: Path) -> None:
+    seal(capture, keep_capture=True)
+    assert capture.exists()
+
+
+def test_a_capture_cut_off_is_sealed_with_its_losses(capture: Path) -> None:
+    """What a crash left becomes a sealed recording that still says what is missing."""
+    capture.write_bytes(capture.read_bytes()[:-3000])
+    before = open_recording(capture)
+    found = open_recording(seal(capture))
+    assert before.lost
+    assert (found.lost, found.complete, found.trailer) == (before.lost, False, None)
+    assert found.rows.tobytes() == before.rows.tobytes()
+
+
+def test_sealing_again_after_a_crash_finishes(capture: Path, recording: Recording) -> None:
+    """Both files are there when the process died between the two steps."""
+    truth = example_truth(recording.rows["sample_index"])
+    sealed = seal(capture, truth, keep_capture=True)
+    before = sealed.read_bytes()
+    assert seal(capture) == sealed
+    assert not capture.exists()
+    assert sealed.read_bytes() == before
+
+
+def test_another_recording_of_that_name_stays(tmp_path: Path, capture: Path, recording: Recording) -> None:
+    other = Recording(recording.header, example_rows(50, seed=9), recording.trailer)
+    sealed = seal(write(tmp_path / "other.rigcap", other)).rename(capture.with_suffix(".parquet"))
+    with pytest.raises(RecordingError, match=r"does not hold what .*rigcap holds"):
+        seal(capture)
+    assert capture.exists()
+    assert open_recording(sealed).rows.tobytes() == other.rows.tobytes()
+
+
+def test_a_write_that_fails_leaves_the_capture_alone(capture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(file: Any, recording: Recording) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(seal_module, "write_parquet", fail)
+    with pytest.raises(
+        RecordingError, match=r"cannot write .*\.parquet: No space left on device\. free some space"
+    ):
+        seal(capture)
+    assert list(capture.parent.iterdir()) == [capture]
+
+
+def test_a_file_that_reads_back_wrong_never_replaces_the_capture(
+    capture: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wrong(file: Any, recording: Recording) -> None:
+        recording.rows["count"][7] += 1
+        write_parquet(file, Recording(recording.header, recording.rows.copy(), recording.trailer))
+        recording.rows["count"][7] -= 1
+
+    monkeypatch.setattr(seal_module, "write_parquet", wrong)
+    with pytest.raises(RecordingError, match=r"does not hold what .*rigcap holds"):
+        seal(capture)
+    assert open_recording(capture).rows.tobytes() == recording.rows.tobytes()
+    assert list(capture.parent.iterdir()) == [capture]
+
+
+def test_foreign_parquet_is_not_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.parquet"
+    parquet.write_table(pa.table({"a": [1, 2]}), path)
+    with pytest.raises(RecordingError, match=r"foreign\.parquet is not a recording"):
+        open_recording(path)
+
+
+def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording) -> None:
+    """Nothing fails: the capture takes up truth and trailer, CSV works, and what is missing is said."""
+    capture = write(tmp_path / "trial.rigcap", recording)
+    torn = tmp_path / "torn.rigcap"
+    torn.write_bytes(capture.read_bytes()[:-3000])
+    before = torn.read_bytes()
+    program = """
+        import sys
+        sys.modules["pyarrow"] = None
+        import numpy as np
+        from rig.core.errors import RecordingError
+        from rig.recording.export import export
+        from rig.recording.reader import open_recording
+        from rig.recording.seal import seal
+        from tests.conformance.recording import example_truth
+
+        truth = example_truth(np.arange(100, 200))
+        for name in sys.argv[1:3]:
+            assert str(seal(name, truth, extra_trailer={"verdict": "stable"})) == name
+        found = open_recording(sys.argv[1])
+        assert found.column("position_true").tolist() == found.column("sample_index").tolist()
+        assert found.trailer["verdict"] == "stable" and found.complete
+        export(found, sys.argv[1] + ".csv")
+        try:
+            export(found, sys.argv[1] + ".parquet")
+        except RecordingError as error:
+            print(error)
+        """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program), str(capture), str(torn)],
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.startswith("Parquet needs pyarrow. pip install pyarrow"), done.stderr
+    assert f"pyarrow is not installed: {capture} stays a capture" in done.stderr
+    assert torn.read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "torn.rigcap",
+        "trial.rigcap",
+        "trial.rigcap.csv",
+        "trial.rigcap.csv.json",
+    ]
+
+
+def test_reading_needs_neither_numba_nor_scipy() -> None:
+    """A recording is opened on machines that could never run the loop."""
+    program = """
+        import sys
+        import rig.recording.export, rig.recording.reader, rig.recording.seal
+        print([name for name in ("numba", "scipy", "pandas", "pyarrow") if name in sys.modules])
+        """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,341 @@
+"""The latency ledger: a little world of two clocks and a lossy link as its oracle, and quantiles counted by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.core.clock_fit import ClockFit
+from rig.core.sample import ROW, RowFlag
+from rig.recording.timing import (
+    EDGES_NS,
+    LATENESS,
+    LOWEST_NS,
+    NO_AGE,
+    STAGES,
+    WORST,
+    WRAP_NS,
+    device_times,
+    ledger,
+    summarise,
+)
+
+PERIOD_NS = 500_000
+
+
+def clock(*, offset_ns=0, drift_ppm=0.0, reference_ns=0):
+    """A fit that is known exactly."""
+    return ClockFit(reference_ns, offset_ns, drift_ppm, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)
+
+
+class Session:
+    """Device and host, event by event: what the rows say, and beside it what truly happened (host clock).
+
+    Sample k is taken at `at(k)` of the device's clock. A STATE takes a while, the answer leaves after the law and
+    takes another; the device keeps the newest COMMAND that came before sample k + 1, from sample k on, but not before
+    it was sent.
+    """
+
+    def __init__(self, fit, *, ticks, seed=0, first_sequence=0, lost=(), eaten=(), spread=1.0, start=1000):
+        self.fit, self.rng = fit, np.random.default_rng(seed)
+        self.rows, self.sampled, self.applied = [], [], []
+        in_force, came_at = None, 0  # command in force, sample from which it is
+        commands = []  # (comes at device time, number of its row)
+        free_ns = 0
+        for k in range(start, start + ticks):
+            now = self.at(k)
+            for arrival, row in [c for c in commands if c[0] < now]:
+                # The last sample before it came: the command acts from there on.
+                index = k - 1 - max(0, math.ceil((now - arrival) / PERIOD_NS) - 1)
+                in_force, came_at = row, index
+                if self.applied[row] == 0:
+                    on_grid = int(fit.host_of(np.array([self.at(index)]))[0])
+                    self.applied[row] = max(on_grid, int(self.rows[row]["sent_at"]))
+            commands = [c for c in commands if c[0] >= now]
+            if k - start in lost:
+                continue
+            sampled = int(fit.host_of(np.array([now]))[0])
+            received = max(sampled + self.wait(80_000 * spread), free_ns)
+            computed = received + self.wait(5_000)
+            sent = computed + self.wait(9_000)
+            free_ns = sent
+            number = len(self.rows)
+            row = np.zeros(1, ROW)[0]
+            row["tick"], row["sample_index"], row["device_time"] = number, k, now
+            row["elapsed_ticks"] = 1
+            row["received_at"], row["computed_at"], row["sent_at"] = received, computed, sent
+            row["command_sequence"] = (first_sequence + number) % 65536
+            row["command_age"] = NO_AGE if in_force is None else min(k - came_at, NO_AGE)
+            row["command_in_force"] = 0 if in_force is None else (first_sequence + in_force) % 65536
+            row["lateness"] = received - sampled
+            self.rows.append(row)
+            self.sampled.append(sampled)
+            self.applied.append(0)
+            if number not in eaten:
+                arrival = int(fit.device_of(np.array([sent + self.wait(60_000 * spread)]))[0])
+                commands.append((arrival, number))
+        self.rows = np.array(self.rows, ROW) if self.rows else np.zeros(0, ROW)
+
+    @staticmethod
+    def at(k):
+        return k * PERIOD_NS
+
+    def wait(self, mean_ns):
+        return int(self.rng.exponential(mean_ns)) + 1_000
+
+    def seen(self):
+        """Rows whose command some later row shows in force, by looking at every pair."""
+        sequence, in_force, age = (
+            self.rows[name].tolist() for name in ("command_sequence", "command_in_force", "command_age")
+        )
+        return [
+            any(
+                in_force[j] == sequence[i] and age[j] < NO_AGE
+                for j in range(i + 1, min(len(sequence), i + 30_000))
+            )
+            for i in range(len(sequence))
+        ]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    offset_ns=st.integers(0, 10**17),  # a host's clock is never negative
+    drift_ppm=st.floats(-200.0, 200.0),
+    first_sequence=st.integers(0, 65535),
+    lost=st.sets(st.integers(1, 99), max_size=20),
+    eaten=st.sets(st.integers(0, 99), max_size=20),
+    spread=st.sampled_from([0.1, 1.0, 5.0]),
+    seed=st.integers(0, 2**32),
+)
+def test_every_time_is_the_true_one(offset_ns, drift_ppm, first_sequence, lost, eaten, spread, seed):
+    """Lost samples, lost commands, waits longer than a period, sequences that wrap."""
+    fit = clock(offset_ns=offset_ns, drift_ppm=drift_ppm, reference_ns=1000 * PERIOD_NS)
+    session = Session(
+        fit, ticks=100, seed=seed, first_sequence=first_sequence, lost=lost, eaten=eaten, spread=spread
+    )
+    found = ledger(session.rows, fit, PERIOD_NS)
+    seen = np.array(session.seen())
+    assert found.sampled.tolist() == session.sampled
+    assert ((found.applied != 0) == seen).all()
+    truth = np.array(session.applied)
+    # A STATE that was lost between can only be counted back on the device's grid; here the grid is exact.
+    assert (found.applied[seen] == truth[seen]).all()
+    last = np.flatnonzero(seen)[-1] if seen.any() else -1
+    assert found.never_in_force == (~seen[: last + 1]).sum()
+    assert found.unanswered == (~seen[last + 1 :]).sum()
+    for name, (begin, end, _) in STAGES.items():
+        lengths, known = found.stage(name)
+        assert (known == ((getattr(found, begin) != 0) & (getattr(found, end) != 0))).all()
+        assert (lengths[known] == (getattr(found, end) - getattr(found, begin))[known]).all()
+
+
+def test_in_lock_step_a_command_is_in_force_at_the_sample_that_it_answers():
+    """Virtual time: sampled, received, sent and applied are one moment; the last answer is never seen."""
+    rows = np.zeros(5, ROW)
+    rows["sample_index"] = np.arange(1, 6)
+    rows["elapsed_ticks"] = 1
+    for name in ("device_time", "received_at", "computed_at", "sent_at"):
+        rows[name] = np.arange(1, 6) * PERIOD_NS
+    rows["command_sequence"] = np.arange(5)
+    rows["command_in_force"] = [0, 0, 1, 2, 3]
+    rows["command_age"] = [NO_AGE, 1, 1, 1, 1]
+    found = ledger(rows, clock(), PERIOD_NS)
+    assert found.applied.tolist() == [*rows["sent_at"][:4], 0]
+    assert (found.never_in_force, found.unanswered) == (0, 1)
+    summary = summarise(found, None)
+    assert summary.stages["whole"].maximum == 0
+    assert summary.worst == [], "nothing is bad about no delay"
+
+
+@pytest.mark.parametrize(
+    ("sent_ns", "applied_ns", "within"), [(1_700, 1_700, 1), (1_000, 1_000, 0), (20_000, 1_000, 0)]
+)
+def test_no_command_is_in_force_before_it_was_sent(sent_ns, applied_ns, within):
+    """It came within the tick, and the device cannot say when; sent ticks later than in force, the clocks are wrong."""
+    rows = np.zeros(2, ROW)
+    rows["sample_index"] = [1, 2]
+    rows["device_time"] = rows["received_at"] = [1_000, 2_000]
+    rows["sent_at"] = [sent_ns, 0]
+    rows["command_sequence"] = [0, 1]
+    rows["command_age"] = [NO_AGE, 1]
+    found = ledger(rows, replace(clock(), asymmetry_bound_ns=0, offset_sd_ns=0.0), 1_000.0)
+    assert found.applied[0] == applied_ns
+    assert found.within_tick == within
+
+
+def test_a_command_in_force_that_this_run_never_sent_belongs_to_nobody():
+    """More than half a round of the sequence behind, or of an earlier session."""
+    rows = np.zeros(3, ROW)
+    rows["sample_index"] = rows["received_at"] = rows["device_time"] = np.arange(1, 4)
+    rows["command_sequence"] = [0, 1, 2]
+    rows["command_in_force"] = [40, 30_000, 3]
+    rows["command_age"] = 1
+    assert not ledger(rows, clock(), PERIOD_NS).applied.any()
+
+
+def test_without_a_fit_only_the_host_is_known():
+    session = Session(clock(offset_ns=10**12), ticks=20)
+    found = ledger(session.rows, None, PERIOD_NS)
+    assert not found.sampled.any()
+    assert not found.applied.any()
+    summary = summarise(found, {"late": 3})
+    assert summary.stages["transport_in"] is summary.stages["whole"] is None
+    assert summary.stages["law"].ticks == 20
+    assert summary.clock is None
+    assert summary.clock_sd_ns is None
+    late = found.lateness.argmax()
+    assert summary.worst[0].tick == late
+    assert summary.worst[0].stages["whole"] is None
+
+
+@pytest.mark.parametrize("wraps", [0, 1, 1000])
+def test_a_device_that_has_been_up_for_long_is_put_on_its_own_scale(wraps):
+    """A STATE has 32 bits of the device's clock, an exchange 64: the rows lack a multiple of 268 s."""
+    fit = clock(offset_ns=5 * 10**9, drift_ppm=80.0)
+    up = wraps * WRAP_NS
+    times = np.array([1_000, 2_000_000, 3 * 10**9], np.int64)
+    near = int(fit.host_of(np.array([up + 1_000 + 40_000_000]))[0])
+    assert (device_times(times, fit, near) == times + up).all()
+
+
+def test_no_rows_are_no_error():
+    found = ledger(np.zeros(0, ROW), clock(), PERIOD_NS)
+    summary = summarise(found, None)
+    assert (summary.ticks, summary.duration_s, summary.worst) == (0, 0.0, [])
+    assert set(summary.stages.values()) == {None}
+
+
+# ---------------------------------------------------------------------- adding up
+
+
+def stage_of(values):
+    """Summary of lateness that is these values."""
+    rows = np.zeros(len(values), ROW)
+    rows["lateness"] = values
+    rows["received_at"] = np.arange(len(values)) + 1
+    return summarise(ledger(rows, None, PERIOD_NS), None)
+
+
+@given(st.lists(st.integers(-(10**7), 2 * 10**10), min_size=1, max_size=300))
+def test_quantiles_and_histogram_count_what_is_there(values):
+    summary = stage_of(values)
+    stage = summary.stages[LATENESS]
+    array = np.array(values)
+    assert (stage.minimum, stage.maximum, stage.ticks) == (min(values), max(values), len(values))
+    assert stage.negative == (array < 0).sum()
+    for name, share in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
+        found = stage.quantiles[name]
+        assert found.value == np.quantile(array, share, method="inverted_cdf")
+        assert found.low is None or found.low <= found.value
+        assert found.high is None or found.high >= found.value
+    edges = [-math.inf, *summary.edges_ns, math.inf]
+    inside = [sum(low <= v < high for v in values) for low, high in pairwise(edges)]
+    assert stage.counts == inside
+
+
+def test_edges_are_a_tenth_of_a_decade_apart_and_whole():
+    assert EDGES_NS[0] == LOWEST_NS
+    assert EDGES_NS[-1] == 10**10
+    assert np.log10(EDGES_NS[1:] / EDGES_NS[:-1]) == pytest.approx(0.1, abs=0.003)
+
+
+def test_the_worst_ticks_come_first_with_their_stages():
+    session = Session(clock(offset_ns=10**12), ticks=200, seed=3)
+    found = ledger(session.rows, clock(offset_ns=10**12), PERIOD_NS)
+    summary = summarise(found, None)
+    whole, known = found.stage("whole")
+    late = np.where(known, np.maximum(np.rint(whole / PERIOD_NS) - 1, 0), 0) * PERIOD_NS
+    answered = found.stage("answered")[0] + late
+    assert [answered[bad.tick] for bad in summary.worst] == sorted(answered, reverse=True)[:WORST]
+    for bad in summary.worst:
+        parts = [bad.stages[name] for name in ("transport_in", "law", "send", "transport_out")]
+        assert sum(parts) == bad.stages["whole"]
+        assert session.rows["sample_index"][bad.tick] == bad.sample_index
+
+
+def test_what_was_counted_is_kept_apart():
+    session = Session(clock(offset_ns=10**12), ticks=50)
+    session.rows["flags"][[3, 7]] = int(RowFlag.LATE | RowFlag.GAP)
+    session.rows["elapsed_ticks"][7] = 4
+    found = ledger(session.rows, None, PERIOD_NS)
+    named = {"late": 5, "skipped": 1, "lost": 3, "stale": 4, "duplicated": 6, "reordered": 2, "overruns": 9}
+    summary = summarise(found, {**named, "frames": 50})
+    assert {name: summary.counts[name] for name in named} == named
+    assert summary.counts["rows_dropped"] is None
+    assert summary.passed_over == 3
+    nobody = summarise(found, None)
+    assert nobody.counts["late"] == 2, "the rows say it where the loop could not"
+    assert nobody.counts["stale"] is None
+
+
+def test_a_summary_is_json_of_plain_numbers():
+    session = Session(clock(offset_ns=10**12), ticks=60)
+    summary = summarise(ledger(session.rows, clock(offset_ns=10**12), PERIOD_NS), {"late": 1})
+    mapping = summary.as_mapping()
+    assert json.loads(json.dumps(mapping)) == mapping
+    assert mapping["clock"]["offset_ns"] == 10**12
+
+
+def test_a_million_rows_are_quick():
+    """Well below a second on an ordinary machine; the bound is wide, because it is there to find a square law."""
+    count = 1_000_000
+    rows = np.zeros(count, ROW)
+    rows["sample_index"] = rows["tick"] = np.arange(count)
+    rows["device_time"] = np.arange(count) * 100_000
+    noise = np.random.default_rng(1).exponential(3e4, count).astype(np.int64)
+    rows["received_at"] = rows["device_time"] + noise + 10**12
+    rows["computed_at"] = rows["received_at"] + 3_000
+    rows["sent_at"] = rows["computed_at"] + 7_000
+    rows["command_sequence"] = np.arange(count) % 65536
+    rows["command_in_force"] = (np.arange(count) - 2) % 65536
+    rows["command_age"] = 1
+    started = time.perf_counter()
+    summary = summarise(ledger(rows, clock(offset_ns=10**12, drift_ppm=1.0), 100_000.0), None)
+    assert time.perf_counter() - started < 10.0
+    assert summary.stages["whole"].ticks == count - 2
+
+
+# ---------------------------------------------------------------------- a law on the device
+
+
+def rows_of_batches(fit, ticks=200, samples=20):
+    """What a loop leaves that listens to batches: no command answers a sample."""
+    rows = np.zeros(ticks, ROW)
+    number = np.arange(ticks)
+    rows["tick"] = number
+    rows["sample_index"] = 700 + number
+    rows["elapsed_ticks"] = 1
+    rows["device_time"] = (700 + number) * PERIOD_NS
+    last = np.minimum((number // samples + 1) * samples - 1, ticks - 1)
+    rows["received_at"] = fit.host_of(rows["device_time"][last]) + 30_000
+    rows["command_sequence"], rows["command_in_force"], rows["command_age"] = 7, 6, number % 100
+    rows["execution_time"] = np.where(number < 50, 2_000, 3_000)
+    return rows
+
+
+def test_where_the_law_ran_on_the_device_no_command_is_spoken_of():
+    fit = clock(offset_ns=5_000_000)
+    rows = rows_of_batches(fit)
+    summary = summarise(ledger(rows, fit, PERIOD_NS, "device"), {"late": 0})
+    assert summary.loop == "device"
+    assert summary.execution_ns == 3_000
+    for name in ("law", "send", "answered", "transport_out", "whole"):
+        assert summary.stages[name] is None
+    arrived = summary.stages["transport_in"]
+    assert (arrived.ticks, arrived.minimum, arrived.maximum) == (200, 30_000, 30_000 + 19 * PERIOD_NS)
+    assert (summary.never_in_force, summary.unanswered, summary.within_tick) == (0, 0, 0)
+    assert json.loads(json.dumps(summary.as_mapping()))["loop"] == "device"
+
+
+def test_a_law_on_the_host_has_no_execution_time_of_a_device():
+    found = summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS), None)
+    assert (found.loop, found.execution_ns) == ("host", None)
+    assert summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS, "device"), None).execution_ns == 0

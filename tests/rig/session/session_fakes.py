@@ -1,0 +1,145 @@
+"""Stand-ins for the rig and the person of a session: no simulation, so that a session takes milliseconds."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.config import Experiment
+from rig.core.errors import RigError
+from rig.recording.files import whole_file
+from rig.session.arming import Refusal, Wall
+from rig.session.desk import Desk, Question, Reply, View
+from rig.session.hits import Done
+from rig.session.load import protocol_from_mapping
+from rig.session.log import Event
+from rig.session.protocol import Protocol
+from rig.session.state import BOOKKEEPING
+
+TRUE_LIMIT = 430.0
+
+
+def study(**keys: Any) -> dict[str, Any]:
+    """The section of that name, with a press that the motor of koul-rigid can hold."""
+    changes = {"operator.press": 2.0, "trial.minimum_rest_counts": 0.0}
+    return {"title": "fakes", "preset": "koul-rigid", "seed": 5, "changes": changes, **keys}
+
+
+def protocol_of(**sections: Any) -> Protocol:
+    """A short protocol about koul-rigid; sections replace those here."""
+    table: dict[str, Any] = {
+        "study": study(),
+        "search": {
+            "rule": "staircase",
+            "lowest": 100.0,
+            "highest": 600.0,
+            "step": 25.0,
+            "settings": {"turns": 2, "most": 8},
+        },
+        "condition": [
+            {"name": "dual-hidden", "scheme": "dual:20k/2k", "damping": [0.37]},
+            {"name": "uniform-hidden", "scheme": "uniform:20k", "damping": [0.37]},
+        ],
+    }
+    return protocol_from_mapping({**table, **sections}, "the test")
+
+
+class FakeBench:
+    """A rig whose automatic verdict is that of a sharp limit; `fails` says which trials do otherwise.
+
+    `fails` maps a trial's number to what its event says instead, and to the error that ended it.
+    """
+
+    virtual = True
+    simulated = True
+    hand: Path | None = None
+    arm_anyway = False
+    messages: tuple[str, ...] = ()
+
+    def __init__(self, fails: Mapping[int, tuple[Mapping[str, Any], RigError | None]] | None = None) -> None:
+        self.fails = dict(fails or {})
+        self.hits: list[tuple[int, float]] = []
+        self.heat_of_a_hit = 0.01
+
+    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+        return {"url": "fake://", "device": experiment.rig.name, "firmware": "none", "simulated": True}
+
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
+        return ()
+
+    def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> tuple[()]:
+        return ()
+
+    def hit(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        directory: Path,
+        name: str,
+        watch: Callable[[Experiment], Callable[[int, int], None] | None],
+        heat: float,
+    ) -> Done:
+        number, stiffness = int(name[1:]), experiment.wall.stiffness
+        self.hits.append((number, stiffness))
+        seen = watch(experiment)
+        if seen is not None:
+            for phase in (1, 2, 3, 4):
+                seen(phase, phase)
+        path = directory / f"{name}.parquet"
+        rows = np.random.default_rng(experiment.trial.seed).bytes(64)
+        with whole_file(path) as file:
+            file.write(rows)
+        stable = stiffness < TRUE_LIMIT
+        content = {
+            "recording": f"trials/{path.name}",
+            "sha256": hashlib.sha256(rows).hexdigest(),
+            "rows_sha256": hashlib.sha256(rows).hexdigest(),
+            "ended": "finished",
+            "aborted": "",
+            "automatic": "stable" if stable else "limit cycle",
+            "reasons": [] if stable else ["heard"],
+            "passes": {"felt": stable, "heard": stable, "any": stable},
+            "numbers": {"heard": 0.1},
+            "baseline": None,
+            "heat": heat + self.heat_of_a_hit,
+        }
+        changed, error = self.fails.get(number, ({}, None))
+        return Done({**content, **changed}, error, 1.5)
+
+    def close(self) -> None:
+        pass
+
+
+INVALID = {"automatic": "invalid", "reasons": ["gaps"], "passes": {"felt": None, "heard": None, "any": None}}
+
+
+class ScriptedDesk(Desk):
+    """Answers with what a function of the question says, and remembers all that it was shown and asked."""
+
+    def __init__(self, answer: Callable[[Question], Reply | None] = lambda question: None) -> None:
+        self.answer = answer
+        self.views: list[View] = []
+        self.questions: list[Question] = []
+
+    def show(self, view: View) -> None:
+        self.views.append(view)
+
+    def ask(self, question: Question) -> Reply:
+        self.questions.append(question)
+        said = self.answer(question)
+        if said is not None:
+            return said
+        if question.kind == "verdict":
+            return Reply(action="judge", value="stable", took_s=1.0)
+        if question.kind == "item":
+            return Reply(action="answer", value="4", took_s=1.0)
+        return Reply(action="go", took_s=question.seconds)
+
+
+def decisions(events: list[Event]) -> list[tuple[str, dict[str, Any]]]:
+    """What a log decided, without what interruptions add and without times."""
+    return [(event.kind, dict(event.content)) for event in events if event.kind not in BOOKKEEPING]

@@ -1,0 +1,390 @@
+"""Search rules: pure functions of the answers so far, that find the limit of an observer whose limit is known."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from rig.core.errors import ConfigError
+from rig.session import search
+from rig.session.search import Answer, psychometric
+from rig.session.search.catching import CatchTrials
+from rig.session.search.interleaved import Interleaved
+from rig.session.search.observer import Observer, performance, run
+from rig.session.search.rule import told
+from rig.session.search.staircase import Staircase
+
+LEVELS = tuple(float(level) for level in range(25, 1000, 25))
+MAKE = {
+    "ascending": partial(search.make, "ascending", levels=LEVELS),
+    "1u1d": partial(search.make, "staircase", levels=LEVELS),
+    "1u2d": partial(search.make, "staircase", levels=LEVELS, stable_to_rise=2),
+    "1u3d": partial(search.make, "staircase", levels=LEVELS, stable_to_rise=3),
+    "interleaved": partial(search.make, "interleaved", levels=LEVELS),
+    "psi": partial(search.make, "psi", levels=LEVELS),
+    "grid": partial(search.make, "grid", levels=LEVELS, repeats=2),
+}
+RULES = {name: make(seed=3) for name, make in MAKE.items()}
+every_rule = pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+SHARP = Observer(threshold=430.0, spread=1e-3)
+
+
+# ---------------------------------------------------------------------- what every rule keeps
+
+
+@every_rule
+def test_an_observer_without_doubt_is_found_within_a_step(rule):
+    estimate = rule.estimate(run(rule, SHARP, seed=1))
+    assert abs(estimate.value - 430.0) <= 25.0
+    assert estimate.censored == ""
+    assert estimate.low <= estimate.value <= estimate.high
+
+
+@every_rule
+def test_the_same_answers_always_lead_to_the_same_probe(rule):
+    answers = run(rule, Observer(threshold=430.0, spread=40.0, slips=0.05), seed=5)
+    for length in (0, 1, 2, 7, len(answers) - 1):
+        assert rule.next(answers[:length]) == answers[length].probe
+    assert rule.next(answers) is None
+
+
+@every_rule
+@settings(max_examples=15, deadline=None)
+@given(verdicts=st.lists(st.booleans(), min_size=400, max_size=400))
+def test_whatever_is_answered_it_ends_on_its_levels(rule, verdicts):
+    answers: list[Answer] = []
+    for verdict in verdicts:
+        probe = rule.next(answers)
+        if probe is None:
+            break
+        assert probe.level in LEVELS
+        answers.append(Answer(probe, verdict))
+    estimate = rule.estimate(answers)
+    assert estimate.hits == len(answers)
+    assert estimate.low <= estimate.high
+    if rule is not RULES["ascending"]:
+        assert rule.next(answers) is None
+
+
+@every_rule
+def test_a_verdict_that_says_nothing_is_asked_again_and_changes_nothing(rule):
+    answers = run(rule, SHARP, seed=2)[:5]
+    probe = rule.next(answers)
+    empty = [*answers, Answer(probe, None)]
+    assert rule.next(empty).level == probe.level
+    assert rule.next([*empty, Answer(probe, True)]) == rule.next([*answers, Answer(probe, True)])
+    assert rule.estimate(empty).value == pytest.approx(rule.estimate(answers).value, nan_ok=True)
+
+
+@every_rule
+@pytest.mark.parametrize(("threshold", "censored"), [(1e5, "above"), (1e-3, "below")])
+def test_a_limit_beyond_the_levels_is_said_to_lie_there(rule, threshold, censored):
+    estimate = rule.estimate(run(rule, Observer(threshold=threshold, spread=1e-4), seed=1))
+    assert estimate.censored == censored
+
+
+@every_rule
+def test_beyond_the_levels_only_the_side_is_told(rule):
+    """The end of the levels, and an open interval: how far the posterior reaches out there is the prior's doing."""
+    above = rule.estimate(run(rule, Observer(threshold=1e5, spread=1e-4), seed=1))
+    assert (above.value, above.high) == (LEVELS[-1], math.inf)
+    assert LEVELS[-6] < above.low <= LEVELS[-1]
+    below = rule.estimate(run(rule, Observer(threshold=1e-3, spread=1e-4), seed=1))
+    assert (below.value, below.low) == (LEVELS[0], 0.0)
+    assert LEVELS[0] <= below.high < LEVELS[5]
+
+
+@pytest.mark.parametrize("name", ["psi", "grid"])
+def test_a_limit_beyond_the_levels_is_said_to_lie_there_also_after_a_slip(name):
+    for observer, side, end in (
+        (Observer(threshold=1.2 * LEVELS[-1], spread=15.0), "above", LEVELS[-1]),
+        (Observer(threshold=0.1, spread=5.0), "below", LEVELS[0]),
+    ):
+        answers = run(RULES[name], observer, seed=2)
+        place = 12 if name == "psi" else next(n for n, a in enumerate(answers) if a.probe.level == 300.0)
+        slip = [*answers[:place], Answer(answers[place].probe, side == "below"), *answers[place + 1 :]]
+        estimate = RULES[name].estimate(slip)
+        assert (estimate.censored, estimate.value) == (side, end)
+        assert math.isinf(estimate.high) if side == "above" else estimate.low == 0.0
+
+
+def test_walls_that_all_held_tell_no_more_than_the_stiffest_of_them():
+    """A search that was left early has not been at the end of its levels."""
+    answers = [Answer(search.Probe(level), True) for level in LEVELS[:8]]
+    estimate = RULES["psi"].estimate(answers)
+    assert (estimate.value, estimate.censored, estimate.high) == (LEVELS[7], "above", math.inf)
+
+
+@every_rule
+def test_without_an_answer_nothing_is_known(rule):
+    estimate = rule.estimate([])
+    assert math.isnan(estimate.value)
+    assert estimate.hits == 0
+    assert estimate.low < LEVELS[0] or estimate.low <= estimate.high
+
+
+# ---------------------------------------------------------------------- each in its own way
+
+
+def test_the_ascending_rule_climbs_from_the_softest_wall_so_often():
+    rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=2)
+    answers: list[Answer] = []
+    asked = []
+    for verdict in (True, True, False, False):
+        probe = rule.next(answers)
+        asked.append((probe.track, probe.level))
+        answers.append(Answer(probe, verdict))
+    assert asked == [(0, 10.0), (0, 20.0), (0, 30.0), (1, 10.0)]
+    estimate = rule.estimate(answers)
+    assert (estimate.value, estimate.censored) == (15.0, "")  # limits 20 and 10
+
+
+def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other():
+    rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=3)
+
+    def climbed(*verdicts):
+        answers: list[Answer] = []
+        for verdict in verdicts:
+            probe = rule.next(answers)
+            answers.append(Answer(probe, verdict))
+        return [climb.censored for climb in rule.climbs(answers)], rule.estimate(answers)
+
+    marks, estimate = climbed(True, True, False, False, True, False)
+    assert marks == ["", "below", ""]
+    assert (estimate.value, estimate.censored) == ((20.0 + 10.0 + 10.0) / 3, "")
+    marks, estimate = climbed(False, False, False)
+    assert marks == ["below"] * 3
+    assert (estimate.value, estimate.low, estimate.high) == (10.0, 0.0, 10.0)
+    assert estimate.censored == "below"
+    marks, estimate = climbed(True, True, True, True, True, False, False)
+    assert marks == ["above", "", "below"]
+    assert (estimate.value, estimate.censored, estimate.high) == (20.0, "above", math.inf)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_up_down_rules_settle_where_levitt_says(n):
+    """Share of stable verdicts to the n-th power is a half: by counting the walls that a long track visits."""
+    observer = Observer(threshold=500.0, spread=60.0)
+    rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=900)
+    visited = np.array([answer.probe.level for answer in run(rule, observer, seed=4)[100:]])
+    assert rule.share == pytest.approx(0.5 ** (1 / n))
+    assert visited.mean() == pytest.approx(observer.level_of(rule.share), abs=20.0)
+
+
+def test_tracks_come_from_both_ends():
+    answers = run(Interleaved(levels=LEVELS, seed=1), SHARP, seed=1)
+    first = {track: next(a.probe.level for a in answers if a.probe.track == track) for track in (0, 1)}
+    assert first == {0: LEVELS[0], 1: LEVELS[-1]}
+
+
+def catching(rule, share=0.5):
+    return search.Catching(rule=rule, levels=LEVELS, share=share, seed=1)
+
+
+@pytest.mark.parametrize("name", MAKE)
+def test_catch_trials_among_any_rule_leave_it_as_it_is(name):
+    """The rule asks for the same walls, and finds the same limit, as if there were none."""
+    rule, observer = MAKE[name](seed=1), Observer(threshold=430.0, spread=1e-3)
+    alone = run(rule, observer, seed=1)
+    answers = run(catching(rule), observer, seed=1)
+    own = [answer for answer in answers if not answer.probe.catch]
+    assert own == alone
+    assert len(answers) > len(own)
+    assert {a.probe.level for a in answers if a.probe.catch} <= {LEVELS[0], LEVELS[-1]}
+    told, least = rule.estimate(answers), rule.estimate(own)
+    assert replace(told, hits=least.hits) == least
+    assert told.hits == len(answers)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_so_many_of_the_trials_are_catch_trials(share):
+    long = Staircase(levels=LEVELS, turns=1000, most=3000)
+    answers = run(catching(long, share), Observer(threshold=430.0, spread=15.0), seed=1, most=3000)
+    assert np.mean([answer.probe.catch for answer in answers]) == pytest.approx(share, abs=0.03)
+
+
+def test_a_catch_trial_that_said_nothing_comes_again_and_so_does_any_other():
+    rule = catching(MAKE["1u1d"](seed=1))
+    answers = []
+    while (probe := rule.next(answers)) is not None and len(answers) < 200:
+        answers.append(Answer(probe, None))
+        assert rule.next(answers) == probe
+        answers[-1] = Answer(probe, probe.level < 430.0)
+    assert any(answer.probe.catch for answer in answers)
+
+
+def test_no_share_of_catch_trials_is_too_large():
+    with pytest.raises(ConfigError, match=r"0\.9"):
+        catching(MAKE["grid"](seed=1), 0.9)
+
+
+def caught_of(rule, answers):
+    return CatchTrials.of(answers, LEVELS, {rule.estimate(answers).censored})
+
+
+def test_catch_trials_show_how_often_a_person_slips():
+    rule = catching(Interleaved(levels=LEVELS, turns=100, most=2000, seed=1))
+    answers = run(rule, Observer(threshold=430.0, spread=15.0, slips=0.2), seed=1, most=300)
+    caught = caught_of(rule, answers)
+    assert caught.slips == caught.false_unstable + caught.false_stable
+    assert caught.slips / caught.count == pytest.approx(0.2, abs=0.1)
+
+
+@pytest.mark.parametrize(("threshold", "counted"), [(1e5, "soft"), (1e-3, "stiff")])
+def test_catch_trials_at_an_end_beyond_which_the_limit_lies_are_not_counted(threshold, counted):
+    """The stiffest wall of somebody whom no wall shakes is stable, and saying so is no slip."""
+    rule = catching(Interleaved(levels=LEVELS, seed=1))
+    answers = run(rule, Observer(threshold=threshold, spread=1e-4), seed=1)
+    caught = caught_of(rule, answers)
+    assert caught.slips == 0
+    assert caught.count == (caught.soft if counted == "soft" else caught.stiff) > 0
+    assert caught.count < sum(answer.probe.catch for answer in answers)
+
+
+def test_the_grid_asks_every_level_so_often_in_another_order_each_time():
+    asked = [answer.probe.level for answer in run(RULES["grid"], SHARP, seed=1)]
+    halves = asked[: len(LEVELS)], asked[len(LEVELS) :]
+    assert sorted(halves[0]) == sorted(halves[1]) == list(LEVELS)
+    assert halves[0] != halves[1]
+
+
+def test_psi_stops_when_it_knows_enough():
+    sure = search.make("psi", levels=LEVELS, hits=60, enough=0.1)
+    answers = run(sure, SHARP, seed=1)
+    assert 10 <= len(answers) < 60
+    estimate = sure.estimate(answers)
+    assert (estimate.high - estimate.low) / 2 <= 0.1 * estimate.value
+
+
+# ---------------------------------------------------------------------- the posterior
+
+
+def test_the_posterior_is_bayes_rule_by_hand():
+    levels = (10.0, 20.0, 30.0)
+    grid = psychometric.of_levels(levels)
+    verdicts = [(10.0, True), (30.0, False), (20.0, True), (20.0, False)]
+    expected = np.ones((len(grid.thresholds), len(grid.spreads), len(psychometric.SLIPS)))
+    for (t, threshold), (s, spread), (g, slips) in itertools.product(
+        enumerate(grid.thresholds), enumerate(grid.spreads), enumerate(psychometric.SLIPS)
+    ):
+        for level, stable in verdicts:
+            share = float(psychometric.share_stable(level, threshold, spread, slips))
+            expected[t, s, g] *= share if stable else 1.0 - share
+    np.testing.assert_allclose(grid.posterior(verdicts), expected / expected.sum(), rtol=1e-9)
+
+
+def test_quantiles_are_those_of_the_posterior_on_a_fine_grid():
+    """Against the density itself, spread over each grid point's width; also where the share is no half."""
+    drawn = np.random.default_rng(3)
+    truth = Observer(threshold=430.0, spread=15.0)
+    verdicts = [(level, truth.judge(level, drawn)) for level in LEVELS * 4]
+    grid = psychometric.of_levels(LEVELS)
+    posterior = grid.posterior(verdicts)
+    step = grid.edges[1] - grid.edges[0]
+    places = drawn.choice(posterior.size, size=200_000, p=posterior.reshape(-1))
+    thresholds, spreads, _ = np.unravel_index(places, posterior.shape)
+    for share in (0.5, 0.71):
+        sample = grid.thresholds[thresholds] + drawn.uniform(-step / 2, step / 2, len(places))
+        sample = sample + grid.spreads[spreads] * math.log((1 - share) / share)
+        expected = np.quantile(sample, (0.025, 0.5, 0.975))
+        assert grid.quantiles(posterior, share, (0.025, 0.5, 0.975)) == pytest.approx(expected, abs=0.5)
+
+
+def ratio_levels(lowest, highest, ratio):
+    count = math.floor(math.log(highest / lowest) / math.log(ratio) + 1e-9) + 1
+    return tuple(lowest * ratio**place for place in range(count))
+
+
+def test_values_of_k50_are_spaced_like_the_levels():
+    steps = np.diff(psychometric.of_levels(LEVELS).edges)
+    np.testing.assert_allclose(steps, steps[0])
+    levels = ratio_levels(50.0, 3000.0, 1.1)
+    for others in ((), (90.0, 1000.0)):  # of another version of the protocol
+        grid = psychometric.of_levels(tuple(sorted({*levels, *others})))
+        ratios = grid.edges[1:] / grid.edges[:-1]
+        np.testing.assert_allclose(ratios, ratios[0])
+        assert ratios[0] < 1.1 ** (0.9 if others else 0.45)
+        assert grid.edges[0] < levels[0] / 5
+        assert grid.edges[-1] > levels[-1] * 5
+
+
+@pytest.mark.parametrize(("threshold", "share"), [(80.0, 0.04), (120.0, 0.04), (80.0, 0.01), (2000.0, 0.01)])
+def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(threshold, share):
+    """Where levels are close together K50 is looked for as closely, also that of somebody who is very sure."""
+    make = partial(search.make, "psi", levels=ratio_levels(50.0, 3000.0, 1.1))
+    observer = Observer(threshold=threshold, spread=share * threshold, slips=0.02)
+    found = performance("psi", make, observer, 40, seed=5, off_lattice=0.04 * threshold)
+    assert abs(found.bias) < 0.02 * threshold
+    assert found.covered >= 0.9
+
+
+@given(st.lists(st.tuples(st.sampled_from(LEVELS), st.booleans())), st.sampled_from([0.5, 0.71, 0.79]))
+@settings(deadline=None)
+def test_no_limit_is_told_below_zero_or_outside_its_interval(verdicts, share):
+    found = psychometric.locate(LEVELS, verdicts, share)
+    assert 0.0 <= found.low <= found.high
+    if verdicts:
+        assert max(found.low, LEVELS[0]) <= found.value <= min(found.high, LEVELS[-1])
+    assert psychometric.interval(LEVELS, verdicts, share)[0] >= 0.0
+
+
+@given(st.floats(0.05, 0.95), st.floats(100.0, 900.0), st.floats(1.0, 200.0))
+def test_the_level_of_a_share_is_where_the_function_has_it(share, threshold, spread):
+    observer = Observer(threshold=threshold, spread=spread)
+    level = observer.level_of(share)
+    root = brentq(
+        lambda k: float(psychometric.share_stable(k, threshold, spread)) - share, level - 500, level + 500
+    )
+    assert level == pytest.approx(root, abs=1e-6)
+
+
+def test_intervals_shrink_as_the_root_of_the_hits():
+    observer = Observer(threshold=430.0, spread=40.0)
+    widths = []
+    for repeats in (2, 8, 32):
+        rule = search.make("grid", levels=LEVELS, repeats=repeats)
+        estimate = rule.estimate(run(rule, observer, seed=3))
+        widths.append(estimate.high - estimate.low)
+    ratios = np.array(widths[:-1]) / widths[1:]
+    assert (ratios > 1.4).all()
+    assert (ratios < 3.0).all()
+
+
+def test_any_estimate_can_be_had_from_any_rules_answers():
+    answers = run(RULES["ascending"], Observer(threshold=430.0, spread=15.0), seed=3)
+    low, high = psychometric.interval(LEVELS, told(answers), 0.5)
+    assert low <= 430.0 <= high
+
+
+# ---------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("nobody", {}),
+        ("ascending", {"levels": (10.0,)}),
+        ("ascending", {"levels": (10.0, 10.0)}),
+        ("ascending", {"levels": (0.0, 10.0)}),
+        ("ascending", {"repeats": 0}),
+        ("staircase", {"steps": ()}),
+        ("staircase", {"steps": (100,)}),
+        ("staircase", {"start": 26.0}),
+        ("staircase", {"stable_to_rise": 1.5}),
+        ("psi", {"enough": 1.0}),
+        ("psi", {"unknown": 1}),
+        ("grid", {"repeats": True}),
+    ],
+)
+def test_settings_that_cannot_be_meant_are_refused_with_a_remedy(name, wrong):
+    with pytest.raises(ConfigError) as refused:
+        search.make(name, **{"levels": LEVELS, **wrong})
+    assert refused.value.remedy

@@ -1,0 +1,239 @@
+"""What the arming gate refuses of a study: said before anybody touches the handle, consented to once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import config, devices
+from rig.bench.doctor import gate as gates
+from rig.bench.doctor.gate import gate, refused_among
+from rig.config import Experiment
+from rig.config.presets import load as preset
+from rig.core.errors import ConfigError, PlanError
+from rig.experiments.hit import HitRequest
+from rig.experiments.plan import Outcome
+from rig.session import hits
+from rig.session.arming import Refusal, Wall, arming_checks, refuse_unarmable, walls_of
+from rig.session.check import check
+from rig.session.desk import Desk, Question, Reply
+from rig.session.directory import LOG
+from rig.session.hits import RigBench
+from rig.session.log import read
+from rig.session.protocol import Protocol
+from rig.session.run import resume_session, run_session
+from rig.session.schedule import levels_of
+from rig.session.telling import line_of_event
+from tests.rig.bench.test_doctor_gate import link
+from tests.rig.session.session_fakes import FakeBench, ScriptedDesk, protocol_of, study
+from tests.system.session_study import PROTOCOL
+
+KOUL = preset("koul-rigid")
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody cuts the power here."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+class RealBench(FakeBench):
+    """A rig that moves, whose gate refuses the stiffest walls of a study: of each search all from its third on."""
+
+    simulated = False
+
+    def __init__(self, *, arm_anyway: bool = False) -> None:
+        super().__init__()
+        self.arm_anyway = arm_anyway
+        self.asked: list[Wall] = []
+
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
+        self.asked += walls
+        by_search: dict[tuple[str, float], list[float]] = {}
+        for wall in walls:
+            x = wall.experiment
+            by_search.setdefault((wall.condition, x.wall.damping), []).append(x.wall.stiffness)
+        return [
+            Refusal(condition=name, damping=b, stiffness=tuple(found[2:]), walls=len(found), text="it swings")
+            for (name, b), found in by_search.items()
+        ]
+
+    def hit(self, experiment: Experiment, *more: Any) -> Any:
+        if not self.arm_anyway and experiment.wall.stiffness >= sorted(_levels(protocol_of()))[2]:
+            raise PlanError("this wall must not be armed")
+        return super().hit(experiment, *more)
+
+
+def _levels(protocol: Protocol) -> list[float]:
+    return list(levels_of(protocol.search))
+
+
+def written(directory: Path, blind: str = "both") -> Path:
+    """The quick study of the system tests, as a file."""
+    path = directory / "quick.toml"
+    path.write_text(PROTOCOL.replace("seed = 11", f'seed = 11\nblind = "{blind}"', 1))
+    return path
+
+
+def at(desk: ScriptedDesk) -> Callable[..., Desk]:
+    return lambda protocol, experiment, bench: desk
+
+
+def test_a_study_whose_walls_are_refused_does_not_begin(tmp_path: Path) -> None:
+    bench, desk = RealBench(), ScriptedDesk()
+    with pytest.raises(PlanError) as refused:
+        run_session(written(tmp_path, "none"), "P01", at(desk), bench=bench, study=tmp_path / "study")
+    assert "--arm-anyway" in str(refused.value)
+    assert "hidden-dual, B = 0.211: 4 of 6 walls, from K = 60 to 120" in str(refused.value)
+    assert "it swings" in str(refused.value)
+    assert (bench.hits, desk.questions) == ([], [])
+    assert not (tmp_path / "study").exists()
+
+
+def test_a_blinded_operator_hears_how_many_walls_are_refused_and_nothing_of_them(tmp_path: Path) -> None:
+    with pytest.raises(PlanError) as refused:
+        run_session(written(tmp_path), "P01", at(ScriptedDesk()), bench=RealBench(), study=tmp_path / "study")
+    said = str(refused.value)
+    assert "8 walls of 2 searches" in said
+    assert not any(word in said for word in ("hidden", "0.211", "60", "120"))
+
+
+def test_with_consent_given_once_a_session_goes_through_all_walls(tmp_path: Path) -> None:
+    bench = RealBench(arm_anyway=True)
+    result = run_session(written(tmp_path), "P01", at(ScriptedDesk()), bench=bench, study=tmp_path / "study")
+    assert result.ended == "complete"
+    assert any(stiffness >= 60.0 for _, stiffness in bench.hits)
+
+
+def test_a_session_is_resumed_with_consent_too_or_not_at_all(tmp_path: Path) -> None:
+    leaves = ScriptedDesk(_abort)
+    bench = RealBench(arm_anyway=True)
+    run_session(written(tmp_path), "P01", at(leaves), bench=bench, study=tmp_path)
+    before = (tmp_path / "P01" / LOG).read_bytes()
+    with pytest.raises(PlanError, match="refuses"):
+        resume_session(tmp_path / "P01", at(ScriptedDesk()), bench=RealBench())
+    assert (tmp_path / "P01" / LOG).read_bytes() == before
+    again = resume_session(tmp_path / "P01", at(ScriptedDesk()), bench=RealBench(arm_anyway=True))
+    assert again.ended == "complete"
+
+
+def _abort(question: Question) -> Reply | None:
+    return Reply(action="abort") if question.kind == "verdict" else None
+
+
+def test_every_wall_that_a_session_may_ask_for_is_asked_about(tmp_path: Path) -> None:
+    protocol = protocol_of(practice={"stiffness": [130.0, 210.0]})
+    walls = list(walls_of(protocol, KOUL))
+    found = {(wall.condition, wall.experiment.wall.stiffness) for wall in walls}
+    levels = _levels(protocol)
+    expected = {(name, level) for name in ("dual-hidden", "uniform-hidden") for level in levels}
+    assert found == expected | {("dual-hidden", 130.0), ("dual-hidden", 210.0)}
+    assert {wall.experiment.wall.damping for wall in walls} == {0.37}
+    dual = next(wall for wall in walls if wall.condition == "dual-hidden")
+    assert dual.changes == {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000}
+
+
+def test_a_simulated_rig_is_never_refused() -> None:
+    bench = RealBench()
+    bench.simulated = True
+    refuse_unarmable(protocol_of(), KOUL, bench)
+    assert list(arming_checks(protocol_of(), KOUL, bench)) == []
+    assert bench.asked == []
+
+
+def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
+    (found,) = arming_checks(protocol_of(), KOUL, RealBench())
+    assert found.outcome is Outcome.WARNING
+    assert "dual-hidden, B = 0.37: 19 of 21 walls, from K = 150 to 600 N·m/rad" in found.text
+    assert "--arm-anyway" in found.remedy
+
+
+# ------------------------------------------------------------------- a device, and a link as it was measured
+
+
+@pytest.mark.parametrize("travel_s", [30e-6, 120e-6, 0.4])
+@pytest.mark.parametrize("scheme", [0, 1])
+def test_the_quick_answer_is_that_of_the_gate(scheme: int, travel_s: float) -> None:
+    protocol = protocol_of()
+    name = protocol.condition[scheme].name
+    walls = [wall.experiment for wall in walls_of(protocol, KOUL) if wall.condition == name][::5]
+    expected = [x.wall.stiffness for x in walls if not gate(x, link(travel_s)).armable]
+    assert refused_among(walls[0], link(travel_s), [x.wall.stiffness for x in walls]) == tuple(expected)
+
+
+@pytest.fixture
+def real(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that claims to be a real one, on a link whose every trip takes 30 µs."""
+    open_simulated = devices.open_device
+
+    def open_device(url: str, model: Any = None) -> Any:
+        device = open_simulated("sim://", config.rig_model(KOUL))
+        device._dictionary = replace(device.dictionary, simulated=False)
+        device.link.clock.virtual = False  # it claims that, too: nothing is run on it
+        return device
+
+    monkeypatch.setattr(devices, "open_device", open_device)
+    monkeypatch.setattr(gates, "measured_once", lambda *arguments: link(30e-6))
+
+
+def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real: None) -> None:
+    protocol = protocol_of(study=study(changes={**study()["changes"], "verdict.lowpass_hz": 400.0}))
+    bench = RigBench(url="serial:///dev/rig", verified=True)
+    found = bench.refusals(tuple(walls_of(protocol, KOUL)))
+    dual = next(one for one in found if one.condition == "dual-hidden")
+    assert dual.walls == 21
+    assert dual.stiffness[0] == 100.0  # in a relaxed hand none of them holds
+    assert "unstable at 20000 Hz" in dual.text
+    facts = bench.facts(*_first(protocol))
+    assert facts["armed_anyway"][0]["stiffness"][0] == 100.0
+    bench.close()
+
+
+def _first(protocol: Protocol) -> tuple[Experiment, Any]:
+    wall = next(walls_of(protocol, KOUL))
+    return wall.experiment, wall.changes
+
+
+def test_a_rig_that_nobody_vouches_for_is_refused_before_anything_else(real: None) -> None:
+    with pytest.raises(ConfigError, match="nobody vouches"):
+        RigBench(url="serial:///dev/rig").refusals(tuple(walls_of(protocol_of(), KOUL)))
+
+
+def test_the_check_of_a_study_asks_the_device(real: None, tmp_path: Path) -> None:
+    plan = check(protocol_of(), tmp_path, url="serial:///dev/rig")
+    (found,) = (one for one in plan.checks if one.name == "arming")
+    assert found.outcome is Outcome.WARNING
+    assert "dual-hidden" in found.text
+
+
+@pytest.mark.parametrize("consent", [False, True])
+def test_consent_reaches_every_hit(consent: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+
+    def hit(request: HitRequest, watch: Any) -> Any:
+        asked.append(request.arm_anyway)
+        raise PlanError("enough")
+
+    monkeypatch.setattr(hits, "hit", hit)
+    monkeypatch.setattr(RigBench, "_device", lambda *arguments: None)
+    bench = RigBench(url="serial:///dev/rig", arm_anyway=consent)
+    wall = next(walls_of(protocol_of(), KOUL))
+    with pytest.raises(PlanError, match="enough"):
+        bench.hit(wall.experiment, wall.changes, tmp_path, "t0001", lambda x: None, 0.0)
+    assert asked == [consent]
+
+
+def test_the_log_says_what_is_armed_all_the_same(tmp_path: Path) -> None:
+    bench = RealBench(arm_anyway=True)
+    armed = [{"condition": "a", "damping": 0.1, "stiffness": [60.0, 80.0]}]
+    facts = {**bench.facts(KOUL, {}), "armed_anyway": armed}
+    bench.facts = lambda *arguments: facts  # type: ignore[method-assign]
+    run_session(written(tmp_path), "P01", at(ScriptedDesk()), bench=bench, study=tmp_path)
+    opened = next(event for event in read(tmp_path / "P01" / LOG) if event.kind == "opened")
+    assert opened.content["armed_anyway"] == armed
+    assert "refuses 2 walls" in line_of_event(opened)

@@ -1,0 +1,260 @@
+"""A session in which something breaks: the hit is in the log, no trial is lost, and nobody is unblinded."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import config
+from rig.config.presets import load as preset
+from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
+from rig.session import hits
+from rig.session.clock import WallClock
+from rig.session.conduct import conduct
+from rig.session.desk import Desk, Question, Reply, View
+from rig.session.directory import LOG, Session, begin, resume
+from rig.session.hits import RigBench
+from rig.session.log import Event, read
+from rig.session.protocol import Protocol
+from rig.session.rehearsal import Day
+from rig.session.state import DoTrial
+from rig.session.telling import line_of_event
+from tests.rig.session.session_fakes import INVALID, FakeBench, ScriptedDesk, protocol_of, study
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody cuts the power here."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def started(directory: Path, protocol: Protocol | None = None) -> Session:
+    return begin(
+        directory,
+        protocol or protocol_of(),
+        preset("koul-rigid"),
+        text=b"",
+        sha256="",
+        code="P01",
+        row=0,
+        versions={},
+        clock=Day(),
+    )
+
+
+def events_of(directory: Path) -> list[Event]:
+    return read(directory / LOG)
+
+
+# --------------------------------------------------------------- a hit that ends by an error is a hit all the same
+
+
+@pytest.mark.parametrize("error", [LawError("the law gave NaN"), RuntimeError("the console broke")])
+def test_a_hit_that_breaks_is_logged_with_its_heat_before_the_session_ends(
+    tmp_path: Path, error: Exception
+) -> None:
+    bench = FakeBench({2: ({**INVALID, "ended": "stopped"}, error)})  # type: ignore[dict-item]
+    bench.heat_of_a_hit = 0.2
+    unblinded = protocol_of(study=study(blind="none"))
+    with started(tmp_path / "P01", unblinded) as session, pytest.raises(type(error), match=str(error)):
+        conduct(session, bench, ScriptedDesk())
+    last, stopped = events_of(tmp_path / "P01")[-2:]
+    assert (last.kind, last.content["trial"], last.content["automatic"]) == ("trial", 2, "invalid")
+    assert stopped.kind == "stopped"
+    assert str(error) in stopped.content["detail"]
+    with resume(tmp_path / "P01", clock=Day()) as session:
+        assert session.log.events[-1].content["abandoned"] == []
+        assert session.state.heat > 0.3
+        again = session.state.next()
+    assert isinstance(again, DoTrial)
+    assert (again.trial, again.attempt, again.probe.level) == (3, 2, bench.hits[1][1])
+
+
+class Breaks(Desk):
+    """A desk that breaks while a hit runs."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+    def show(self, view: View) -> None:
+        """Nobody looks."""
+
+    def ask(self, question: Question) -> Reply:
+        return Reply(action="go")
+
+    def watch(self) -> Callable[[int, int], None]:
+        def watch(ticks: int, phase: int) -> None:
+            if ticks:
+                raise self.error
+
+        return watch
+
+
+def quick() -> Protocol:
+    """A study whose hits are quick to simulate."""
+    changes = {
+        "operator.press": 1.6,
+        "operator.begin_s": 0.02,
+        "homing.speed": 0.3,
+        "verdict.lowpass_hz": 400.0,
+    }
+    return protocol_of(
+        study=study(changes={**study()["changes"], **changes}),
+        condition=[{"name": "hidden", "scheme": "uniform:2k", "damping": [0.211]}],
+        search={"rule": "grid", "lowest": 20.0, "highest": 60.0, "step": 20.0, "settings": {"repeats": 1}},
+    )
+
+
+def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
+    """On the simulated rig: the loop stops, the recording is sealed, judged and logged."""
+    error = KeyError("a bug of the console")
+    with (
+        started(tmp_path / "P01", quick()) as session,
+        pytest.raises(RigError, match="trial 1 ended by an error"),
+    ):
+        conduct(session, RigBench(), Breaks(error))
+    (trial,) = (event.content for event in events_of(tmp_path / "P01") if event.kind == "trial")
+    assert (tmp_path / "P01" / trial["recording"]).is_file()
+    assert (trial["ended"], trial["automatic"]) == ("stopped", "invalid")
+    assert 0.0 < trial["heat"] < 1.0
+    assert "a bug of the console" in events_of(tmp_path / "P01")[-1].content["detail"]
+
+
+def test_a_law_that_ends_a_hit_is_survived_with_its_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = hits.hit
+
+    def broken(request: Any, watch: Any) -> Any:
+        (result,) = ran(request, watch)
+        error = LawError("the law gave a value that is not finite")
+        error.recording = result.recording
+        raise error
+
+    monkeypatch.setattr(hits, "hit", broken)
+    bench = RigBench()
+    with started(tmp_path / "P01", quick()) as session:
+        with pytest.raises(RigError, match="trial 1 ended"):
+            conduct(session, bench, ScriptedDesk())
+        assert [trial.trial for trial in session.state.trials] == [1]
+
+
+class Attends(ScriptedDesk):
+    """Any desk may follow the session; the engine knows none of them by name."""
+
+    session: Session | None = None
+
+    def attend(self, session: Session) -> None:
+        self.session = session
+
+    def show(self, view: View) -> None:
+        assert self.session is not None
+        assert view.trial in (self.session.state.newest, self.session.state.newest + 1)
+
+
+class Slow(WallClock):
+    """A clock that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[float] = []
+
+    def took(self, seconds: float) -> None:
+        self.told.append(seconds)
+
+    def goes_on_from(self, at: float) -> None:
+        self.told.append(at)
+
+
+def test_whoever_sits_there_follows_the_session_and_its_clock_hears_how_long_hits_take(
+    tmp_path: Path,
+) -> None:
+    desk = Attends()
+    with started(tmp_path / "P01", protocol_of(stop={"trials": 2})) as session:
+        session.clock = clock = Slow()
+        conduct(session, FakeBench(), desk)
+        assert desk.session is session
+    assert clock.told == [1.5, 1.5]
+
+
+def test_a_clock_goes_on_where_the_log_ends(tmp_path: Path) -> None:
+    leaves = ScriptedDesk(lambda question: Reply(action="abort") if question.kind == "verdict" else None)
+    with started(tmp_path / "P01") as session:
+        conduct(session, FakeBench(), leaves)
+    last = events_of(tmp_path / "P01")[-1].at
+    clock = Slow()
+    with resume(tmp_path / "P01", clock=clock):
+        assert clock.told == [last]
+
+
+# ------------------------------------------------------------------------------------------------------- blinding
+
+
+def refusing(error: Exception) -> FakeBench:
+    class Refusing(FakeBench):
+        def hit(self, *arguments: Any) -> Any:
+            raise error
+
+    return Refusing()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ConfigError("wall.stiffness = 412 is too much", remedy="choose less than 400"),
+        PlanError("K = 412 with B = 0.37 is unstable"),
+        LawError("the law raised ValueError(412)"),
+        RigError("wall_stiffness 412: the device refuses it"),
+        ValueError("412"),
+    ],
+)
+def test_no_error_tells_a_blinded_operator_a_wall(tmp_path: Path, error: Exception) -> None:
+    with started(tmp_path / "P01") as session, pytest.raises(RigError) as told:
+        conduct(session, refusing(error), ScriptedDesk())
+    event = events_of(tmp_path / "P01")[-1]
+    assert event.kind == "stopped"
+    assert "412" not in str(told.value) + line_of_event(event)
+    assert "412" in event.content["detail"]
+    assert told.value.exit_code == getattr(error, "exit_code", RigError.exit_code)
+    assert told.value.__suppress_context__
+
+
+def test_a_wall_that_an_experiment_refuses_stays_hidden(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What refuses is the check of the experiment, before the rig is asked."""
+    override = config.override
+
+    def strict(experiment: Any, changes: Any, source: str = "") -> Any:
+        if changes.get("wall.stiffness", 0.0) > 200.0 and "trial.seed" in changes:
+            raise ConfigError(f"wall.stiffness = {changes['wall.stiffness']:g}: at most 200")
+        return override(experiment, changes, source)
+
+    monkeypatch.setattr(config, "override", strict)
+    with started(tmp_path / "P01") as session, pytest.raises(PlanError) as told:
+        conduct(session, FakeBench(), ScriptedDesk())
+    assert not re.search(r"[1-9]\d\d", str(told.value))
+    assert "was refused before anything moved" in told.value.message
+
+
+@pytest.mark.parametrize("error", [LinkLostError("the cable is out"), StoppedError("stopped")])
+def test_what_names_no_wall_is_told_as_it_is(tmp_path: Path, error: RigError) -> None:
+    bench = FakeBench({1: ({**INVALID, "ended": "link_closed"}, error)})
+    bench.simulated = False
+    if isinstance(error, StoppedError):
+        error.signal = 2
+    with started(tmp_path / "P01") as session, pytest.raises(type(error)) as told:
+        conduct(session, bench, ScriptedDesk())
+    assert told.value is error
+
+
+def test_who_sees_walls_reads_the_error_itself(tmp_path: Path) -> None:
+    error = PlanError("K = 412 is unstable")
+    with started(tmp_path / "P01", protocol_of(study=study(blind="participant"))) as session:
+        with pytest.raises(PlanError) as told:
+            conduct(session, refusing(error), ScriptedDesk())
+        assert told.value is error

@@ -1,0 +1,248 @@
+"""The plan of a study: what it counts, what it refuses, and that no device is needed for it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.core.errors import ConfigError
+from rig.experiments.plan import Check, Outcome, predict_impact
+from rig.session import disk, state
+from rig.session import times as session_times
+from rig.session.check import check
+from rig.session.conditions import base_of, experiment_of
+from rig.session.disk import refuse_full_disk
+from rig.session.expected import Range, expected_trials
+from rig.session.load import load_protocol
+from rig.session.plan import StudyPlan
+from rig.session.protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
+from rig.session.schedule import levels_of
+from rig.session.template_files import DEFAULT, template_names, write_template
+from rig.session.times import QUESTION_S, heat_of, trial_times
+
+
+def template(name: str, folder: Path) -> Protocol:
+    write_template(name, folder / "study.toml")
+    return load_protocol(folder / "study.toml")
+
+
+@pytest.fixture(scope="module")
+def schemes(tmp_path_factory: pytest.TempPathFactory) -> Protocol:
+    return template("compare-schemes", tmp_path_factory.mktemp("study"))
+
+
+@pytest.fixture(scope="module")
+def plan(schemes: Protocol) -> StudyPlan:
+    return check(schemes, Path())
+
+
+def named(plan: StudyPlan, name: str) -> Check:
+    (found,) = [one for one in plan.checks if one.name == name]
+    return found
+
+
+@pytest.mark.parametrize("name", template_names())
+def test_every_template_passes_on_its_preset(name: str, tmp_path: Path) -> None:
+    found = check(template(name, tmp_path), tmp_path, participants=2)
+    assert found.ok, [one for one in found.checks if one.outcome is Outcome.REFUSED]
+    assert named(found, "expected limits").outcome is Outcome.OK
+    assert all(one.levels[0] < one.expected.limit.likely < one.levels[-1] for one in found.cells)
+    names = [one.name for one in found.checks]
+    assert len(names) == len(set(names))
+    assert 0 < found.trials.least <= found.trials.likely <= found.trials.most
+    assert len(found.orders) == 2
+    json.dumps(found.as_mapping())
+
+
+def test_a_plan_counts_runs_trials_and_times(plan: StudyPlan, schemes: Protocol) -> None:
+    assert (plan.runs, plan.blocks, plan.practice, plan.rows, plan.participants) == (4, 2, 3, 2, 8)
+    per_search = sum(cell.trials.count.likely for cell in plan.cells)
+    assert plan.trials.likely == pytest.approx(2 * per_search + 3)
+    # lower limits and upper limits of the parts add up to those of the whole
+    assert plan.session_s.most == pytest.approx(sum(part.most for part in plan.duration_s.values()))
+    assert plan.duration_s["questions"].likely == 2 * QUESTION_S
+    assert plan.duration_s["hits"].likely == pytest.approx(
+        plan.trials.likely * (plan.trial.hit + plan.trial.release)
+    )
+    assert plan.trial.hit == 1.0
+    assert len(plan.orders) == 8
+    assert {name for order in plan.orders for block in order for name in block} == {
+        one.name for one in schemes.condition
+    }
+
+
+def test_theory_says_which_levels_are_unstable_in_a_hand_and_free(plan: StudyPlan) -> None:
+    from rig.analysis import theory  # noqa: PLC0415
+
+    for cell in plan.cells:
+        scheme = "uniform:20k,cutoff_hz=1000" if "uniform" in cell.condition else "dual:20k/2k"
+        for hand in ("normal", "relaxed"):
+            own = theory.k_max("koul-compliant", scheme, cell.damping, operator=hand).stiffness
+            assert cell.expected.by_hand[hand] == pytest.approx(own)
+        softest = min(value for hand, value in cell.expected.by_hand.items() if hand != "none")
+        assert cell.unstable_in_hand == tuple(k for k in cell.levels if k > softest)
+        assert cell.expected.limit.least < cell.expected.limit.likely < cell.expected.limit.most
+        held = [value for hand, value in cell.expected.by_hand.items() if hand != "none"]
+        assert cell.expected.limit.most == 2.0 * max(held)  # friction
+
+
+def test_who_does_not_see_what_is_said(plan: StudyPlan, schemes: Protocol) -> None:
+    assert [line.partition(":")[0] for line in plan.hidden] == ["operator", "participant"]
+    study = replace(schemes.study, blind="participant")
+    assert len(check(replace(schemes, study=study), Path()).hidden) == 1
+
+
+def outcome(one: Protocol, name: str, **changes: Any) -> Outcome:
+    return named(check(replace(one, **changes), Path()), name).outcome
+
+
+def test_what_will_not_do_is_warned_of_or_refused(schemes: Protocol, plan: StudyPlan) -> None:
+    soft = Search(lowest=10.0, highest=100.0, ratio=1.2)
+    assert outcome(schemes, "expected limits", search=soft) is Outcome.WARNING
+    likely = max(cell.expected.limit.likely for cell in plan.cells)
+    least = max(cell.expected.limit.least for cell in plan.cells)
+    for lowest, highest in ((100.0, 0.9 * likely), (1.1 * likely, 1.6 * likely)):
+        assert least < highest
+        narrow = Search(lowest=lowest, highest=highest, ratio=1.05)
+        assert outcome(schemes, "expected limits", search=narrow, caps=Caps()) is Outcome.WARNING
+    assert outcome(schemes, "order", study=replace(schemes.study, participants=7)) is Outcome.WARNING
+    assert outcome(schemes, "order", order=replace(schemes.order, kind="fixed")) is Outcome.WARNING
+    assert outcome(schemes, "stop.trials", stop=Stop(trials=10)) is Outcome.REFUSED
+    assert outcome(schemes, "stop.trials", stop=Stop(trials=round(plan.trials.likely))) is Outcome.WARNING
+    assert outcome(schemes, "stop.minutes", stop=Stop(minutes=0.5)) is Outcome.REFUSED
+    many = replace(schemes, order=replace(schemes.order, repeats=20), rest=Rest(), stop=Stop())
+    assert outcome(many, "rest") is Outcome.WARNING
+
+
+def test_a_cap_that_can_never_act_is_warned_of(schemes: Protocol, plan: StudyPlan) -> None:
+    assert not [one for one in plan.checks if one.name.startswith("caps.")]
+    found = check(replace(schemes, caps=replace(schemes.caps, energy=5000.0, stiffness=1e9)), Path())
+    assert named(found, "caps.energy").outcome is Outcome.WARNING
+    assert named(found, "caps.stiffness").outcome is Outcome.WARNING
+
+
+def test_the_room_for_recordings_is_told_and_looked_for(
+    schemes: Protocol, plan: StudyPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert 5e5 < plan.trial_bytes < 3e6  # 1 to 1.4 MB were measured at 20 kHz
+    searched = plan.trials.likely - plan.practice
+    assert plan.disk_bytes.likely == pytest.approx(searched * plan.trial_bytes)
+    base, place = base_of(schemes, Path()), tmp_path / "sessions" / "not yet"
+    refuse_full_disk(schemes, base, 0, place)
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda _: SimpleNamespace(free=int(10e6)))
+    with pytest.raises(ConfigError, match=r"has 10 MB left, and a session of about .* trials takes"):
+        refuse_full_disk(schemes, base, 0, place)
+
+
+def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Protocol) -> None:
+    narrow = {**schemes.study.changes, "rig.limits.position_maximum": 0.004}
+    found = check(replace(schemes, study=replace(schemes.study, changes=narrow)), Path())
+    refused = named(found, "after the wall")
+    assert refused.outcome is Outcome.REFUSED
+    assert "63 of 63 walls" in refused.text
+    assert "uniform 20 kHz, K = 100 N·m/rad" in refused.text
+    assert not found.ok
+
+
+def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, schemes: Protocol) -> None:
+    effort = named(plan, "peak effort")
+    assert effort.outcome is Outcome.WARNING
+    assert effort.remedy.startswith("expected for a moment at impact")  # the push itself is light enough
+    base = base_of(schemes, Path())
+    walls = [
+        experiment_of(schemes, base, condition, 0.2, level)
+        for condition in schemes.condition
+        for level in levels_of(schemes.search)
+    ]
+    bent = [x for x in walls if predict_impact(x).peak_effort > x.rig.limits.effort]
+    assert 0 < len(bent) < len(walls)
+    assert f"the first: uniform 20 kHz, K = {bent[0].wall.stiffness:g} N·m/rad" in effort.text
+
+
+def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol, plan: StudyPlan) -> None:
+    assert not [one for one in plan.checks if one.name == "device rate"]
+    asked = named(check(schemes, Path(), url="sim://koul-compliant"), "device rate")
+    assert asked.outcome is Outcome.REFUSED  # in real time, as a session with a person runs it
+    assert "20000 Hz asked" in asked.text
+    assert "--rehearse" in asked.remedy
+
+
+def test_the_first_template_fits_the_simulated_rig_in_real_time(tmp_path: Path) -> None:
+    found = check(template(DEFAULT, tmp_path), tmp_path, url="sim://")
+    assert found.ok
+    assert named(found, "device rate").outcome is Outcome.OK
+
+
+def test_a_condition_that_theory_does_not_know_is_said(schemes: Protocol) -> None:
+    own = Condition(name="other law", damping=(0.1,), changes={"wall.law": "bilateral"})
+    found = check(replace(schemes, condition=(*schemes.condition, own), practice=Practice()), Path())
+    assert found.cells[-1].expected.by_hand
+    levant = Condition(name="levant", scheme="dual:20k/2k,estimator=levant", damping=(0.1,))
+    found = check(replace(schemes, condition=(levant,), practice=Practice()), Path())
+    assert "stands in" in found.cells[0].expected.note
+
+
+# Trials
+
+
+@pytest.mark.parametrize(
+    ("rule", "settings", "hits"),
+    [("psi", {"hits": 17}, 17), ("psi", {}, 25), ("grid", {"repeats": 3}, 27)],
+)
+def test_rules_of_fixed_length_take_that_many(rule: Any, settings: dict[str, Any], hits: int) -> None:
+    search = Search(lowest=100.0, highest=900.0, step=100.0, rule=rule, settings=settings)
+    found = expected_trials(search, Range(200.0, 400.0, 600.0))
+    assert found.count == Range(hits, hits, hits)
+    assert 0 < found.failures.least < found.failures.most < hits
+
+
+def test_a_ladder_costs_more_the_higher_the_limit_lies() -> None:
+    search = Search(lowest=100.0, highest=900.0, step=20.0, rule="ascending", settings={"repeats": 3})
+    low, high = (expected_trials(search, Range(k, k, k)).count.likely for k in (200.0, 600.0))
+    assert 3 * 2 < low < 3 * 8 < high < 3 * 27
+
+
+# Heat
+
+
+def heat(schemes: Protocol, trials: int, share: float, press: float = 1.5) -> Any:
+    base = base_of(schemes, Path())
+    changes = {"operator.press": press} if press != 1.5 else {}
+    x = experiment_of(schemes, base, schemes.condition[0], 0.1, 200.0, changes)
+    times = trial_times(x, 0.5, asks=True)
+    return heat_of(x, times, trials, share), times, x
+
+
+def test_heat_settles_where_a_hit_gives_what_the_pause_takes(schemes: Protocol) -> None:
+    found, times, x = heat(schemes, 5000, 1.0)
+    tau = x.rig.limits.thermal_time_constant_s
+    settled = found.after_one / (1.0 - math.exp(-times.total / tau))
+    assert found.peak == pytest.approx(settled)
+    pushing = times.hit - x.operator.begin_s - 0.5 * x.operator.reach_s
+    assert found.after_one == pytest.approx(found.load**2 * -math.expm1(-pushing / tau))
+    assert (found.first_pause, found.pauses, found.cooling_s) == (0, 0, 0.0)
+
+
+@given(st.floats(0.001, 1.0), st.integers(1, 400))
+def test_the_motor_begins_no_hit_warmer_than_it_may(schemes: Protocol, share: float, trials: int) -> None:
+    found, _, _ = heat(schemes, trials, share)
+    assert found.peak <= share + found.after_one
+    assert (found.first_pause > 0) == (found.pauses > 0) == (found.cooling_s > 0.0)
+    assert found.pauses < trials
+
+
+def test_the_plan_cools_as_the_session_does() -> None:
+    assert state.cooling_s is session_times.cooling_s
+
+
+def test_a_rehearsal_costs_by_its_ticks(plan: StudyPlan, schemes: Protocol) -> None:
+    ticks = 20_000 * plan.trial.recorded * (plan.trials.likely - plan.practice)
+    assert plan.rehearsal_s.likely == pytest.approx(1e-4 * ticks)

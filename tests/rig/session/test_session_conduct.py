@@ -1,0 +1,658 @@
+"""The engine of a session: what comes next, what is written, what people may say, what the blinded never see."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.config.presets import load as preset
+from rig.core.errors import ConfigError, LinkLostError, PlanError, RecordingError, StoppedError
+from rig.session.conduct import conduct
+from rig.session.desk import Question, Reply
+from rig.session.directory import LOG, Session, amend, begin, event_of_trial, resume
+from rig.session.hits import heat_after
+from rig.session.log import Event, read
+from rig.session.protocol import Protocol
+from rig.session.rehearsal import Day, Person, RehearsalDesk
+from rig.session.run import row_of, summary
+from rig.session.state import State
+from rig.session.telling import line_of_event
+from tests.rig.session.session_fakes import INVALID, FakeBench, ScriptedDesk, decisions, protocol_of, study
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody cuts the power here."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def started(directory: Path, protocol: Protocol | None = None, code: str = "P01", row: int = 0) -> Session:
+    return begin(
+        directory,
+        protocol or protocol_of(),
+        preset("koul-rigid"),
+        text=b"# as it was\n",
+        sha256="0" * 64,
+        code=code,
+        row=row,
+        versions={"haptic-rig": "test"},
+        clock=Day(),
+    )
+
+
+def run_with(session: Session, bench: FakeBench, desk: ScriptedDesk) -> State:
+    with session:
+        return conduct(session, bench, desk)
+
+
+def test_a_session_goes_through_all_runs_and_ends_complete(tmp_path: Path) -> None:
+    bench, desk = FakeBench(), ScriptedDesk()
+    state = run_with(started(tmp_path / "P01"), bench, desk)
+    assert state.ended == "complete"
+    assert [trial.trial for trial in state.trials] == list(range(1, len(bench.hits) + 1))
+    assert {trial.condition for trial in state.trials} == {"dual-hidden", "uniform-hidden"}
+    assert {trial.verdict for trial in state.trials} == {"stable"}
+    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
+    assert (kinds[0], kinds[1], kinds[-1]) == ("began", "opened", "ended")
+    assert (tmp_path / "P01" / "protocol.toml").read_bytes() == b"# as it was\n"
+
+
+def test_the_log_is_the_state(tmp_path: Path) -> None:
+    state = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    again = State.of(read(tmp_path / "P01" / LOG))
+    assert again.trials == state.trials
+    assert summary(tmp_path, again) == summary(tmp_path, state)
+
+
+def test_the_same_seed_gives_the_same_bytes_of_log(tmp_path: Path) -> None:
+    logs = []
+    for name in ("a", "b"):
+        session = started(tmp_path / name)
+        person = Person(thresholds={"dual-hidden": 430.0, "uniform-hidden": 300.0}, slips=0.1, unsure=0.1)
+        assert isinstance(session.clock, Day)
+        with session:
+            conduct(session, FakeBench(), RehearsalDesk(person, session.clock))
+        logs.append((tmp_path / name / LOG).read_bytes())
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize("blind", ["both", "operator"])
+def test_a_blinded_operator_is_shown_no_condition_and_no_wall(tmp_path: Path, blind: str) -> None:
+    protocol = protocol_of(
+        study=study(blind=blind),
+        question=[{"name": "tired", "text": "How tired?", "when": "block"}],
+        stop={"trials": 5},
+    )
+    desk = ScriptedDesk()
+    bench = FakeBench({2: (INVALID, None), 3: ({"aborted": "energy"}, None)})
+    lines: list[str] = []
+    with started(tmp_path / "P01", protocol) as session:
+        conduct(session, bench, desk, told=lambda event: lines.append(line_of_event(event)))
+        result = summary(session.directory, session.state)
+    seen = json.dumps(
+        [
+            [view.as_mapping() for view in desk.views],
+            [question.as_mapping() for question in desk.questions],
+            lines,
+            result.as_mapping(),
+            sorted(str(path) for path in tmp_path.rglob("*")),
+        ]
+    )
+    for _, stiffness in bench.hits:
+        assert f"{stiffness:g}" not in seen.replace("0.015", "")
+    assert "hidden" not in seen
+    assert "0.37" not in seen
+    assert all(view.blinded for view in desk.views)
+
+
+def test_who_is_not_blinded_sees_the_wall(tmp_path: Path) -> None:
+    protocol = protocol_of(study=study(blind="participant"))
+    desk = ScriptedDesk()
+    bench = FakeBench()
+    run_with(started(tmp_path / "P01", protocol), bench, desk)
+    assert {view.stiffness for view in desk.views if view.state == "hit"} == {k for _, k in bench.hits}
+    assert {"dual-hidden", "uniform-hidden"} <= {view.condition for view in desk.views}
+
+
+def test_an_invalid_trial_is_repeated_and_nobody_is_asked_about_it(tmp_path: Path) -> None:
+    desk, bench = ScriptedDesk(), FakeBench({1: (INVALID, None), 2: (INVALID, None)})
+    state = run_with(started(tmp_path / "P01"), bench, desk)
+    assert [trial.attempt for trial in state.trials[:4]] == [1, 2, 3, 1]
+    assert len({stiffness for _, stiffness in bench.hits[:3]}) == 1
+    assert {question.trial for question in desk.questions if question.kind == "verdict"}.isdisjoint({1, 2})
+
+
+@pytest.mark.parametrize("say", ["go", "skip"])
+def test_after_as_many_attempts_as_are_allowed_somebody_decides(tmp_path: Path, say: str) -> None:
+    bench = FakeBench(dict.fromkeys((1, 2, 3, 4), (INVALID, None)))
+    desk = ScriptedDesk(
+        lambda question: Reply(action=say) if question.kind == "trouble" else None  # type: ignore[arg-type]
+    )
+    state = run_with(started(tmp_path / "P01"), bench, desk)
+    assert sum(question.kind == "trouble" for question in desk.questions) == 1
+    if say == "go":
+        assert [trial.attempt for trial in state.trials[:5]] == [1, 2, 3, 4, 5]
+        assert not state.skipped
+    else:
+        assert state.skipped == {1}
+        assert state.trials[3].run == 2
+
+
+def first(kind: str, action: str, value: str = "") -> Callable[[Question], Reply | None]:
+    """Says this at the first question of a kind, and nothing else."""
+    said: list[bool] = []
+
+    def answer(question: Question) -> Reply | None:
+        if question.kind == kind and not said:
+            said.append(True)
+            return Reply(action=action, value=value, took_s=0.5)  # type: ignore[arg-type]
+        return None
+
+    return answer
+
+
+def test_a_redone_trial_stays_in_the_log_and_comes_again(tmp_path: Path) -> None:
+    bench = FakeBench()
+    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(first("verdict", "redo")))
+    assert state.trials[0].void
+    assert state.trials[0].verdict is None
+    assert bench.hits[0][1] == bench.hits[1][1]
+    assert state.ended == "complete"
+
+
+def test_redo_before_a_trial_is_about_the_one_before(tmp_path: Path) -> None:
+    ready = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal ready
+        ready += question.kind == "ready"
+        return Reply(action="redo") if question.kind == "ready" and ready == 3 else None
+
+    bench = FakeBench()
+    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(answer))
+    assert [trial.void for trial in state.trials[:3]] == [False, True, False]
+    assert bench.hits[1][1] == bench.hits[2][1]
+
+
+def test_nothing_can_be_redone_before_the_first_trial(tmp_path: Path) -> None:
+    desk = ScriptedDesk()
+    run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    assert "redo" not in desk.questions[0].actions
+    assert "redo" in next(q for q in desk.questions if q.kind == "verdict").actions
+
+
+def test_a_note_is_kept_and_the_question_asked_again(tmp_path: Path) -> None:
+    desk = ScriptedDesk(first("ready", "note", " phone rang "))
+    state = run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    assert state.notes == [(0, "phone rang")]
+    assert [question.kind for question in desk.questions[:2]] == ["ready", "ready"]
+
+
+def test_pause_is_logged_and_gone_on_from(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(first("ready", "pause")))
+    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
+    assert kinds[2:6] == ["block", "paused", "continued", "trial"]
+
+
+def test_who_leaves_can_come_back(tmp_path: Path) -> None:
+    calm = run_with(started(tmp_path / "calm"), FakeBench(), ScriptedDesk())
+    state = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(first("verdict", "abort")))
+    assert state.stopped == "the operator left"
+    assert state.ended is None
+    with resume(tmp_path / "P01", clock=Day()) as session:
+        assert session.state.stopped is None
+        state = conduct(session, FakeBench(), ScriptedDesk())
+    assert state.trials == calm.trials
+    assert decisions(read(tmp_path / "P01" / LOG)) == decisions(read(tmp_path / "calm" / LOG))
+
+
+def test_a_block_may_start_over(tmp_path: Path) -> None:
+    asked = 0
+
+    def leave_at_the_third(question: Question) -> Reply | None:
+        nonlocal asked
+        asked += question.kind == "verdict"
+        return Reply(action="abort") if asked == 3 else None
+
+    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(leave_at_the_third))
+    bench = FakeBench()
+    with resume(tmp_path / "P01", at="block", clock=Day()) as session:
+        state = conduct(session, bench, ScriptedDesk())
+    assert [trial.void for trial in state.trials[:4]] == [True, True, True, False]
+    assert state.trials[3].trial == 4
+    assert state.ended == "complete"
+
+
+def test_unsure_asks_again_and_counts_as_not_stable_in_the_end(tmp_path: Path) -> None:
+    asked = 0
+
+    def unsure(question: Question) -> Reply | None:
+        nonlocal asked
+        asked += question.kind == "verdict"
+        hesitates = question.kind == "verdict" and asked <= 3
+        return Reply(action="judge", value="unsure", took_s=1.0) if hesitates else None
+
+    bench = FakeBench()
+    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(unsure))
+    (run,) = (run for run in state.blocks[0].runs if run.number == 1)
+    assert [answer.stable for answer in state.answers(run)[:4]] == [None, None, False, True]
+    assert bench.hits[0][1] == bench.hits[1][1] == bench.hits[2][1] > bench.hits[3][1]
+
+
+def test_the_automatic_verdict_may_lead_and_nobody_is_asked(tmp_path: Path) -> None:
+    protocol = protocol_of(study=study(judge="automatic"))
+    desk = ScriptedDesk()
+    state = run_with(started(tmp_path / "P01", protocol), FakeBench(), desk)
+    assert not [question for question in desk.questions if question.kind == "verdict"]
+    assert {(trial.stiffness < 430.0, trial.verdict, trial.by) for trial in state.trials} <= {
+        (True, "stable", "automatic"),
+        (False, "buzz", "automatic"),
+    }
+
+
+def test_rests_come_when_they_are_due(tmp_path: Path) -> None:
+    protocol = protocol_of(
+        rest={"every": 3, "seconds": 20.0, "between_blocks_s": 90.0},
+        order={"kind": "fixed", "repeats": 2},
+        stop={"trials": 24},
+    )
+    desk = ScriptedDesk()
+    run_with(started(tmp_path / "P01", protocol), FakeBench(), desk)
+    events = read(tmp_path / "P01" / LOG)
+    since = 0
+    for before, event in pairwise(events):
+        if event.kind == "trial":
+            since += 1
+            assert since <= 3
+        if event.kind == "rested":
+            assert event.content["reason"] == "block" or since == 3
+            since = 0
+        if event.kind == "block" and event.content["block"] == 2:
+            assert (before.kind, before.content["seconds"]) == ("rested", 90.0)
+
+
+def test_a_hot_motor_cools_before_the_next_trial(tmp_path: Path) -> None:
+    bench, desk = FakeBench(), ScriptedDesk()
+    bench.heat_of_a_hit = 0.3
+    state = run_with(started(tmp_path / "P01", protocol_of(stop={"trials": 6})), bench, desk)
+    rests = [question for question in desk.questions if question.kind == "rest"]
+    tau = preset("koul-rigid").rig.limits.thermal_time_constant_s
+    assert rests
+    assert rests[0].seconds == math.ceil(tau * math.log(0.6 / 0.25))
+    assert all(trial.heat < 0.85 for trial in state.trials)
+
+
+def test_heat_of_a_constant_load_is_the_closed_form() -> None:
+    load, tick_s, tau = np.full(5000, 1.7), 1e-3, 4.0
+    expected = 0.2 * math.exp(-5.0 / tau) + 1.7**2 * (1.0 - math.exp(-5.0 / tau))
+    assert heat_after(0.2, load, tick_s, tau) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stop", "fails", "reason"),
+    [
+        ({"trials": 4}, {}, "4 trials"),
+        ({"invalid": 2}, {2: (INVALID, None), 3: (INVALID, None)}, "2 trials in a row that said nothing"),
+        (
+            {"aborts": 2},
+            {2: ({"aborted": "energy"}, None), 3: ({"aborted": "violent"}, None)},
+            "2 hits in a row cut off",
+        ),
+        ({"minutes": 0.1}, {}, "0.1 minutes"),
+    ],
+)
+def test_stop_rules_end_a_session(tmp_path: Path, stop: Any, fails: Any, reason: str) -> None:
+    session = started(tmp_path / "P01", protocol_of(stop=stop))
+    assert isinstance(session.clock, Day)
+    with session:
+        state = conduct(session, FakeBench(fails), RehearsalDesk(Person(thresholds={}), session.clock))
+    assert state.ended is not None
+    assert state.ended.startswith(reason)
+
+
+def test_questions_come_at_their_time_and_bad_answers_are_asked_again(tmp_path: Path) -> None:
+    items = [
+        {
+            "name": "hand",
+            "text": "Which hand?",
+            "when": "start",
+            "kind": "choice",
+            "choices": ["left", "right"],
+        },
+        {"name": "tired", "text": "How tired?", "when": "block"},
+        {"name": "remarks", "text": "Anything else?", "when": "end", "kind": "text"},
+    ]
+    answers = iter(["foot", "left", "8", "3", "no"])
+
+    def answer(question: Question) -> Reply | None:
+        return Reply(action="answer", value=next(answers)) if question.kind == "item" else None
+
+    state = run_with(
+        started(tmp_path / "P01", protocol_of(question=items)), FakeBench(), ScriptedDesk(answer)
+    )
+    assert state.answered == {("hand", 0): "left", ("tired", 1): 3, ("remarks", -1): "no"}
+    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
+    assert kinds[2] == "answered"
+    assert kinds[-3:] == ["answered", "answered", "ended"]
+
+
+def test_practice_comes_first_and_counts_for_nothing(tmp_path: Path) -> None:
+    bench = FakeBench()
+    state = run_with(
+        started(tmp_path / "P01", protocol_of(practice={"stiffness": [150.0, 200.0]})), bench, ScriptedDesk()
+    )
+    assert [stiffness for _, stiffness in bench.hits[:2]] == [150.0, 200.0]
+    assert [trial.practice for trial in state.trials[:3]] == [True, True, False]
+    assert all(trial.run != 0 for trial in state.trials[2:])
+
+
+def test_interleaved_runs_take_turns(tmp_path: Path) -> None:
+    protocol = protocol_of(order={"kind": "fixed", "interleave": True})
+    state = run_with(started(tmp_path / "P01", protocol), FakeBench(), ScriptedDesk())
+    runs = [trial.run for trial in state.trials]
+    assert sum(a != b for a, b in pairwise(runs)) > 2
+    assert {runs.count(1), runs.count(2)} != {0}
+
+
+def test_a_lost_link_is_asked_about_after_the_effort_is_zero(tmp_path: Path) -> None:
+    lost = LinkLostError("the link broke during the run")
+    desk = ScriptedDesk()
+    state = run_with(
+        started(tmp_path / "P01"), FakeBench({2: ({**INVALID, "ended": "link_closed"}, lost)}), desk
+    )
+    (trouble,) = (question for question in desk.questions if question.kind == "trouble")
+    assert "the link broke" in trouble.text
+    assert state.trials[1].ended == "link_closed"
+    assert state.ended == "complete"
+
+
+def test_a_hit_that_was_cut_off_is_judged_afterwards(tmp_path: Path) -> None:
+    desk = ScriptedDesk()
+    cut = ({"automatic": "unstable", "aborted": "energy", "ended": "energy"}, None)
+    state = run_with(started(tmp_path / "P01"), FakeBench({1: cut}), desk)
+    assert desk.questions[1].kind == "verdict"
+    assert state.trials[0].verdict == "stable"  # what the person says is theirs
+
+
+def test_a_person_hears_that_a_hit_was_cut_off_only_after_their_verdict(tmp_path: Path) -> None:
+    cut = ({"automatic": "unstable", "aborted": "energy", "ended": "energy"}, None)
+    seen: dict[str, str] = {}
+
+    def answer(question: Question) -> Reply | None:
+        told = json.dumps([desk.views[-1].as_mapping(), question.as_mapping()])
+        if question.kind == "verdict" and question.trial == 2:
+            seen["before"] = told
+        if question.kind == "ready" and "before" in seen:
+            seen.setdefault("after", told)
+        return None
+
+    desk = ScriptedDesk(answer)
+    run_with(started(tmp_path), FakeBench({2: cut}), desk)
+    assert "trial 2: over" in seen["before"]
+    assert not any(word in seen["before"] for word in ("cut off", "energy", "safety"))
+    assert "trial 2: done, cut off for safety" in seen["after"]
+
+
+def test_ctrl_c_in_a_hit_logs_it_and_leaves(tmp_path: Path) -> None:
+    stop = StoppedError("stopped; the effort is zero")
+    stop.signal = 2
+    session = started(tmp_path / "P01")
+    with session, pytest.raises(StoppedError):
+        conduct(session, FakeBench({1: ({**INVALID, "ended": "stopped"}, stop)}), ScriptedDesk())
+    kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
+    assert kinds[-2:] == ["trial", "stopped"]
+
+
+def test_a_desk_where_nobody_answers_leaves_a_session_that_can_be_resumed(tmp_path: Path) -> None:
+    def gone(question: Question) -> Reply | None:
+        raise StoppedError("the console is gone")
+
+    session = started(tmp_path / "P01")
+    with session, pytest.raises(StoppedError):
+        conduct(session, FakeBench(), ScriptedDesk(gone))
+    assert read(tmp_path / "P01" / LOG)[-1].content["reason"] == "the console is gone"
+
+
+def test_a_correction_is_an_event_of_its_own_and_changes_what_follows(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    events = read(tmp_path / "P01" / LOG)
+    judged = next(event for event in events if event.kind == "judged")
+    size = (tmp_path / "P01" / LOG).stat().st_size
+    amend(tmp_path / "P01", judged.number, "buzz", "wrong key")
+    assert (tmp_path / "P01" / LOG).stat().st_size > size
+    after = read(tmp_path / "P01" / LOG)
+    assert after[: len(events)] == events
+    assert State.of(after).trials[0].verdict == "buzz"
+
+
+def test_a_trial_is_left_out_afterwards_and_taken_back(tmp_path: Path) -> None:
+    before = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    log = tmp_path / "P01" / LOG
+    number = event_of_trial(tmp_path / "P01", 3, "void")
+    assert (read(log)[number].kind, read(log)[number].content["trial"]) == ("trial", 3)
+    written = amend(tmp_path / "P01", number, "void", "somebody bumped the table")
+    assert line_of_event(written) == "trial 3 does not count (somebody bumped the table)"
+    after = State.of(read(log))
+    assert [trial.trial for trial in after.trials if trial.void] == [3]
+    run = next(run for block in after.blocks for run in block.runs if run.number == after.trials[2].run)
+    assert len(after.heard(run)) == len(before.heard(run)) - 1
+    assert after.ended == "complete"
+    amend(tmp_path / "P01", number, "counts", "it was another table")
+    assert State.of(read(log)).trials == before.trials
+
+
+def test_a_trial_that_was_left_out_comes_again_when_the_session_goes_on(tmp_path: Path) -> None:
+    def tired(question: Question) -> Reply | None:
+        return Reply(action="abort") if question.kind == "ready" and len(desk.questions) > 4 else None
+
+    desk = ScriptedDesk(tired)
+    state = run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    last = state.trials[-1]
+    amend(tmp_path / "P01", event_of_trial(tmp_path / "P01", last.trial, "void"), "void", "the wrong hand")
+    session = resume(tmp_path / "P01", clock=Day())
+    state = run_with(session, FakeBench(), ScriptedDesk())
+    assert state.trials[last.trial].stiffness == last.stiffness
+    assert state.ended == "complete"
+
+
+def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01"), FakeBench({2: (INVALID, None)}), ScriptedDesk())
+    directory = tmp_path / "P01"
+    written = amend(directory, event_of_trial(directory, 1, "buzz"), "buzz", "wrong key")
+    assert line_of_event(written) == "trial 1 corrected: buzz (wrong key)"
+    for trial, value, said in ((999, "void", "no trial 999"), (2, "buzz", "trial 2 has no verdict")):
+        with pytest.raises(ConfigError, match=said):
+            event_of_trial(directory, trial, value)
+    with pytest.raises(ConfigError, match="cannot be said"):
+        amend(directory, event_of_trial(directory, 1, "void"), "buzz", "wrong key")
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "why", "said"),
+    [
+        (10_000, "buzz", "x", "no event 10000"),
+        (0, "buzz", "x", "cannot be corrected"),
+        (4, "fine", "x", "is no verdict"),
+        (4, "buzz", " ", "without a reason"),
+    ],
+)
+def test_corrections_that_are_none(tmp_path: Path, number: int, value: str, why: str, said: str) -> None:
+    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    assert read(tmp_path / "P01" / LOG)[4].kind == "judged"
+    before = (tmp_path / "P01" / LOG).read_bytes()
+    with pytest.raises(ConfigError, match=said):
+        amend(tmp_path / "P01", number, value, why)
+    assert (tmp_path / "P01" / LOG).read_bytes() == before
+
+
+def test_a_participant_has_one_session(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    before = (tmp_path / "P01" / LOG).read_bytes()
+    with pytest.raises(ConfigError, match="holds a session already"):
+        started(tmp_path / "P01")
+    with pytest.raises(ConfigError, match="is over"):
+        resume(tmp_path / "P01")
+    assert (tmp_path / "P01" / LOG).read_bytes() == before
+
+
+def test_two_processes_do_not_share_a_session(tmp_path: Path) -> None:
+    with started(tmp_path / "P01"), pytest.raises(RecordingError, match="another process"):
+        resume(tmp_path / "P01")
+
+
+def test_what_is_no_session_is_not_resumed(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no session\.log|has no"):
+        resume(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("code", "row"), [("P01", 0), ("P12", 11), ("a7b03", 2)])
+def test_the_number_in_a_code_is_the_row(code: str, row: int) -> None:
+    assert row_of(code) == row
+
+
+def test_a_code_without_a_number_needs_a_row() -> None:
+    with pytest.raises(ConfigError, match="--row"):
+        row_of("PX")
+
+
+def test_a_stop_is_answered_by_a_person_or_by_nobody(tmp_path: Path) -> None:
+    """`rig stop` in a hit: a simulated person does not go on; a person is asked."""
+    stop = StoppedError("stopped; the effort is zero")
+    fails = {1: ({**INVALID, "ended": "stopped"}, stop)}
+    session = started(tmp_path / "nobody")
+    assert isinstance(session.clock, Day)
+    with session, pytest.raises(StoppedError):
+        conduct(session, FakeBench(fails), RehearsalDesk(Person(thresholds={}), session.clock))
+    desk = ScriptedDesk()
+    state = run_with(started(tmp_path / "somebody"), FakeBench(fails), desk)
+    assert [question.kind for question in desk.questions[:3]] == ["ready", "trouble", "ready"]
+    assert state.ended == "complete"
+
+
+def test_a_lost_link_of_a_real_rig_leaves_the_session_since_zero_may_be_elsewhere(tmp_path: Path) -> None:
+    bench = FakeBench({2: ({**INVALID, "ended": "link_closed"}, LinkLostError("unplugged"))})
+    bench.simulated = False
+    with started(tmp_path / "P01") as session, pytest.raises(LinkLostError):
+        conduct(session, bench, ScriptedDesk())
+    assert len(bench.hits) == 2
+    assert read(tmp_path / "P01" / LOG)[-1].kind == "stopped"
+
+
+def test_a_refused_trial_tells_a_blinded_operator_no_wall(tmp_path: Path) -> None:
+    class Refusing(FakeBench):
+        def hit(self, *arguments: Any) -> Any:
+            raise PlanError("K = 412 with B = 0.37 is unstable", remedy="choose --stiffness below 400")
+
+    with started(tmp_path / "P01") as session, pytest.raises(PlanError) as refused:
+        conduct(session, Refusing(), ScriptedDesk())
+    event = read(tmp_path / "P01" / LOG)[-1]
+    assert "412" not in str(refused.value) + line_of_event(event)
+    assert "412" in event.content["detail"]
+
+
+@pytest.mark.parametrize("rule", ["ascending", "staircase", "interleaved"])
+def test_a_corrected_verdict_never_leads_to_a_wall_that_nobody_has_come_near(
+    tmp_path: Path, rule: str
+) -> None:
+    settings = {"ascending": {"repeats": 2}, "staircase": {"most": 30}, "interleaved": {"most": 20}}[rule]
+    protocol = protocol_of(
+        search={"rule": rule, "lowest": 100.0, "highest": 800.0, "step": 50.0, "settings": settings},
+        condition=[{"name": "one", "scheme": "dual:20k/2k", "damping": [0.3]}],
+        stop={"trials": 12},
+    )
+    person = Person(thresholds={"one": 330.0}, spread=5.0)
+    session = started(tmp_path / "P01", protocol)
+    assert isinstance(session.clock, Day)
+    with session:
+        conduct(session, FakeBench(), RehearsalDesk(person, session.clock))
+    events = read(tmp_path / "P01" / LOG)
+    judged = [event for event in events if event.kind == "judged"]
+    for wrong in judged:
+        value = "buzz" if wrong.content["verdict"] == "stable" else "stable"
+        amendment = Event(len(events), events[-1].at, "amended", _amendment(wrong.number, value))
+        state = State.of([*events, amendment])
+        (run,) = state.blocks[0].runs
+        probe = state.asks(run)
+        heard = state.answers(run)
+        if probe is None:  # it has enough all the same
+            continue
+        near = [answer.probe.level for answer in heard if answer.stable] or [100.0]
+        if not probe.catch and probe.track != 1:
+            biggest = 50.0 if rule == "ascending" else 200.0
+            start = 450.0 if rule == "staircase" else 100.0
+            assert probe.level <= max(*near, start) + biggest
+
+
+def _amendment(number: int, value: str) -> dict[str, Any]:
+    return {"number": number, "field": "verdict", "value": value, "why": "wrong key"}
+
+
+def test_a_correction_of_an_answer_is_checked_like_an_answer(tmp_path: Path) -> None:
+    protocol = protocol_of(question=[{"name": "tired", "text": "How tired?", "when": "start"}])
+    run_with(started(tmp_path / "P01", protocol), FakeBench(), ScriptedDesk())
+    number = next(event.number for event in read(tmp_path / "P01" / LOG) if event.kind == "answered")
+    with pytest.raises(ConfigError, match="1 to 7"):
+        amend(tmp_path / "P01", number, "banana", "a slip")
+    assert amend(tmp_path / "P01", number, "5", "a slip").content["value"] == 5
+    assert State.of(read(tmp_path / "P01" / LOG)).answered["tired", 0] == 5
+
+
+def test_a_correction_in_the_wrong_directory_leaves_nothing_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="has no session"):
+        amend(tmp_path, 3, "buzz", "x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_block_that_starts_over_forgets_what_was_skipped_in_it(tmp_path: Path) -> None:
+    asked = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal asked
+        asked += question.kind == "ready"
+        if question.kind == "ready" and asked in (2, 4):
+            return Reply(action="skip" if asked == 2 else "abort")
+        return None
+
+    state = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(answer))
+    assert state.skipped == {1}
+    with resume(tmp_path / "P01", at="block", clock=Day()) as session:
+        assert session.state.skipped == set()
+
+
+def test_a_finished_block_does_not_start_over(tmp_path: Path) -> None:
+    protocol = protocol_of(rest={"between_blocks_s": 30.0}, order={"kind": "fixed", "repeats": 2})
+    leaves = ScriptedDesk(lambda question: Reply(action="abort") if question.kind == "rest" else None)
+    run_with(started(tmp_path / "P01", protocol), FakeBench(), leaves)
+    with resume(tmp_path / "P01", at="block", clock=Day()) as session:
+        assert not [trial for trial in session.state.trials if trial.void]
+
+
+def test_the_very_last_trial_can_be_redone(tmp_path: Path) -> None:
+    def answer(question: Question) -> Reply | None:
+        if question.text == "end the session?" and len(bench.hits) == last:
+            return Reply(action="redo")
+        return None
+
+    last = 0
+    bench = FakeBench()
+    run_with(started(tmp_path / "counted"), bench, ScriptedDesk())
+    last = len(bench.hits)
+    bench.hits.clear()
+    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(answer))
+    assert [trial.void for trial in state.trials[-2:]] == [True, False]
+
+
+def test_the_console_is_told_about_how_many_trials_there_will_be(tmp_path: Path) -> None:
+    desk = ScriptedDesk()
+    state = run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    told = {view.trials for view in desk.views}
+    assert all(0.5 * len(state.trials) <= number <= 3.0 * len(state.trials) for number in told)

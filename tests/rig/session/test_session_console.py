@@ -1,0 +1,522 @@
+"""The console without a terminal: keys, what they mean, what is asked and answered, what may be seen."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from rig.core.errors import ConfigError
+from rig.core.sample import ROW, Phase, RowFlag
+from rig.realtime import ring as ring_words
+from rig.realtime.ring import Ring
+from rig.session.console import words
+from rig.session.console.conversation import Answer, Conversation, Stop
+from rig.session.console.keyboard import Key, Keyboard, Mode, Mouse
+from rig.session.console.keymap import KeyMap
+from rig.session.console.live import Live, Snapshot, snapshot_of
+from rig.session.console.messages import Lines, line_of
+from rig.session.console.plain import PlainLines
+from rig.session.console.pointer import Pointer
+from rig.session.console.screen import picture
+from rig.session.desk import Action, Question, View
+from rig.session.protocol import Keys
+
+KEYMAP = KeyMap.of(Keys())
+READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
+SCALE = {
+    "start": 0.1,
+    "wall": 0.3,
+    "side": 1,
+    "window": [-1.0, 1.0],
+    "effort_limit": 0.4,
+    "speed_limit": 5.0,
+    "position_unit": "rad",
+    "velocity_unit": "rad/s",
+    "effort_unit": "N·m",
+}
+SNAPSHOT = Snapshot(
+    phase="trial",
+    position=0.31,
+    velocity=-0.2,
+    penetration=0.01,
+    effort=0.123,
+    peak_effort=0.2,
+    saturated=False,
+    round_trip_ns=512_000,
+    late=3,
+    lost=1,
+    skipped=0,
+)
+
+
+def told(question: Question | None = None, view: View | None = None) -> Conversation:
+    conversation = Conversation(KEYMAP)
+    conversation.see((view or View(state="ready", scale=SCALE)).as_mapping())
+    if question is not None:
+        assert conversation.ask(question.as_mapping(), 0.0) == []
+    return conversation
+
+
+def asked(kind: Any = "ready", actions: tuple[Action, ...] = READY, **more: Any) -> Question:
+    return Question(kind=kind, text="?", actions=actions, **more)
+
+
+# Keys
+
+
+@pytest.mark.parametrize(
+    ("data", "names"),
+    [
+        (b"1g", ["1", "g"]),
+        (b"\r\n \t\x7f\x08", ["enter", "enter", "space", "tab", "backspace", "backspace"]),
+        (b"\x1b[A\x1b[B\x1b[C\x1b[D\x1bOA", ["up", "down", "right", "left", "up"]),
+        (b"\x1b[5~\x1b[6~\x1b[15~\x1b[24~\x1bOP\x1b[[B", ["pageup", "pagedown", "f5", "f12", "f1", "f2"]),
+        (b"\x03\x1bx\x1b[1;5A", ["ctrl+c", "alt+x", "unknown"]),
+        ("ä€😀".encode(), ["ä", "€", "😀"]),
+    ],
+)
+def test_bytes_are_keys(data: bytes, names: list[str]) -> None:
+    assert Keyboard().feed(data) == [Key(name) for name in names]
+
+
+def test_an_escape_that_nothing_follows_is_the_key() -> None:
+    keyboard = Keyboard()
+    assert keyboard.feed(b"\x1b") == []
+    assert keyboard.waiting
+    assert keyboard.flush() == [Key("escape")]
+    assert not keyboard.waiting
+
+
+def test_the_mouse_and_the_terminal_are_no_keys() -> None:
+    data = b"\x1b[<35;10;5M\x1b[<0;11;5M\x1b[<0;11;5m\x1b[<64;1;1M\x1b[?1016;2$y\x1b[?1016;0$y"
+    assert Keyboard().feed(data) == [
+        Mouse(10, 5, held=False),
+        Mouse(11, 5, held=True),
+        Mouse(11, 5, held=False),
+        Mode(1016, known=True),
+        Mode(1016, known=False),
+    ]
+
+
+noise = st.binary(max_size=80) | st.text(st.sampled_from("\x1b[<O0;159~Mm?$yAéx"), max_size=40).map(
+    str.encode
+)
+
+
+@given(noise, st.lists(st.integers(1, 7)))
+def test_any_bytes_in_any_pieces_are_the_same_keys(data: bytes, lengths: list[int]) -> None:
+    whole, pieces = Keyboard(), Keyboard()
+    expected = whole.feed(data) + whole.flush()
+    found, at = [], 0
+    for length in [*lengths, len(data) + 1]:
+        found += pieces.feed(data[at : at + length])
+        at += length
+    assert found + pieces.flush() == expected
+
+
+# SPACE is STOP
+
+# Also with an input method, or a modifier held.
+SPACES = [" ", "\u00a0", "\u1680", "\u2003", "\u202f", "\u3000"]
+
+
+@pytest.mark.parametrize(
+    "before", ["", "\x1b", "\x1bO", "\x1b[", "\x1b[[", "\x1b[1;", "\x1b[<35;1", "\x1b\x1b"]
+)
+@pytest.mark.parametrize("space", SPACES)
+def test_space_is_a_key_after_any_part_of_a_sequence(before: str, space: str) -> None:
+    keyboard = Keyboard()
+    assert (keyboard.feed(before.encode()) + keyboard.feed(space.encode()))[-1] == Key("space")
+    assert not keyboard.waiting
+
+
+def test_space_after_an_escape_is_both_keys() -> None:
+    assert Keyboard().feed(b"\x1b ") == [Key("escape"), Key("space")]
+
+
+@pytest.mark.parametrize("data", [b"\0", b"\x1b[32;2u", b"\x1b[32u", b"\x1b[27;5;32~"])
+def test_space_with_a_modifier_is_space(data: bytes) -> None:
+    assert Keyboard().feed(data) == [Key("space")]
+
+
+pieces = st.lists(
+    st.tuples(st.one_of(noise, st.sampled_from([b"\x1b", b"\x1bO", b"\xe3\x80"])), st.booleans())
+)
+
+
+@given(pieces, st.sampled_from(SPACES), pieces, st.sampled_from(["", "n", "a", "p", "?"]), st.booleans())
+def test_a_space_anywhere_in_what_is_typed_stops_what_moves(
+    before: list[tuple[bytes, bool]], space: str, after: list[tuple[bytes, bool]], first: str, live: bool
+) -> None:
+    conversation, keyboard = told(asked() if live else None), Keyboard()
+    conversation.press(first)
+    conversation.live = live
+    found: list[Any] = []
+    for data, waited in [*before, (space.encode(), False), *after]:
+        if live:
+            conversation.ask(asked().as_mapping(), 0.0)  # whatever was answered meanwhile
+        events = keyboard.feed(data) + (keyboard.flush() if waited else [])
+        for event in events:
+            found += conversation.press(event.name) if isinstance(event, Key) else []
+    assert Stop() in found
+
+
+# What they mean
+
+
+def test_keys_of_a_protocol() -> None:
+    keymap = KeyMap.of(Keys(stable="PageUp", go="f1"))
+    assert keymap.meaning("pageup") == "stable"
+    assert keymap.meaning("enter") == keymap.meaning("f1") == "go"
+    assert keymap.meaning("space") == "stop"
+    assert keymap.meaning("R") == "redo"
+    assert keymap.meaning("1") == ""
+    assert KeyMap.from_mapping(keymap.as_mapping()) == keymap
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        (Keys(stable=" "), "it is STOP"),
+        (Keys(stable="space"), "it is STOP"),
+        (Keys(redo="Enter"), "go in any case"),
+        (Keys(note="?"), "shows the keys"),
+        (Keys(buzz="1"), "that key is buzz already"),
+        (Keys(buzz="G"), "that key is go already|that key is buzz already"),
+        (Keys(abort="pedal"), "is no key"),
+    ],
+)
+def test_keys_that_cannot_be_meant(keys: Keys, says: str) -> None:
+    with pytest.raises(ConfigError, match=says) as caught:
+        KeyMap.of(keys)
+    assert caught.value.remedy
+
+
+# Questions and answers
+
+
+def test_a_verdict_is_one_key() -> None:
+    for key, verdict in (("1", "stable"), ("2", "buzz"), ("3", "unstable"), ("4", "unsure")):
+        conversation = told(asked("verdict", ("judge", "redo")))
+        assert conversation.press(key) == [Answer("judge", verdict)]
+        assert conversation.press(key) == []  # a pedal that bounces says nothing twice
+        assert conversation.question is None
+
+
+def test_what_is_pressed_before_the_question_is_no_answer() -> None:
+    conversation = told()
+    assert conversation.press("1") == []
+    assert "not now" in conversation.notice
+    assert conversation.ask(asked("verdict", ("judge", "redo")).as_mapping(), 0.0) == []
+    assert conversation.press("g") == []
+    assert conversation.press("r") == [Answer("redo")]
+
+
+@pytest.mark.parametrize("action", ["pause", "note"])
+def test_pause_and_note_wait_for_the_next_question(action: Action) -> None:
+    conversation = told()
+    assert conversation.press(KEYMAP.key_of(action)) == []
+    assert conversation.later == action
+    answered = conversation.ask(asked().as_mapping(), 0.0)
+    if action == "pause":
+        assert answered == [Answer("pause")]
+    else:
+        assert conversation.entry is not None
+        assert type_line(conversation, "ok") == [Answer("note", "ok")]
+
+
+def type_line(conversation: Conversation, text: str) -> list[Any]:
+    for character in text:
+        assert conversation.press("space" if character == " " else character) == []
+    return conversation.press("enter")
+
+
+def test_abort_and_skip_ask_once() -> None:
+    for action in ("abort", "skip"):
+        conversation = told(asked())
+        key = KEYMAP.key_of(action)
+        assert conversation.press(key) == []
+        assert conversation.twice == action
+        assert conversation.press("1") == []  # no, and nothing else
+        assert conversation.twice is None
+        assert conversation.press(key) == []
+        assert conversation.press("y" if action == "skip" else key) == [Answer(action)]
+
+
+def test_abort_in_a_hit_stops_it_and_answers_the_next_question() -> None:
+    conversation = told()
+    conversation.live = True
+    assert conversation.press("a") == []
+    assert conversation.press("y") == [Stop()]
+    assert conversation.ask(asked().as_mapping(), 0.0) == [Answer("abort")]
+
+
+@pytest.mark.parametrize("help_shown", [False, True])
+@pytest.mark.parametrize("live", [False, True])
+def test_space_is_stop_whatever_is_on_the_screen(live: bool, help_shown: bool) -> None:
+    conversation = told()
+    conversation.live, conversation.help = live, help_shown
+    assert conversation.press("space") == [Stop()]
+    conversation.press("a")
+    assert conversation.press("space") == [Stop()]
+    conversation = told(asked())
+    conversation.press("n")
+    conversation.live = live
+    assert conversation.press("space") == (
+        [Stop()] if live else []
+    )  # a blank of the note while nothing moves
+
+
+def test_what_shows_the_keys_hides_no_stop_and_no_question() -> None:
+    conversation = told()
+    conversation.live = True
+    conversation.press("?")
+    conversation.press("space")
+    assert not conversation.help
+    conversation.press("?")
+    assert conversation.help
+    conversation.ask(asked("trouble", ("go", "abort")).as_mapping(), 0.0)
+    assert not conversation.help
+
+
+def test_a_rest_ends_itself_but_not_under_a_note() -> None:
+    conversation = told()
+    conversation.ask(asked("rest", ("go", "note", "abort"), seconds=10.0).as_mapping(), 100.0)
+    assert conversation.left_s(104.0) == 6.0
+    assert conversation.pass_time(109.0) == []
+    conversation.press("n")
+    assert conversation.pass_time(111.0) == []
+    conversation.press("escape")
+    assert conversation.pass_time(111.0) == [Answer("go")]
+    assert conversation.pass_time(112.0) == []
+
+
+@pytest.mark.parametrize(
+    ("item", "typed", "answers"),
+    [
+        ({"kind": "scale", "lowest": 1, "highest": 7}, ["9", "x", "", "7"], "7"),
+        ({"kind": "scale", "lowest": -3, "highest": 3}, ["-4", "-2"], "-2"),
+        ({"kind": "choice", "choices": ["left", "right"]}, ["0", "foot", "2"], "right"),
+        ({"kind": "text"}, [" it felt hard "], "it felt hard"),
+    ],
+)
+def test_an_item_takes_only_what_is_an_answer(item: dict[str, Any], typed: list[str], answers: str) -> None:
+    conversation = told(asked("item", ("answer", "note", "abort"), item=item))
+    for text in typed[:-1]:
+        assert type_line(conversation, text) == []
+        assert "number" in conversation.notice
+    assert type_line(conversation, typed[-1]) == [Answer("answer", answers)]
+
+
+def test_an_item_can_be_left_for_a_note() -> None:
+    conversation = told(asked("item", ("answer", "note", "abort"), item={"kind": "text"}))
+    conversation.press("x")
+    conversation.press("escape")
+    conversation.press("n")
+    assert type_line(conversation, "a b") == [Answer("note", "a b")]
+    conversation.ask(asked("item", ("answer", "note", "abort"), item={"kind": "text"}).as_mapping(), 0.0)
+    for key in ("y", "e", "x", "backspace", "s"):
+        conversation.press(key)
+    assert conversation.press("enter") == [Answer("answer", "yes")]
+
+
+keys_pressed = st.lists(
+    st.sampled_from(
+        ["1", "3", "g", "r", "p", "n", "s", "a", "y", "x", "?", "space", "enter", "escape", "backspace"]
+    )
+)
+questions = st.sampled_from(
+    [
+        asked(),
+        asked("verdict", ("judge", "redo", "note", "abort")),
+        asked("rest", ("go", "note", "abort"), seconds=5.0),
+        asked("paused", ("go", "note", "abort")),
+        asked("item", ("answer", "note", "abort"), item={"kind": "scale", "lowest": 1, "highest": 7}),
+    ]
+)
+
+
+@given(st.lists(st.tuples(questions, keys_pressed), min_size=1, max_size=4))
+def test_an_answer_is_always_one_that_was_asked_for(rounds: list[tuple[Question, list[str]]]) -> None:
+    conversation = Conversation(KEYMAP)
+    for question, keys in rounds:
+        outcomes = conversation.ask(question.as_mapping(), 0.0)
+        for key in keys:
+            stands = conversation.question
+            outcomes += conversation.press(key)
+            if key == "space" and stands is None:
+                assert isinstance(outcomes[-1], Stop)
+        answers = [one for one in outcomes if isinstance(one, Answer)]
+        assert len(answers) <= 1
+        assert all(one.action in question.actions for one in answers)
+
+
+# What may be seen
+
+
+@given(st.floats(0, 2), st.booleans())
+def test_a_blinded_effort_is_a_word(share: float, saturated: bool) -> None:
+    limit = SCALE["effort_limit"]
+    assert isinstance(limit, float)
+    live = replace(SNAPSHOT, peak_effort=share * limit, effort=share * limit, saturated=saturated)
+    gauge = words.effort(View(state="hit", scale=SCALE), live)
+    assert gauge.text in ("low", "half", "near the limit", "saturated")
+    assert gauge.share in (0.1, words.HALF, words.NEAR, 1.0)  # nor is the bar a number
+    if saturated:
+        assert gauge.text == "saturated"
+
+
+def test_a_blinded_screen_says_neither_effort_nor_wall() -> None:
+    text = drawn(told(view=View(state="hit", scale=SCALE)), SNAPSHOT)
+    assert "N·m" not in text
+    assert "0.123" not in text
+    assert text.count("hidden") == 2
+    assert "half" in text
+    view = View(state="hit", scale=SCALE, blinded=False, condition="dual", stiffness=25.5, damping=0.1)
+    text = drawn(told(view=view), SNAPSHOT)
+    for part in ("+0.123 N·m", "K = 25.5, B = 0.1", "dual", "+0.0100 rad", "-0.200 rad/s", "0.51 ms", "3, 1"):
+        assert part in text
+
+
+def drawn(conversation: Conversation, live: Snapshot | None, width: int = 80, height: int = 24) -> str:
+    file = io.StringIO()
+    console = Console(file=file, width=width, height=height, highlight=False, markup=False, color_system=None)
+    console.print(picture(conversation, live, 0.0, width=width, height=height))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (200, 60), (50, 16), (30, 10), (10, 4)])
+@pytest.mark.parametrize("kind", ["none", "verdict", "help", "long"])
+def test_a_picture_fits_its_terminal(kind: str, width: int, height: int) -> None:
+    conversation = told(None if kind == "none" else asked("verdict", ("judge", "redo", "note", "abort")))
+    conversation.help = kind == "help"
+    if kind == "long":
+        conversation.ask(
+            Question(kind="trouble", text="what [red] went wrong " * 40, actions=("go",)).as_mapping(), 0
+        )
+    lines = drawn(conversation, SNAPSHOT, width, height).split("\n")
+    assert len(lines) <= height + 1
+    assert all(len(line) <= width for line in lines)
+    if width >= 80 and kind == "verdict":
+        assert any("[1] stable  [2] buzz  [3] unstable  [4] unsure" in line for line in lines)
+        assert any("[SPACE] STOP" in line for line in lines)
+
+
+def test_lines_say_each_thing_once() -> None:
+    conversation, plain = told(asked("verdict", ("judge", "redo"))), PlainLines()
+    first = plain.lines(conversation, None, 0.0)
+    assert first[-1].startswith("? [1] stable")
+    assert plain.lines(conversation, None, 1.0) == []
+    conversation.press("1")
+    conversation.see(View(state="hit", lines=("one", "two")).as_mapping())
+    assert plain.lines(conversation, SNAPSHOT, 2.0) == ["state: hit", "phase: trial", "log: one", "log: two"]
+    conversation.see(View(state="hit", lines=("two", "three")).as_mapping())
+    assert plain.lines(conversation, SNAPSHOT, 3.0) == ["log: three"]
+    conversation.ask(asked("verdict", ("judge", "redo")).as_mapping(), 4.0)
+    assert plain.lines(conversation, SNAPSHOT, 4.0) == first[-1:]  # the same question once more is a new one
+
+
+# The running loop
+
+
+def ring_with(rows: int, capacity: int = 8192) -> Ring:
+    ring = Ring.allocate(capacity)
+    numbers = np.arange(rows)
+    made = np.zeros(rows, ROW)
+    made["received_at"] = 1_000_000 * numbers
+    made["sent_at"] = made["received_at"] + 100_000
+    made["command_sequence"] = numbers % 65536
+    made["command_in_force"] = np.maximum(0, numbers - 2) % 65536  # comes in force two ticks later
+    made["effort_applied"] = -0.1
+    made["penetration"] = 0.01
+    made["flags"][-1:] = RowFlag.SATURATED
+    ring.rows[numbers % capacity] = made
+    ring.words[ring_words.HEAD] = rows
+    ring.words[ring_words.PHASE] = Phase.TRIAL
+    ring.words[ring_words.LATE] = 7
+    return ring
+
+
+def test_a_snapshot_is_of_the_newest_rows() -> None:
+    assert snapshot_of(Ring.allocate(8192)) is None
+    for rows in (5, 500, 8192 + 700, 70_000):
+        found = snapshot_of(ring_with(rows))
+        assert found is not None
+        assert (found.phase, found.late, found.penetration, found.effort) == ("trial", 7, 0.01, -0.1)
+        assert (found.peak_effort, found.saturated) == (0.1, True)
+        assert found.round_trip_ns == 1_900_000  # named two ticks after it was sent, less what the law took
+
+
+def test_a_law_on_the_device_has_no_round_trip() -> None:
+    ring = ring_with(600)
+    for name in ("sent_at", "command_sequence", "command_in_force"):
+        ring.rows[name] = 0
+    found = snapshot_of(ring)
+    assert found is not None
+    assert found.round_trip_ns is None
+
+
+def test_who_looks_at_a_loop_never_reads_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    ring = ring_with(100)
+    shared = Ring.allocate(8192, info={"experiment": {"wall": {"stiffness": 30}}}, shared=True)
+    shared.rows[:] = ring.rows
+    shared.words[ring_words.HEAD] = 100
+    monkeypatch.setattr(Ring, "info_and_word", lambda self: pytest.fail("the info was read"))
+    live = Live(os.getpid())
+    assert live.look() is not None
+    shared.words[ring_words.LOOP_DONE] = 1
+    assert live.look() is None
+    live.close()
+    shared.close()
+
+
+# The hand
+
+
+@pytest.mark.parametrize("scale", [SCALE, {**SCALE, "wall": -0.3}])
+def test_the_pointer_reaches_from_behind_the_start_into_the_wall(scale: dict[str, Any]) -> None:
+    pointer = Pointer(press=4.0)
+    assert pointer.intention is None
+    pointer.scale(scale)
+    start, wall = scale["start"], scale["wall"]
+    assert pointer.intention == pytest.approx((start, 0.0))
+    pointer.point(0.0, held=False)
+    assert pointer.intention == pytest.approx((start - 0.25 * (wall - start), 0.0))
+    pointer.point(7.0, held=False)
+    assert pointer.intention == pytest.approx((wall + 0.75 * (wall - start), 4.0))
+    pointer.point(0.0, held=True)
+    assert pointer.intention is not None
+    assert pointer.intention[1] == 4.0
+    assert pointer.key("end")
+    assert pointer.key("left")
+    assert not pointer.key("g")
+    position, press = pointer.intention
+    assert abs(position - wall) < 0.75 * abs(wall - start)
+    assert 0.0 < press < 4.0
+
+
+# Messages
+
+
+@given(
+    st.lists(
+        st.sampled_from(
+            [line_of("alive"), line_of("reply", value="é\n"), b"x\n", b"[1]\n", b"\xff\n", b"{}\n"]
+        )
+    )
+)
+def test_only_messages_come_through(parts: list[bytes]) -> None:
+    data = b"".join(parts)
+    lines = Lines()
+    found = [message for n in range(0, len(data), 5) for message in lines.feed(data[n : n + 5])]
+    expected = [part for part in parts if re.search(rb"alive|reply", part)]
+    assert [line_of(**message) for message in found] == expected

@@ -1,0 +1,108 @@
+"""The console's own loop in this process: what STOP does first, and how often it looks and draws."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rig.realtime.ring import STOP, Ring
+from rig.session.console import program
+from rig.session.console.conversation import Conversation, Stop
+from rig.session.console.keymap import KeyMap
+from rig.session.console.live import Snapshot
+from rig.session.console.messages import line_of
+from rig.session.desk import Question, View
+from rig.session.protocol import Keys
+
+
+@dataclass
+class Ends:
+    """The session's ends of the console's pipes."""
+
+    to_console: int
+    from_console: int
+
+
+@pytest.fixture
+def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console, Ends]]:
+    """A console whose session is this process; nothing is typed, and nobody waits at its standard input."""
+    hear, to_console = os.pipe()
+    from_console, say = os.pipe()
+    woken, wake = os.pipe()
+    typed, types = os.pipe()
+    monkeypatch.setattr(program, "IN", typed)
+    keys = KeyMap.of(Keys()).as_mapping()
+    os.write(to_console, line_of("setup", pid=os.getpid(), keys=keys, attributes=None, plain=True, hand=None))
+    yield program._Console(hear, say, woken), Ends(to_console, from_console)
+    for descriptor in (hear, to_console, from_console, say, woken, wake, typed, types):
+        os.close(descriptor)
+
+
+def test_stop_is_in_the_loops_memory_before_the_session_hears_of_it(
+    console: tuple[program._Console, Ends], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when the session's program hangs, and its pipe takes nothing any more."""
+    one, _ = console
+    os.set_blocking(one._to, False)
+    while select.select([], [one._to], [], 0.0)[1]:
+        os.write(one._to, bytes(4096))
+    assert one._told.moving
+    with Ring.allocate(16, info={}, shared=True) as ring:
+        with pytest.raises(BlockingIOError):
+            one._do([Stop()])
+        assert ring.peek(STOP) != 0
+
+
+@dataclass
+class Face(program._Face):
+    """Counts pictures."""
+
+    clock: list[float]
+    drawn: list[float] = field(default_factory=list)
+
+    def show(self, told: Conversation, live: Snapshot | None) -> None:
+        self.drawn.append(self.clock[0])
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_pictures_come_ten_to_twenty_times_a_second_while_the_handle_moves(
+    moving: bool, console: tuple[program._Console, Ends], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every moment that has something to show; while nothing moves, fewer. A clock that only waiting moves."""
+    one, ends = console
+    clock = [100.0]
+    face = Face(clock)
+    looks: list[float] = []
+
+    def wait(sources: list[int], *rest: Any) -> tuple[list[int], list[int], list[int]]:
+        clock[0] += rest[-1]
+        return [], [], []
+
+    def look() -> None:
+        looks.append(clock[0])
+
+    one._face = face
+    one._hear({"kind": "view", "view": View(state="hit").as_mapping()})
+    if not moving:
+        question = Question(kind="ready", text="ready?", actions=("go",))
+        one._hear({"kind": "ask", "number": 1, "question": question.as_mapping()})
+    monkeypatch.setattr(program, "select", SimpleNamespace(select=wait))
+    monkeypatch.setattr(program, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(one._live, "look", look)
+    while clock[0] < 110.0:
+        assert one._round()
+        os.read(ends.from_console, 65536)  # that it is alive
+    if moving:
+        assert 10.0 <= len(face.drawn) / 10.0 <= 20.0
+        assert len(looks) == len(face.drawn)  # each shows how things stand then
+        gaps = [after - before for before, after in pairwise(face.drawn)]
+        assert max(gaps) <= 0.1
+    else:
+        assert 1.0 <= len(face.drawn) / 10.0 < 5.0

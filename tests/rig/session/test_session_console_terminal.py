@@ -1,0 +1,440 @@
+"""The console on a terminal: it is drawn and answered, it hangs, it dies, and the terminal is as it was afterwards.
+
+The console is the real child process; the session's side is a `ConsoleDesk` in this process or in one of its own.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.core.errors import ConfigError, RigError, StoppedError
+from rig.devices.hand import SharedHand, Wish
+from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
+from rig.session.desk import Action, Question, Reply, View
+from rig.session.protocol import Keys
+from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+from tests.rig.session.session_fakes import FakeBench, protocol_of
+
+ROOT = Path(__file__).parents[3]
+READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
+VERDICT = Question(kind="verdict", text="the verdict?", actions=("judge", "redo", "note", "abort"), trial=3)
+READY_QUESTION = Question(kind="ready", text="ready?", actions=READY)
+
+
+@pytest.fixture(autouse=True)
+def _a_terminal_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    with Terminal() as one:
+        yield one
+
+
+@contextmanager
+def console(terminal: Terminal, **options: Any) -> Iterator[tuple[ConsoleDesk, ThreadPoolExecutor]]:
+    """A desk at this terminal, and a thread to ask from, which ends also where nobody answers any more."""
+    with ThreadPoolExecutor(1) as asker, ConsoleDesk(place=Path(terminal.path), **options) as desk:
+        try:
+            yield desk, asker
+        except BaseException:
+            terminal.close()  # a console without a terminal says so, and the question ends
+            raise
+
+
+def asking(desk: ConsoleDesk, asker: ThreadPoolExecutor, question: Question) -> Future[Reply]:
+    return asker.submit(desk.ask, question)
+
+
+def answered(reply: Future[Reply]) -> tuple[str, str]:
+    found = reply.result(PATIENCE_S)
+    return found.action, found.value
+
+
+def watched(desk: ConsoleDesk) -> StoppedError:
+    """What ends a hit that this desk watches."""
+    watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
+    assert watch is not None
+    pause = threading.Event()
+    try:
+        while time.monotonic() < deadline:
+            watch(0, 3)
+            pause.wait(0.005)  # it is called as often as that by who supervises a loop
+    except StoppedError as error:
+        return error
+    raise AssertionError("nothing ended the hit")
+
+
+def assert_given_back(terminal: Terminal) -> None:
+    assert terminal.attributes_are_back()
+    terminal.until(lambda: terminal.screen.modes & {1049, 25} == {25}, "its own screen, and a cursor")
+
+
+def drawn_by(terminal: Terminal, number: int) -> None:
+    """Wait until so many consoles have begun to draw: what stood there before is gone."""
+    terminal.until(lambda: terminal.screen.entered == number, f"{number} consoles")
+
+
+def test_a_session_on_the_screen(terminal: Terminal) -> None:
+    with console(terminal) as (desk, asker):
+        desk.show(View(state="ready", say="Push.", code="P03", block=2, blocks=5, trial=34, trials=120))
+        reply = asking(desk, asker, READY_QUESTION)
+        screen = terminal.wait("ready?", "Push.", "[g] go", "[SPACE] STOP")
+        assert screen.startswith(" P03 · block 2 of 5 · trial 34 of about 120")
+        assert terminal.screen.modes & {1049, 25} == {1049}  # its own screen, no cursor
+        assert terminal.screen.bells == 1
+        terminal.type("n")
+        terminal.wait("note>")
+        terminal.type("a b\x7fc\r")
+        assert answered(reply) == ("note", "a c")
+        reply = asking(desk, asker, replace(READY_QUESTION, text="ready now?"))
+        terminal.wait("ready now?")  # what is pressed before it stands there is about something else
+        terminal.type("x")
+        terminal.wait("x: no such key")
+        terminal.type("?")
+        terminal.wait("verdict: unsure")
+        terminal.type("a")  # back to the question, and nothing else
+        terminal.wait("ready now?")
+        terminal.type("a")
+        terminal.wait("leave the session")
+        terminal.type("g")
+        terminal.wait("abort: no")
+        terminal.resize(30, 100)
+        terminal.until(lambda: len(terminal.screen.text.split("\n")[0]) > 90, "the new width")
+        terminal.type("g")
+        assert answered(reply) == ("go", "")
+        desk.show(View(state="hit"))
+        terminal.wait("hit")
+        reply = asking(desk, asker, VERDICT)
+        terminal.wait("[1] stable")
+        terminal.type("2")
+        assert answered(reply) == ("judge", "buzz")
+        reply = asking(desk, asker, Question(kind="rest", text="Rest.", actions=("go",), seconds=0.3))
+        assert answered(reply) == ("go", "")
+        assert reply.result().took_s >= 0.2
+    assert_given_back(terminal)
+    assert terminal.screen.bells == 3  # twice for ready, once for the hit
+
+
+def test_a_pedal_and_no_bell(terminal: Terminal) -> None:
+    with console(terminal, keys=Keys(stable="f5", bell=False)) as (desk, asker):
+        reply = asking(desk, asker, VERDICT)
+        terminal.wait("[f5] stable")
+        terminal.type("\x1b[15~")
+        assert answered(reply) == ("judge", "stable")
+        answered_ready = asking(desk, asker, READY_QUESTION)
+        terminal.wait("ready?")
+        terminal.type("\r")
+        assert answered(answered_ready) == ("go", "")
+    assert terminal.screen.bells == 0
+
+
+def test_space_stops_the_hit_that_runs_and_not_the_next_one(terminal: Terminal) -> None:
+    with console(terminal) as (desk, asker):
+        desk.show(View(state="hit"))
+        terminal.wait("hit")
+        terminal.type(" ")
+        assert "stopped at the console" in str(watched(desk))
+        reply = asking(desk, asker, READY_QUESTION)
+        terminal.wait("ready?")
+        terminal.type(" ")
+        terminal.wait("nothing moves")
+        terminal.type("g")
+        assert answered(reply) == ("go", "")
+        watch = desk.watch()
+        assert watch is not None
+        watch(0, 3)
+
+
+def test_escape_then_space_stops_a_hit(terminal: Terminal) -> None:
+    with console(terminal) as (desk, _):
+        desk.show(View(state="hit"))
+        terminal.wait("hit")
+        terminal.type("\x1b ")
+        assert "stopped at the console" in str(watched(desk))
+
+
+@pytest.mark.parametrize("space", [" ", "\u3000"])
+def test_space_before_the_next_console_is_there_is_stop(space: str, terminal: Terminal) -> None:
+    with console(terminal, silence_s=20.0) as (desk, _):
+        desk.show(View(state="hit"))
+        terminal.wait("hit")
+        os.kill(desk.pid, signal.SIGKILL)
+        terminal.type("1\x1b" + space)
+        assert "stopped at the console" in str(watched(desk))
+
+
+def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal) -> None:
+    """Each message wakes the console; the escape is as old as it is all the same."""
+    pause, deadline = threading.Event(), time.monotonic() + 5.0
+    with console(terminal) as (desk, _):
+        desk.show(View(state="hit"))
+        terminal.wait("hit")
+        terminal.type("\x1b")
+        while "escape: no such key" not in terminal.screen.text:
+            assert time.monotonic() < deadline
+            desk.show(View(state="hit"))
+            pause.wait(0.01)
+
+
+def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
+    with console(terminal, silence_s=0.5, hung_s=0.5) as (desk, asker):
+        desk.show(View(state="hit", code="P07"))
+        terminal.wait("P07")
+        stopped = desk.pid
+        os.kill(stopped, signal.SIGSTOP)
+        error = watched(desk)
+        assert "said nothing for 0.5 s" in error.message
+        assert "resume" in error.remedy
+        for number in range(200):  # a pipe that nobody reads must not hold the session up
+            desk.show(View(state="hit", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8))))
+        reply = asking(desk, asker, VERDICT)
+        drawn_by(terminal, 2)
+        terminal.wait("the verdict?", "P07")
+        terminal.type("1")
+        assert answered(reply) == ("judge", "stable")
+        assert not Path(f"/proc/{stopped}").exists()
+    assert terminal.attributes_are_back()
+
+
+def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Terminal) -> None:
+    with console(terminal, silence_s=20.0) as (desk, asker):
+        desk.show(View(state="verdict?", code="P08"))
+        reply = asking(desk, asker, VERDICT)
+        terminal.wait("the verdict?")
+        before = desk.pid
+        os.kill(before, signal.SIGKILL)
+        drawn_by(terminal, 2)
+        assert desk.pid != before
+        terminal.wait("the verdict?", "P08")
+        terminal.type("3")
+        assert answered(reply) == ("judge", "unstable")
+        before = desk.pid
+        os.kill(before, signal.SIGKILL)  # in a hit: a new one comes, and the hit goes on
+        watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
+        assert watch is not None
+        while desk.pid == before and time.monotonic() < deadline:
+            watch(0, 3)
+        terminal.type(" ")
+        assert "stopped at the console" in str(watched(desk))
+    assert_given_back(terminal)
+
+
+def test_a_console_that_dies_again_and_again_ends_the_session(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.session.console.desk.RESTARTS", 1)
+    with console(terminal) as (desk, asker):
+        reply = asking(desk, asker, VERDICT)
+        for number in (1, 2):
+            drawn_by(terminal, number)
+            terminal.wait("the verdict?")
+            os.kill(desk.pid, signal.SIGKILL)
+        with pytest.raises(StoppedError, match="ended 2 times") as caught:
+            reply.result(PATIENCE_S)
+        assert "resume" in caught.value.remedy
+    assert_given_back(terminal)
+
+
+def test_closing_on_a_stopped_console_gives_the_terminal_back(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.session.console.child.END_S", 0.2)
+    with console(terminal) as (desk, _):
+        terminal.wait("[SPACE] STOP")
+        os.kill(desk.pid, signal.SIGSTOP)
+    assert_given_back(terminal)
+
+
+def test_lines_for_a_screen_reader(terminal: Terminal) -> None:
+    with console(terminal, plain=True) as (desk, asker):
+        desk.show(View(state="ready", say="Push.", code="P03", trial=4))
+        reply = asking(desk, asker, READY_QUESTION)
+        terminal.wait_printed("P03 · trial 4", "state: ready", "say: Push.", "ready? [g] go")
+        terminal.type("n")
+        terminal.wait_printed("note, then enter:")
+        terminal.type("ok\r")
+        assert answered(reply) == ("note", "ok")
+        assert "\nok\n" in terminal.wait_printed("\nok\n")
+    assert terminal.screen.modes == set()
+    assert terminal.attributes_are_back()
+
+
+@pytest.mark.parametrize("kind", ["keyboard", "mouse"])
+def test_the_hand_follows(kind: Any, terminal: Terminal, tmp_path: Path) -> None:
+    path = tmp_path / "of" / "hand"
+    path.parent.mkdir()
+    with (
+        SharedHand.create(path) as hand,
+        console(terminal, hand=MovedHand(kind=kind, path=path, press=4.0)) as (desk, _),
+    ):
+        desk.show(View(state="hit", scale={"start": 0.1, "wall": 0.5}))
+        terminal.wait("hit")
+        if kind == "mouse":
+            terminal.until(lambda: terminal.screen.modes >= {1003, 1006}, "reports of the mouse")
+            assert 1016 in terminal.screen.asked
+
+        def wish(key: str, right: Callable[[Wish], bool]) -> Wish:
+            deadline = time.monotonic() + PATIENCE_S
+            terminal.type(key)
+            while (found := hand.read()) is None or not right(found):
+                assert time.monotonic() < deadline, found
+                threading.Event().wait(0.005)
+            return found
+
+        keys = {"keyboard": ("\x1b[F", "\x1b[H"), "mouse": ("\x1b[<35;80;5M", "\x1b[<35;1;5M")}[kind]
+        assert wish(keys[0], lambda one: one.position > 0.7).position == pytest.approx(0.8)
+        assert wish("", lambda one: one.press > 3.9).press == pytest.approx(4.0)
+        again = wish(keys[1], lambda one: one.position < 0.1)
+        assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
+        wish("", lambda one: one.sequence > again.sequence + 2)  # said again and again: else it would rest
+    assert terminal.screen.modes & {1003, 1006, 1016} == set()
+    assert not path.exists()
+
+
+# A session's program of its own: the kernel's signals, a script at standard input, an end without a word.
+
+PROGRAM = """
+import sys
+from rig.core.errors import RigError
+from rig.session.console.desk import ConsoleDesk
+from rig.session.desk import Question, View
+
+with ConsoleDesk(plain="plain" in sys.argv) as desk:
+    print("console", desk.pid, file=sys.stderr, flush=True)
+    desk.show(View(state="verdict?", code="P09"))
+    try:
+        while True:
+            reply = desk.ask(Question(kind="verdict", text="?", actions=("judge", "redo", "note")))
+            print(reply.action, reply.value, file=sys.stderr, flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr, flush=True)
+    except RigError as error:
+        print(error, file=sys.stderr, flush=True)
+"""
+
+
+@contextmanager
+def program(terminal: Terminal) -> Iterator[tuple[Program, int]]:
+    """It, and the pid of its console."""
+    started = terminal.run(sys.executable, "-c", PROGRAM, cwd=ROOT)
+    try:
+        assert started.shell.stderr is not None
+        yield started, int(started.shell.stderr.readline().split()[1])
+    finally:
+        started.end()
+
+
+def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -> None:
+    with program(terminal) as (started, child):
+        terminal.wait("P09", "[1] stable")
+        terminal.type("\x1a\x1c\x13")  # ^Z, ^\\ and ^S do nothing but be unknown keys
+        terminal.wait("ctrl+s: no such key")
+        os.kill(child, signal.SIGSTOP)
+        terminal.type("\x03")
+        _, err = started.wait()
+        assert err == "interrupted\n"
+    assert_given_back(terminal)
+
+
+def test_a_console_whose_session_is_gone_gives_the_terminal_back(terminal: Terminal) -> None:
+    with program(terminal) as (started, child):
+        terminal.wait("P09", "[1] stable")
+        os.kill(started.pid, signal.SIGKILL)
+        terminal.wait_printed("rig session resume")
+        pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
+        while state_of(child) != "Z" and time.monotonic() < deadline:
+            pause.wait(0.005)
+        assert_given_back(terminal)
+
+
+def state_of(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "Z"
+
+
+def test_without_a_terminal_keys_come_from_a_script() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, "plain"],
+        cwd=ROOT,
+        input="1nnot good\r3",
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        start_new_session=True,  # no controlling terminal
+        check=True,
+    )
+    said = done.stderr.splitlines()[1:]
+    assert said[:3] == ["judge stable", "note not good", "judge unstable"]
+    assert "standard input has ended" in said[3]
+    assert "state: verdict?" in done.stdout
+
+
+@pytest.mark.parametrize("refused", ["memfd_create", "pipe2", "second pipe2", "Popen", "Thread"])
+def test_a_console_that_does_not_start_leaves_nothing(
+    refused: str, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*given: Any, **more: Any) -> Any:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    pipe2 = os.pipe2
+    answers = iter([pipe2, refuse])
+
+    def second(flags: int) -> Any:
+        return next(answers)(flags)
+
+    module = "rig.session.console.child"
+    match refused:
+        case "Popen":
+            monkeypatch.setattr(f"{module}.subprocess.Popen", refuse)
+        case "Thread":
+            monkeypatch.setattr(f"{module}.threading.Thread", refuse)
+        case "second pipe2":
+            monkeypatch.setattr(f"{module}.os.pipe2", second)
+        case _:
+            monkeypatch.setattr(f"{module}.os.{refused}", refuse)
+    before = sorted(os.listdir("/proc/self/fd"))
+    with pytest.raises(RigError, match="does not start: Too many open files") as caught:
+        ConsoleDesk(place=Path(terminal.path))
+    monkeypatch.undo()
+    assert caught.value.remedy
+    assert sorted(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*given: Any) -> Any:
+        raise RigError("the console does not start")
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("rig.session.console.desk.Child", refuse)
+    bench = FakeBench()
+    with pytest.raises(RigError, match="does not start"):
+        at_console(hand="keyboard", place=tmp_path / "none")(protocol_of(), {}, bench)
+    assert list(tmp_path.iterdir()) == []
+    assert bench.hand is None
+
+
+def test_keys_that_cannot_be_meant_are_refused_before_anything_is_started(terminal: Terminal) -> None:
+    with pytest.raises(ConfigError, match="it is STOP"):
+        ConsoleDesk(Keys(go="space"), place=Path(terminal.path))
+    assert terminal.attributes_are_back()

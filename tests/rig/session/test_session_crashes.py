@@ -1,0 +1,181 @@
+"""A session that dies at any write, flush or rename goes on as if nothing had happened: nothing lost, nothing twice."""
+
+from __future__ import annotations
+
+import os
+import random
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from rig.config.presets import load as preset
+from rig.core.errors import ConfigError, RecordingError
+from rig.session.conduct import conduct
+from rig.session.directory import LOG, Session, begin, resume
+from rig.session.hits import sha256_of
+from rig.session.log import read
+from rig.session.protocol import Protocol
+from rig.session.rehearsal import Day, Person, RehearsalDesk
+from rig.session.state import State
+from tests.rig.session.session_fakes import FakeBench, decisions, protocol_of
+from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
+
+PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, slips=0.1)
+
+
+def short() -> Protocol:
+    """Two runs of one trial each, a question, a rest: every kind of write, and few of them."""
+    return protocol_of(
+        search={
+            "rule": "staircase",
+            "lowest": 100.0,
+            "highest": 600.0,
+            "step": 100.0,
+            "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
+        },
+        rest={"every": 1, "seconds": 5.0},
+        question=[{"name": "tired", "text": "How tired?", "when": "block"}],
+    )
+
+
+def started(directory: Path) -> Session:
+    return begin(
+        directory,
+        short(),
+        preset("koul-rigid"),
+        text=b"# as it was\n",
+        sha256="0" * 64,
+        code="P01",
+        row=0,
+        versions={},
+        clock=Day(),
+    )
+
+
+def finish(session: Session) -> State:
+    assert isinstance(session.clock, Day)
+    with session:
+        return conduct(session, FakeBench(), RehearsalDesk(PERSON, session.clock))
+
+
+def go_on(directory: Path) -> State:
+    """What a person does after a crash: resume, or start again if there is nothing to resume."""
+    try:
+        session = resume(directory, clock=Day())
+    except ConfigError as error:
+        if "is over" in str(error):
+            return State.of(read(directory / LOG))
+        session = started(directory)
+    return finish(session)
+
+
+def check_equal(directory: Path, calm: Path) -> None:
+    """The same decisions and results as an uninterrupted session; every recording there, once, and unchanged."""
+    events = read(directory / LOG)
+    assert decisions(events) == decisions(read(calm / LOG))
+    state = State.of(events)
+    assert state.ended == "complete"
+    for trial in state.trials:
+        assert sha256_of(directory / trial.recording) == trial.sha256
+    named = {trial.recording for trial in state.trials}
+    aside = {
+        one["file"]: one["sha256"]
+        for event in events
+        if event.kind == "resumed"
+        for one in event.content["abandoned"]
+    }
+    there = {str(path.relative_to(directory)) for path in (directory / "trials").rglob("*") if path.is_file()}
+    assert there == named | set(aside)
+    for name, digest in aside.items():
+        assert sha256_of(directory / name) == digest
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody cuts the power here: a flush only has to be counted."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("calm") / "P01"
+    finish(started(directory))
+    return directory
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_death_at_every_write_flush_and_rename(
+    tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch, after: bool
+) -> None:
+    whole = Fuse()
+    with fused(monkeypatch, whole):
+        finish(started(tmp_path / "counted" / "P01"))
+    assert whole.calls > 35
+    for place in range(whole.calls):
+        directory = tmp_path / str(place) / "P01"
+        fuse = Fuse(place, after=after)
+        with fused(monkeypatch, fuse), suppress(DeadError):
+            finish(started(directory))
+        assert fuse.dead
+        go_on(directory)
+        check_equal(directory, calm)
+
+
+def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
+    tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process lives, says so, and leaves what can be gone on with when there is room again."""
+    whole = Fuse()
+    with fused(monkeypatch, whole):
+        finish(started(tmp_path / "counted" / "P01"))
+    for place in range(0, whole.calls - 1, 3):  # the very last call is a flush
+        directory = tmp_path / str(place) / "P01"
+        full = Full(place)
+        with fused(monkeypatch, full), pytest.raises(RecordingError, match="No space left"):
+            finish(started(directory))
+        go_on(directory)
+        check_equal(directory, calm)
+
+
+def test_death_in_the_middle_of_coming_back(
+    tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Recordings are moved aside, listed and named in the log: each of that may be the last thing that happens."""
+    first = Fuse(28)
+    with fused(monkeypatch, first), suppress(DeadError):
+        finish(started(tmp_path / "model" / "P01"))
+    for place in range(12):
+        directory = tmp_path / str(place) / "P01"
+        with fused(monkeypatch, Fuse(28)), suppress(DeadError):
+            finish(started(directory))
+        with fused(monkeypatch, Fuse(place)), suppress(DeadError):
+            go_on(directory)
+        go_on(directory)
+        check_equal(directory, calm)
+
+
+def test_a_log_torn_at_every_byte_of_its_last_line(tmp_path: Path, calm: Path) -> None:
+    """Every line may be the last one, torn anywhere; it goes on from the lines before, wherever that one is cut."""
+    text = (calm / LOG).read_bytes()
+    ends = [0, *(place + 1 for place, byte in enumerate(text) if byte == ord("\n"))]
+    events, torn = read(calm / LOG), tmp_path / LOG
+    last = max(event.number for event in events if event.kind == "judged")
+    for number, (start, end) in enumerate(pairwise(ends)):
+        # Bytes of one line differ little from each other: all of a verdict's, of the others one in seven.
+        for cut in range(start, end, 1 if number == last else 7):
+            torn.write_bytes(text[:cut])
+            assert read(torn) == events[:number]
+    drawn = random.Random(1)
+    for start, end in pairwise(ends[1:]):
+        cut = drawn.randrange(start + 1, end)
+        directory = tmp_path / str(cut) / "P01"
+        (directory / "trials").mkdir(parents=True)
+        (directory / LOG).write_bytes(text[:cut])
+        for event in read(directory / LOG):
+            if event.kind == "trial":
+                name = event.content["recording"]
+                os.link(calm / name, directory / name)
+        go_on(directory)
+        check_equal(directory, calm)

@@ -1,0 +1,334 @@
+"""The session log: what was said stays said, wherever the process dies, and nothing can be taken out unseen."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import multiprocessing
+import os
+import signal
+import sys
+from contextlib import suppress
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.core.errors import RecordingError
+from rig.recording import files, lines
+from rig.session import log as log_module
+from rig.session.log import (
+    DamagedLineError,
+    SessionLog,
+    read,
+    set_aside,
+    set_damaged_line_aside,
+    without_nan,
+)
+
+SAID = [
+    ("trial", {"k": 40.0}),
+    ("verdict", {"stable": True, "note": "ä \n"}),
+    ("pause", {}),
+    ("end", {"x": [1, None]}),
+]
+
+
+def written(path, said=SAID):
+    with SessionLog(path, clock=lambda: 12.5) as log:
+        for kind, content in said:
+            log.append(kind, **content)
+    return path
+
+
+def told(path):
+    return [(event.kind, dict(event.content)) for event in read(path)]
+
+
+def test_what_was_said_is_read_back_in_order_and_with_its_time(tmp_path):
+    path = written(tmp_path / "log")
+    assert told(path) == SAID
+    assert [event.number for event in read(path)] == [0, 1, 2, 3]
+    assert {event.at for event in read(path)} == {12.5}
+
+
+def test_torn_at_every_byte_it_goes_on_as_if_nothing_had_happened(tmp_path):
+    """Whatever part of the last line reached the disk: it is there as a whole, or it never was; the end is the same."""
+    whole = written(tmp_path / "whole").read_bytes()
+    start = whole.rindex(b"\n", 0, -1) + 1
+    for length in range(start, len(whole) + 1):
+        path = tmp_path / "torn"
+        path.write_bytes(whole[:length])
+        survived = told(path)
+        assert survived == (SAID if length == len(whole) else SAID[:-1])
+        written(path, SAID[len(survived) :])
+        assert path.read_bytes() == whole
+
+
+def test_how_much_of_a_torn_line_was_dropped_is_told(tmp_path):
+    path = written(tmp_path / "log")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-7])
+    start = whole.rindex(b"\n", 0, -1) + 1
+    with SessionLog(path) as log:
+        assert log.torn == len(whole) - 7 - start
+    with SessionLog(path) as log:
+        assert log.torn == 0
+
+
+def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path):
+    path = written(tmp_path / "log")
+    whole = path.read_bytes()
+    start = whole.rindex(b"\n", 0, -1) + 1
+    damaged = whole[start : start + 20] + b"?" + whole[start + 21 :]
+    path.write_bytes(whole[:start] + damaged)
+    with pytest.raises(DamagedLineError, match="line 4, the last one: damaged") as caught:
+        read(path)
+    assert [(event.kind, dict(event.content)) for event in caught.value.events] == SAID[:-1]
+    kept = set_damaged_line_aside(path)
+    assert kept.read_bytes() == damaged
+    assert told(path) == SAID[:-1]
+    assert set_damaged_line_aside(path) is None
+    path.write_bytes(path.read_bytes() + b"00000000 {}\n")  # another time, another file
+    assert set_damaged_line_aside(path) != kept
+    assert len(set_aside(path)) == 2
+    assert kept.read_bytes() == damaged
+
+
+def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path):
+    path = written(tmp_path / "log")
+    changed = path.read_bytes().replace(b"stable", b"stabel")
+    path.write_bytes(changed)
+    with pytest.raises(DamagedLineError, match="line 2: damaged") as caught:
+        set_damaged_line_aside(path)
+    assert "what follows was decided on that line" in caught.value.remedy
+    assert (path.read_bytes(), set_aside(path)) == (changed, [])
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_a_line_taken_out_or_changed_is_noticed(tmp_path, place):
+    path = written(tmp_path / "log")
+    kept = path.read_bytes().splitlines(keepends=True)
+    forged = lines.line_of(f'{{"n": {place}, "after": 0, "at": 1, "kind": "forged"}}')
+    taken_out, replaced = [*kept[:place], *kept[place + 1 :]], [*kept[:place], forged, *kept[place + 1 :]]
+    if place == 3:  # the last line gone is a session that ended earlier: no chain can tell
+        path.write_bytes(b"".join(taken_out))
+        assert told(path) == SAID[:3]
+    else:
+        _assert_refused(path, taken_out, place + 1)
+    # A first line with a good CRC may be anything: the second one tells that it is another.
+    _assert_refused(path, replaced, max(place + 1, 2))
+
+
+def _assert_refused(path, changed, number):
+    path.write_bytes(b"".join(changed))
+    for reader in (SessionLog, read):
+        with pytest.raises(RecordingError, match=f"line {number}") as refused:
+            reader(path)
+        assert "restore" in refused.value.remedy
+    assert path.read_bytes() == b"".join(changed)  # nothing is overwritten
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_one_flipped_bit_is_never_taken_for_an_event(tmp_path_factory, data):
+    path = written(tmp_path_factory.mktemp("bit") / "log")
+    content = bytearray(path.read_bytes())
+    at = data.draw(st.integers(0, len(content) - 1))
+    content[at] ^= 1 << data.draw(st.integers(0, 7))
+    path.write_bytes(content)
+    try:
+        found = told(path)
+    except RecordingError:
+        return
+    assert found == SAID[: len(found)]  # only what was the newline of the last line can go unseen
+    assert len(found) >= 3
+
+
+def test_two_processes_never_write_the_same_session(tmp_path):
+    with SessionLog(tmp_path / "log") as log:
+        log.append("begun")
+        with pytest.raises(RecordingError, match="another process") as refused:
+            SessionLog(tmp_path / "log")
+        assert refused.value.remedy
+        assert told(tmp_path / "log") == [("begun", {})]  # reading is free
+    SessionLog(tmp_path / "log").close()
+
+
+@pytest.mark.parametrize("room", range(0, 240, 7))
+def test_on_a_full_disk_it_says_so_and_what_was_said_before_is_good(tmp_path, monkeypatch, room):
+    class Full(io.FileIO):
+        left = room
+
+        def write(self, data):
+            if self.left <= 0:
+                raise OSError(errno.ENOSPC, "")
+            written = super().write(data[: min(len(data), self.left, 50)])
+            self.left -= written
+            return written
+
+    path, done = tmp_path / "log", 0
+    monkeypatch.setattr(lines, "FileIO", Full)
+    with SessionLog(path, clock=lambda: 12.5) as log:
+        for kind, content in SAID * 4:
+            try:
+                log.append(kind, **content)
+            except RecordingError as error:
+                assert "No space left" in str(error)  # noqa: PT017
+                break
+            done += 1
+        assert done < 16
+        log._file._file.left = 1000  # somebody frees some space
+        for kind, content in (SAID * 4)[done : done + 1]:
+            log.append(kind, **content)
+            done += 1
+    monkeypatch.undo()
+    assert told(path) == (SAID * 4)[:done]
+    assert told(written(path, (SAID * 4)[done:])) == SAID * 4
+
+
+class Failing(io.FileIO):
+    """A file of which `fails` says what is refused."""
+
+    fails: set[str]
+
+    def write(self, data):
+        if "write" not in self.fails:
+            return super().write(data)
+        super().write(data[: len(data) // 2])
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def truncate(self, size=None):
+        if "truncate" in self.fails:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return super().truncate(size)
+
+
+@pytest.mark.parametrize("other", ["truncate", "nothing"])
+@pytest.mark.parametrize("first", ["write", "sync"])
+def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(tmp_path, monkeypatch, first, other):
+    """What cannot be cut off stays the last line until somebody opens the log again."""
+    path, fsync = written(tmp_path / "log"), os.fsync
+
+    def sync(descriptor):
+        if "sync" in file.fails:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        fsync(descriptor)
+
+    file = type("File", (Failing,), {"fails": set()})
+    monkeypatch.setattr(lines, "FileIO", file)
+    monkeypatch.setattr(lines.os, "fsync", sync)
+    with SessionLog(path, clock=lambda: 12.5) as log:
+        file.fails.update({first, other})
+        with pytest.raises(RecordingError, match="Input/output error"):
+            log.append("lost", text="x" * 40)
+        file.fails.clear()
+        if other == "truncate":
+            with pytest.raises(RecordingError, match="failed") as refused:
+                log.append("stopped")
+            assert "resume" in refused.value.remedy
+        else:
+            log.append("stopped")
+    before = told(path)
+    assert before[:4] == SAID
+    assert [kind for kind, _ in before[4:]] == (
+        ["stopped"] if other == "nothing" else ["lost"] if first == "sync" else []
+    )
+    assert told(written(path, [("resumed", {})])) == [*before, ("resumed", {})]
+
+
+@pytest.mark.parametrize("place", range(60))
+def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path, place):
+    """Ctrl-C comes between any two lines of the program; whoever then says why it stops must not damage the log."""
+    path, left = written(tmp_path / "log"), place
+    traced = [module.__file__ for module in (log_module, lines, files)]
+    with SessionLog(path, clock=lambda: 12.5) as log:
+
+        def trace(frame, event, argument):
+            nonlocal left
+            if event == "line":
+                if left == 0:
+                    left = -1
+                    raise KeyboardInterrupt
+                left -= 1
+            return trace
+
+        def tracing(frame, event, argument):
+            return trace if frame.f_code.co_filename in traced else None
+
+        before = sys.gettrace()
+        sys.settrace(tracing)
+        try:
+            log.append("asked", text="x" * 40)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(before)
+        with suppress(RecordingError):
+            log.append("stopped")
+    found = told(path)
+    assert found[:4] == SAID
+    assert [kind for kind, _ in found[4:]] in (["asked"], ["stopped"], ["asked", "stopped"], [])
+    assert told(written(path, [("resumed", {})])) == [*found, ("resumed", {})]
+    if left >= 0:
+        assert [kind for kind, _ in found[4:]] == [
+            "asked",
+            "stopped",
+        ]  # there was nothing to interrupt any more
+
+
+def _append_for_ever(path):
+    with SessionLog(path) as log:
+        while True:
+            log.append("tick", number=len(log.events))
+
+
+def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path):
+    path = tmp_path / "log"
+    for _ in range(5):
+        before = len(read(path)) if path.exists() else 0
+        child = multiprocessing.get_context("fork").Process(target=_append_for_ever, args=(path,))
+        child.start()
+        while not path.exists() or len(_whole(path)) < before + 20:
+            assert child.is_alive()
+        os.kill(child.pid, signal.SIGKILL)
+        child.join()
+        assert [event.content["number"] for event in read(path)] == list(range(len(read(path))))
+
+
+def _whole(path):
+    return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
+
+
+def test_an_event_is_on_the_disk_before_append_returns(tmp_path, monkeypatch):
+    order = []
+    fsync = os.fsync
+    monkeypatch.setattr(lines.os, "fsync", lambda descriptor: (order.append("synced"), fsync(descriptor)))
+    with SessionLog(tmp_path / "log") as log:
+        order.clear()
+        log.append("verdict")
+        order.append("returned")
+    assert order[:2] == ["synced", "returned"]
+
+
+def test_the_logs_own_words_are_not_the_callers(tmp_path):
+    with SessionLog(tmp_path / "log") as log, pytest.raises(ValueError, match="after"):
+        log.append("x", after=1)
+
+
+@pytest.mark.parametrize("value", [float("nan"), [1.0, {"x": float("inf")}]])
+def test_a_number_that_is_none_is_refused_by_name_and_leaves_no_line(tmp_path, value):
+    with SessionLog(tmp_path / "log") as log:
+        with pytest.raises(ValueError, match=r"'trial'.*: felt"):
+            log.append("trial", heard=1.0, felt=value)
+        log.append("trial", felt=without_nan(value))
+    assert json.loads((tmp_path / "log").read_text()[9:], parse_constant=pytest.fail)["felt"] in (
+        None,
+        [1.0, {"x": None}],
+    )
+
+
+def test_no_log_is_said_plainly(tmp_path):
+    with pytest.raises(RecordingError, match="no session log"):
+        read(tmp_path / "none")

@@ -1,0 +1,163 @@
+"""A session stays on its rig: what a resumption goes by, what it refuses, and what an analysis says of a mixture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.config import Experiment
+from rig.config.presets import load as preset
+from rig.core.errors import ConfigError, StoppedError
+from rig.session import run as sessions
+from rig.session.analysis import read_study
+from rig.session.conduct import conduct
+from rig.session.directory import LOG, begin
+from rig.session.hits import RigBench
+from rig.session.log import read
+from rig.session.place import Place, resume_command
+from rig.session.rehearsal import Day
+from tests.rig.session.session_fakes import FakeBench, ScriptedDesk, protocol_of
+
+REAL = {
+    "place": {"url": "serial:///dev/ttyACM0", "realtime": True},
+    "device": "bench-3",
+    "simulated": False,
+    "serial_number": "E661",
+    "versions": {"haptic-rig": "0.1.0"},
+}
+SIMULATED = {"place": {"url": None, "realtime": True}, "device": "koul-rigid", "simulated": True}
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody cuts the power here."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+class Bench(FakeBench):
+    """A rig that says what it is."""
+
+    def __init__(self, **facts: Any) -> None:
+        super().__init__()
+        self.said = facts
+        self.simulated = bool(facts["simulated"])
+
+    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+        return self.said
+
+
+class Tired(ScriptedDesk):
+    """Leaves after some hits."""
+
+    def __init__(self, hits: int) -> None:
+        super().__init__()
+        self.left = hits
+
+    def ask(self, question: Any) -> Any:
+        if question.kind == "ready":
+            self.left -= 1
+            if self.left < 0:
+                raise StoppedError("enough")
+        return super().ask(question)
+
+
+def left(directory: Path, **facts: Any) -> Path:
+    """A session that was left after two hits."""
+    session = begin(
+        directory / "P01", protocol_of(), preset("koul-rigid"), text=b"", sha256="0", code="P01", row=0, versions={},
+        clock=Day(),
+    )  # fmt: skip
+    with session, pytest.raises(StoppedError):
+        conduct(session, Bench(**facts), Tired(2))
+    return directory / "P01"
+
+
+def gone_on(directory: Path, told: bool = False, **facts: Any) -> None:
+    with pytest.raises(StoppedError):
+        sessions.resume_session(
+            directory, lambda *_: Tired(2), bench=Bench(**facts), at="trial", other_device=told
+        )
+
+
+def test_the_log_says_where_to_go_on(tmp_path: Path) -> None:
+    directory = left(tmp_path, **REAL)
+    assert sessions.took_place(directory) == Place("serial:///dev/ttyACM0", True, False)
+    whole = f"rig session resume {directory} --url serial:///dev/ttyACM0 --verified"
+    assert resume_command(directory, read(directory / LOG)) == whole
+    assert sessions.summary(directory, *sessions.session_state(directory)).resume == whole
+    with pytest.raises(ConfigError, match="--url serial:///dev/ttyACM0 --verified"):
+        begin(
+            directory,
+            protocol_of(),
+            preset("koul-rigid"),
+            text=b"",
+            sha256="0",
+            code="P01",
+            row=0,
+            versions={},
+        )
+    simulated = left(tmp_path / "other", **SIMULATED)
+    assert sessions.took_place(simulated) == Place(None, True, True)
+    assert resume_command(simulated, read(simulated / LOG)) == f"rig session resume {simulated}"
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        (SIMULATED, "simulated"),
+        ({**REAL, "device": "bench-4"}, "bench-4"),
+        ({**REAL, "serial_number": "E662"}, "E662"),
+    ],
+)
+def test_another_device_is_refused_and_nothing_written(
+    tmp_path: Path, facts: dict[str, Any], words: str
+) -> None:
+    directory = left(tmp_path, **REAL)
+    before = (directory / LOG).read_bytes()
+    with pytest.raises(ConfigError, match=words) as refused:
+        gone_on(directory, **facts)
+    assert "--other-device" in refused.value.remedy
+    assert "--url serial:///dev/ttyACM0" in refused.value.remedy
+    assert (directory / LOG).read_bytes() == before
+    gone_on(directory, told=True, **facts)
+    assert len(sessions.session_state(directory)[0].trials) > 2
+
+
+def test_the_same_device_goes_on_wherever_it_is_plugged_in(tmp_path: Path) -> None:
+    directory = left(tmp_path, **REAL)
+    place = {"url": "serial:///dev/ttyACM1", "realtime": True}
+    gone_on(directory, **{**REAL, "place": place, "serial_number": None})
+    assert sessions.took_place(directory).url == "serial:///dev/ttyACM1"
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        (REAL, ""),
+        (SIMULATED, "P01: the session mixes a real rig with a simulated one (trials 3, 4)"),
+        ({**REAL, "serial_number": "E662"}, "serial number E661) and bench-3 (real, serial number E662)"),
+        (
+            {**REAL, "versions": {"haptic-rig": "0.2.0"}},
+            "P01: from trial 3 on it went on with another haptic-rig",
+        ),
+    ],
+)
+def test_an_analysis_says_what_changed_within_a_session(
+    tmp_path: Path, facts: dict[str, Any], words: str
+) -> None:
+    directory = left(tmp_path, **REAL)
+    gone_on(directory, told=True, **facts)
+    messages = [one for one in read_study([directory]).messages if "the session is not over" not in one]
+    messages = [one for one in messages if "protocol.toml" not in one]
+    assert words in "".join(messages)
+    assert len(messages) == (words != "")
+
+
+def test_the_bench_says_where_it_is_and_what_runs() -> None:
+    said = RigBench().facts(preset("koul-rigid"), {})
+    assert said["place"] == {"url": None, "realtime": False}
+    assert {"haptic-rig", "sources", "numpy", "platform"} <= said["versions"].keys()

@@ -1,0 +1,234 @@
+"""The power fails during a session: what its log had acknowledged is there afterwards, with all that it names.
+
+The file system of the test is the page cache; beside it stands what a disk would hold: of a file what it was when it
+was last synced, of a directory the names that it had when it was. After a power cut each file and each directory is as
+it was last synced or, since the kernel may have written it back on its own, as it is.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.config.presets import load as preset
+from rig.core.errors import RecordingError
+from rig.recording.files import make_directories
+from rig.session.conduct import conduct
+from rig.session.directory import LOG, PROTOCOL, TRIALS, Session, begin, resume
+from rig.session.hits import sha256_of
+from rig.session.log import Event, SessionLog, read
+from rig.session.rehearsal import Day, Person, RehearsalDesk
+from tests.rig.session.session_fakes import FakeBench, decisions, protocol_of
+
+TEXT = b"# as it was\n"
+PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0})
+DIRECTORY = Path("sessions", "fakes", "P01")
+CHANCES = (0.0, 0.5)  # that the kernel wrote something back unasked
+
+Tree = dict[str, Any]  # names; a file is its bytes
+
+
+class Disk:
+    """What a power cut leaves of a directory, all of which is on the disk when this begins."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._files: dict[int, bytes] = {}
+        self._names: dict[int, dict[str, int]] = {}
+        self._directories: set[int] = set()
+        self._kept: list[int] = []  # open, so that no inode becomes another's
+        for path in (root, *root.rglob("*")):
+            self.sync(path)
+
+    def sync(self, path: Path) -> None:
+        """Take over what a file or a directory holds now."""
+        inode = self._inode(path)
+        if inode in self._directories:
+            self._names[inode] = {child.name: self._inode(child) for child in path.iterdir()}
+        else:
+            self._files[inode] = path.read_bytes()
+
+    def _inode(self, path: Path) -> int:
+        self._kept.append(os.open(path, os.O_RDONLY))
+        inode = os.fstat(self._kept[-1]).st_ino
+        if path.is_dir():
+            self._directories.add(inode)
+        return inode
+
+    def left(self, drawn: random.Random, chance: float) -> Tree:
+        """What there would be if the power failed now."""
+        now = {self._inode(path): path for path in (self._root, *self._root.rglob("*"))}
+
+        def files(inode: int) -> bytes:
+            kept = self._files.get(inode, b"")
+            if inode in now and drawn.random() < chance:
+                content = now[inode].read_bytes()
+                return content[: drawn.randint(min(len(kept), len(content)), len(content))]
+            return kept
+
+        def tree(inode: int) -> Tree:
+            names = self._names.get(inode, {})
+            if inode in now and drawn.random() < chance:
+                names = {child.name: self._inode(child) for child in now[inode].iterdir()}
+            return {
+                name: tree(one) if one in self._directories else files(one) for name, one in names.items()
+            }
+
+        return tree(self._inode(self._root))
+
+    def close(self) -> None:
+        """Let go of what it keeps open."""
+        for descriptor in self._kept:
+            os.close(descriptor)
+
+
+def put(tree: Tree, place: Path) -> Path:
+    place.mkdir(parents=True)
+    for name, content in tree.items():
+        if isinstance(content, bytes):
+            (place / name).write_bytes(content)
+        else:
+            put(content, place / name)
+    return place
+
+
+@contextmanager
+def cut_anywhere(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, float, Tree]]]:
+    """Collect what cuts before and after each flush and each event leave: events acknowledged, chance, tree."""
+    disk, drawn, acknowledged = Disk(root), random.Random(1), 0
+    found: list[tuple[int, float, Tree]] = []
+
+    def cut() -> None:
+        found.extend((acknowledged, chance, disk.left(drawn, chance)) for chance in CHANCES)
+
+    def fsync(descriptor: int) -> None:
+        cut()
+        disk.sync(Path(os.readlink(f"/proc/self/fd/{descriptor}")))
+        cut()
+
+    append = SessionLog.append
+
+    def appended(log: SessionLog, kind: str, **content: Any) -> Event:
+        nonlocal acknowledged
+        event = append(log, kind, **content)
+        acknowledged = event.number + 1
+        cut()
+        return event
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fsync)
+        patch.setattr(SessionLog, "append", appended)
+        try:
+            yield found
+        finally:
+            disk.close()
+
+
+def finished(directory: Path) -> None:
+    """A session of two trials, from its beginning to its end."""
+    search = {
+        "rule": "staircase",
+        "lowest": 100.0,
+        "highest": 600.0,
+        "step": 100.0,
+        "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
+    }
+    session = begin(
+        directory,
+        protocol_of(search=search),
+        preset("koul-rigid"),
+        text=TEXT,
+        sha256="0" * 64,
+        code="P01",
+        row=0,
+        versions={},
+        clock=Day(),
+    )
+    go_on(session)
+
+
+def go_on(session: Session) -> None:
+    assert isinstance(session.clock, Day)
+    with session:
+        conduct(session, FakeBench(), RehearsalDesk(PERSON, session.clock))
+
+
+def check_kept(directory: Path, acknowledged: int) -> None:
+    """Every event that was acknowledged is there, and every file that events name."""
+    events = read(directory / LOG)
+    assert len(events) >= acknowledged
+    assert (directory / PROTOCOL).read_bytes() == TEXT
+    for event in events:
+        if event.kind == "trial":
+            assert sha256_of(directory / event.content["recording"]) == event.content["sha256"]
+        for one in event.content["abandoned"] if event.kind == "resumed" else ():
+            assert sha256_of(directory / one["file"]) == one["sha256"]
+
+
+@pytest.mark.parametrize("there", ["", "a", "a/b/c"])
+def test_directories_are_made_once_and_not_in_the_place_of_a_file(
+    there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(there).mkdir(parents=True, exist_ok=True)
+    for path in (Path("a/b/c"), tmp_path / "a/b/c"):
+        make_directories(path)
+        assert path.is_dir()
+    Path("file").touch()
+    for path in (Path("file"), Path("file/below")):
+        with pytest.raises(RecordingError, match=f"cannot make {path}"):
+            make_directories(path)
+
+
+def test_a_first_participant_survives_a_power_cut_at_any_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a study whose directories nobody had made before."""
+    root = tmp_path / "cache"
+    root.mkdir()
+    with cut_anywhere(root, monkeypatch) as cuts:
+        finished(root / DIRECTORY)
+    whole = read(root / DIRECTORY / LOG)
+    calm = decisions(whole)
+    assert sum(event.kind == "trial" for event in whole) == 2
+    assert cuts[-1][0] == len(whole)
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    for number, (acknowledged, chance, tree) in enumerate(cuts):
+        if acknowledged == 0:
+            continue
+        directory = put(tree, tmp_path / str(number)) / DIRECTORY
+        check_kept(directory, acknowledged)
+        if chance == 0.0 and read(directory / LOG)[-1].kind != "ended":
+            go_on(resume(directory, clock=Day()))
+            assert decisions(read(directory / LOG)) == calm
+
+
+def test_a_recording_that_nobody_logged_survives_a_power_cut_while_it_is_set_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "cache"
+    directory = root / DIRECTORY
+    finished(directory)
+    lines = (directory / LOG).read_bytes().splitlines(keepends=True)
+    last = max(event.number for event in read(directory / LOG) if event.kind == "trial")
+    (directory / LOG).write_bytes(
+        b"".join(lines[:last])
+    )  # it died with the recording whole, and no word of it
+    (loose,) = {path.name for path in (directory / TRIALS).iterdir()} - {
+        Path(event.content["recording"]).name for event in read(directory / LOG) if event.kind == "trial"
+    }
+    content = (directory / TRIALS / loose).read_bytes()
+    with cut_anywhere(root, monkeypatch) as cuts:
+        resume(directory, clock=Day()).close()
+    for number, (acknowledged, chance, tree) in enumerate(cuts):
+        if chance:
+            continue  # which half of a rename comes first is the file system's; with a journal they come as one
+        found = put(tree, tmp_path / str(number)) / DIRECTORY
+        check_kept(found, acknowledged)
+        assert content in [path.read_bytes() for path in (found / TRIALS).rglob("*") if path.is_file()]

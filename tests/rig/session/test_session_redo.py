@@ -1,0 +1,112 @@
+"""Redo: a trial that does not count comes again, also when a stop rule is about to end the session."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.config.presets import load as preset
+from rig.session.conduct import conduct
+from rig.session.desk import Question, Reply
+from rig.session.directory import LOG, begin
+from rig.session.log import read
+from rig.session.rehearsal import Day
+from rig.session.state import State
+from tests.rig.session.session_fakes import INVALID, FakeBench, ScriptedDesk, protocol_of
+
+STOPS: list[dict[str, Any]] = [{"trials": 3}, {"minutes": 0.001}, {"aborts": 2}]
+
+
+@pytest.fixture(autouse=True)
+def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody cuts the power here."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def run(
+    directory: Path, bench: FakeBench, answer: Callable[[Question], Reply | None], **sections: Any
+) -> State:
+    session = begin(
+        directory,
+        protocol_of(**sections),
+        preset("koul-rigid"),
+        text=b"",
+        sha256="",
+        code="P01",
+        row=0,
+        versions={},
+        clock=Day(),
+    )
+    with session:
+        return conduct(session, bench, ScriptedDesk(answer))
+
+
+def ended(directory: Path, bench: FakeBench, redos: int, **sections: Any) -> State:
+    """A session at whose end somebody says redo so often, one after the other."""
+    said = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal said
+        wanted = question.text == "end the session?" or (0 < said < redos and question.kind == "ready")
+        if wanted and said < redos and "redo" in question.actions:
+            said += 1
+            return Reply(action="redo")
+        return None
+
+    state = run(directory, bench, answer, **sections)
+    again = State.of(read(directory / LOG))
+    assert (again.trials, again.ended) == (state.trials, state.ended)
+    return state
+
+
+@pytest.mark.parametrize("redos", [1, 2])
+@pytest.mark.parametrize("order", [{"kind": "fixed"}, {"kind": "fixed", "interleave": True}])
+def test_what_is_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int, order: Any) -> None:
+    bench = FakeBench()
+    state = ended(tmp_path, bench, redos, stop={"trials": 3}, order=order)
+    assert state.ended == "3 trials"
+    assert [trial.void for trial in state.trials] == [False] * (3 - redos) + [True] * redos + [False] * redos
+    walls = [(trial.run, trial.stiffness) for trial in state.trials]
+    assert walls[3:] == walls[3 - redos : 3]
+
+
+def test_redone_in_the_middle_does_not_count_towards_the_end(tmp_path: Path) -> None:
+    ready = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal ready
+        ready += question.kind == "ready"
+        return Reply(action="redo") if question.kind == "ready" and ready == 2 else None
+
+    state = run(tmp_path, FakeBench(), answer, stop={"trials": 3})
+    assert [trial.void for trial in state.trials] == [True, False, False, False]
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: next(iter(stop)))
+def test_every_stop_rule_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
+    cut = {"automatic": "unstable", "aborted": "energy"}
+    bench = FakeBench(dict.fromkeys((1, 2), (cut, None)) if "aborts" in stop else {})
+    state = ended(tmp_path, bench, 1, stop=stop)
+    void = [trial for trial in state.trials if trial.void]
+    assert len(void) == 1
+    after = state.trials[void[0].trial]
+    assert (after.stiffness, after.run, after.void) == (void[0].stiffness, void[0].run, False)
+
+
+def test_a_redone_trial_that_says_nothing_is_repeated_until_somebody_leaves_the_run(tmp_path: Path) -> None:
+    """Then nothing is owed any more, and the rule ends the session."""
+
+    def answer(question: Question) -> Reply | None:
+        if question.text == "end the session?" and len(bench.hits) == 3:
+            return Reply(action="redo")
+        return Reply(action="skip") if question.kind == "trouble" else None
+
+    bench = FakeBench(dict.fromkeys(range(4, 20), (INVALID, None)))
+    state = run(tmp_path, bench, answer, stop={"invalid": 3, "trials": 3})
+    assert [trial.void for trial in state.trials[:3]] == [False, False, True]
+    assert state.skipped == {1}
+    assert state.ended is not None

@@ -1,0 +1,519 @@
+"""The page and the pictures of a study: complete, self-contained, safe against texts, every deviation listed."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import matplotlib.image
+import pytest
+from click.testing import CliRunner
+
+from rig.cli import rig
+from rig.core.swings import SWINGS
+from rig.session.analysis import Options, analyse
+from rig.session.analysis.tables import tables
+from rig.session.state import State
+from rig.views.plots import style
+from rig.views.plots.session import draw_session, pictures, tracks_name, zwidth_figure
+from rig.views.report.session import (
+    NUMBERS,
+    PAGE,
+    _range,
+    _sections,
+    _summary,
+    as_mapping,
+    render,
+    write_session_report,
+)
+from rig.views.report.session_events import _with_units, deviations, notes, useless_trials
+from rig.views.report.session_methods import methods
+from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
+
+pytest.importorskip("jinja2")
+NASTY = "</script><script>alert('K < B & \"C\"')</script> $\\frac$ http://evil"
+CONDITIONS = [
+    {"name": "uniform <i>", "scheme": "uniform:2k", "damping": [0.0, 0.5]},
+    {"name": "_dual $x", "scheme": "dual:20k/2k", "damping": [0.0, 0.5]},
+]
+SECTIONS = (
+    "kmax", "differences", "psychometric", "agreement", "effects", "plan", "participants", "tracks", "questionnaire",
+    "deviations", "methods", "provenance",
+)  # fmt: skip
+
+
+def person(offset=0.0, **settings):
+    return Person(
+        threshold=lambda condition, damping: (
+            (500.0 if "dual" in condition else 400.0) + offset + 100.0 * damping
+        ),
+        **settings,
+    )
+
+
+def mapping_of(**sections):
+    chosen = {
+        "study": {"title": f"Two schemes {NASTY}", "participants": 3, "changes": {"operator.press": 2.0}},
+        "search": {"step": 50.0, "settings": {"turns": 2, "most": 10}},
+        "order": {"repeats": 2},
+        "condition": CONDITIONS,
+        "practice": {"stiffness": [100.0]},
+        "question": [{"name": "tired", "text": f"Tired? {NASTY}", "when": "end", "kind": "text"}],
+    }
+    return protocol(**{**chosen, **sections})
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """Three people, to whom everything happens that can."""
+    where = tmp_path_factory.mktemp("study")
+    mapping = mapping_of()
+    with without_sync():
+        with sitting(where / "P01", mapping, person(), row=0, recorded=True) as one:
+            one.run(5)
+            one.record("note", text=NASTY, trial=5)
+            one.record("redone", trial=one.state.newest)
+            one.run(4)
+            one.record("paused")
+            one.now[0] += 90.0
+            one.record("continued")
+            one.run()
+        with sitting(where / "P02", mapping, person(20.0, invalid=0.1), code="P02", row=1, seed=2) as one:
+            one.run(12)
+            one.record("stopped", reason="the operator left")
+            one.now[0] += 4000.0
+            one.record("resumed", where="block", abandoned=[{"file": "trials/t0013.parquet", "sha256": "ab"}])
+            one.record("restarted", block=one.state.begun[-1])
+            one.run()
+        with sitting(where / "P03", mapping, person(-20.0, unsure=0.05), code="P03", row=2, seed=3) as one:
+            one.run(6)
+            judged = [event.number for event in one.log.events if event.kind == "judged"][-1]
+            one.log.append("amended", number=judged, field="verdict", value="unsure", why="the wrong key")
+            one.state = State.of(one.log.events)
+            one.record("skipped", run=one.state.next().run.number)
+            one.run(20)
+            one.record("ended", reason="60 minutes")
+    (where / "P01/trials/t0002.parquet").unlink()
+    return where
+
+
+@pytest.fixture(scope="module")
+def found(study):
+    return analyse([study])
+
+
+@pytest.fixture(scope="module")
+def drawn(found, tmp_path_factory):
+    return draw_session(found, tmp_path_factory.mktemp("pictures"))
+
+
+@pytest.fixture(scope="module")
+def page(found, drawn):
+    return render(found, {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"})
+
+
+class _Page(HTMLParser):
+    """Collects what a test asks of a page, and checks that what opens closes."""
+
+    VOID = ("meta", "img", "br")
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.sources: list[str] = []
+        self.text = ""
+        self.numbers = ""
+        self.scripts = 0
+        self._open: list[str] = []
+        self.feed(page)
+        assert not self._open
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        self.ids += [v] if (v := values.get("id")) else []
+        self.sources += [v for name in ("src", "href") if (v := values.get(name))]
+        self.scripts += tag == "script"
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if self._open[-1:] == ["script"]:
+            self.numbers += data
+        elif self._open[-1:] != ["style"]:
+            self.text += data
+
+
+def test_the_page_is_whole_and_needs_nothing_else(page):
+    read = _Page(page)
+    assert page.startswith("<!DOCTYPE html>")
+    assert set(SECTIONS) <= set(read.ids)
+    assert len(set(read.ids)) == len(read.ids)
+    assert all(source.startswith(("data:image/png;base64,", "#")) for source in read.sources)
+    assert {source[1:] for source in read.sources if source.startswith("#")} <= set(read.ids)
+    assert "(no picture)" not in read.text
+    assert "@media print" in page
+    for name in ("Uniform", "nan", "None", "Traceback"):
+        assert not re.search(rf"\b{name}\b", read.text)
+
+
+def test_texts_of_users_are_text(page):
+    read = _Page(page)
+    assert read.scripts == 1  # the numbers
+    assert read.text.count(NASTY) >= 3  # title, question, note
+    assert "uniform <i>" in read.text
+    numbers = json.loads(read.numbers)
+    assert numbers["title"].endswith(NASTY)
+    assert numbers["notes"][0]["detail"] == NASTY
+
+
+def test_the_numbers_are_those_of_the_analysis(page, found, tmp_path):
+    numbers = json.loads(_Page(page).numbers)
+    assert numbers == json.loads(json.dumps(as_mapping(found), allow_nan=False))
+    assert len(numbers["runs"]) == len(found.runs)
+    paths = write_session_report(found, {}, tmp_path)
+    assert [path.name for path in paths] == [PAGE, NUMBERS]
+    assert json.loads(paths[1].read_text(encoding="utf-8")) == numbers
+    assert "(no picture)" in paths[0].read_text(encoding="utf-8")
+
+
+def test_every_limit_of_the_main_table_is_printed(page, found):
+    text = _Page(page).text
+    for one in found.over_participants:
+        assert f"{one.mean:.4g}" in text
+    for session in found.study.sessions:
+        assert session.code in text
+
+
+def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found):
+    told = " ".join(paragraph.text for paragraph in methods(found))
+    assert "operator.press = 2.0 N" in told
+    assert "at B = 0 and 0.5 N·m·s/rad" in told
+    assert all("N·m/rad" in one.detail and "N·m·s/rad" in one.detail for one in useless_trials(found.study))
+    effective = as_mapping(found)["provenance"]["experiments"]
+    assert effective["_dual $x"]["operator"]["press"] == 2.0
+    assert effective["_dual $x"]["controller"]["position_rate"] == 20_000
+    said = _with_units(found.study.sessions[0], "heard 0.113 above 0.1; felt 2e-05 above 1e-05; it moved")
+    assert said == "heard 0.113 above 0.1 N·m; felt 2e-05 above 1e-05 rad/s; it moved"
+
+
+def test_every_deviation_is_listed(found, page):
+    told = [(one.participant, one.what, one.detail) for one in deviations(found.study)]
+    kinds = [(code, what) for code, what, _ in told]
+    assert kinds == [
+        ("P01", "redone"),
+        ("P01", "continued"),
+        ("P01", "recording missing"),
+        ("P02", "stopped"),
+        ("P02", "resumed"),
+        ("P02", "restarted"),
+        ("P03", "amended"),
+        ("P03", "skipped"),
+        ("P03", "ended"),
+    ]
+    details = {what: detail for _, what, detail in told}
+    assert details["continued"] == "after a pause of 1 min 30 s"
+    assert details["stopped"] == "the session was left: the operator left"
+    assert "1 h 6 min" in details["resumed"]
+    assert "trials/t0013.parquet" in details["resumed"]
+    assert re.fullmatch(r"block \d+ began anew: \d+ trials do not count", details["restarted"])
+    assert "→ “unsure”; why: the wrong key" in details["amended"]
+    assert details["ended"] == "the session ended early: 60 minutes"
+    useless = useless_trials(found.study)
+    assert len(useless) == sum(trial.void == "invalid" for trial in found.trials) + sum(
+        trial.automatic == "invalid" and trial.void in ("redone", "restarted") for trial in found.trials
+    )
+    text = _Page(page).text
+    for one in (*deviations(found.study), *useless, *notes(found.study)):
+        assert one.detail in text
+
+
+def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found, page):
+    two = [one for one in found.of_participants if (one.measure, one.repeats) == ("rule", 2)]
+    assert two
+    assert {one.interval for one in two} == {"verdicts"}
+    methods_text = {paragraph.heading: paragraph.text for paragraph in methods(found)}["Analysis"]
+    meaning = {
+        table.name: {column.name: column.meaning for column in table.columns} for table in tables(found)
+    }
+    assert "need not hold the mean" in meaning["kmax"]["interval"]
+    assert "all verdicts together, which is not told from the mean and need not hold it" in methods_text
+    assert "are told from all verdicts of a participant together, not from the mean" in _Page(page).text
+
+
+def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found):
+    told = [
+        replace(one, difference=25.0, low=math.nan, high=math.nan, p=math.nan, holm=math.nan)
+        for one in found.paired
+        if one.measure == "rule"
+    ]
+    text = _Page(render(replace(found, paired=tuple(told), mixed=()), {})).text
+    assert "+25 N·m/rad for every participant, which leaves no interval and no p." in text
+    assert "p = –" not in text
+
+
+def test_methods_say_rules_thresholds_order_blinding_seeds_and_versions(found):
+    told = {paragraph.heading: paragraph.text for paragraph in methods(found)}
+    whole = " ".join(told.values())
+    assert "3 participants took part, of 3 planned; 2 finished" in told["Participants"]
+    assert "koul-compliant" in told["Apparatus"]
+    assert "17 stiffnesses from 100 to 900 N·m/rad, 50 N·m/rad apart" in told["Search"]
+    assert "2 turns at the smallest step or 10 verdicts" in told["Search"]
+    assert "0.005 m/s" in told["Automatic verdict"]
+    assert "felt, heard or moved" in told["Automatic verdict"]
+    assert "Williams' design" in told["Order and blinding"]
+    assert (
+        "3 of the 4 rows were there (row 0: 1 participant, row 1: 1 participant, row 2: 1 participant)"
+        in whole
+    )
+    assert "not balanced over participants" in told["Order and blinding"]
+    counts = found.counts()
+    assert f"Of {counts['recorded']} recorded trials {counts['counted']} told limits; the others:" in whole
+    assert {"of skipped searches", "of unfinished searches", "practice", "redone", "restarted"} <= set(counts)
+    for name in set(counts) - {"recorded", "counted", "invalid"}:
+        assert f"{counts[name]} {name}" in told["Analysis"]
+    assert "slips λ of 0, 1, 2, 4, 8 %, equally likely" in told["Analysis"]
+    assert re.search(
+        r"K50 on \d+ values from \S+ to \S+ N·m/rad, flat over K50 where levels are evenly spaced",
+        told["Analysis"],
+    )
+    assert re.search(r"; s on \d+ values from \S+ to \S+, flat over its logarithm", told["Analysis"])
+    assert "one K50 in all repeats" in told["Analysis"]
+    assert "an automatic limit cycle is a buzz" in told["Analysis"]
+    assert "linear and with quadratic weights" in told["Analysis"]
+    assert "Effects of order and fatigue are exploratory" in told["Analysis"]
+    assert "above them when the median of its posterior exceeds the stiffest of them" in told["Analysis"]
+    assert "3 verdicts in a row at an end of the levels that ask for walls beyond it" in told["Search"]
+    assert "seed 7" in told["Order and blinding"]
+    assert "Neither participant nor operator" in told["Order and blinding"]
+    assert "K = 100 N·m/rad" in told["Task"]
+    assert "haptic-rig 0.1.0" in told["Software"]
+    assert found.study.protocol.trial.say in told["Task"]
+    assert "faster than 10 rad/s" in told["Safety and rests"]
+    assert (
+        f"{SWINGS} swings of the effort in a row" in told["Safety and rests"]
+    )  # since a person holds the handle
+    assert "up to 0.286 N·m" in told["Apparatus"]  # what the motor gives for hours: no more against a person
+    assert not re.search(r"\bnan\b|None|\{|\}|  |\.\.", whole)
+
+
+@pytest.mark.parametrize(
+    ("rule", "settings", "words"),
+    [
+        (
+            "ascending",
+            {"repeats": 4},
+            "climbs from the softest of them until a verdict is not stable, 4 times",
+        ),
+        ("ascending", {"repeats": 4}, "below them only if every climb failed on the softest wall"),
+        ("staircase", {"stable_to_rise": 2, "start": 400.0}, "begins at 400: 2 stable verdicts in a row"),
+        ("staircase", {"stable_to_rise": 2}, "where 71 % of the verdicts are stable"),
+        ("interleaved", {}, "The limit is the mean of both"),
+        ("interleaved", {}, "20 % of the trials were catch trials"),
+        ("psi", {"hits": 30, "enough": 0.05}, "for 30 verdicts, or until K50 was known within 5 %"),
+        (
+            "psi",
+            {"hits": 30},
+            "the limit is the median of the posterior of K50, whose prior is told under Analysis",
+        ),
+        ("grid", {"repeats": 1}, "every one of them 1 time,"),
+    ],
+)
+def test_each_rule_is_told_with_the_settings_in_force(rule, settings, words, tmp_path):
+    mapping = protocol(
+        search={
+            "rule": rule,
+            "settings": settings,
+            "step": None,
+            "ratio": 1.1,
+            "lowest": 200.0,
+            "highest": 800.0,
+        }
+        if rule == "psi"
+        else {"rule": rule, "settings": settings, "step": 100.0, "catch_share": 0.2}
+    )
+    with without_sync(), sitting(tmp_path / "P01", mapping, person()) as one:
+        one.run(2)
+    (text,) = [p.text for p in methods(analyse([tmp_path])) if p.heading == "Search"]
+    assert words in text
+    assert ("catch trials" in text) == (rule != "psi")
+    assert ("each 1.1 times the one before" if rule == "psi" else "100 N·m/rad apart") in text
+
+
+def test_pictures_are_drawn_with_units_in_their_labels(found, drawn):
+    expected = {"zwidth", "psychometric", "agreement", "effects"}
+    assert {path.stem for path in drawn.values()} == expected | {tracks_name(f"P0{n}") for n in (1, 2, 3)}
+    assert {path.stem for path in drawn.values() if path.suffix == ".svg"} == expected
+    for path in drawn.values():
+        if path.suffix == ".png":
+            image = matplotlib.image.imread(path)
+            assert image.shape[0] > 200
+            assert image[..., :3].std() > 0.02  # something is there
+        else:
+            assert "N·m" in path.read_text(encoding="utf-8") or path.stem == "agreement"
+    for name, draw in pictures(found).items():
+        if name in ("zwidth", "psychometric"):
+            axes = draw(found).axes
+            assert "N·m/rad" in axes[0].get_ylabel() + axes[-1].get_xlabel()
+
+
+def test_the_same_study_gives_the_same_pictures(found, drawn, tmp_path):
+    def saved(suffix):
+        return style.save(
+            zwidth_figure(found, found.options.measure), tmp_path / f"again{suffix}"
+        ).read_bytes()
+
+    assert saved(".png") == drawn["zwidth.png"].read_bytes()
+    assert saved(".svg") == saved(".svg")
+
+
+def test_limits_beyond_the_levels_are_marked(tmp_path):
+    mapping = protocol(
+        search={"highest": 300.0, "settings": {"turns": 2, "most": 8}},
+        condition=[{"name": "dual", "scheme": "dual:20k/2k"}],
+        order={"repeats": 1},
+    )
+    with without_sync():
+        write_study(tmp_path, mapping, {"P01": person(), "P02": person(10.0)})
+    found = analyse([tmp_path])
+    figure = zwidth_figure(found, "rule")
+    triangles = [
+        c for c in figure.axes[0].collections if c.get_paths() and len(c.get_paths()[0].vertices) == 4
+    ]
+    assert len(triangles) == 3  # two people and their mean
+    page = render(found, {})
+    assert "≥ 300" in _Page(page).text
+    assert "2 limits lie beyond the levels" in _Page(page).text
+
+
+@pytest.mark.parametrize("trials", [0, 1])
+def test_a_session_that_has_hardly_begun_has_a_page(trials, tmp_path):
+    with without_sync(), sitting(tmp_path / "P01", mapping_of(), person()) as one:
+        one.run(trials)
+    found = analyse([tmp_path], Options(measure="K50 person"))
+    read = _Page(render(found, {}))
+    assert "no limit" in read.text.lower()
+    for draw in pictures(found).values():
+        draw(found).draw_without_rendering()
+
+
+def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path):
+    """Five people for whom every wall of one condition holds: no interval, however alike the ends of the levels are."""
+    mapping = protocol(
+        search={"highest": 450.0, "step": 50.0, "settings": {"turns": 2, "most": 8}}, order={"repeats": 1}
+    )
+    people = {
+        f"P0{n}": Person(
+            threshold=lambda condition, _, n=n: 900.0 if condition == "dual" else 250.0 + 20.0 * n
+        )
+        for n in range(1, 6)
+    }
+    write_study(tmp_path, mapping, people)
+    found = analyse([tmp_path])
+    (line,) = [text for text in _summary(found) if "dual − uniform" in text]
+    assert re.search(
+        r"at B = 0: ≥ \+\d\S* N·m/rad with 5 of 10 limits beyond the levels, too many for an interval and a p",
+        line,
+    )
+    read = _Page(render(found, {}))
+    assert "p (Holm) =" not in read.text
+    assert "5 above of 5" in read.text
+    assert "smaller than they are" not in read.text
+    assert "No model for censored values (Tobit) was used" in read.text
+    for draw in pictures(found).values():
+        draw(found).draw_without_rendering()
+
+
+def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(found):
+    """One damping beyond the levels takes the difference over all of them with it, and not those of the others."""
+    rule = [one for one in found.paired if one.measure == "rule"]
+    assert [one.damping for one in rule] == [0.0, 0.5, None]
+
+    def lines(paired):
+        changed = replace(found, paired=tuple(paired), mixed=())
+        return [re.search(r"(over all dampings|at B = \S+):", text)[1] for text in _summary(changed)[1:]]
+
+    nothing = dict.fromkeys(("low", "high", "p", "holm"), math.nan)
+    assert lines(rule) == ["over all dampings"]
+    withheld = [rule[0], *(replace(one, withheld=True, **nothing) for one in rule[1:])]
+    assert lines(withheld) == ["at B = 0", "at B = 0.5", "over all dampings"]
+
+
+@pytest.mark.parametrize(
+    ("people", "told"),
+    [
+        (1, "1 of the 2 rows was there (row 0: 1 participant), so the order was not balanced"),
+        (2, "Each row was that of 1 participant, so the order was balanced over them"),
+        (3, "All 2 rows were there, but not equally often (row 0: 2 participants, row 1: 1 participant)"),
+    ],
+)
+def test_an_order_is_balanced_where_each_row_is_there_equally_often(people, told, tmp_path):
+    sessions = {f"P0{n}": person() for n in range(1, people + 1)}
+    write_study(tmp_path, protocol(order={"repeats": 1}, search={"step": 200.0}), sessions)
+    texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
+    assert told in texts["Order and blinding"]
+
+
+def test_slips_that_no_verdict_tells_and_intervals_that_are_absent_are_dashes(found):
+    functions = [
+        replace(
+            one,
+            slips=replace(one.slips, mean=mean),
+            threshold=replace(one.threshold, low=math.nan, high=math.nan),
+        )
+        for one, mean in zip(found.psychometrics, (0.0, 0.027, 0.06, math.nan), strict=False)
+    ]
+    changed = replace(found, psychometrics=tuple(functions))
+    (section,) = [one for one in _sections(changed) if one.key == "psychometric"]
+    rows = [row for table in (*section.tables, *section.folded) for row in table.rows]
+    assert sorted(row[8] for row in rows) == ["0.0 %", "6.0 %", "–", "–"]
+    assert {row[5] for row in rows} == {"–"}
+    pictures(changed)["psychometric"](changed).draw_without_rendering()
+    assert not re.search(r"\bnan\b", _Page(render(changed, {})).text)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (400.0, 500.0, "400 … 500"),
+        (400.0, math.inf, "400 … ∞"),
+        (0.0, 500.0, "0 … 500"),
+        (0.0, math.inf, "–"),
+        (math.nan, math.nan, "–"),
+        (None, None, "–"),
+        (400.0, math.nan, "–"),
+    ],
+)
+def test_an_interval_that_is_open_on_a_side_says_its_end(low, high, text):
+    assert _range(low, high) == text
+
+
+def test_the_command_writes_the_page_or_says_what_it_needs(tmp_path, monkeypatch):
+    mapping = protocol(search={"settings": {"turns": 2, "most": 4}, "step": 100.0}, order={"repeats": 1})
+    with without_sync(), sitting(tmp_path / "P01", mapping, person()) as one:
+        one.run()
+    png = tmp_path / "zwidth.png"
+    png.write_bytes(b"made up")
+    monkeypatch.setattr(
+        "rig.views.plots.session.draw_session", lambda *_, **__: {png.name: png}
+    )  # told above
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "jinja2", None)
+        told = CliRunner().invoke(rig, ["session", "analyse", str(tmp_path)])
+    assert told.exit_code == 0, told.output
+    assert "pip install 'haptic-rig[report]'" in told.output
+    assert not (tmp_path / "analysis" / PAGE).exists()
+    told = CliRunner().invoke(
+        rig, ["session", "analyse", str(tmp_path), "--json", "-o", str(tmp_path / "out")]
+    )
+    assert told.exit_code == 0, told.output
+    answer = json.loads(told.stdout)
+    assert answer["report"] == str(tmp_path / "out" / PAGE)
+    assert answer["pictures"] == {"zwidth.png": str(png)}
+    assert "data:image/png;base64,bWFkZSB1cA==" in (tmp_path / "out" / PAGE).read_text(encoding="utf-8")

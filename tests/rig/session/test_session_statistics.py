@@ -1,0 +1,885 @@
+"""What an analysis computes, against closed forms, scipy, statsmodels, and data whose truth is known."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from rig.session.analysis import agreement, effects, kmax, mixed, psychometric
+from rig.session.analysis.rows import Limit, RunRow, TrialRow
+from rig.session.analysis.trials import half_way
+from rig.session.search.catching import CatchTrials
+from rig.session.search.observer import Observer
+
+# ---------------------------------------------------------------------- rows to work on
+
+
+def run_row(participant="P01", condition="a", damping=0.0, value=400.0, **changes):
+    limit = Limit(
+        value=value, low=value - 10, high=value + 10, censored=changes.pop("censored", ""), share=0.5
+    )
+    plain = {
+        "participant": participant,
+        "row": 0,
+        "block": 1,
+        "order": 1,
+        "run": 1,
+        "place": 1,
+        "condition": condition,
+        "scheme": "",
+        "damping": damping,
+        "repeat": 1,
+        "rule": "staircase",
+        "followed": "person",
+        "limits": {"rule": limit},
+        "state": "complete",
+        "trials": 20,
+        "invalid": 0,
+        "void": 0,
+        "hits": 20,
+        "caught": CatchTrials(),
+        "middle": 10.0,
+    }
+    return RunRow(**{**plain, **changes})
+
+
+def runs_of_people(
+    people=8,
+    repeats=3,
+    dampings=(0.0,),
+    effect=40.0,
+    between=40.0,
+    interaction=15.0,
+    scatter=12.0,
+    seed=1,
+    **along,
+):
+    """Runs of two conditions, the second stiffer by `effect`; order alternates, blocks are repeats."""
+    drawn = np.random.default_rng(seed)
+    rows = []
+    for person in range(people):
+        offset = drawn.normal(0.0, between)
+        apart = dict.fromkeys(("a", "b"), 0.0) | {name: drawn.normal(0.0, interaction) for name in "ab"}
+        for repeat in range(repeats):
+            cells = list(itertools.product("ab" if (person + repeat) % 2 else "ba", dampings))
+            for order, (condition, damping) in enumerate(cells, start=1):
+                value = 400.0 + offset + apart[condition] + effect * (condition == "b") + 2.0 * damping
+                value += along.get("order", 0.0) * order + along.get("block", 0.0) * (repeat + 1)
+                rows.append(
+                    run_row(
+                        f"P{person:02d}",
+                        condition,
+                        damping,
+                        value + drawn.normal(0.0, scatter),
+                        block=repeat + 1,
+                        order=order,
+                        place=repeat * len(cells) + order,
+                        repeat=repeat + 1,
+                    )
+                )
+    return rows
+
+
+def model_of(rows):
+    return mixed.mixed(kmax.observed(rows, "rule", {}), "rule", "ab")
+
+
+def trial_row(participant="P01", verdict="stable", automatic="stable", passes=True, **changes):
+    empty = dict.fromkeys(
+        ("felt", "heard", "moved", "peak_penetration", "peak_effort", "impact_velocity"), None
+    ) | dict.fromkeys(("saturated_fraction", "baseline_velocity", "baseline_effort"), None)
+    plain = {
+        "participant": participant,
+        "row": 0,
+        "block": 1,
+        "run": 1,
+        "place": 1,
+        "trial": 1,
+        "attempt": 1,
+        "condition": "a",
+        "scheme": "",
+        "damping": 0.0,
+        "repeat": 1,
+        "stiffness": 400.0,
+        "track": 0,
+        "catch": False,
+        "practice": False,
+        "automatic": automatic,
+        "passes": passes,
+        "verdict": verdict,
+        "by": "person",
+        "took_s": 1.0,
+        "void": "",
+        "amended": False,
+        "ended": "finished",
+        "aborted": "",
+        "started_s": 0.0,
+        "heat": 0.0,
+        "recording": "",
+        "recorded": "none",
+        **empty,
+    }
+    return TrialRow(**{**plain, **changes})
+
+
+# ---------------------------------------------------------------------- agreement
+
+TABLES = st.integers(2, 4).flatmap(
+    lambda size: st.lists(
+        st.lists(st.integers(0, 60), min_size=size, max_size=size), min_size=size, max_size=size
+    )
+)
+
+
+def test_kappa_of_a_table_by_hand():
+    """70 of 100 agree; by chance 60 × 50 + 40 × 50 of 10,000 = 0.5."""
+    value, deviation = agreement.kappa([[40, 20], [10, 30]])
+    assert value == pytest.approx((0.70 - 0.50) / (1 - 0.50))
+    # Fleiss, Cohen and Everitt's formula, term by term
+    a, b = 0.40 * (1 - (0.6 + 0.5) * 0.6) ** 2, 0.30 * (1 - (0.4 + 0.5) * 0.6) ** 2
+    off = (0.20 * (0.5 + 0.4) ** 2 + 0.10 * (0.5 + 0.6) ** 2) * 0.6**2
+    assert deviation == pytest.approx(math.sqrt((a + b + off - (0.4 - 0.5 * 0.6) ** 2) / 100) / 0.5)
+
+
+@settings(max_examples=60)
+@given(
+    counts=TABLES, weights=st.sampled_from([("none", None), ("linear", "linear"), ("quadratic", "quadratic")])
+)
+def test_kappa_is_that_of_statsmodels(counts, weights):
+    table = np.array(counts, dtype=float)
+    value, deviation = agreement.kappa(table, weights[0])
+    if math.isnan(value):  # nothing, or nothing that chance would not do
+        assert table.sum() == 0 or (
+            np.count_nonzero(table.sum(axis=0)),
+            np.count_nonzero(table.sum(axis=1)),
+        ) == (1, 1)
+        return
+    with np.errstate(all="ignore"):  # theirs divides by nothing on its way
+        theirs = import_module("statsmodels.stats.inter_rater").cohens_kappa(table, wt=weights[1])
+    assert value == pytest.approx(theirs.kappa, abs=1e-9)
+    assert deviation**2 == pytest.approx(max(theirs.var_kappa, 0.0), abs=1e-9)
+
+
+@given(counts=TABLES)
+def test_kappa_is_one_without_confusions_and_does_not_ask_who_is_who(counts):
+    table = np.array(counts, dtype=float)
+    assert agreement.kappa(table) == pytest.approx(agreement.kappa(table.T), nan_ok=True)
+    diagonal = np.diag(np.diag(table))
+    if np.count_nonzero(diagonal) > 1:
+        assert agreement.kappa(diagonal, "quadratic") == pytest.approx((1.0, 0.0), abs=1e-6)
+
+
+def test_what_goes_into_which_table():
+    rows = [
+        trial_row(),
+        trial_row(verdict="buzz", automatic="limit cycle", passes=False),
+        trial_row(verdict="buzz", automatic="limit cycle", passes=True),  # another criterion than the study's
+        trial_row(verdict="unstable", automatic="unstable", passes=False),
+        trial_row(verdict="unsure", automatic="stable", passes=True),
+        trial_row(verdict="stable", automatic="stable", passes=None),
+        trial_row(verdict="stable", void="redone"),
+        trial_row(verdict="stable", practice=True),
+        trial_row(verdict="stable", by="automatic"),
+    ]
+    two, linear, quadratic, four = agreement.agreements(rows)
+    assert two.counts == ((1, 0), (1, 2))
+    assert (two.trials, two.left_out, two.people) == (4, 2, 1)
+    assert linear.counts == quadratic.counts == ((2, 0, 0), (0, 2, 0), (0, 0, 1))
+    assert (linear.kappa, linear.share) == (pytest.approx(1.0), 1.0)
+    assert four.counts == ((1, 0, 0, 1), (0, 2, 0, 0), (0, 0, 1, 0), (1, 0, 0, 0))
+    assert (four.left_out, four.over) == (0, "trials")
+
+
+def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa():
+    assert agreement.agreements([trial_row(by="automatic"), trial_row(by="", void="not judged")]) == ()
+    two = agreement.agreements([trial_row() for _ in range(5)])[0]
+    assert (two.share, two.kappa, two.low) == (1.0, None, None)
+    assert (two.positive, two.negative) == (1.0, None)
+    assert "only said “stable”" in two.problem
+
+
+def judged(*counts, people=1):
+    """Verdicts of each of some people: both stable, only the person, only the automatic verdict, neither."""
+    cells = [(person, passes) for person in ("stable", "buzz") for passes in (True, False)]
+    return [
+        trial_row(f"P{number}", verdict, "stable" if passes else "limit cycle", passes)
+        for number in range(people)
+        for (verdict, passes), count in zip(cells, counts, strict=True)
+        for _ in range(count)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("counts", "kappa", "why"),
+    [
+        ((8, 2, 0, 0), 0.0, "the person only said “stable”, which chance does as well: κ is 0 in any case"),
+        ((8, 0, 2, 0), 0.0, "the automatic verdict only said “stable”"),
+        ((8, 0, 0, 2), 1.0, "there is no confusion, and κ = 1"),
+        ((5, 0, 0, 0), None, "κ is not defined"),
+    ],
+)
+@pytest.mark.parametrize("people", [1, 6])
+def test_a_table_that_cannot_tell_has_no_interval_and_says_why(counts, kappa, why, people):
+    two = agreement.agreements(judged(*counts, people=people))[0]
+    assert two.kappa == (None if kappa is None else pytest.approx(kappa))
+    assert (two.low, two.high, two.over) == (None, None, "none")
+    assert why in two.problem
+
+
+def test_agreement_on_a_rare_class_stands_beside_kappa():
+    """Of 100 verdicts all but four are alike, and of the five that are not stable by either one is by both."""
+    two, three, *_ = agreement.agreements(judged(95, 2, 2, 1))
+    assert (two.positive, two.negative) == (pytest.approx(190 / 194), pytest.approx(2 / 6))
+    assert (three.positive, three.negative) == (None, None)
+
+
+def test_an_interval_of_kappa_is_over_people_where_there_are_enough():
+    """The jackknife of a mean of people is Student's interval; few people have none, a single one that of trials."""
+    few = agreement.agreements(judged(8, 2, 1, 9, people=4))[0]
+    assert (few.low, few.over) == (None, "none")
+    assert "4 people: an interval over people takes 5" in few.problem
+    one = agreement.agreements(judged(7, 3, 3, 7))[0]
+    value, deviation = agreement.kappa([[7, 3], [3, 7]])
+    assert one.over == "trials"
+    assert (one.low, one.high) == pytest.approx(
+        (value - 1.96 * deviation, value + 1.96 * deviation), abs=1e-4
+    )
+    tables = [(40, 10, 10, 40), (45, 5, 5, 45), (35, 15, 15, 35), (42, 8, 8, 42), (30, 20, 20, 30)]
+    rows = [replace(row, participant=f"P{number}") for number, of in enumerate(tables) for row in judged(*of)]
+    two = agreement.agreements(rows)[0]
+    own = [
+        agreement.kappa(np.array(of).reshape(2, 2))[0] for of in tables
+    ]  # κ is linear: margins are all a half
+    expected = stats.ttest_1samp(own, 0.0).confidence_interval()
+    assert (two.over, two.people) == ("people", 5)
+    assert (two.low, two.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_people_who_agree_differently_widen_the_interval():
+    """One judges as the automatic verdict does, the next by a coin: people differ by more than trials do."""
+    drawn = np.random.default_rng(2)
+    rows = []
+    for person in range(8):
+        for _ in range(100):
+            passes = bool(drawn.random() < 0.5)
+            same = passes if person % 2 else bool(drawn.random() < 0.5)
+            rows.append(trial_row(f"P{person}", "stable" if same else "buzz", "stable", passes))
+    two = agreement.agreements(rows)[0]
+    alone = agreement.agreements([replace(row, participant="P0") for row in rows])[0]
+    assert (two.over, alone.over, two.kappa) == ("people", "trials", alone.kappa)
+    assert two.low < alone.low < two.kappa < alone.high < two.high
+
+
+# ---------------------------------------------------------------------- limits
+
+
+def test_means_intervals_and_paired_tests_are_those_of_scipy():
+    rows = runs_of_people(people=7)
+    each = kmax.of_participants(rows, {})
+    over = kmax.over_participants(each, "ab")
+    means = {name: np.array([one.mean for one in each if one.condition == name]) for name in "ab"}
+    for one in over:
+        expected = stats.ttest_1samp(means[one.condition], 0.0).confidence_interval()
+        assert (one.low, one.high) == pytest.approx((expected.low, expected.high))
+        assert (one.participants, one.runs) == (7, 21)
+    (difference,) = kmax.paired(each, "ab")
+    expected = stats.ttest_rel(means["b"], means["a"])
+    assert (difference.condition, difference.against) == ("b", "a")
+    assert difference.p == pytest.approx(expected.pvalue)
+    assert (difference.low, difference.high) == pytest.approx(tuple(expected.confidence_interval()))
+
+
+@pytest.mark.parametrize("apart", [25.0, 0.0])
+def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart):
+    """Coarse levels: each limit of one condition lies as many levels above; 0.1 is rounded where they are added."""
+    values = [400.1, 425.2, 450.7]
+    rows = [
+        run_row(f"P{person}", condition, value=value + 50.0 * person + apart * (condition == "b"))
+        for person in range(4)
+        for condition in "ab"
+        for value in (values if condition == "a" else reversed(values))
+    ]
+    each = kmax.of_participants(rows, {})
+    (one,) = kmax.paired(each, "ab")
+    assert one.alike
+    assert one.difference == pytest.approx(apart)
+    assert all(math.isnan(value) for value in (one.low, one.high, one.p, one.holm))
+    assert not kmax.paired(kmax.of_participants(runs_of_people(), {}), "ab")[0].alike
+    assert not kmax.paired([row for row in each if row.participant == "P0"], "ab")[0].alike
+
+
+@given(p=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
+def test_holm_is_what_testing_all_families_gives(p):
+    """Closed testing: a difference stands when every family that it is in does, each by Bonferroni."""
+    numbers = range(len(p))
+    families = [f for size in range(1, len(p) + 1) for f in itertools.combinations(numbers, size)]
+    expected = [max(min(1.0, len(f) * min(p[i] for i in f)) for f in families if one in f) for one in numbers]
+    assert kmax.holm(p) == pytest.approx(expected)
+    assert kmax.holm([math.nan, *p])[1:] == kmax.holm(p)
+
+
+def test_a_bootstrap_of_four_values_against_all_their_samples():
+    values = np.array([380.0, 395.0, 402.0, 440.0])
+    low, high = kmax.bootstrap(values)
+    means = np.array([np.mean(sample) for sample in itertools.product(values, repeat=4)])
+    below = [(means < end).mean() + 0.5 * (means == end).mean() for end in (low, high)]
+    assert below == pytest.approx([0.025, 0.975], abs=0.03)  # the correction shifts it by little here
+    assert kmax.bootstrap(values) == (low, high)
+    assert kmax.bootstrap(np.array([400.0, 400.0, 400.0])) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "interval", "low"),
+    [
+        ((400.0,), "run", 390.0),
+        ((400.0, 425.0), "verdicts", 380.0),
+        ((400.0, 400.0, 400.0), "verdicts", 380.0),
+        ((400.0, 425.0, 412.0), "Student", None),
+        (tuple(400.0 + 3.0 * n for n in range(9)), "Student", None),
+        (tuple(400.0 + 3.0 * n for n in range(10)), "bootstrap", None),
+    ],
+)
+def test_an_interval_says_what_it_is_of(values, interval, low):
+    rows = [run_row(value=value) for value in values]
+    pooled = Limit(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
+    (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
+    assert (one.interval, one.repeats) == (interval, len(values))
+    assert low is None or one.low == low
+    assert math.isnan(one.student_low) == (len(set(values)) == 1)
+    assert math.isnan(one.bootstrap_low) == (len(set(values)) < 3)
+    if low is None:  # the other one stands beside it
+        ends = {
+            "Student": (one.student_low, one.student_high),
+            "bootstrap": (one.bootstrap_low, one.bootstrap_high),
+        }
+        assert (one.low, one.high) == ends[interval]
+        assert ends["Student"] != ends["bootstrap"]
+
+
+def test_a_single_climb_has_no_interval_of_its_own():
+    endless = Limit(value=400.0, low=0.0, high=math.inf, censored="", share=None)
+    (one,) = kmax.of_participants([replace(run_row(), limits={"rule": endless})], {})
+    assert (one.interval, math.isnan(one.low)) == ("none", True)
+
+
+def test_limits_beyond_the_levels_are_counted_and_what_has_not_ended_is_left_out():
+    rows = [run_row(), run_row(censored="above"), run_row(state="unfinished"), run_row(state="skipped")]
+    (one,) = kmax.of_participants(rows, {})
+    assert (one.repeats, one.limits, one.above, one.below) == (2, 2, 1, 0)
+
+
+def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts():
+    """Two ends of the levels and a limit just below them scatter little, and say nothing of where the limit is."""
+    rows = [run_row(value=780.0), *(run_row(value=800.0, censored="above") for _ in range(2))]
+    pooled = Limit(value=800.0, low=790.0, high=math.inf, censored="above", share=0.5)
+    (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
+    assert (one.interval, one.low, one.high) == ("verdicts", 790.0, math.inf)
+    assert math.isnan(one.student_low)
+    open_run = replace(run_row(), limits={"rule": pooled})
+    (one,) = kmax.of_participants([open_run], {})
+    assert (one.interval, one.low, one.high) == ("run", 790.0, math.inf)
+
+
+def mostly_beyond(people=8, within=1, seed=3, spread=0.0):
+    """Two conditions, of which nearly all limits of the second are the end of the levels."""
+    drawn = np.random.default_rng(seed)
+    return [run_row(f"P{n}", "a", value=600.0 + drawn.normal(0.0, 40.0)) for n in range(people)] + [
+        run_row(f"P{n}", "b", value=780.0)
+        if n < within
+        else run_row(f"P{n}", "b", value=800.0 + drawn.normal(0.0, spread), censored="above")
+        for n in range(people)
+    ]
+
+
+@pytest.mark.parametrize("spread", [0.0, 3.0])
+def test_where_most_limits_are_bounds_nothing_is_tested(spread):
+    """Eight ends of the levels are no eight limits: their mean is a bound, and has no interval."""
+    rows = mostly_beyond(spread=spread)
+    each = kmax.of_participants(rows, {})
+    a, b = kmax.over_participants(each, "ab")
+    assert (b.limits, b.above, math.isnan(b.low), math.isnan(a.low)) == (8, 7, True, False)
+    (one,) = kmax.paired(each, "ab")
+    assert (one.bound, one.beyond.count, one.beyond.limits) == ("least", 7, 16)
+    assert one.withheld
+    assert not one.alike
+    assert all(math.isnan(value) for value in (one.low, one.high, one.p, one.holm))
+    assert kmax.paired(each, "ba")[0].bound == "most"
+    model = model_of(rows)
+    assert model.problem == "most limits lie beyond the levels, save those of a, B = 0"
+    assert model.contrasts == ()
+    assert all(slope.problem for slope in effects.slopes(rows, []) if slope.measure == "rule")
+
+
+def test_a_difference_with_some_bounds_says_on_which_side_it_is_open():
+    rows = [
+        run_row(f"P{n}", name, value=400.0 + 7.0 * n * n + 30.0 * (name == "b"))
+        for n in range(6)
+        for name in "ab"
+    ]
+    above = [replace(row, limits={"rule": replace(row.limits["rule"], censored="above")}) for row in rows]
+    some = [above[0], *rows[1:]]  # of "a"
+    (one,) = kmax.paired(kmax.of_participants(some, {}), "ab")
+    assert (one.bound, one.withheld, one.beyond.count) == ("most", False, 1)
+    both = [above[0], above[1], *rows[2:]]
+    (one,) = kmax.paired(kmax.of_participants(both, {}), "ab")
+    assert (one.bound, one.beyond.count) == ("unknown", 2)
+    (one,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
+    assert one.bound == ""
+
+
+def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping():
+    rows = runs_of_people(people=7, dampings=(0.0, 1.0, 3.0), effect=8.0)
+    for family in (kmax.paired(kmax.of_participants(rows, {}), "ab"), model_of(rows).contrasts):
+        assert len(family) == 4
+        assert [one.holm for one in family] == kmax.holm([one.p for one in family])
+
+
+# ---------------------------------------------------------------------- mixed model
+
+
+def test_for_two_conditions_and_equal_repeats_the_mixed_model_is_the_paired_test():
+    rows = [replace(row, order=1, block=1) for row in runs_of_people(people=9, interaction=20.0)]
+    model = model_of(rows)
+    (paired,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
+    (contrast,) = model.contrasts
+    assert [name for name, _ in model.deviations] == ["participant", "what is left"]
+    assert model.degrees == 8
+    assert contrast.difference == pytest.approx(paired.difference)
+    assert (contrast.low, contrast.high) == pytest.approx((paired.low, paired.high), rel=1e-3)
+    assert contrast.p == pytest.approx(paired.p, rel=1e-2)
+
+
+def test_the_mixed_model_is_that_of_the_formula():
+    """The same model of the means over repeats, as a formula for statsmodels, which makes its own columns of it."""
+    rows = runs_of_people(people=9, dampings=(0.0, 3.0, 7.0), order=4.0, block=-6.0, scatter=20.0)
+    drawn = np.random.default_rng(3)
+    apart = {(f"P{person:02d}", b): drawn.normal(0.0, 25.0) for person in range(9) for b in (0.0, 3.0, 7.0)}
+    rows = [
+        run_row(
+            row.participant,
+            row.condition,
+            row.damping,
+            row.limits["rule"].value + apart[row.participant, row.damping],
+            order=row.order,
+            block=row.block,
+        )
+        for row in rows
+        if (row.participant, row.block, row.order)
+        not in (("P03", 1, 1), ("P05", 3, 4))  # so that a block can be told
+    ]
+    model = model_of(rows)
+    pandas = import_module("pandas")
+    frame = pandas.DataFrame(
+        {
+            "limit": [row.limits["rule"].value for row in rows],
+            **{
+                key: [getattr(row, key) for row in rows]
+                for key in ("participant", "condition", "order", "block")
+            },
+            "damping": [f"B{row.damping:g}" for row in rows],
+        }
+    )
+    frame = frame.groupby(["participant", "condition", "damping"], as_index=False).mean()
+
+    def fitted(formula, **how):
+        parts = {"condition": "0 + C(condition)", "damping": "0 + C(damping)"}
+        random = {"groups": "participant", "re_formula": "1", "vc_formula": parts}
+        api = import_module("statsmodels.formula.api")
+        return api.mixedlm(formula, frame, **random).fit(method=["bfgs", "lbfgs"], **how)
+
+    theirs = fitted("limit ~ condition * damping + order + block")
+    at = {contrast.damping: contrast for contrast in model.contrasts}
+    assert at[0.0].difference == pytest.approx(theirs.fe_params["condition[T.b]"], rel=1e-3)
+    assert model.degrees == 8
+    half = stats.t.ppf(0.975, 8) * theirs.bse_fe["condition[T.b]"]
+    assert (at[0.0].high - at[0.0].low) / 2 == pytest.approx(half, rel=5e-3)
+    apart = theirs.fe_params["condition[T.b]"] + theirs.fe_params["condition[T.b]:damping[T.B3]"]
+    assert at[3.0].difference == pytest.approx(apart, rel=1e-3)
+    assert at[None].difference == pytest.approx(
+        np.mean([at[b].difference for b in (0.0, 3.0, 7.0)]), rel=1e-9
+    )
+    slopes = {slope.name: slope.value for slope in model.slopes}
+    assert slopes == pytest.approx(
+        {"order": theirs.fe_params["order"], "block": theirs.fe_params["block"]}, rel=5e-3
+    )
+    assert all(math.isnan(slope.low) for slope in model.slopes)
+    deviations = [math.sqrt(value) for value in (theirs.cov_re.iloc[0, 0], *theirs.vcomp, theirs.scale)]
+    assert [name for name, _ in model.deviations] == [*mixed.PARTS, "what is left"]
+    assert [value for _, value in model.deviations] == pytest.approx(deviations, rel=0.02)
+    without = [f"limit ~ {what} + order + block" for what in ("damping", "condition", "condition + damping")]
+    whole, *others = (
+        fitted(f, reml=False).llf for f in ("limit ~ condition * damping + order + block", *without)
+    )
+    names = ("condition, at any damping", "damping, in any condition", "condition × damping")
+    assert tuple(test.factor for test in model.tests) == names
+    for test, other, degrees in zip(model.tests, others, (3, 4, 2), strict=True):
+        assert test.statistic == pytest.approx(2 * (whole - other), abs=1e-3)
+        assert test.p == pytest.approx(stats.chi2.sf(2 * (whole - other), degrees), rel=1e-2)
+
+
+def test_repeats_of_one_person_are_no_more_people():
+    """Each run five times over, as alike as can be: nothing is known better of what people have in common."""
+    rows = [
+        replace(row, order=1, block=1)
+        for row in runs_of_people(repeats=1, dampings=(0.0, 1.0, 3.0), scatter=25.0)
+    ]
+    once, often = model_of(rows), model_of(rows * 5)
+    assert [test.p for test in often.tests] == pytest.approx([test.p for test in once.tests], rel=1e-6)
+    for one, other in zip(once.contrasts, often.contrasts, strict=True):
+        assert (other.low, other.high) == pytest.approx((one.low, one.high))
+    assert (once.runs, often.runs) == (48, 240)
+
+
+def test_a_crossover_whose_order_is_taken_out_is_its_two_sample_test():
+    """Each condition once, in either order: two degrees of freedom fewer than there are people."""
+    rows = runs_of_people(people=8, repeats=1, scatter=20.0, order=10.0)
+    (contrast,) = model_of(rows).contrasts
+    by = {(row.participant, row.condition): row.limits["rule"].value for row in rows}
+    first = {row.participant: row.condition for row in rows if row.order == 1}
+    groups = [[by[code, "b"] - by[code, "a"] for code, name in first.items() if name == of] for of in "ab"]
+    expected = stats.ttest_ind(groups[0], np.negative(groups[1])).confidence_interval()
+    assert model_of(rows).degrees == 6
+    assert (contrast.low, contrast.high) == pytest.approx((expected.low / 2, expected.high / 2), rel=1e-3)
+
+
+def test_below_eight_people_there_are_no_likelihood_ratios():
+    few, enough = (model_of(runs_of_people(people=people, scatter=25.0)) for people in (7, 8))
+    assert few.tests == ()
+    assert any("likelihood ratios of factors are left out" in note for note in few.notes)
+    assert [test.factor for test in enough.tests] == ["condition"]
+    assert not any("likelihood" in note for note in enough.notes)
+
+
+def test_a_known_effect_is_within_its_interval_as_often_as_it_says():
+    """Sixteen studies of six people; an interval that took repeats for people would hold it in a third of them."""
+    held = 0
+    for seed in range(16):
+        rows = runs_of_people(people=6, repeats=3, effect=40.0, interaction=20.0, scatter=8.0, seed=seed)
+        (contrast,) = model_of(rows).contrasts
+        held += contrast.low <= 40.0 <= contrast.high
+    assert held >= 13  # fewer in one of a thousand, when it is 95 %
+
+
+def test_without_differences_between_people_it_still_says_what_is_there():
+    rows = runs_of_people(people=8, between=0.0, interaction=0.0, effect=0.0, seed=5)
+    model = model_of(rows)
+    assert model.problem == "" or "did not converge" in model.problem
+    assert all(contrast.low <= 0.0 <= contrast.high for contrast in model.contrasts)
+
+
+def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing():
+    """People who differ in nothing but chance: the optimiser stops somewhere near zero."""
+    rows = runs_of_people(people=8, between=0.0, interaction=0.0, effect=0.0, dampings=(0.0, 3.0), seed=2)
+    model = model_of(rows)
+    none = [name for name, value in model.deviations if value == 0.0]
+    assert none
+    assert all(
+        value == 0.0 or value**2 >= 0.01 * model.deviations[-1][1] ** 2 for _, value in model.deviations
+    )
+    assert f"the variance of {' and of '.join(none)} is estimated as zero" in model.notes
+
+
+def test_the_tests_of_factors_find_the_factor_that_is_there():
+    model = model_of(runs_of_people(people=10, dampings=(0.0, 3.0), effect=60.0))
+    p = {test.factor: (test.degrees, test.p) for test in model.tests}
+    assert p["condition, at any damping"][0] == 2
+    assert p["condition × damping"][0] == 1
+    assert p["condition, at any damping"][1] < 0.001
+    assert p["damping, in any condition"][0] == 2
+    assert p["condition × damping"][1] > 0.01
+
+
+def test_an_order_that_cannot_be_told_from_the_conditions_is_left_out():
+    rows = [replace(row, order=1 + (row.condition == "b"), block=1) for row in runs_of_people()]
+    model = model_of(rows)
+    assert model.slopes == ()
+    assert any("order cannot be told from the conditions" in note for note in model.notes)
+
+
+def test_limits_beyond_the_levels_are_said():
+    rows = runs_of_people(people=8)
+    limit = Limit(value=430.0, low=400.0, high=500.0, censored="above", share=0.5)
+    rows[3] = replace(rows[3], limits={"rule": limit})
+    model = model_of(rows)
+    assert (model.beyond.count, model.contrasts[0].beyond.count) == (1, 1)
+    assert any("1 of 48 limits lie beyond the levels" in note for note in model.notes)
+    assert any("unequal spread can make a difference out of nothing" in note for note in model.notes)
+    assert not any("smaller than they are" in note for note in model.notes)
+
+
+def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_over_it():
+    rows = runs_of_people(people=7, dampings=(0.0, 1.0, 3.0))
+    limit = Limit(value=430.0, low=400.0, high=math.inf, censored="above", share=0.5)
+    stiff = [
+        replace(row, limits={"rule": limit}) if (row.condition, row.damping) == ("b", 3.0) else row
+        for row in rows
+    ]
+    model = model_of(stiff)
+    assert [contrast.damping for contrast in model.contrasts] == [0.0, 1.0]
+    assert ("b", 3.0) not in dict(model.means)
+    assert "21 of 21 limits of b, B = 3 lie beyond the levels, and it is left out" in model.notes
+    withheld = [one.damping for one in kmax.paired(kmax.of_participants(stiff, {}), "ab") if one.withheld]
+    assert withheld == [3.0, None]
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        ([], "0 participants"),
+        (runs_of_people(people=2), "2 participants with a limit, where"),
+        ([run_row(f"P{n}", value=400.0 + n) for n in range(3)], "no two conditions or dampings"),
+        (
+            [run_row(f"P{n}", "ab"[n > 1], value=400.0 + n) for n in range(3)]
+            + [run_row("P2", "a", value=410.0)],
+            "4 values are too few for 3 participants",
+        ),
+        ([run_row(f"P{n}", name) for n in range(5) for name in "ab"], "all limits are alike"),
+    ],
+)
+def test_too_little_is_said_in_a_sentence(rows, why):
+    model = model_of(rows)
+    assert why in model.problem
+    assert model.contrasts == ()
+
+
+def test_without_statsmodels_it_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "statsmodels.regression.mixed_linear_model", None)
+    assert "pip install 'haptic-rig[report]'" in model_of(runs_of_people()).problem
+
+
+# ---------------------------------------------------------------------- order and fatigue
+
+
+def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_mean_is_scipys():
+    drawn = np.random.default_rng(4)
+    rows = [
+        trial_row(
+            f"P{p}", condition=c, trial=int(n), took_s=math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3))
+        )
+        for p in range(4)
+        for c, n in zip("ab" * 10, drawn.permutation(20), strict=True)
+    ]
+    ordinary = import_module("statsmodels.regression.linear_model").OLS
+    theirs = []
+    for person in range(4):
+        own = [row for row in rows if row.participant == f"P{person}"]
+        design = [[float(row.condition == "a"), float(row.condition == "b"), row.trial] for row in own]
+        theirs.append(ordinary([math.log(row.took_s) for row in own], np.array(design)).fit().params[-1])
+    expected = stats.ttest_1samp(theirs, 0.0)
+    found = next(slope for slope in effects.slopes([], rows) if slope.of == "response time")
+    assert (found.participants, found.count) == (4, 80)
+    assert (found.slope, found.p) == pytest.approx((np.mean(theirs), expected.pvalue))
+    assert (found.low, found.high) == pytest.approx(tuple(expected.confidence_interval()))
+
+
+def test_where_each_condition_comes_once_the_slope_is_that_of_a_crossover():
+    drawn = np.random.default_rng(5)
+    people = [
+        (f"P{p}", "ab" if p % 2 else "ba", drawn.normal(400.0, 30.0), drawn.normal(0.0, 5.0))
+        for p in range(8)
+    ]
+    rows = [
+        run_row(
+            code,
+            name,
+            value=mean + drawn.normal(0.0, 4.0) + 20.0 * (name == "b") + tired * order,
+            order=order,
+        )
+        for code, names, mean, tired in people
+        for order, name in enumerate(names, start=1)
+    ]
+    found = next(s for s in effects.slopes(rows, []) if (s.along, s.measure) == ("order", "rule"))
+    by = {(row.participant, row.condition): row.limits["rule"].value for row in rows}
+    first, second = (
+        [by[code, "b"] - by[code, "a"] for code, names, _, _ in people if names == order]
+        for order in ("ab", "ba")
+    )
+    expected = stats.ttest_ind(first, second)
+    interval = expected.confidence_interval()
+    assert found.p == pytest.approx(expected.pvalue)
+    assert (found.low, found.high) == pytest.approx((interval.low / 2, interval.high / 2))
+
+
+def test_people_who_change_at_their_own_pace_widen_the_interval_of_a_slope():
+    """Slopes around zero, most of whose scatter is between people: 95 % of the intervals hold it."""
+    drawn, held, studies = np.random.default_rng(7), 0, 400
+    people, trials = 8, 150
+    cells = [(f"P{person}", "a", 0.0) for person in range(people) for _ in range(trials)]
+    at = np.tile(np.arange(float(trials)), people)
+    for _ in range(studies):
+        pace = np.repeat(drawn.normal(0.0, 0.003, people), trials)
+        found = effects._slope("x", "trial", "", at, pace * at + drawn.normal(0.0, 0.5, len(at)), cells)
+        held += found.low <= 0.0 <= found.high
+    assert stats.binomtest(held, studies, 0.95).pvalue > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("people", "pace", "why"),
+    [
+        (1, 0.01, "it takes 2 participants, for the interval is over their slopes; 1 has one"),
+        (3, 0.01, "the slopes of all participants are alike (0.01)"),
+        (3, 0.0, "all values are alike within participants"),
+    ],
+)
+def test_a_slope_without_an_interval_says_why(people, pace, why):
+    rows = [
+        trial_row(f"P{person}", trial=n, took_s=math.exp(pace * n + person))
+        for person in range(people)
+        for n in range(1, 9)
+    ]
+    found = next(slope for slope in effects.slopes([], rows) if slope.of == "response time")
+    assert why in found.problem
+    assert math.isnan(found.slope)
+    assert math.isnan(found.low)
+
+
+def test_fatigue_is_found_and_what_cannot_be_told_is_said():
+    rows = runs_of_people(people=8, scatter=5.0, block=-12.0)
+    found = {slope.along: slope for slope in effects.slopes(rows, []) if slope.measure == "rule"}
+    assert found["block"].low <= -12.0 <= found["block"].high < 0.0
+    assert found["order"].low <= 0.0 <= found["order"].high
+    assert "cannot be told" in found["trial"].problem  # the same for all runs here
+    once = [replace(row, block=1) for row in rows if row.block == 1]
+    alone = {slope.along: slope for slope in effects.slopes(once[:2], []) if slope.measure == "rule"}
+    assert alone["order"].problem != ""
+
+
+def test_slopes_are_corrected_within_a_quantity():
+    drawn = np.random.default_rng(8)
+    rows = [
+        replace(row, middle=float(drawn.uniform(1.0, 99.0))) for row in runs_of_people(people=8, block=-3.0)
+    ]
+    timed = [
+        trial_row(f"P{p}", trial=n, took_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
+        for p in range(5)
+        for n in range(1, 30)
+    ]
+    found = effects.slopes(rows, timed)
+    limits = [slope for slope in found if slope.measure == "rule"]
+    assert [slope.holm for slope in limits] == kmax.holm([slope.p for slope in limits])
+    assert max(slope.holm / slope.p for slope in limits) == pytest.approx(3.0)
+    (alone,) = [slope for slope in found if slope.of == "response time"]
+    assert alone.holm == alone.p
+
+
+def test_blocks_count_what_happened_in_them():
+    rows = [
+        trial_row(took_s=1.0),
+        trial_row(took_s=3.0, verdict="unsure"),
+        trial_row(void="invalid", verdict="", by="", took_s=None),
+        trial_row(void="redone", aborted="violence", by="", took_s=None),
+        trial_row(block=0, practice=True),
+    ]
+    (block,) = effects.blocks(rows)
+    counts = (block.trials, block.invalid, block.redone, block.aborted, block.unsure, block.response_s)
+    assert counts == (4, 1, 1, 1, 1, 2.0)
+
+
+def test_slower_answers_show_in_the_slope_of_their_logarithm():
+    rows = [
+        trial_row(f"P{person}", trial=n, took_s=math.exp((0.01 + 0.001 * person) * n), repeat=1 + n % 3)
+        for person in range(3)
+        for n in range(1, 40)
+    ]
+    found = next(slope for slope in effects.slopes([], rows) if slope.of == "response time")
+    assert found.slope == pytest.approx(0.011)
+
+
+# ---------------------------------------------------------------------- psychometric functions
+
+LEVELS = tuple(float(level) for level in range(100, 925, 25))
+
+
+def test_known_functions_lie_within_their_intervals():
+    """Verdicts along all levels, of observers with slips: each parameter's interval holds it nearly always."""
+    drawn = np.random.default_rng(6)
+    held = np.zeros(3)
+    for _ in range(40):
+        truth = Observer(
+            threshold=float(drawn.uniform(300, 700)), spread=float(drawn.uniform(10, 50)), slips=0.02
+        )
+        verdicts = [(level, truth.judge(level, drawn)) for level in LEVELS * 6]
+        found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
+        for place, (posterior, value) in enumerate(
+            ((found.threshold, truth.threshold), (found.spread, truth.spread), (found.slips, truth.slips))
+        ):
+            held[place] += posterior.low <= value <= posterior.high
+    assert (held >= 34).all()
+
+
+def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds():
+    verdicts = [(200.0, True), (100.0, True), (200.0, False), (200.0, True)]
+    found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
+    assert (found.levels, found.verdicts, found.stable) == ((100.0, 200.0), (1, 3), (1, 2))
+    assert found.bounded
+    assert not psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts[:2]).bounded
+    share = found.share(np.array([50.0, found.threshold.mean, 2000.0]))
+    assert share[0] > share[1] > share[2]
+    assert share[1] == pytest.approx(0.5)
+
+
+def test_one_climb_tells_little_and_five_tell_where_the_limit_is():
+    """A single verdict that is not stable may be a slip: the median stays near it, and the interval is wide."""
+    climb = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
+    one, five = half_way(LEVELS, climb), half_way(LEVELS, climb * 5)
+    assert one.low < 437.0 < one.high
+    assert one.high - one.low > 4.0 * (five.high - five.low)
+    assert abs(five.value - 437.0) < 15.0
+    held = half_way(LEVELS, climb[:-1])
+    assert (one.censored, held.censored) == ("", "above")
+    assert (held.value, held.high) == (425.0, math.inf)
+    assert half_way(LEVELS, climb * 5, 0.71).value < five.value
+
+
+def test_k50_beyond_the_levels_is_their_end_also_after_slips():
+    verdicts = [(level, level != 300.0) for level in LEVELS] * 2
+    above = half_way(LEVELS, verdicts)
+    assert (above.value, above.high, above.censored) == (LEVELS[-1], math.inf, "above")
+    below = half_way(LEVELS, [(level, level == 300.0) for level in LEVELS] * 2)
+    assert (below.value, below.low, below.censored) == (LEVELS[0], 0.0, "below")
+    found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
+    assert (found.threshold.mean, found.above, found.below, found.bounded) == (LEVELS[-1], 1, 0, False)
+
+
+def test_k50_of_a_function_is_the_median_that_limits_are_made_of():
+    """After one climb the mean of the posterior lies far above it."""
+    climb = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
+    found, limit = psychometric.fit("P01", "a", 0.0, "person", LEVELS, climb), half_way(LEVELS, climb)
+    assert (found.threshold.mean, found.threshold.low, found.threshold.high) == (
+        limit.value,
+        limit.low,
+        limit.high,
+    )
+
+
+def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them():
+    """Verdicts of few people, however many, do not tell where others have their limit."""
+    drawn = np.random.default_rng(8)
+    verdicts, each = [], []
+    for code, threshold in (("P01", 350.0), ("P02", 430.0), ("P03", 560.0)):
+        person = Observer(threshold=threshold, spread=15.0)
+        own = [(level, person.judge(level, drawn)) for level in LEVELS * 4]
+        each.append(psychometric.fit(code, "a", 0.0, "person", LEVELS, own))
+        verdicts += own
+    found = psychometric.together(each, LEVELS, verdicts)
+    own = np.array([one.threshold.mean for one in each])
+    interval = stats.t.interval(0.95, 2, own.mean(), stats.sem(own))
+    assert found.threshold.mean == pytest.approx(own.mean())
+    assert (found.threshold.low, found.threshold.high) == pytest.approx(interval)
+    assert (found.participant, found.participants, sum(found.verdicts)) == ("", 3, len(verdicts))
+    assert found.spread.mean > max(one.spread.mean for one in each)  # people differ
+    for parameter in (found.spread, found.slips):
+        assert math.isnan(parameter.low)
+        assert math.isnan(parameter.high)
+    two = psychometric.together(each[:2], LEVELS, verdicts[: len(verdicts) * 2 // 3])
+    assert two.threshold.mean == pytest.approx(own[:2].mean())
+    assert math.isnan(two.threshold.low)

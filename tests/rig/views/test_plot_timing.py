@@ -1,0 +1,75 @@
+"""The picture of the ledger: any ledger can be drawn, the same one gives the same bytes, and axes have units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.core.clock_fit import ClockFit
+from rig.core.errors import RecordingError
+from rig.core.sample import ROW
+from rig.recording.timing import LATENESS, NO_AGE, STAGES, ledger, summarise
+from rig.views.plots import style
+from rig.views.plots.timing import COLOURS, draw_timing, label
+
+FIT = ClockFit(0, 10**12, 0.0, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)
+
+
+def rows_of(count, *, spread=1.0, seed=1):
+    rows = np.zeros(count, ROW)
+    number = np.arange(count)
+    noise = np.random.default_rng(seed).exponential(5e4, (4, count)) * spread
+    rows["tick"] = rows["sample_index"] = number
+    rows["device_time"] = number * 1_000_000
+    for before, name, wait in zip(
+        ("device_time", "received_at", "computed_at"),
+        ("received_at", "computed_at", "sent_at"),
+        noise,
+        strict=False,
+    ):
+        rows[name] = rows[before] + wait.astype(np.int64)
+    rows["received_at"] += 10**12
+    rows["computed_at"] += 10**12
+    rows["sent_at"] += 10**12
+    rows["lateness"] = noise[3]
+    rows["command_sequence"] = number % 65536
+    rows["command_in_force"] = (number - 2) % 65536
+    rows["command_age"] = np.where(number < 2, NO_AGE, 1)
+    return rows
+
+
+def drawn(rows, fit, path, **options):
+    found = ledger(rows, fit, 1e6)
+    return draw_timing(found, summarise(found, None), path, **options).read_bytes()
+
+
+def test_the_same_ledger_gives_the_same_bytes(tmp_path):
+    first = drawn(rows_of(5_000), FIT, tmp_path / "a.png", title="a run")
+    assert first.startswith(b"\x89PNG")
+    assert drawn(rows_of(5_000), FIT, tmp_path / "b.png", title="a run") == first
+    assert drawn(rows_of(5_000, seed=2), FIT, tmp_path / "c.png", title="a run") != first
+
+
+@pytest.mark.parametrize("count", [0, 1, 2_001])
+@pytest.mark.parametrize("fit", [FIT, None], ids=["clock", "no-clock"])
+@pytest.mark.parametrize("spread", [0.0, 1.0, -3.0])
+def test_any_ledger_can_be_drawn(tmp_path, count, fit, spread):
+    """No ticks, one, no time passing (virtual time), times before their causes (clocks that are wrong)."""
+    assert drawn(rows_of(count, spread=spread), fit, tmp_path / "x.png").startswith(b"\x89PNG")
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path):
+    with pytest.raises(RecordingError, match="cannot write the picture"):
+        drawn(rows_of(10), FIT, tmp_path / "nowhere" / "x.png")
+
+
+def test_axes_have_units_and_every_stage_a_colour(tmp_path, monkeypatch):
+    figures = []
+    save = style.save
+    monkeypatch.setattr(style, "save", lambda figure, path: figures.append(figure) or save(figure, path))
+    drawn(rows_of(500), FIT, tmp_path / "x.png")
+    (figure,) = figures
+    texts = [axes.get_xlabel() for axes in figure.axes]
+    assert all("µs" in text or "(s)" in text for text in texts)
+    assert set(COLOURS) == {*STAGES, LATENESS}
+    assert len({label(name) for name in COLOURS}) == len(COLOURS)

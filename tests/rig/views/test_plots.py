@@ -1,0 +1,283 @@
+"""Pictures: of any recording, without a display, the same bytes for the same input, units in every label."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+if numba.config.DISABLE_JIT:
+    pytest.skip("recordings are made by the compiled loop", allow_module_level=True)
+
+from rig import config
+from rig.config import presets
+from rig.core.errors import RigError
+from rig.core.sample import Phase, RowFlag
+from rig.devices.framed import FramedDevice
+from rig.experiments.replay import replay
+from rig.experiments.trial import TrialRequest, run_trial
+from rig.recording.reader import open_recording
+from rig.views.plots import style
+from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure
+from rig.views.plots.replay import draw_replay
+from sim_backend.device import SimulatedDevice
+from sim_backend.link import MemoryLink
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A sealed hit with its truth."""
+    experiment = config.override(
+        presets.load("koul-compliant"),
+        {"trial.duration_s": 0.15, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.05},
+    )
+    directory = tmp_path_factory.mktemp("plots")
+    with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
+        request = TrialRequest(
+            experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0
+        )
+        return run_trial(device, request).recording
+
+
+@pytest.fixture(scope="module")
+def recording(path):
+    return open_recording(path)
+
+
+def without_truth(recording):
+    names = [name for name in recording.names if not name.endswith("_true")]
+    rows = np.zeros(len(recording), [(name, recording.rows.dtype[name]) for name in names])
+    for name in names:
+        rows[name] = recording.rows[name]
+    return replace(recording, rows=rows)
+
+
+def changed(recording, **columns):
+    rows = recording.rows.copy()
+    for name, value in columns.items():
+        rows[name] = value
+    return replace(recording, rows=rows)
+
+
+def line(axes, label):
+    """The line of a panel that the legend calls so."""
+    (found,) = [candidate for candidate in axes.lines if candidate.get_label() == label]
+    return found
+
+
+def panels(figure):
+    """Panels of position, velocity and effort: those of the impact, those of the whole push."""
+    return np.reshape(figure.axes, (3, 2)).T
+
+
+def size_of(png):
+    """Width and height in pixels; asserts that it is a PNG."""
+    assert png.startswith(b"\x89PNG\r\n\x1a\n")
+    assert png.endswith(b"IEND\xaeB`\x82")
+    return struct.unpack(">II", png[16:24])
+
+
+def drawn(recording, directory):
+    return style.save(hit_figure(recording), directory / "picture.png").read_bytes()
+
+
+# ---------------------------------------------------------------------- the picture of a hit
+
+
+def test_a_hit_is_drawn_beside_its_recording_as_a_png(path):
+    picture = draw_hit(path)
+    assert picture == path.with_suffix(".png")
+    png = picture.read_bytes()
+    width, height = size_of(png)
+    assert 600 <= height <= width <= 2000
+    assert 20_000 < len(png) < 500_000
+
+
+def test_the_same_recording_gives_the_same_bytes(path, tmp_path):
+    first, second = (draw_hit(path, tmp_path / f"{n}.png").read_bytes() for n in (1, 2))
+    assert first == second
+
+
+def test_the_picture_shows_the_hit_from_shortly_before_contact(recording):
+    impact, push = panels(hit_figure(recording))
+    measured = line(push[0], "measured")
+    time_s = measured.get_xdata()
+    contact = np.flatnonzero((recording.rows["phase"] == Phase.TRIAL) & (recording.rows["penetration"] > 0))[
+        0
+    ]
+    assert -BEFORE_CONTACT_S - 1e-3 <= time_s[0] < 0.0
+    zero = np.flatnonzero(time_s == 0.0)
+    assert len(zero) == 1
+    first = contact - zero[0]
+    shown = recording.rows[first : first + len(time_s)]
+    np.testing.assert_allclose(measured.get_ydata(), 1e3 * shown["position"])
+    assert shown["phase"][-1] == Phase.TRIAL
+    assert recording.rows["phase"][first + len(time_s)] == Phase.RELEASE
+    earlier = line(impact[0], "measured")
+    np.testing.assert_array_equal(earlier.get_ydata(), measured.get_ydata()[: len(earlier.get_ydata())])
+    assert [axes.get_ylabel() for axes in impact] == ["position (mrad)", "velocity (rad/s)", "effort (N·m)"]
+    assert all("contact (s)" in column[2].get_xlabel() for column in (impact, push))
+    labels = {text.get_text() for axes in push for text in axes.get_legend().get_texts()}
+    assert {"measured", "true, handle", "estimated", "sent: wall and push", "wall alone", "wall"} <= labels
+
+
+def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording):
+    effort = panels(hit_figure(recording))[1][2]
+    wall, sent = line(effort, "wall alone"), line(effort, "sent: wall and push").get_ydata()
+    pushed = wall.get_xdata() >= 0.0
+    assert wall.get_ydata().min() < 0.0, "against the push, which is positive"
+    push = recording.experiment["trial"]["effort"]
+    quantum = np.min(np.diff(np.unique(sent)))
+    np.testing.assert_allclose(sent[pushed], push + wall.get_ydata()[pushed], atol=0.501 * quantum)
+
+
+def test_the_title_says_rig_verdict_wall_and_rates(recording):
+    title = hit_figure(recording)._suptitle.get_text()
+    for words in (
+        "koul-compliant",
+        "K = 300 N·m/rad",
+        "B = ",
+        "dual-rate 20/",
+        "fdm-butterworth",
+        "finished",
+    ):
+        assert words in title
+    verdict = {"kind": "limit cycle", "reasons": ["heard"]}
+    judged = replace(recording, trailer={**recording.trailer, "verdict": verdict})
+    assert "limit cycle: heard" in hit_figure(judged)._suptitle.get_text()
+    assert "not finished" in hit_figure(replace(recording, trailer=None))._suptitle.get_text()
+
+
+def test_the_wall_is_shaded_on_its_side(recording):
+    for side in (1, -1):
+        experiment = {**recording.experiment, "wall": {**recording.experiment["wall"], "side": side}}
+        mirrored = replace(recording, header={**recording.header, "experiment": experiment})
+        for column in panels(hit_figure(mirrored)):
+            (wall,) = column[0].patches
+            assert (wall.get_y() == 0.0) == (side == 1)
+
+
+def test_saturation_and_gaps_are_marked(recording):
+    limit = recording.experiment["rig"]["limits"]["effort"]
+
+    def marks(shown):
+        return {drawn.get_label() for axes in hit_figure(shown).axes for drawn in axes.lines}
+
+    words = {f"at ±{limit:g}", "gap in the samples"}
+    assert not marks(recording) & words
+    flags = recording.rows["flags"].copy()
+    flags[-3000::100] |= int(RowFlag.SATURATED | RowFlag.GAP)
+    assert words <= marks(changed(recording, flags=flags))
+
+
+def test_impact_and_whole_push_have_one_scale(recording):
+    """A handle that is thrown far later on is drawn in one unit all the same: the panels share their axis."""
+    thrown = recording.rows["position"].copy()
+    thrown[-1500:] = -0.7
+    verdict = {"kind": "unstable", "reasons": [], "settling_s": 0.03}
+    late = replace(changed(recording, position=thrown), trailer={**recording.trailer, "verdict": verdict})
+    impact, push = panels(hit_figure(late))
+    assert impact[0].get_ylabel() == "position (rad)"
+    earlier, whole = (line(column[0], "measured").get_ydata() for column in (impact, push))
+    assert len(earlier) < len(whole) - 1000
+    np.testing.assert_array_equal(earlier, whole[: len(earlier)])
+
+
+# ---------------------------------------------------------------------- recordings that are not whole
+
+
+def test_without_contact_the_whole_run_is_drawn(recording, tmp_path):
+    missed = changed(recording, penetration=-1.0)
+    _, whole = panels(hit_figure(missed))
+    assert len(line(whole[0], "measured").get_xdata()) == len(recording)
+    size_of(drawn(missed, tmp_path))
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_next_to_nothing_is_drawn_too(rows, recording, tmp_path):
+    size_of(drawn(replace(recording, rows=recording.rows[:rows], trailer=None, complete=False), tmp_path))
+
+
+def test_a_handle_that_never_moves_is_drawn(recording, tmp_path):
+    for position in (0.0, 0.01, -0.3):
+        still = changed(recording, position=position, handle_position_true=position, velocity=0.0)
+        experiment = {**recording.experiment, "wall": {**recording.experiment["wall"], "position": position}}
+        size_of(drawn(replace(still, header={**recording.header, "experiment": experiment}), tmp_path))
+
+
+def test_a_recording_of_a_real_rig_has_no_truth(recording, tmp_path):
+    figure = hit_figure(without_truth(recording))
+    labels = {curve.get_label() for axes in figure.axes for curve in axes.lines}
+    assert not any("true" in label for label in labels)
+    size_of(style.save(figure, tmp_path / "x.png").read_bytes())
+
+
+def test_a_law_that_went_wrong_is_drawn(recording, tmp_path):
+    wrong = recording.rows["effort_wall"].copy()
+    wrong[-20:] = np.nan
+    wrong[-5:] = np.inf
+    size_of(drawn(changed(recording, effort_wall=wrong, velocity=wrong), tmp_path))
+
+
+def test_samples_without_truth_are_drawn(recording, tmp_path):
+    gone = recording.rows["handle_position_true"].copy()
+    gone[10:] = np.nan
+    size_of(drawn(changed(recording, handle_position_true=gone, velocity_true=gone), tmp_path))
+
+
+def test_a_torn_capture_is_drawn(recording, tmp_path):
+    size_of(
+        drawn(
+            replace(recording, rows=recording.rows[: len(recording) // 2], trailer=None, complete=False),
+            tmp_path,
+        )
+    )
+
+
+def test_a_linear_rig_is_drawn_in_its_units(recording):
+    linear, _ = panels(hit_figure(replace(recording, header={**recording.header, "motion": "linear"})))
+    assert [axes.get_ylabel() for axes in linear] == ["position (mm)", "velocity (m/s)", "effort (N)"]
+
+
+def test_a_picture_that_cannot_be_written_says_so(path, tmp_path):
+    with pytest.raises(RigError, match=r"nowhere") as caught:
+        draw_hit(path, tmp_path / "nowhere" / "x.png")
+    assert caught.value.remedy
+    assert not (tmp_path / "nowhere").exists()
+
+
+# ---------------------------------------------------------------------- the picture of a replay
+
+
+def test_a_replay_is_drawn_against_its_recording(recording, tmp_path):
+    result = replay(recording, {"controller.estimator": "fdm"})
+    pictures = [draw_replay(recording, result, tmp_path / f"{n}.png").read_bytes() for n in (1, 2)]
+    assert pictures[0] == pictures[1]
+    assert size_of(pictures[0]) == (9 * style.DPI, 5 * style.DPI)
+    empty = replace(recording, rows=recording.rows[:0])
+    size_of(draw_replay(empty, replay(empty), tmp_path / "empty.png").read_bytes())
+
+
+# ---------------------------------------------------------------------- no display
+
+
+def test_no_display_and_no_window_toolkit_is_needed(path, tmp_path):
+    code = (
+        "import sys; from rig.views.plots.hit import draw_hit; "
+        f"draw_hit({str(path)!r}, {str(tmp_path / 'x.png')!r}); "
+        "assert not {'matplotlib.pyplot', 'tkinter'} & set(sys.modules)"
+    )
+    bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        check=True,
+        timeout=60,
+        env={**bare, "MPLBACKEND": "tkagg"},
+    )
+    assert (tmp_path / "x.png").read_bytes() == draw_hit(path, tmp_path / "y.png").read_bytes()
