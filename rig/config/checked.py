@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, get_type_hints
 
 from rig.config.files import Table, nest
 from rig.config.problems import Problem, did_you_mean
@@ -20,7 +20,7 @@ from rig.core.quantity import STRICT
 from rig.core.sample import Motion
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
+    from pydantic import ConfigDict, TypeAdapter
     from pydantic_core import ErrorDetails
 
 T = TypeVar("T")
@@ -137,7 +137,7 @@ class _Changing:
             for name in known
             if name in changes
         }
-        for name in changes.keys() - known.keys():
+        for name in (name for name in changes if name not in known):
             self._refused("unexpected_keyword_argument", (*path, name))
         if len(self.errors) > before:
             return section
@@ -210,10 +210,10 @@ def _adapter(root: type) -> TypeAdapter[Any]:
 
 @cache
 def _adapter_of_key(section: type, name: str) -> TypeAdapter[Any]:
-    from pydantic import ConfigDict, TypeAdapter  # noqa: PLC0415
+    from pydantic import TypeAdapter  # noqa: PLC0415
 
     hint = get_type_hints(section, include_extras=True)[name]
-    return TypeAdapter(hint, config=ConfigDict(**STRICT))
+    return TypeAdapter(hint, config=cast("ConfigDict", STRICT))
 
 
 def _jsonable(value: Any) -> Any:

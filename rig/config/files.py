@@ -48,7 +48,7 @@ def parse_toml(text: str, source: str) -> Table:
 @cache
 def preset_names() -> tuple[str, ...]:
     """Names of the presets that this package ships."""
-    found = (files("rig") / "presets").iterdir()
+    found = (files("rig.config") / "presets").iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
 
 
@@ -57,7 +57,7 @@ def preset_text(name: str) -> str:
     if name not in preset_names():
         choice = f"choose one of: {', '.join(preset_names())}"
         raise ConfigError(f"there is no preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
-    return (files("rig") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
+    return (files("rig.config") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
 
 
 def preset_table(name: str) -> Table:

@@ -99,7 +99,7 @@ def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str)
 
 
 def checked(experiment: Experiment, source: str) -> Experiment:
-    """Return an experiment of checked values whose keys agree with each other; `ConfigError` lists those that do not."""
+    """Return an experiment of good values whose keys agree with each other; `ConfigError` lists those that do not."""
     with _computable(source):
         problems = broken_rules(experiment)
     if problems:
@@ -172,7 +172,8 @@ def _validated(table: Table, source: str) -> Experiment:
     """Check every value and every rule of a whole file."""
     table = _with_defaults(table)
     with _computable(source):
-        experiment, problems = typed(EXPERIMENT, table, _motion(table))
+        found = typed(EXPERIMENT, table, _motion(table))
+    experiment, problems = found
     problems += _wrong_realtime(table.get("realtime", {}))
     if problems or experiment is None:
         raise config_error(problems, source)
