@@ -109,8 +109,7 @@ def hit(
         except RigError as error:
             bars.stop()
             failure = error
-            if error.recording is not None:
-                _show_what_was_recorded(error.recording, artist, quiet=as_json)
+            _show_what_was_recorded(error, artist, quiet=as_json)
     if as_json:
         output.print_json({"hits": done, "error": None if failure is None else output.error_facts(failure)})
     if failure is not None:
@@ -180,22 +179,23 @@ def _say_gate(gate: Gate) -> None:
     click.echo(f"rig: arming although ({why}): {gate.text}", err=True)
 
 
-def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> None:
-    """Judge and draw a run that ended early, as far as it got."""
-    from rig.experiments.judgement import experiment_of, judge  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
+def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> None:
+    """Show and draw a run that ended early, as far as it got."""
+    from rig.experiments.hit import left_by  # noqa: PLC0415
 
-    picture = artist.draw(recording)
+    try:
+        left = left_by(error)
+    except RigError as unreadable:
+        click.echo(f"rig: {unreadable}", err=True)
+        return
+    if left is None:
+        return
+    picture = artist.draw(left.path)
     if quiet:
         return
-    try:
-        opened = open_recording(recording)
-        experiment, verdicts = experiment_of(opened), judge(opened)
-    except RigError as error:
-        click.echo(f"rig: {error}", err=True)
-        return
-    click.echo(output.headline(experiment))
-    _print_pairs(output.verdict_pairs(experiment, *verdicts), recording, picture)
+    click.echo(output.headline(left.experiment))
+    verdicts = left.judgement.verdict, left.judgement.verdict_true
+    _print_pairs(output.verdict_pairs(left.experiment, *verdicts), left.path, picture)
 
 
 def _print_pairs(pairs: list[tuple[str, str]], recording: Path, picture: str | None) -> None:

@@ -22,7 +22,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
 
     opened = open_recording(recording)
     experiment = experiment_of(opened)
-    verdict, true = judge(opened)
+    judgement = judge(opened, experiment)
     if plot is not None:
         from rig.views.plots.hit import draw_hit  # noqa: PLC0415
 
@@ -30,7 +30,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     happened = _marks(opened) if marks else None
     if as_json:
         told = {} if happened is None else {"marks": [mark.as_mapping() for mark in happened]}
-        output.print_json({**_facts(opened, verdict, true), **told})
+        output.print_json({**_facts(opened, judgement), **told})
         return
     click.echo(output.headline(experiment))
     header, trailer = opened.header, opened.trailer or {}
@@ -46,7 +46,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
         pairs.append(("beside the host's law", _agreement(trailer["law_agreement"])))
     if trailer.get("error"):
         pairs.append(("error", trailer["error"]))
-    output.print_pairs([*pairs, *output.verdict_pairs(experiment, verdict, true)])
+    output.print_pairs([*pairs, *output.verdict_pairs(experiment, judgement.verdict, judgement.verdict_true)])
     if happened is not None:
         click.echo("marks")
         output.print_pairs(_mark_pairs(happened))
@@ -95,12 +95,10 @@ def _agreement(found: dict[str, Any]) -> str:
     )
 
 
-def _facts(opened: Any, verdict: Any, true: Any) -> dict[str, Any]:
-    from rig.experiments.judgement import as_trailer  # noqa: PLC0415
-
+def _facts(opened: Any, judgement: Any) -> dict[str, Any]:
     return {
         "header": opened.header,
-        "trailer": {**(opened.trailer or {}), **as_trailer(verdict, true)},
+        "trailer": {**(opened.trailer or {}), **judgement.as_trailer()},
         "rows": len(opened.rows),
         "complete": opened.complete,
         "lost": [str(loss) for loss in opened.lost],

@@ -22,6 +22,7 @@ from rig.config.derive import (
     verdict_limits,
 )
 from rig.config.load import (
+    LOOP,
     as_mapping,
     experiment_from_mapping,
     load_experiment,
@@ -43,6 +44,7 @@ from rig.config.sections import (
 from rig.config.table import Described, describe, json_schema
 
 __all__ = [
+    "LOOP",
     "Controller",
     "Described",
     "Excitation",
