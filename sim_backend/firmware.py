@@ -26,11 +26,12 @@ from firmware_protocol.parameters import PARAMETERS
 from rig.core import board
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
+from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
 from sim_backend.configuration import describe
 from sim_backend.firmware_library import Mechanics, Setup, Status
 from sim_backend.hardware import Hardware
-from sim_backend.lockstep import DUE, INPUTS, WORDS, Lockstep
+from sim_backend.lockstep import DUE, INPUTS, WORDS, Lockstep, run_ticks
 from sim_backend.safety import UNITS_PER_SECOND
 
 OUTPUT_BYTES = 65536
@@ -96,6 +97,7 @@ class Core:
 
     def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
         """Return what compiled ticks need of it; `words` is the memory that both share."""
+        prepare(run_ticks)
         drive, sample = _address(self.library.lockstep_drive), _address(self.library.lockstep_sample)
         return Lockstep(drive, sample, self.address, words.ctypes.data, words)
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from rig.core.model import RigModel
+from rig.realtime.kernel import prepare
 from sim_backend.inner import Vector
 from sim_backend.led import Led
 from sim_backend.lockstep import (
@@ -62,6 +63,7 @@ class Hardware:
     """
 
     def __init__(self, model: RigModel, rate: int, *, seed: int, initial_position: float | None) -> None:
+        prepare(advance, current_quanta)  # a board does not compile between two ticks
         if initial_position is None:
             initial_position = model.simulation.initial_position or 0.0
         self._model = model

@@ -27,13 +27,17 @@ from rig.control.step import Controller
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.core.errors import RigError, StoppedError
 from rig.core.sample import Phase
+from rig.devices.device import Link
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.experiments.endings import error_of
 from rig.experiments.judgement import Judgement
-from rig.loop import exchange
+from rig.loop import exchange, host, supervise
 from rig.loop.layout import EndReason
-from rig.loop.run import LoopEnd, LoopSettings, LoopThread
+from rig.loop.run import LoopEnd, LoopSettings, LoopThread, prepare_loop
 from rig.loop.signals import Signals, stop_on_signals
+from rig.loop.supervised import BOUNDS, SupervisedThread
+from rig.realtime.kernel import prepare
+from rig.realtime.mailbox import take
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
 from rig.recording.data import Recording
@@ -215,10 +219,10 @@ def _arm(
     signals: Signals,
 ) -> LoopThread:
     """Arm the device, and make the loop that goes with where the law runs."""
-    experiment, host, virtual = run.experiment, run.experiment.host, device.link.clock.virtual
+    experiment, virtual = run.experiment, device.link.clock.virtual
     period_s = 1.0 / experiment.controller.position_rate
     # Before arming, because an armed device waits for half a second only: what must be compiled, and memory.
-    thread = _loop_of(run)
+    thread = _loop_of(run, device.link)
     realtime.prefault(ring.buffer)
     settings = LoopSettings(
         period_ns=round(period_s * 1e9),
@@ -228,9 +232,9 @@ def _arm(
         device_tick_ps=round(device.dictionary.time_unit_ns * 1000),
         current_quantum_a=device.dictionary.current_quantum_a,
         wait_for_room=virtual,
-        host_paced=host.pacing == "host",
-        stop_when_late=host.overrun == "stop",
-        spin_ns=0 if virtual else round(min(host.spin_s, SPIN_SHARE * period_s) * 1e9),
+        host_paced=experiment.host.pacing == "host",
+        stop_when_late=experiment.host.overrun == "stop",
+        spin_ns=0 if virtual else round(min(experiment.host.spin_s, SPIN_SHARE * period_s) * 1e9),
         wake_descriptor=signals.descriptor,
         exchange_every_ns=exchange.EVERY_NS,
     )
@@ -242,18 +246,19 @@ def _arm(
         settings,
         ring,
         realtime=realtime,
-        heartbeat_s=host.heartbeat_s,
+        heartbeat_s=experiment.host.heartbeat_s,
         nonce=device.nonce,
     )
 
 
-def _loop_of(run: Run) -> Callable[..., LoopThread]:
-    """The thread of the loop, for a law here or on the device; that one is compiled only where it is wanted."""
+def _loop_of(run: Run, link: Link) -> Callable[..., LoopThread]:
+    """The thread of the loop, for a law here or on the device, with all that it runs compiled."""
     rates = run.experiment.controller
     if rates.loop == "host":
+        prepare_loop(host.run, link, run.controller)
         return LoopThread
-    from rig.loop.supervised import SupervisedThread  # noqa: PLC0415
-
+    prepare_loop(supervise.run, link, run.controller)
+    prepare(take)  # what the thread takes from the mailbox becomes a block for the device
     arithmetic = device_law.arithmetic_of(rates)
     return partial(SupervisedThread, live=partial(device_law.live_parameters, run.controller, arithmetic))
 
@@ -262,8 +267,6 @@ def _supervising(
     settings: LoopSettings, experiment: Experiment, parameters: Mapping[str, Value]
 ) -> LoopSettings:
     """The settings of a loop that says how to go on, and computes the same rows."""
-    from rig.loop.supervised import BOUNDS  # noqa: PLC0415
-
     return replace(
         settings,
         lifetime_us=int(parameters["supervise_lifetime_us"]),

@@ -24,6 +24,7 @@ from rig.loop import host
 from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason
 from rig.realtime import ring as words
 from rig.realtime.codec import STATE
+from rig.realtime.kernel import prepare
 from rig.realtime.mailbox import SET_FLOATS
 from rig.realtime.ring import Ring
 
@@ -97,6 +98,16 @@ COUNTERS = {
     "parameter_set": words.PARAMETER_SET,
     "errno": words.END_ERRNO,
 }
+
+
+def prepare_loop(loop: Any, link: Link, controller: Controller) -> None:
+    """Compile or load all that a run reaches, before the device is armed: inside a loop nothing compiles.
+
+    `loop` is the compiled function of the thread: `rig.loop.host.run` or `rig.loop.supervise.run`.
+    """
+    port = link.port()
+    far_end = (port.read, port.write, port.wait, port.now, port.sleep)
+    prepare(loop, *far_end, controller.estimator.estimator.update, controller.law.law.function)
 
 
 class LoopThread:

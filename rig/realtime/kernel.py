@@ -18,10 +18,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy
+from numba.core import typeinfer
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
 
 from rig.realtime.source_files import compiled_files
 
@@ -103,16 +106,69 @@ def mark_warm() -> None:
         _MARK.touch()
 
 
+class Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A function that is compiled, or loaded from the disk cache, when it is first needed, and then never again.
+
+    Declaring one costs nothing, so a module may hold kernels that a run does not reach. What needs it (a call from
+    Python, a kernel that calls it, a plug point that takes it) compiles the declared signatures and no others: an
+    argument of another type is converted or refused, as if they had been compiled at once. Before a loop starts,
+    `prepare` has done that: inside a loop nothing compiles.
+    """
+
+    declared: tuple[Any, ...] = ()
+
+    @property
+    def prepared(self) -> bool:
+        """Whether its machine code is there."""
+        return not self._can_compile
+
+    def prepare(self) -> None:
+        """Compile or load the declared signatures; the second time nothing happens."""
+        with global_compiler_lock, typeinfer.register_dispatcher(self):
+            if self._can_compile:
+                for signature in self.declared:
+                    self.compile(signature)
+                self.disable_compile()
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        if self.prepared:
+            return super()._compile_for_args(*args, **kws)
+        self.prepare()
+        return self  # numba calls it again, and finds machine code
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Types of a call in another kernel."""
+        if not (self.prepared or self.is_compiling):
+            self.prepare()
+        return super().get_call_template(args, kws)
+
+    def get_compile_result(self, sig: Any) -> Any:
+        """Machine code for a plug point."""
+        self.prepare()
+        return super().get_compile_result(sig)
+
+    def get_function_type(self) -> Any:
+        """Type of the plug point that it fits."""
+        self.prepare()
+        return super().get_function_type()
+
+
+def prepare(*functions: Any) -> None:
+    """Compile or load kernels; what is none (a `NativeFunction`, or a plain function without the compiler) is ready."""
+    for function in functions:
+        if isinstance(function, Kernel) and not function.prepared:
+            function.prepare()
+
+
 def kernel(
     signature: Any, *, cache: bool = True, inline: bool = False, borrow: bool = False
 ) -> Callable[[F], F]:
-    """Compile a plain function for the loop: no GIL, cached on disk, one signature, numpy's error model.
+    """Declare a plain function as compiled: no GIL, cached on disk, one signature, numpy's error model.
 
     Parameters
     ----------
     signature
-        numba signature, or a list of them. It is compiled at once, so that no call ever waits for the
-        compiler.
+        numba signature, or a list of them: what it will be compiled for, and nothing else.
     cache
         Keep the machine code on disk. Third parties' laws outside this project must say False, because
         their sources are not part of the key.
@@ -128,13 +184,25 @@ def kernel(
     A kernel allocates nothing and raises nothing; a value that is not finite is handled by `rig.control.guard`.
     With ``NUMBA_DISABLE_JIT=1`` the plain function is returned, so that tests and coverage see it.
     """
-    options: dict[str, Any] = {"nogil": True, "cache": cache, "error_model": "numpy", "fastmath": False}
+    options: dict[str, Any] = {
+        "nopython": True,
+        "boundscheck": None,
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": False,
+    }
     if inline:
         options["forceinline"] = True
     if borrow:
         options["_nrt"] = False
 
     def decorate(function: F) -> F:
-        return numba.njit(signature, **options)(function)  # type: ignore[no-any-return]
+        if numba.config.DISABLE_JIT:
+            return function
+        declared = Kernel(py_func=function, targetoptions=options)
+        if cache:
+            declared.enable_caching()
+        declared.declared = tuple(signature) if isinstance(signature, list) else (signature,)
+        return cast("F", declared)
 
     return decorate

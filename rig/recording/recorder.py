@@ -29,7 +29,7 @@ from rig.core.errors import RecordingError
 from rig.core.sample import ROW
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import crc32
-from rig.realtime.kernel import kernel
+from rig.realtime.kernel import kernel, prepare
 from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS, Ring
 from rig.realtime.system import EIO, descriptor_write, last_error, monotonic_now, sleep_until
 from rig.recording.canonical import plain
@@ -219,6 +219,7 @@ class Recorder:
     ) -> None:
         if header["schema"]["row_bytes"] != ROW.itemsize or sys.byteorder != "little":
             raise RecordingError("the header does not describe the rows of the loop")
+        prepare(record)
         self.path = Path(path)
         self._ring = ring
         self._block = np.zeros(_HEAD_WORDS + block_rows * _ROW_WORDS + 1, dtype=np.int64)

@@ -25,8 +25,8 @@ from rig.session.search.observer import Observer, performance
 from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]
-TABLE = ROOT / "tests" / "rig" / "data" / "search_observers.json"
-GUIDE = ROOT / "rig" / "search" / "README.md"
+TABLE = ROOT / "tests" / "rig" / "session" / "data" / "search_observers.json"
+GUIDE = ROOT / "rig" / "session" / "search" / "README.md"
 REGENERATE = "python -m tests.benchmarks.observers"
 
 LEVELS = tuple(float(level) for level in range(100, 825, 25))

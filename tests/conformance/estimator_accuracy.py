@@ -27,8 +27,8 @@ from rig.experiments.tuning import tune
 from tests.conformance import guides
 
 ROOT = Path(__file__).parents[2]
-TABLE = ROOT / "tests" / "rig" / "data" / "estimator_accuracy.json"
-GUIDE = ROOT / "rig" / "estimators" / "README.md"
+TABLE = ROOT / "tests" / "rig" / "control" / "data" / "estimator_accuracy.json"
+GUIDE = ROOT / "rig" / "control" / "estimators" / "README.md"
 REGENERATE = "python -m tests.conformance.estimator_accuracy"
 
 FINE, COARSE = 1e-6, 2e-5  # Chawda et al.'s linear encoder, and a handle behind a 1000-line rotary one

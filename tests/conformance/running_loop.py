@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 PROGRAM = """
 import json, sys, threading, time
 import numpy as np
-from rig import ring as words
+from rig.realtime import ring as words
 from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring
 

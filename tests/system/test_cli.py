@@ -345,7 +345,8 @@ class Hidden:
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Hidden())
 import rig.cli
-from rig import config, presets
+from rig import config
+from rig.config import presets
 from rig.devices.local import serve_locally
 for arguments, code in json.loads(sys.argv[1]):
     assert rig.cli.run(arguments) == code, arguments

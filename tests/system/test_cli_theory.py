@@ -175,7 +175,7 @@ def test_it_needs_no_simulation(tmp_path):
     script = (
         "import sys\n"
         "sys.modules['sim_backend'] = None\n"
-        "from rig import theory\n"
+        "from rig.analysis import theory\n"
         "found = theory.theory_of('koul-rigid', ['dual:20k/2k'], operator='normal')\n"
         "assert found.schemes[0].at_zero.limit.stiffness > 0.0\n"
         "print([m for m in sys.modules if m.startswith('sim_backend.')])\n"

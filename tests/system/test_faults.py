@@ -330,7 +330,8 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path):
 HOST = """
 import sys
 from pathlib import Path
-from rig import config, presets
+from rig import config
+from rig.config import presets
 from rig.devices import open_device
 from tests.conformance.trials import trial_on
 x = config.override(config.with_realtime(presets.load("koul-compliant")), {"trial.duration_s": 30.0})

@@ -1,6 +1,6 @@
 """What exact linear theory says of dual-rate walls: no simulation, no trial, milliseconds.
 
-    from rig import theory
+    from rig.analysis import theory
 
     theory.k_max("koul-compliant", "dual:20k/2k", 0.5).stiffness
     theory.spectral_radius("my-rig.toml", "uniform:20k", stiffness=560.0, damping=0.0)

@@ -585,7 +585,7 @@ def test_plug_ins_are_checked_by_name_and_setting() -> None:
 def test_describing_an_experiment_costs_no_pydantic_and_loading_one_no_numba() -> None:
     code = (
         "import sys, rig.config; assert 'pydantic' not in sys.modules\n"
-        "from rig import presets; presets.load('koul-compliant')\n"
+        "from rig.config import presets; presets.load('koul-compliant')\n"
         "heavy = {'numba', 'scipy', 'matplotlib', 'pyarrow'} & set(sys.modules); assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

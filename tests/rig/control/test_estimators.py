@@ -54,7 +54,7 @@ def test_every_estimator_keeps_them_as_plain_python_too():
     script = (
         "import numba\n"
         "assert numba.config.DISABLE_JIT\n"
-        "from rig import estimators\n"
+        "from rig.control import estimators\n"
         "from tests.conformance.estimator import KNOWN_LIMITS, check_estimator\n"
         "for name in estimators.names():\n"
         "    check_estimator(lambda r, p: estimators.get(name).prepare({}, r, p), **KNOWN_LIMITS.get(name, {}))\n"

@@ -145,7 +145,7 @@ def test_a_sweep_of_nothing_and_one_outside_the_main_thread():
 def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path):
     journal, log, workers = tmp_path / "j", tmp_path / "log", 2
     program = (
-        "from pathlib import Path; from rig import sweep\n"
+        "from pathlib import Path; from rig.experiments import sweep\n"
         f"tasks = [sweep.Task(str(i), {{'name': str(i), 'log': {str(log)!r}, 'wait_s': 0.01}}) for i in range(120)]\n"
         f"sweep.run({MARKS!r}, tasks, workers={workers}, journal=Path({str(journal)!r}))"
     )

@@ -967,6 +967,7 @@ def heard(wire):
 
 def test_virtual_and_real_time_run_the_same_machine_code(wire):
     """The loop object is compiled once, against the types of its plugs, whatever is plugged in."""
+    run.prepare()
     before = list(run.signatures)
     assert len(before) == 1
     _, virtual = ran(Script(*ticks(1, 10)))

@@ -325,7 +325,7 @@ def test_an_answer_is_read_field_by_field(ack: Message) -> None:
 
 UNCOMPILED = """
 import numpy as np, zlib
-from firmware_protocol import codec
+from rig.realtime import codec
 from firmware_protocol.framing import encode_frame
 from firmware_protocol.messages import State
 from firmware_protocol.packing import pack

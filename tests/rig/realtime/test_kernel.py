@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from numba import types
 
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
@@ -262,6 +264,7 @@ def test_a_kernel_raises_nothing_and_holds_no_gil():
 
 @compiled
 def test_a_kernel_is_compiled_for_its_signatures_and_no_others():
+    twice.prepare()
     assert [str(s) for s in twice.nopython_signatures] == ["(float64,) -> float64", "(float32,) -> float32"]
     with pytest.raises(TypeError, match="No matching definition"):
         twice("ab")
@@ -296,4 +299,52 @@ def test_a_borrowing_kernel_writes_into_its_arrays_and_cannot_make_one():
         return np.zeros(size)[0]
 
     with pytest.raises(numba.core.errors.NumbaError):
-        kernel("f8(i8)", cache=False, borrow=True)(allocate)
+        kernel("f8(i8)", cache=False, borrow=True)(allocate).prepare()
+
+
+@compiled
+def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it():
+    @kernel("f8(f8)", cache=False)
+    def half(x):
+        return 0.5 * x
+
+    @kernel("f8(f8)", cache=False)
+    def quarter(x):
+        return half(half(x))
+
+    @kernel(types.float64(types.FunctionType(types.float64(types.float64)), types.float64), cache=False)
+    def applied(function, x):
+        return function(x)
+
+    assert [half.prepared, quarter.prepared, applied.prepared] == [False, False, False]
+    assert quarter(8) == 2.0  # an integer is converted, as if it had been compiled at once
+    assert (half.prepared, quarter.prepared, half.signatures) == (True, True, [(types.float64,)])
+
+    @kernel("f8(f8)", cache=False)
+    def third(x):
+        return x / 3.0
+
+    assert applied(third, 6.0) == 2.0
+    assert third.prepared
+
+
+@compiled
+def test_the_first_call_refuses_what_later_calls_refuse():
+    @kernel("f8(f8[::1])", cache=False)
+    def first(values):
+        return values[0]
+
+    for _ in range(2):
+        with pytest.raises(TypeError, match="No matching definition"):
+            first(np.zeros(1, np.float32))
+
+
+@compiled
+def test_many_threads_prepare_a_kernel_once():
+    @kernel("f8(f8)", cache=False)
+    def square(x):
+        return x * x
+
+    with ThreadPoolExecutor(8) as threads:
+        assert list(threads.map(square, range(8))) == [float(i * i) for i in range(8)]
+    assert len(square.signatures) == 1

@@ -41,12 +41,12 @@ def raising(penetration, penetration_velocity, elapsed_ticks, state, parameters)
 
 @pytest.mark.parametrize("name", estimators.names())
 def test_every_estimator_has_the_signature_of_its_plug(name):
-    assert estimators.get(name).update.nopython_signatures == [plugs.ESTIMATOR_SIGNATURE]
+    assert estimators.get(name).update.declared == (plugs.ESTIMATOR_SIGNATURE,)
 
 
 @pytest.mark.parametrize("name", laws.names())
 def test_every_law_has_the_signature_of_its_plug(name):
-    assert laws.get(name).function.nopython_signatures == [plugs.LAW_SIGNATURE]
+    assert laws.get(name).function.declared == (plugs.LAW_SIGNATURE,)
 
 
 def test_a_third_partys_law_runs_in_a_caller_compiled_before_it_was_known():

@@ -21,7 +21,7 @@ from rig.core.errors import RigError
 from rig.core.sample import ROW
 from rig.realtime import ring as words
 from rig.realtime.atomics import exchange_word, load_word, read_word, store_word, write_word
-from rig.realtime.kernel import kernel
+from rig.realtime.kernel import kernel, prepare
 from rig.realtime.mailbox import MAILBOX_BYTES
 from rig.realtime.ring import LINK, WORDS, Ring
 from rig.realtime.system import monotonic_now, sleep_until
@@ -73,6 +73,7 @@ def trade(mailbox, token, times):
 
 
 def in_thread(function, *arguments):
+    prepare(function)
     results = []
     thread = threading.Thread(target=lambda: results.append(function(*arguments)), daemon=True)
     thread.start()

@@ -129,7 +129,7 @@ def test_a_process_of_somebody_else_is_said_to_be_so() -> None:
     program = f"""
 import os, sys
 sys.path[:0] = {sys.path!r}
-from rig import running
+from rig.realtime import running
 from rig.core.errors import ConfigError
 os.setgid(65534); os.setuid(65534)
 try:

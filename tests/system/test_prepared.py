@@ -1,0 +1,55 @@
+"""Inside a loop nothing compiles: all that a run reaches is there before the device is armed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from rig import config
+from rig.config import presets
+from rig.devices.framed import FramedDevice
+from rig.experiments.hit import HitRequest, hit
+from rig.realtime.kernel import Kernel
+from rig.loop.run import LoopThread
+
+armed, late = [False], []
+prepare, arm, finish = Kernel.prepare, FramedDevice.arm, LoopThread.finish
+
+def noted(kernel):
+    if armed[0] and not kernel.prepared:
+        late.append(kernel.__name__)
+    prepare(kernel)
+
+def arming(device):
+    armed[0] = True
+    return arm(device)
+
+def finished(loop):
+    finish(loop)
+    armed[0] = False
+
+Kernel.prepare, FramedDevice.arm, LoopThread.finish = noted, arming, finished
+experiment = presets.load("koul-rigid")
+changes = {"controller.loop": sys.argv[1], "controller.estimator": "fdm-butterworth-fixed", "trial.duration_s": 0.6}
+request = HitRequest(experiment=config.override(experiment, changes, "test"), output=Path(sys.argv[2]))
+assert len(list(hit(request))) == 1
+print(late)
+"""
+
+
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_nothing_compiles_between_arming_and_the_end_of_the_loop(loop, tmp_path):
+    """In a process of its own, where no other test has compiled anything before."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, loop, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("[]\n", "")
