@@ -24,11 +24,13 @@ from rig.config.derive import (
 from rig.config.load import (
     LOOP,
     as_mapping,
+    checked,
     experiment_from_mapping,
     load_experiment,
     override,
     realtime_changes,
     with_realtime,
+    with_values,
 )
 from rig.config.sections import (
     Controller,
@@ -57,6 +59,7 @@ __all__ = [
     "Wall",
     "as_mapping",
     "check_plugins",
+    "checked",
     "describe",
     "excitation_s",
     "excitation_size",
@@ -71,4 +74,5 @@ __all__ = [
     "shaken",
     "verdict_limits",
     "with_realtime",
+    "with_values",
 ]
