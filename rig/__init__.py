@@ -12,7 +12,7 @@ from typing import Any
 _LAZY: dict[str, str] = {
     "HitRequest": "rig.experiments.hit",
     "HitResult": "rig.experiments.hit",
-    "Law": "rig.control.laws",
+    "Law": "rig.control.law",
     "Plan": "rig.experiments.plan",
     "Recording": "rig.recording.data",
     "RigError": "rig.core.errors",

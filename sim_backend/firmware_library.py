@@ -21,6 +21,7 @@ from typing import Any
 
 import firmware_protocol
 from rig.core.errors import ConfigError
+from rig.realtime.kernel import CACHE_DIRECTORY
 
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 PARTS = ("core", "law", "host")
@@ -139,8 +140,6 @@ def library() -> ctypes.CDLL:
     ConfigError
         There is no C compiler, it fails, or what it made does not open.
     """
-    from rig.realtime.kernel import CACHE_DIRECTORY  # noqa: PLC0415  (numba)
-
     path = compiled(CACHE_DIRECTORY)
     try:
         return load(path)

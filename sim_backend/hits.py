@@ -15,7 +15,7 @@ import numpy as np
 from numba import types
 
 from firmware_protocol.messages import OLDEST_EDGE
-from rig.control import verdict
+from rig.control import judging
 from rig.control.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
 from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller
 from rig.control.verdict import Limits, Measured
@@ -94,7 +94,7 @@ class SimulatedRig:
         )  # all that a script depends on
         self._limits = limits
         self._plant = _plant(model, tick_s)
-        self._meter = verdict.meter(limits, tick_s, model.encoder.resolution)
+        self._meter = judging.meter(limits, tick_s, model.encoder.resolution)
         self._trace = Trace.empty(most_ticks, self._plant)
         self._signals = np.zeros((SIGNALS, most_ticks))
 

@@ -25,6 +25,7 @@ from rig.core.errors import ConfigError, LinkLostError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.realtime.clock import VirtualClock
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.channel import DeviceFault, Direction, Faults, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
@@ -378,8 +379,6 @@ class MemoryLink:
     # ------------------------------------------------------------------ the compiled loop
 
     def _make_port(self) -> LoopPort:
-        from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
-
         def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:
             callback = kind(self._guarded(function))
             address = ctypes.cast(callback, ctypes.c_void_p).value

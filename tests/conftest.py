@@ -1,9 +1,22 @@
-"""Settings of all tests: hypothesis without deadlines (the first call of a kernel may compile), repeatable in CI."""
+"""Settings of all tests, and what holds for every run of them.
+
+Hypothesis has no deadlines (the first call of a kernel may compile) and is repeatable in CI. Ctrl-C is heard, also
+from a shell that ignores it (`nohup … &`), here and in whatever the tests start. Nothing that they start is left.
+"""
 
 import gc
 import os
+import signal
+import uuid
+from contextlib import suppress
+from multiprocessing import forkserver, resource_tracker
 
+import pytest
 from hypothesis import settings
+
+from tests.conformance.census import still_there
+
+RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: as the command line does
 gc.set_threshold(
@@ -13,3 +26,26 @@ gc.set_threshold(
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        os.environ[RUN] = uuid.uuid4().hex
+
+
+@pytest.hookimpl(trylast=True)  # when the workers have ended
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail a run that leaves processes behind, name them, and end them."""
+    if hasattr(session.config, "workerinput"):
+        return
+    forkserver._forkserver._stop()
+    resource_tracker._resource_tracker._stop()
+    left = still_there(os.environ[RUN], RUN)
+    for number in left:
+        with suppress(ProcessLookupError):
+            os.kill(number, signal.SIGKILL)
+    if left:
+        session.shouldfail = f"left running, and killed: {'; '.join(left.values())}"
+        session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED

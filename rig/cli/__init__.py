@@ -12,8 +12,11 @@ import sys
 
 import click
 
+from rig.cli.compiling import CompilingNotice
 from rig.cli.lazy import LazyGroup
+from rig.cli.output import error_facts, print_json
 from rig.core.errors import RigError
+from rig.realtime import compiling
 
 # Command → module:attribute, and the line that `rig --help` shows without importing it.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -85,6 +88,7 @@ def main() -> None:
     # Matrices here are small: threads of a linear algebra library cost more than they give, and a loop its quiet.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)
+    compiling.listen(CompilingNotice())
     sys.exit(run(sys.argv[1:]))
 
 
@@ -124,8 +128,6 @@ def run(arguments: list[str]) -> int:  # noqa: PLR0911  (one exit code for each 
 
 def _report(error: RigError, arguments: list[str]) -> None:
     if "--json" in arguments and not error.told:
-        from rig.cli.output import error_facts, print_json  # noqa: PLC0415
-
         print_json({"error": error_facts(error)})
     for message in error.messages:
         click.echo(f"rig: {message}", err=True)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from rig import config
 from rig.cli import output
+from rig.config import Experiment
+from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
-    from rig.experiments.compare import Comparison, Entry
-    from rig.papers.koul.compare import Panel, Profiles, WordLength
+from rig.experiments import compare as comparing
+from rig.experiments.compare import Comparison, Entry, default_entries
+from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.papers.koul import compare as koul
+from rig.papers.koul import impact_pictures
+from rig.papers.koul.compare import Panel, Profiles, WordLength
+from rig.views.plots.compare import draw_comparison
 
 NO_DAMPING = "none"
 UNUSED = ("trial.repeats", "trial.seed")  # a trial without bytes has no noise: every repeat would be the same
@@ -61,18 +66,10 @@ def run(
     as_json: bool,
 ) -> None:
     """Compare the schemes on the experiment under the changes; print and draw."""
-    from rig import config  # noqa: PLC0415
-
-    with output.compiling():
-        from rig.experiments import compare as comparing  # noqa: PLC0415
-        from rig.experiments.plan import STANDS_FOR_DEVICE  # noqa: PLC0415
-
-        changed = config.override(experiment, changes)
-        comparison = comparing.compare(changed, entries(changed, schemes))
+    changed = config.override(experiment, changes)
+    comparison = comparing.compare(changed, entries(changed, schemes))
     picture = None
     if plot:
-        from rig.views.plots.compare import draw_comparison  # noqa: PLC0415
-
         picture = _drawn(directory / f"{changed.rig.name}-compare.png", draw_comparison, comparison)
     if as_json:
         output.print_json({**comparison.as_mapping(), "picture": picture})
@@ -92,14 +89,9 @@ def run(
 
 def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
     """Figures 7 and 8 of Koul et al.: print and draw."""
-    with output.compiling():
-        from rig.papers.koul import compare as koul  # noqa: PLC0415
-
-        panels, words, profiles = koul.koul_figure_7(), koul.word_lengths(), koul.koul_figure_8()
+    panels, words, profiles = koul.koul_figure_7(), koul.word_lengths(), koul.koul_figure_8()
     pictures = {}
     if plot:
-        from rig.papers.koul import impact_pictures  # noqa: PLC0415
-
         pictures = {
             "figure 7": _drawn(directory / "koul-figure-7.png", impact_pictures.draw_figure_7, panels),
             "figure 8": _drawn(directory / "koul-figure-8.png", impact_pictures.draw_figure_8, profiles),
@@ -122,9 +114,6 @@ def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
 
 def entries(experiment: Experiment, schemes: Sequence[str]) -> tuple[Entry, ...]:
     """Entries of the schemes named on the command line; none, uniform and dual-rate when there are none."""
-    from rig.config.schemes import Scheme  # noqa: PLC0415
-    from rig.experiments.compare import Entry, default_entries  # noqa: PLC0415
-
     usual = default_entries(experiment)
     if not schemes:
         return usual

@@ -7,7 +7,12 @@ from typing import Any
 
 import click
 
+from rig import devices as table
 from rig.cli import options, output
+from rig.config import presets
+from rig.devices import open_device
+from rig.devices.serial import available_ports
+from rig.devices.usb import available_devices
 
 EXCHANGES, EXCHANGES_S = 20, 1.0  # of the clocks: enough for the drift to a few ppm
 VIRTUAL_S = 0.1  # where time costs computing, and nothing disturbs an exchange
@@ -42,11 +47,6 @@ def devices(url: str | None, as_json: bool) -> None:
 
 
 def _list() -> dict[str, Any]:
-    from rig import devices as table  # noqa: PLC0415
-    from rig.config import presets  # noqa: PLC0415
-    from rig.devices.serial import available_ports  # noqa: PLC0415
-    from rig.devices.usb import available_devices  # noqa: PLC0415
-
     return {
         "backends": [asdict(backend) for backend in table.backends()],
         "ports": [{"port": port, "description": text} for port, text in available_ports()],
@@ -56,8 +56,6 @@ def _list() -> dict[str, Any]:
 
 
 def _ask(url: str) -> dict[str, Any]:
-    with output.compiling():
-        from rig.devices import open_device  # noqa: PLC0415
     with open_device(url) as device:
         dictionary = device.dictionary
         clock = device.clock(EXCHANGES, over_s=VIRTUAL_S if device.link.clock.virtual else EXCHANGES_S)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from rig.cli import options, output
+from rig import config
+from rig.bench.doctor.examine import Examination, Question, examine
+from rig.bench.doctor.finding import Finding
+from rig.bench.doctor.gate import Gate
+from rig.bench.doctor.quantiles import Distribution, Quantile
+from rig.bench.doctor.round_trip import LinkMeasurement
+from rig.bench.doctor.udev import udev_rules
+from rig.bench.doctor.walls import Supported
+from rig.cli import hit_output, options, output
 from rig.core.errors import PlanError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.bench.doctor.examine import Examination
-    from rig.bench.doctor.finding import Finding
-    from rig.bench.doctor.gate import Gate
-    from rig.bench.doctor.quantiles import Distribution, Quantile
-    from rig.bench.doctor.round_trip import LinkMeasurement
-    from rig.bench.doctor.walls import Supported
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "problem": ("no", "red")}
 
@@ -56,19 +56,12 @@ def doctor(
 
     Exits with 2 when the wall must not be armed.
     """
-    from rig import config  # noqa: PLC0415
-
     if print_udev:
-        from rig.bench.doctor.udev import udev_rules  # noqa: PLC0415
-
         click.echo(udev_rules(), nl=False)
         return
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(**changed)
     config.check_plugins(config.override(experiment, changes), str(file or preset or options.DEFAULT_PRESET))
-    with output.compiling():
-        from rig.bench.doctor.examine import Question, examine  # noqa: PLC0415
-
     question = Question(experiment=experiment, changes=changes, url=url, realtime=realtime, seconds=seconds)
     with Progress(quiet=as_json) as progress:
         found = examine(question, progress.told)
@@ -228,7 +221,7 @@ def _print_gate(found: Examination, gate: Gate) -> None:
         mark, says = click.style("!!", fg="yellow"), "would be refused on a real rig; this one is simulated"
     else:
         mark, says = click.style("no", fg="red"), "must not be armed"
-    click.echo(f"  {mark} {output.headline(found.experiment)}: {says}")
+    click.echo(f"  {mark} {hit_output.headline(found.experiment)}: {says}")
     for reason in gate.reasons:
         click.echo(f"     {reason.text}: {reason.remedy}")
     radius = ", ".join(

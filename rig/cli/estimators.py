@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from rig.cli import options, output
+from rig.control import estimators as family
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.experiments.cases import Case
-    from rig.experiments.estimators import Comparison, Score, Variant
-    from rig.experiments.tuning import Tuning
+from rig.core.signals import SIGNALS
+from rig.experiments import estimators as experiment
+from rig.experiments.cases import Case, recording_case, signal_case
+from rig.experiments.estimators import Comparison, Score, Variant, score
+from rig.experiments.lipschitz import lipschitz_of
+from rig.experiments.tuning import Tuning, shown_range
+from rig.experiments.tuning import tune as run
+from rig.recording.reader import open_recording
+from rig.views.plots.estimators import draw_comparison
 
 DEFAULT_SIGNAL = "wall-bounce"
 DEFAULT_RESOLUTION = 1e-6
@@ -41,12 +46,6 @@ def estimators() -> None:
 @options.json_option
 def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
     """Show the estimators (or NAMES): parameters with range, unit and meaning, delay, source."""
-    _announce()
-    from rig.control import estimators as family  # noqa: PLC0415
-    from rig.core.signals import SIGNALS  # noqa: PLC0415
-    from rig.experiments.cases import signal_case  # noqa: PLC0415
-    from rig.experiments.estimators import Variant, score  # noqa: PLC0415
-
     hertz = _rate(rate)
     case = signal_case(SIGNALS["sine"], hertz, DEFAULT_RESOLUTION)
     facts: list[dict[str, Any]] = []
@@ -101,9 +100,6 @@ def compare(
     All errors are rms. "at rest" is the velocity read after a motion has ended, "toggling" the same while the count
     falls at random on one of two neighbours.
     """
-    _announce()
-    from rig.experiments import estimators as experiment  # noqa: PLC0415
-
     cases = [
         _signal_case(name, rate, resolution)
         for name in signals or (() if recordings else (DEFAULT_SIGNAL,))
@@ -166,9 +162,6 @@ def tune(
     path = target or Path(f"{variant.estimator}-tuned.toml")
     if path.exists() and not overwrite:
         raise ConfigError(f"{path} exists", remedy="choose another with -o, or say --overwrite")
-    _announce()
-    from rig.experiments.tuning import tune as run  # noqa: PLC0415
-
     if recording is None:
         case = _signal_case(signal, _rate(rate or DEFAULT_RATE), resolution)
     else:
@@ -184,8 +177,6 @@ def tune(
 
 
 def _print_tuning(tuning: Tuning, case: Case) -> None:
-    from rig.experiments.tuning import shown_range  # noqa: PLC0415
-
     click.echo(f"{tuning.estimator}, least {tuning.objective}, {tuning.evaluations} evaluations")
     output.print_pairs(
         [
@@ -197,14 +188,6 @@ def _print_tuning(tuning: Tuning, case: Case) -> None:
         ]
     )
     _print_table(case, [tuning.before, tuning.after], ["before", "after"])
-
-
-def _announce() -> None:
-    """Say why nothing is seen for a while, the first time."""
-    from rig.realtime.kernel import is_cold  # noqa: PLC0415
-
-    if is_cold():
-        click.echo("rig: compiling the estimators, once for this version and machine (seconds)", err=True)
 
 
 def _setting(setting: Any) -> dict[str, Any]:
@@ -255,8 +238,6 @@ def _cells(score: Score) -> str:
 
 def _draw(comparison: Comparison, plot: Path) -> str | None:
     """Draw; a picture that fails is reported and takes nothing with it."""
-    from rig.views.plots.estimators import draw_comparison  # noqa: PLC0415
-
     try:
         return str(draw_comparison(comparison, plot))
     except Exception as error:
@@ -276,9 +257,6 @@ def _rates(text: str) -> list[int]:
 
 
 def _signal_case(name: str, rate_hz: int, resolution: float) -> Case:
-    from rig.core.signals import SIGNALS  # noqa: PLC0415
-    from rig.experiments.cases import signal_case  # noqa: PLC0415
-
     if name not in SIGNALS:
         raise ConfigError(f"there is no signal {name!r}", remedy=f"choose one of: {', '.join(SIGNALS)}")
     if not (math.isfinite(resolution) and resolution > 0.0):
@@ -287,15 +265,10 @@ def _signal_case(name: str, rate_hz: int, resolution: float) -> Case:
 
 
 def _recording_case(path: Path, rate_hz: int | None) -> Case:
-    from rig.experiments.cases import recording_case  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
-
     return recording_case(open_recording(path), rate_hz, name=path.stem)
 
 
 def _variant(text: str) -> Variant:
-    from rig.experiments.estimators import Variant  # noqa: PLC0415
-
     name, _, rest = text.partition(":")
     settings: dict[str, float | str] = {}
     for part in filter(None, rest.split(",")):
@@ -321,9 +294,6 @@ def lipschitz(recording: Path, sines: int, as_json: bool) -> None:
     Fits a sum of sines to the position around first contact and takes the largest second derivative of the fit, as
     Chawda et al. do. Compare a fit with one more sine: where C changes much, a fast mode dominates and C is not known.
     """
-    from rig.experiments.lipschitz import lipschitz_of  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
-
     opened = open_recording(recording)
     fit, richer = (lipschitz_of(opened, sines=n) for n in (sines, sines + 1))
     if as_json:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli import options, output
+from rig.recording.export import export as write
 
 
 @click.command()
@@ -19,8 +20,6 @@ from rig.cli import options, output
 @options.json_option
 def export(recording: Path, target: Path, kind: str | None, overwrite: bool, as_json: bool) -> None:
     """Write RECORDING to TARGET as CSV (with a JSON file of units beside it), Parquet or MAT."""
-    from rig.recording.export import export as write  # noqa: PLC0415
-
     path = write(recording, target, kind, overwrite=overwrite)
     if as_json:
         output.print_json({"recording": str(recording), "target": str(path)})

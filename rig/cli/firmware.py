@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from rig import config
+from rig.bench.firmware import boards
+from rig.bench.firmware.boards import Board, Setting
+from rig.bench.firmware.build import BuildRequest, BuildResult
+from rig.bench.firmware.build import build as build_image
+from rig.bench.firmware.flash import flash as copy_image
+from rig.bench.firmware.info import LAWS, FirmwareInfo
+from rig.bench.firmware.info import info as look
+from rig.bench.firmware.selftest import SelfTest, SelfTestRequest, failure
+from rig.bench.firmware.selftest import selftest as run
 from rig.cli import options, output
+from rig.config import Experiment
 from rig.core.errors import ConfigError, IncompatibleDeviceError
-
-if TYPE_CHECKING:
-    from rig.bench.firmware.boards import Board, Setting
-    from rig.bench.firmware.build import BuildResult
-    from rig.bench.firmware.info import FirmwareInfo
-    from rig.bench.firmware.selftest import SelfTest
-    from rig.config import Experiment
-    from rig.core.model import RigModel
+from rig.core.model import RigModel
+from rig.devices import open_device
 
 DEFAULT_BOARD = "rp2040"
 _MARKS = {"ok": ("ok", "green"), "skipped": ("--", "yellow"), "failed": ("no", "red")}
@@ -76,10 +82,6 @@ def build(
     Needs the cross compiler of the distribution (gcc-arm-none-eabi, libnewlib-arm-none-eabi). The same inputs give the
     same bytes.
     """
-    from rig.bench.firmware import boards  # noqa: PLC0415
-    from rig.bench.firmware.build import BuildRequest  # noqa: PLC0415
-    from rig.bench.firmware.build import build as build_image  # noqa: PLC0415
-
     if board == "list":
         _list([boards.load(name) for name in boards.names()], as_json)
         return
@@ -101,8 +103,6 @@ def info(source: str, as_json: bool) -> None:
 
     Exits with 4 when it cannot.
     """
-    from rig.bench.firmware.info import info as look  # noqa: PLC0415
-
     found = look(source)
     if as_json:
         output.print_json(found.as_mapping())
@@ -130,8 +130,6 @@ def flash(image: Path, drive: Path | None, as_json: bool) -> None:
 
     Hold BOOTSEL while you plug the board in: its drive appears. Motor power must be off.
     """
-    from rig.bench.firmware.flash import flash as copy_image  # noqa: PLC0415
-
     with Progress(quiet=as_json) as progress:
         done = copy_image(image, drive, progress.told)
     if as_json:
@@ -171,11 +169,6 @@ def selftest(
 
     Exits with 5 when a check fails.
     """
-    with output.compiling():
-        from rig.bench.firmware.selftest import SelfTestRequest, failure  # noqa: PLC0415
-        from rig.bench.firmware.selftest import selftest as run  # noqa: PLC0415
-        from rig.devices import open_device  # noqa: PLC0415
-
     experiment = None if preset is None else _experiment(preset)
     if move and not as_json:
         click.echo("move the handle by hand until the test has ended", err=True)
@@ -214,8 +207,6 @@ class Progress:
 
 
 def _rig(preset: str) -> RigModel:
-    from rig import config  # noqa: PLC0415
-
     return config.rig_model(_experiment(preset))
 
 
@@ -226,8 +217,6 @@ def _experiment(preset: str) -> Experiment:
 
 
 def _settings(path: Path | None) -> dict[str, Any]:
-    import tomllib  # noqa: PLC0415
-
     if path is None:
         return {}
     try:
@@ -286,8 +275,6 @@ def _share(taken: int, room: int) -> str:
 
 
 def _print_info(found: FirmwareInfo) -> None:
-    from rig.bench.firmware.info import LAWS  # noqa: PLC0415
-
     facts = found.facts or {}
     pairs = [
         ("firmware", found.firmware),

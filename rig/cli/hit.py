@@ -6,16 +6,16 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from rig.bench.doctor.gate import Gate
 from rig.cli import compare as comparing
-from rig.cli import options, output
+from rig.cli import hit_output, options, output
 from rig.core.errors import RigError
-
-if TYPE_CHECKING:
-    from rig.bench.doctor.gate import Gate
+from rig.devices import load_backend
+from rig.experiments import hit as hits
 
 
 @click.command()
@@ -75,13 +75,7 @@ def hit(
         comparing.run(experiment, changes, schemes, directory, plot=plot, as_json=as_json)
         return
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
-    with output.compiling():
-        from rig.devices import load_backend  # noqa: PLC0415  (imports compile)
-        from rig.experiments import hit as hits  # noqa: PLC0415
-
-        load_backend(url or "sim://")
-        if realtime or not (url or "sim:").startswith("sim:"):
-            import rig.bench.doctor.gate  # noqa: PLC0415, F401  (compiled before a device waits for it)
+    load_backend(url or "sim://")
     request = hits.HitRequest(
         experiment=experiment,
         url=url,
@@ -89,13 +83,13 @@ def hit(
         realtime=realtime,
         verified=verified,
         arm_anyway=arm_anyway,
-        measuring=output.measuring_link(quiet=as_json),
+        measuring=hit_output.measuring_link(quiet=as_json),
         judged_link=_say_gate,
         output=directory,
     )
     done: list[dict[str, Any]] = []
     failure: RigError | None = None
-    with Artist(plot) as artist, output.ProgressBars(quiet=as_json) as bars:
+    with Artist(plot) as artist, hit_output.ProgressBars(quiet=as_json) as bars:
         try:
             for result in hits.hit(request, bars.watch):
                 bars.stop()
@@ -105,7 +99,9 @@ def hit(
                     for message in result.messages:
                         click.echo(f"rig: {message}", err=True)
                 if not as_json:
-                    _print_result(result, picture, output.differences(experiment, result.experiment, changes))
+                    _print_result(
+                        result, picture, hit_output.differences(experiment, result.experiment, changes)
+                    )
         except RigError as error:
             bars.stop()
             failure = error
@@ -164,10 +160,10 @@ class Artist:
 def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
     if result.cleared_fault:
         click.echo(f"rig: the device had a fault latched, now cleared: {result.cleared_fault}", err=True)
-    click.echo(output.headline(result.experiment))
+    click.echo(hit_output.headline(result.experiment))
     if changed:
         click.echo(f"  for real time: {', '.join(changed)}")
-    pairs = output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
+    pairs = hit_output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
     _print_pairs(pairs, result.recording, picture)
 
 
@@ -181,10 +177,8 @@ def _say_gate(gate: Gate) -> None:
 
 def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> None:
     """Show and draw a run that ended early, as far as it got."""
-    from rig.experiments.hit import left_by  # noqa: PLC0415
-
     try:
-        left = left_by(error)
+        left = hits.left_by(error)
     except RigError as unreadable:
         click.echo(f"rig: {unreadable}", err=True)
         return
@@ -193,9 +187,9 @@ def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> 
     picture = artist.draw(left.path)
     if quiet:
         return
-    click.echo(output.headline(left.experiment))
+    click.echo(hit_output.headline(left.experiment))
     verdicts = left.judgement.verdict, left.judgement.verdict_true
-    _print_pairs(output.verdict_pairs(left.experiment, *verdicts), left.path, picture)
+    _print_pairs(hit_output.verdict_pairs(left.experiment, *verdicts), left.path, picture)
 
 
 def _print_pairs(pairs: list[tuple[str, str]], recording: Path, picture: str | None) -> None:

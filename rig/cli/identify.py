@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from rig.cli import options, output
+from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
-    from rig.experiments.identify import Identification, IdentifyRequest
-    from rig.experiments.plan import Plan
+from rig.devices import load_backend
+from rig.experiments import identify as identifying
+from rig.experiments.identified_file import file_text
+from rig.experiments.identify import Identification, IdentifyRequest
+from rig.experiments.plan import Plan
+from rig.views.plots.identify import draw_identification
 
 
 @click.command()
@@ -73,11 +75,7 @@ def identify(
     changes = options.changes(rate, sets)
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
-    with output.compiling():
-        from rig.devices import load_backend  # noqa: PLC0415  (imports compile)
-        from rig.experiments import identify as identifying  # noqa: PLC0415
-
-        load_backend(url or "sim://")
+    load_backend(url or "sim://")
     request = identifying.IdentifyRequest(
         experiment=experiment,
         url=url,
@@ -108,8 +106,6 @@ def identify(
 
 
 def _plan(request: IdentifyRequest) -> Plan:
-    from rig.experiments import identify as identifying  # noqa: PLC0415
-
     return identifying.plan_of(identifying.without_end_mass(request), request)
 
 
@@ -127,8 +123,6 @@ def _draw(found: Identification) -> str | None:
     first = found.recordings["signs"][0]
     stem = first.name.partition("-signs")[0]
     try:
-        from rig.views.plots.identify import draw_identification  # noqa: PLC0415
-
         return str(draw_identification(found, first.with_name(f"{stem}.png")))
     except (RecordingError, ValueError, ImportError) as error:
         click.echo(f"rig: no picture: {error}", err=True)
@@ -136,8 +130,6 @@ def _draw(found: Identification) -> str | None:
 
 
 def _write(found: Identification, path: Path) -> Path:
-    from rig.experiments.identified_file import file_text  # noqa: PLC0415
-
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(file_text(found), encoding="utf-8")

@@ -7,19 +7,21 @@ import sys
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from rig import config
 from rig.cli import options, output
 from rig.cli.maps import numbers
+from rig.config import Experiment
+from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError, RecordingError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
-    from rig.config.schemes import Scheme
-    from rig.experiments.impedance import ImpedanceResult, Judging, OnDevice, Wall
+from rig.experiments import impedance as measuring
+from rig.experiments.impedance import ImpedanceResult, Judging, OnDevice, Wall
+from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.views.plots.impedance import draw_impedance
 
 DEFAULT_PRESET = "chawda-linear"
 
@@ -91,16 +93,10 @@ def impedance(
     Without arguments: the bare rig chawda-linear and its wall, simulated, as in Fig. 4 and Fig. 6 of Chawda et al.
     With --url the rig's own motor shakes, and every run is recorded.
     """
-    from rig import config  # noqa: PLC0415
-
     preset = preset or options.preset_of(url, file) or (None if file else DEFAULT_PRESET)
     experiment = options.chosen_experiment(file, preset)
     experiment = config.override(experiment, _changes(url, **shaking))
     walls = _walls(experiment, stiffness, damping, bare)
-    with output.compiling():
-        from rig.config.schemes import Scheme  # noqa: PLC0415
-        from rig.experiments import impedance as measuring  # noqa: PLC0415  (imports compile)
-
     judging = measuring.Judging(band_hz=None if judged is None else _band(judged, "--judged"))
     parsed = tuple(Scheme.parse(text) for text in schemes)
     place = directory / f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
@@ -193,8 +189,6 @@ def _measured(
     judging: Judging,
     watch: Any,
 ) -> Iterator[ImpedanceResult]:
-    from rig.experiments import impedance as measuring  # noqa: PLC0415
-
     shared: dict[str, Any] = {
         "walls": walls, "schemes": schemes, "method": method, "judging": judging, "watch": watch
     }  # fmt: skip
@@ -226,8 +220,6 @@ def _agrees(experiment: Experiment) -> bool:
 
 def _draw(results: tuple[ImpedanceResult, ...], path: Path) -> str | None:
     """Draw; a picture that fails takes no measurement with it."""
-    from rig.views.plots.impedance import draw_impedance  # noqa: PLC0415
-
     if all(result.impedance is None for result in results):
         return None
     try:
@@ -238,8 +230,6 @@ def _draw(results: tuple[ImpedanceResult, ...], path: Path) -> str | None:
 
 
 def _print(results: tuple[ImpedanceResult, ...]) -> None:
-    from rig.experiments.plan import STANDS_FOR_DEVICE  # noqa: PLC0415
-
     for result in results:
         click.echo(click.style(result.label, bold=True))
         output.print_pairs(_pairs(result))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from rig.cli import maps, output
+from rig.cli import hit_output, maps, output
 from rig.cli.progress import SweepBar
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.experiments.kmax import KMax
+from rig.experiments import map_files
+from rig.experiments.kmax import KMax, kmax_plan
+from rig.experiments.ranges import kmax_theory
+from rig.views.plots.zwidth import draw_kmax
 
 SPAN = 500.0  # highest stiffness over the lowest: slow rates hold soft walls only
 DEFAULT_RATES = "100,200,500,1k,2k,5k,10k,20k,50k"
@@ -42,21 +44,15 @@ def kmax(
 
     Without arguments: Fig. 5 of Koul et al. on the simulated rig koul-compliant in a simulated hand.
     """
-    from dataclasses import replace  # noqa: PLC0415
-
     experiment = maps.chosen(file, preset, **push)
-    with output.compiling():
-        from rig.experiments import map_files  # noqa: PLC0415  (imports compile)
-        from rig.experiments.kmax import KMax, kmax_plan  # noqa: PLC0415
-
-        plan = kmax_plan(
-            experiment,
-            maps.search(experiment, stiffness, way, ratio, SPAN),
-            rates=maps.rates(rates),
-            offsets=maps.numbers(maps.OFFSETS if offsets is None else offsets, "--offsets"),
-            repeats=repeats,
-        )
-        plan = replace(plan, judged=judged or "true")
+    plan = kmax_plan(
+        experiment,
+        maps.search(experiment, stiffness, way, ratio, SPAN),
+        rates=maps.rates(rates),
+        offsets=maps.numbers(maps.OFFSETS if offsets is None else offsets, "--offsets"),
+        repeats=repeats,
+    )
+    plan = replace(plan, judged=judged or "true")
     place = map_files.directory_for(plan, directory, "kmax")
     with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
         found = KMax.of(
@@ -72,16 +68,13 @@ def kmax(
 
 
 def _draw(found: KMax, path: Path) -> str:
-    from rig.experiments.ranges import kmax_theory  # noqa: PLC0415
-    from rig.views.plots.zwidth import draw_kmax  # noqa: PLC0415
-
     return str(draw_kmax(found, path, theory=kmax_theory(found)))
 
 
 def _print(found: KMax) -> None:
     experiment = found.map.plan.experiment
     unit = unit_of("stiffness", experiment.rig.motion)
-    click.echo(f"{experiment.rig.name}, {output.push_text(experiment)}: largest K at B = 0 ({unit})")
+    click.echo(f"{experiment.rig.name}, {hit_output.push_text(experiment)}: largest K at B = 0 ({unit})")
     curves = {name: found.curve(name) for name in ("felt", "heard", "any")}
     rows = [("rate (Hz)", *curves)]
     for number, rate in enumerate(found.rates):

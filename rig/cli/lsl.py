@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from rig.cli import options
-
-if TYPE_CHECKING:
-    from rig.core.sample import Motion
+from rig.core.sample import Motion
+from rig.session.lsl.serve import serve
 
 
 @click.command()
@@ -50,7 +49,6 @@ def lsl(
     --markers reads lines like {"at": NS, "marker": {"mark": "stimulus"}}; at is on CLOCK_MONOTONIC, or left out.
     --json prints a line for each stream and loop, the last with what was sent.
     """
-    from rig.session.lsl.serve import serve  # noqa: PLC0415
 
     def told(news: Mapping[str, Any]) -> None:
         if as_json:

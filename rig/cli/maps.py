@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
+import numpy as np
 
+from rig import config
 from rig.cli import options
+from rig.config import Experiment
+from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
-    from rig.experiments.ladder import Search
+from rig.experiments.ladder import Search
+from rig.experiments.ranges import search_for
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -95,8 +97,6 @@ def chosen(
     device: bool = False,
 ) -> Experiment:
     """The experiment to map: in simulation a built-in rig is held by a hand unless something else is said."""
-    from rig import config  # noqa: PLC0415
-
     experiment = options.chosen_experiment(file, preset)
     says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
     if operator is None and file is None and effort is None and not device and not says:
@@ -121,8 +121,6 @@ def search(
     device: bool = False,
 ) -> Search:
     """The rungs that the options mean."""
-    from rig.experiments.ranges import search_for  # noqa: PLC0415
-
     low, high = (None, None) if stiffness is None else _bounds(stiffness)
     return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span, on_device=device)
 
@@ -138,8 +136,6 @@ def drawn(draw: Callable[[], str]) -> str | None:
 
 def numbers(text: str, option: str) -> tuple[float, ...]:
     """Numbers of ``0,0.5,1`` or, equally spaced, ``0:3.6:17``."""
-    import numpy as np  # noqa: PLC0415
-
     try:
         if ":" not in text:
             return tuple(float(part) for part in text.split(","))
@@ -166,8 +162,6 @@ def _bounds(text: str) -> tuple[float, float]:
 
 def rates(text: str) -> tuple[int, ...]:
     """Rates of ``1k,20k`` in Hz."""
-    from rig.config.schemes import parse_rates  # noqa: PLC0415
-
     try:
         pairs = [parse_rates(part) for part in text.split(",")]
     except ConfigError as error:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
+from rig import config
+from rig.config import Experiment, presets
+from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -101,9 +102,6 @@ def compare_options(command: F) -> F:
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
     """Load the file, else the named preset, else the default one."""
-    from rig import config  # noqa: PLC0415
-    from rig.config import presets  # noqa: PLC0415
-
     if file is not None and preset is not None:
         raise ConfigError(
             "both a file and --rig are given", remedy='write preset = "…" into the file, or drop --rig'
@@ -154,8 +152,6 @@ def key_values(texts: tuple[str, ...]) -> dict[str, Any]:
 
 def parse_rate(text: str) -> tuple[int, int]:
     """Rates of an option ``--rate``, in Hz, as schemes have them."""
-    from rig.config.schemes import parse_rates  # noqa: PLC0415
-
     try:
         return parse_rates(text)
     except ConfigError as error:
@@ -164,8 +160,6 @@ def parse_rate(text: str) -> tuple[int, int]:
 
 def _value(text: str) -> Any:
     """Read a TOML value; text that is none is taken as a string, so that quotes may be left out."""
-    import tomllib  # noqa: PLC0415
-
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

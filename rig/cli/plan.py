@@ -7,8 +7,10 @@ from typing import Any
 
 import click
 
-from rig.cli import options, output
+from rig import config
+from rig.cli import hit_output, options, output
 from rig.core.errors import PlanError
+from rig.experiments.plan import make_plan
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 
@@ -22,22 +24,18 @@ def plan(file: Path | None, preset: str | None, realtime: bool, as_json: bool, *
 
     Exits with an error when something is refused.
     """
-    from rig import config  # noqa: PLC0415
-
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(**changed)
     if realtime:
         experiment = config.with_realtime(experiment, changes)
     elif changes:
         experiment = config.override(experiment, changes)
-    with output.compiling():
-        from rig.experiments.plan import make_plan  # noqa: PLC0415
     config.check_plugins(experiment, str(file or preset or options.DEFAULT_PRESET))
     planned = make_plan(experiment)
     if as_json:
         output.print_json(planned.as_mapping())
     else:
-        click.echo(output.headline(experiment))
+        click.echo(hit_output.headline(experiment))
         output.print_pairs([(step.name, step.text) for step in planned.steps])
         click.echo(f"  {planned.repeats} × at most {planned.duration_s / planned.repeats:.4g} s")
         for check in planned.checks:

@@ -7,6 +7,9 @@ from pathlib import Path
 import click
 
 from rig.cli import options, output
+from rig.control.estimators.levant_regions import crossing
+from rig.views.plots.levant import draw_levant_regions
+from rig.views.plots.levant import levant_regions as compute
 
 
 @click.group()
@@ -22,10 +25,6 @@ def plot() -> None:
 @options.json_option
 def levant_regions(picture: Path, as_json: bool) -> None:
     """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
-    from rig.control.estimators.levant_regions import crossing  # noqa: PLC0415
-    from rig.views.plots.levant import draw_levant_regions  # noqa: PLC0415
-    from rig.views.plots.levant import levant_regions as compute  # noqa: PLC0415
-
     computed = compute()
     path = draw_levant_regions(computed, picture)
     if as_json:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import click
 
+from rig import config
 from rig.cli import options, output
+from rig.config import presets
 
 
 @click.command()
@@ -12,9 +14,6 @@ from rig.cli import options, output
 @options.json_option
 def preset(name: str | None, as_json: bool) -> None:
     """List the built-in rigs, or print the file of NAME: commented, with the source of each number."""
-    from rig import config  # noqa: PLC0415
-    from rig.config import presets  # noqa: PLC0415
-
     if name is None:
         loaded = {each: presets.load(each) for each in presets.names()}
         if as_json:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import click
+from rich import progress as rich_progress
+from rich.console import Console
 
-if TYPE_CHECKING:
-    from rig.experiments.sweep import Progress
+from rig.experiments.sweep import Progress
 
 LINE_S = 10.0
 _MINUTE_S, _HOUR_S = 60, 3600
@@ -43,11 +44,11 @@ class _Bar:
         if self._bar is None:
             if fraction >= 1.0:
                 return
-            from rich.console import Console  # noqa: PLC0415
-            from rich.progress import BarColumn, Progress, TextColumn  # noqa: PLC0415
-
-            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"))
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            what, shown = (
+                rich_progress.TextColumn(f"{{task.{name}}}") for name in ("description", "fields[text]")
+            )
+            columns = (what, rich_progress.BarColumn(), shown)
+            self._bar = rich_progress.Progress(*columns, console=Console(stderr=True), transient=True)
             self._task = self._bar.add_task(self._what, total=1.0, text="")
             self._bar.start()
         self._bar.update(self._task, completed=fraction, text=text)

@@ -6,14 +6,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
 
 from rig.cli import options, output
-
-if TYPE_CHECKING:
-    from rig.experiments.recover import Recovered
+from rig.experiments import recover as recovering
+from rig.experiments.recover import Recovered
 
 
 @click.command()
@@ -24,9 +24,6 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
 
     Says for each what the crash cost. What a running loop still writes is left alone; nothing is overwritten.
     """
-    with output.compiling():
-        from rig.experiments import recover as recovering  # noqa: PLC0415  (imports compile)
-
     with _bar(quiet=as_json) as progress:
         results = recovering.recover(paths, progress=progress)
     error = recovering.failed(results)
@@ -49,9 +46,6 @@ def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console  # noqa: PLC0415
-    from rich.progress import BarColumn, Progress, TextColumn  # noqa: PLC0415
-
     columns = (TextColumn("recovering"), BarColumn(), TextColumn("{task.fields[name]}"))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task("recovering", total=None, name="")

@@ -9,6 +9,9 @@ import click
 
 from rig.cli import options, output
 from rig.core.sample import unit_of
+from rig.experiments.replay import replay as run
+from rig.recording.reader import open_recording
+from rig.views.plots.replay import draw_replay
 
 
 @click.command()
@@ -26,15 +29,9 @@ def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) ->
     The handle moves as it was recorded: this shows what another estimator or law would have commanded, not
     what it would have done to the motion.
     """
-    with output.compiling():
-        from rig.experiments.replay import replay as run  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
-
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))
     if plot is not None:
-        from rig.views.plots.replay import draw_replay  # noqa: PLC0415
-
         draw_replay(opened, result, plot)
     if as_json:
         output.print_json(result.as_mapping())

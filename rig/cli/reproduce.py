@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli import options, output
 from rig.cli.progress import SweepBar
-
-if TYPE_CHECKING:
-    from rig.papers.frame import Reproduction
+from rig.papers.frame import Reproduction
+from rig.papers.page import check_installed, write_report
+from rig.recording.files import plain_errors
 
 PAPERS = ("koul", "chawda")
 WIDEST = 56  # characters of a cell
@@ -46,15 +45,11 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     """
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")  # before numpy is imported
-    from rig.papers.page import check_installed, write_report  # noqa: PLC0415
-    from rig.recording.files import plain_errors  # noqa: PLC0415
-
     check_installed()
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
-    with output.compiling():
-        study, rigs = (import_module(f"rig.reproduce.{paper}.{part}") for part in ("reproduction", "rigs"))
-        plots = import_module(f"rig.plots.{paper}")
+    study, rigs = (import_module(f"rig.reproduce.{paper}.{part}") for part in ("reproduction", "rigs"))
+    plots = import_module(f"rig.plots.{paper}")
 
     scale = rigs.QUICK if quick else rigs.FULL
     with SweepBar(f"reproducing {paper}", unit="parts", plain=as_json) as bar:

@@ -6,14 +6,14 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from rig.cli import output
-
-if TYPE_CHECKING:
-    from rig.session.analysis import Analysis
+from rig.cli.session_report import write_report
+from rig.session.analysis import Analysis, Options, write_tables
+from rig.session.analysis import analyse as found_in
 
 MEASURES = {"rule": "rule", "k50-person": "K50 person", "k50-automatic": "K50 automatic"}
 _OFTEN_S = 0.2
@@ -55,10 +55,6 @@ def analyse(
     logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
     one HTML file tells everything, with pictures and the text of a paper's methods.
     """
-    from rig.cli.session_report import write_report  # noqa: PLC0415
-    from rig.session.analysis import Options, write_tables  # noqa: PLC0415
-    from rig.session.analysis import analyse as found_in  # noqa: PLC0415
-
     options = Options(measure=MEASURES[measure], hashes=hashes, seed=seed)  # type: ignore[arg-type]
     with Steps(quiet=as_json) as steps:
         found = found_in(places, options, watch=steps.watch)

@@ -10,6 +10,9 @@ import click
 from rig.cli import options, output
 from rig.cli.progress import CountBar
 from rig.core.errors import ConfigError
+from rig.session.analysis.study import read_study
+from rig.session.bids import Options, export_bids
+from rig.session.export import export_trials
 
 
 @click.command()
@@ -57,10 +60,6 @@ def export(
     PATHS are directories of studies or of participants. Trials that do not count are written too, and marked;
     recordings that are missing or were changed since are left out and named.
     """
-    from rig.session.analysis.study import read_study  # noqa: PLC0415
-    from rig.session.bids import Options, export_bids  # noqa: PLC0415
-    from rig.session.export import export_trials  # noqa: PLC0415
-
     if bids is None and csv is None and mat is None:
         raise ConfigError("nothing to write", remedy="say --bids OUT, --csv OUT or --mat OUT")
     with CountBar("reading", plain=as_json) as bar:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from rig.session.desk import View
-    from rig.session.log import Event
+from rig.session.desk import View
+from rig.session.log import Event
+from rig.session.telling import line_of_event
 
 _SURE = 2  # trials that are timed before the time that is left is told
 
@@ -44,8 +43,6 @@ class Rehearsed:
 
     def told(self, event: Event) -> None:
         """An event was written."""
-        from rig.session.telling import line_of_event  # noqa: PLC0415
-
         if not self._line and not self._quiet:
             click.echo(f"  {line_of_event(event)}", err=True)
 

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from rig.cli import options, output
 from rig.core.errors import PlanError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.session.expected import Range
-    from rig.session.plan import CellPlan, StudyPlan
+from rig.session import check as checking
+from rig.session import template_files as templates
+from rig.session.disk import in_words
+from rig.session.expected import Range
+from rig.session.load import json_schema, load_protocol
+from rig.session.plan import CellPlan, StudyPlan
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 MOST_ORDERS = 24  # participants whose order is printed; --json has all
@@ -29,8 +34,6 @@ def new(file: Path | None, template: str | None, listed: bool, as_json: bool) ->
 
     Beside it goes the JSON schema by which editors complete and check it (taplo, Even Better TOML in VS Code).
     """
-    from rig.session import template_files as templates  # noqa: PLC0415
-
     if listed:
         subjects = {name: templates.template_subject(name) for name in templates.template_names()}
         if as_json:
@@ -55,8 +58,6 @@ def new(file: Path | None, template: str | None, listed: bool, as_json: bool) ->
 @options.json_option
 def schema(as_json: bool) -> None:
     """Print the JSON schema of protocol files, for editors that complete and check TOML (taplo, VS Code)."""
-    from rig.session.load import json_schema  # noqa: PLC0415
-
     output.print_json(json_schema())
 
 
@@ -83,11 +84,7 @@ def check(file: Path, participants: int | None, url: str | None, unblind: bool, 
 
     Exits with an error when something is refused.
     """
-    from rig.session.load import load_protocol  # noqa: PLC0415
-
     protocol = load_protocol(file)
-    with output.compiling():
-        from rig.session import check as checking  # noqa: PLC0415
     plan = checking.check(protocol, file.parent, participants=participants, url=url)
     if as_json:
         shown = plan.as_mapping()
@@ -102,8 +99,6 @@ def check(file: Path, participants: int | None, url: str | None, unblind: bool, 
 
 
 def _print(plan: StudyPlan, *, unblind: bool) -> None:
-    from rig.session.disk import in_words  # noqa: PLC0415
-
     who = "the participant hits" if plan.kind == "human" else "the motor hits"
     click.echo(f"{plan.title}: on {plan.rig}, {who}; {plan.participants} participants")
     practice = f", {plan.practice} of practice" if plan.practice else ""
@@ -188,9 +183,6 @@ def _letters(place: int) -> str:
 
 
 def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Any:
-    from rich import box  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-
     click.echo(f"\n{title}")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for name in left:
@@ -201,8 +193,6 @@ def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Any:
 
 
 def _show(table: Any) -> None:
-    from rich.console import Console  # noqa: PLC0415
-
     console = Console()
     if not console.is_terminal:  # a file or a pipe has no width: nothing is folded
         console = Console(width=200)

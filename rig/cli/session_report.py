@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from rig.session.analysis import Analysis
+from rig.recording.files import plain_errors
+from rig.session.analysis import Analysis
+from rig.views.plots.session import draw_session
+from rig.views.report.session import write_session_report
+from rig.views.report.template import check_installed
 
 PICTURES = "pictures"
 
@@ -29,11 +30,6 @@ def write_report(
     RecordingError
         The disk refuses.
     """
-    from rig.recording.files import plain_errors  # noqa: PLC0415
-    from rig.views.plots.session import draw_session  # noqa: PLC0415
-    from rig.views.report.session import write_session_report  # noqa: PLC0415
-    from rig.views.report.template import check_installed  # noqa: PLC0415
-
     place = directory / PICTURES
     with plain_errors("make", place):
         place.mkdir(parents=True, exist_ok=True)

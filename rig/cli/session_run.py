@@ -6,20 +6,27 @@ import json
 import sys
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import click
 
 from rig.cli import options, output
 from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from rig.session.console.pointer import HandKind
-    from rig.session.desk import Desk
-    from rig.session.hits import Bench
-    from rig.session.rehearsal import Person
-    from rig.session.run import DeskFor, SessionResult
+from rig.session import rehearsal
+from rig.session import run as sessions
+from rig.session.bench import Bench
+from rig.session.console.desk import at_console
+from rig.session.console.pointer import HandKind
+from rig.session.desk import Desk
+from rig.session.directory import LOG, event_of_trial
+from rig.session.directory import amend as amend_event
+from rig.session.hits import RigBench
+from rig.session.log import DamagedLineError, set_damaged_line_aside
+from rig.session.rehearsal import Person
+from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
+from rig.session.state import State
+from rig.session.telling import line_of_event
 
 _VIRTUAL_S = 1e8  # since 1970: no participant sat then
 
@@ -104,10 +111,6 @@ def run(
     Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
     session resume` goes on.
     """
-    with output.compiling():
-        from rig.session import rehearsal  # noqa: PLC0415
-        from rig.session import run as sessions  # noqa: PLC0415
-
     if not rehearse and (thresholds or realtime or spread is not None or slips is not None):
         raise ConfigError(
             "--threshold, --spread, --slips and --realtime belong to a rehearsal",
@@ -176,11 +179,6 @@ def resume(
     It goes on where it took place: without --url on the device of the log. A real rig needs --verified again: somebody
     has looked at its signs, and the handle is at zero.
     """
-    with output.compiling():
-        from rig.session import run as sessions  # noqa: PLC0415
-        from rig.session.directory import LOG  # noqa: PLC0415
-        from rig.session.log import set_damaged_line_aside  # noqa: PLC0415
-
     if drop_damaged_line and (directory / LOG).is_file():
         kept = set_damaged_line_aside(directory / LOG)
         found = "no line is damaged" if kept is None else f"the damaged line is in {kept} now"
@@ -202,11 +200,6 @@ def resume(
 @options.json_option
 def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
     """Say where the session in DIRECTORY stands; also while it runs."""
-    from rig.session.log import DamagedLineError  # noqa: PLC0415
-    from rig.session.run import session_state, summary  # noqa: PLC0415
-    from rig.session.state import State  # noqa: PLC0415
-    from rig.session.telling import line_of_event  # noqa: PLC0415
-
     damage = None
     try:
         state, events = session_state(directory)
@@ -263,9 +256,6 @@ def amend(directory: Path, said: tuple[str, ...], trial: int | None, why: str, a
     With --trial N, VALUE is another verdict, or void: the trial does not count (counts takes that back). EVENT is a
     number of `rig session show --log`. Nothing is erased: the correction is an event of its own.
     """
-    from rig.session.directory import amend as amend_event  # noqa: PLC0415
-    from rig.session.directory import event_of_trial  # noqa: PLC0415
-
     value = said[-1]
     numbers = [int(text) for text in said[:-1] if text.isdecimal()]
     if len(said) != (2 if trial is None else 1) or len(numbers) != len(said) - 1:
@@ -284,14 +274,10 @@ def amend(directory: Path, said: tuple[str, ...], trial: int | None, why: str, a
 
 def _desk(person: Person | None, seen: Rehearsed, *, hand: str, plain: bool) -> DeskFor:
     """The console, or the simulated person whose progress is shown."""
-    from rig.session.run import rehearsal_desk  # noqa: PLC0415
-
     return _console(hand=hand, plain=plain) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
 def _bench(url: str | None, realtime: bool, verified: bool, arm_anyway: bool) -> Bench:
-    from rig.session.hits import RigBench  # noqa: PLC0415
-
     return RigBench(url=url, realtime=realtime, verified=verified, arm_anyway=arm_anyway)
 
 
@@ -304,8 +290,6 @@ def _console(*, hand: str, plain: bool) -> DeskFor:
                 "a session with a person needs a terminal for its operator",
                 remedy="run it in one, or rehearse: --rehearse; with --plain, keys are read from standard input",
             )
-        from rig.session.console.desk import at_console  # noqa: PLC0415
-
         kind = None if hand == "simulated" else cast("HandKind", hand)
         return at_console(hand=kind, plain=plain)(*about)
 

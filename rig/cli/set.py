@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from rig.cli import options, output
+from rig.experiments import live
 
 
 @click.command("set")
@@ -27,8 +28,6 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
     Example: rig set stiffness=400 damping=0.5
     """
     values = options.key_values(changes)
-    with output.compiling():
-        from rig.experiments import live  # noqa: PLC0415  (imports compile)
 
     def posted(number: int) -> None:
         if not as_json:

@@ -7,7 +7,12 @@ from typing import Any
 
 import click
 
-from rig.cli import options, output
+from rig.cli import hit_output, options, output
+from rig.experiments.judgement import experiment_of, judge
+from rig.experiments.plan import ARITHMETIC_WORDS
+from rig.recording.marks import marks
+from rig.recording.reader import open_recording
+from rig.views.plots.hit import draw_hit
 
 
 @click.command()
@@ -17,22 +22,17 @@ from rig.cli import options, output
 @options.json_option
 def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None:
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
-    from rig.experiments.judgement import experiment_of, judge  # noqa: PLC0415
-    from rig.recording.reader import open_recording  # noqa: PLC0415
-
     opened = open_recording(recording)
     experiment = experiment_of(opened)
     judgement = judge(opened, experiment)
     if plot is not None:
-        from rig.views.plots.hit import draw_hit  # noqa: PLC0415
-
         draw_hit(recording, plot)
     happened = _marks(opened) if marks else None
     if as_json:
         told = {} if happened is None else {"marks": [mark.as_mapping() for mark in happened]}
         output.print_json({**_facts(opened, judgement), **told})
         return
-    click.echo(output.headline(experiment))
+    click.echo(hit_output.headline(experiment))
     header, trailer = opened.header, opened.trailer or {}
     pairs = [
         ("created", str(header.get("created"))),
@@ -46,7 +46,8 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
         pairs.append(("beside the host's law", _agreement(trailer["law_agreement"])))
     if trailer.get("error"):
         pairs.append(("error", trailer["error"]))
-    output.print_pairs([*pairs, *output.verdict_pairs(experiment, judgement.verdict, judgement.verdict_true)])
+    verdicts = hit_output.verdict_pairs(experiment, judgement.verdict, judgement.verdict_true)
+    output.print_pairs([*pairs, *verdicts])
     if happened is not None:
         click.echo("marks")
         output.print_pairs(_mark_pairs(happened))
@@ -55,8 +56,6 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
 
 
 def _marks(opened: Any) -> list[Any]:
-    from rig.recording.marks import marks  # noqa: PLC0415
-
     return marks(opened)
 
 
@@ -75,8 +74,6 @@ def _mark_pairs(happened: list[Any]) -> list[tuple[str, str]]:
 
 def _where(extra: dict[str, Any]) -> str:
     """Where the law ran, in words; recordings of the first version do not say, and were the host's."""
-    from rig.experiments.plan import ARITHMETIC_WORDS  # noqa: PLC0415
-
     if extra.get("loop", "host") == "host":
         return "the host"
     arithmetic = str(extra.get("arithmetic", ""))

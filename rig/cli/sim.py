@@ -7,7 +7,10 @@ from typing import Any
 
 import click
 
+from rig import config
 from rig.cli import options, output
+from rig.devices import load_backend
+from rig.devices.local import serve as serve_scheme
 
 
 @click.group()
@@ -34,19 +37,13 @@ def sim() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
 def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
-    from rig import config  # noqa: PLC0415
-
     path = Path(preset)
     experiment = (
         options.chosen_experiment(path, None)
         if path.suffix == ".toml"
         else options.chosen_experiment(None, preset)
     )
-    with output.compiling():
-        from rig.devices import load_backend  # noqa: PLC0415
-        from rig.devices.local import serve as serve_scheme  # noqa: PLC0415
-
-        load_backend("sim://")
+    load_backend("sim://")
 
     def announce(port: str) -> None:
         if as_json:

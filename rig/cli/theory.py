@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from rig import config
+from rig.analysis.theory import (
+    AtDamping,
+    Bound,
+    DampingLimit,
+    InHand,
+    PassivityBound,
+    SchemeTheory,
+    Theory,
+    theory_of,
+)
 from rig.cli import options, output
+from rig.core.errors import RecordingError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.analysis.theory import (
-        AtDamping,
-        Bound,
-        DampingLimit,
-        InHand,
-        PassivityBound,
-        SchemeTheory,
-        Theory,
-    )
+from rig.views.plots.theory import draw_theory
 
 _MEANINGS = {"exact": "exact (rigid rig)"}
 
@@ -62,15 +63,10 @@ def theory(
     stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: Coulomb friction
     raises K_max by 1.4 to 2 times, the quantum takes 30 to 50 % off the range of B.
     """
-    from rig import config  # noqa: PLC0415
-
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(rate=None, sets=sets, damping=damping)
     if changes:
         experiment = config.override(experiment, changes)
-    with output.compiling():
-        from rig.analysis.theory import theory_of  # noqa: PLC0415
-
     found = theory_of(experiment, schemes or None, operator=operator)
     picture = _draw(found, directory) if plot else None
     if as_json:
@@ -82,9 +78,6 @@ def theory(
 
 
 def _draw(found: Theory, directory: Path) -> Path:
-    from rig.core.errors import RecordingError  # noqa: PLC0415
-    from rig.views.plots.theory import draw_theory  # noqa: PLC0415
-
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli import options, output
 from rig.core.errors import RigError
-
-if TYPE_CHECKING:
-    from rig.recording.timing import Quantile, TimingSummary
+from rig.experiments.timing import timing_of
+from rig.recording.timing import LATENESS, STAGES, Quantile, TimingSummary
+from rig.views.plots.timing import draw_timing
 
 _COUNTS = {
     "late": "late by more than a period",
@@ -40,13 +39,9 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
     Sampled and applied are times of the device, put on the host's clock by the exchanges of the run; without them only
     the host's share is known.
     """
-    from rig.experiments.timing import timing_of  # noqa: PLC0415
-
     found = timing_of(recording)
     drawn, failure = None, None
     if plot:
-        from rig.views.plots.timing import draw_timing  # noqa: PLC0415
-
         target = picture or recording.with_name(f"{recording.stem}-timing.png")
         try:
             drawn = draw_timing(found.ledger, found.summary, target, title=recording.name)
@@ -95,8 +90,6 @@ def _stages(summary: TimingSummary) -> list[tuple[str, ...]]:
 
 
 def _label(name: str) -> str:
-    from rig.recording.timing import STAGES  # noqa: PLC0415
-
     return STAGES[name][2] if name in STAGES else "late on the grid of the samples"
 
 
@@ -159,8 +152,6 @@ def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
 
 
 def _worst(summary: TimingSummary) -> list[tuple[str, ...]]:
-    from rig.recording.timing import LATENESS  # noqa: PLC0415
-
     names = ("transport_in", "law", "send", "transport_out", "whole", LATENESS)
     rows: list[tuple[str, ...]] = [("tick", "at", "in", "law", "send", "out", "whole", "late")]
     for bad in summary.worst:

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from rig.cli import maps, options, output
+from rig import config
+from rig.analysis import theory
+from rig.cli import hit_output, maps, options, output
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
+from rig.config import Experiment
+from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
-    from rig.experiments.zwidth import MapPlan, Width, ZWidth
+from rig.experiments import map_files
+from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.ranges import SPAN, dampings_for, theory_curves
+from rig.experiments.zwidth import MapPlan, Width, ZWidth
+from rig.views.plots.zwidth import draw_zwidth
 
 
 @click.command()
@@ -99,23 +104,20 @@ def zwidth(
     else:
         refuse_without_device(verified, confirm)
     experiment = maps.chosen(file, preset or options.preset_of(url, file), **push, device=device)
-    with output.compiling():
-        from rig.experiments import map_files  # noqa: PLC0415  (imports compile)
-
-        if url is not None:
-            load_device(url)
-        if realtime or (url is not None and not url.startswith("sim:")):
-            experiment = _in_real_time(experiment)
-        place_of_zero = f"{experiment.rig.encoder.offset!r}" if device else maps.OFFSETS
-        plan = _plan(
-            experiment,
-            schemes,
-            damping,
-            search=maps.search(experiment, stiffness, way, ratio, _span(), device=device),
-            offsets=maps.numbers(place_of_zero if offsets is None else offsets, "--offsets"),
-            repeats=repeats,
-            judged=judged or ("recorded" if device else "true"),
-        )
+    if url is not None:
+        load_device(url)
+    if realtime or (url is not None and not url.startswith("sim:")):
+        experiment = _in_real_time(experiment)
+    place_of_zero = f"{experiment.rig.encoder.offset!r}" if device else maps.OFFSETS
+    plan = _plan(
+        experiment,
+        schemes,
+        damping,
+        search=maps.search(experiment, stiffness, way, ratio, _span(), device=device),
+        offsets=maps.numbers(place_of_zero if offsets is None else offsets, "--offsets"),
+        repeats=repeats,
+        judged=judged or ("recorded" if device else "true"),
+    )
     if url is None:
         place = map_files.directory_for(plan, directory, "zwidth")
         with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
@@ -136,25 +138,16 @@ def zwidth(
 
 
 def _plan(experiment: Experiment, schemes: tuple[str, ...], damping: str | None, **others: Any) -> MapPlan:
-    from rig.analysis import theory  # noqa: PLC0415
-    from rig.config.schemes import Scheme  # noqa: PLC0415
-    from rig.experiments.ranges import dampings_for  # noqa: PLC0415
-    from rig.experiments.zwidth import MapPlan  # noqa: PLC0415
-
     parsed = tuple(Scheme.parse(text) for text in schemes) or theory.default_schemes(experiment)
     dampings = dampings_for(experiment, parsed) if damping is None else maps.numbers(damping, "--damping")
     return MapPlan(experiment=experiment, schemes=parsed, dampings=dampings, **others)
 
 
 def _span() -> float:
-    from rig.experiments.ranges import SPAN  # noqa: PLC0415
-
     return SPAN
 
 
 def _in_real_time(experiment: Experiment) -> Experiment:
-    from rig import config  # noqa: PLC0415
-
     return config.with_realtime(experiment)
 
 
@@ -166,16 +159,13 @@ def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
 
 
 def _draw(found: ZWidth, path: Path) -> str:
-    from rig.experiments.ranges import theory_curves  # noqa: PLC0415
-    from rig.views.plots.zwidth import draw_zwidth  # noqa: PLC0415
-
     return str(draw_zwidth(found, path, theory=theory_curves(found.plan)))
 
 
 def _print(found: ZWidth) -> None:
     experiment = found.plan.experiment
     stiffness, damping = (unit_of(q, experiment.rig.motion) for q in ("stiffness", "damping"))
-    click.echo(f"{experiment.rig.name}, {output.push_text(experiment)}: K in {stiffness}, B in {damping}")
+    click.echo(f"{experiment.rig.name}, {hit_output.push_text(experiment)}: K in {stiffness}, B in {damping}")
     rows: list[tuple[str, ...]] = [("scheme", "criterion", "K at B = 0", "K peak", "at B", "B range", "area")]
     for number, scheme in enumerate(found.plan.schemes):
         for criterion in CRITERIA:
@@ -188,8 +178,6 @@ def _print(found: ZWidth) -> None:
 
 
 def _notes(found: ZWidth) -> list[str]:
-    from rig.experiments.plan import STANDS_FOR_DEVICE  # noqa: PLC0415
-
     notes = []
     if any(b.capped for b in found.boundaries):
         notes.append(

@@ -5,23 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
+from rig import config
 from rig.cli import maps, options, output
 from rig.cli.progress import SweepBar
+from rig.config import Experiment
+from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.config import Experiment
-    from rig.experiments.boundary_search import Comparison
-    from rig.experiments.frequency_widths import FrequencyWidth, Spread
-    from rig.experiments.impedance import Judging
-    from rig.experiments.table_one import SchemeRow, TableOne
-    from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
+from rig.experiments import frequency_files as files
+from rig.experiments.boundary_search import Comparison
+from rig.experiments.frequency_ranges import frequency_plan, linear_curves
+from rig.experiments.frequency_widths import FrequencyWidth, Spread
+from rig.experiments.impedance import Judging
+from rig.experiments.table_one import SchemeRow, TableOne
+from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
+from rig.views.plots.zwidth_frequency import draw_frequency_map
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -113,13 +116,10 @@ def map_frequency(
 ) -> None:
     """Map a simulated rig and print what came of it."""
     experiment = _chosen(file, preset, **shaking)
-    with output.compiling():
-        from rig.experiments import frequency_files as files  # noqa: PLC0415  (imports compile)
-
-        signal = None if judged is None else "truth" if judged == "true" else "count"
-        judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
-        plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
-        plan.check()
+    signal = None if judged is None else "truth" if judged == "true" else "count"
+    judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
+    plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
+    plan.check()
     place = files.directory_for(plan, directory)
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
         found, table = files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
@@ -136,8 +136,6 @@ def _chosen(
     file: Path | None, preset: str | None, *, sets: tuple[str, ...], band: str | None, seed: int | None,
     realisations: int | None, periods: int | None, amplitude: float | None,
 ) -> Experiment:  # fmt: skip
-    from rig import config  # noqa: PLC0415
-
     experiment = options.chosen_experiment(file, preset or (None if file else DEFAULT_PRESET))
     given = {"seed": seed, "realisations": realisations, "periods": periods, "rms": amplitude}
     changes = options.changes(None, sets)
@@ -154,9 +152,6 @@ def _plan(
     damping: str | None,
     **others: Any,
 ) -> FrequencyPlan:
-    from rig.config.schemes import Scheme  # noqa: PLC0415
-    from rig.experiments.frequency_ranges import frequency_plan  # noqa: PLC0415
-
     return frequency_plan(
         experiment,
         [Scheme.parse(text) for text in schemes],
@@ -167,8 +162,6 @@ def _plan(
 
 
 def _judging(band: str | None, **thresholds: float | None) -> Judging:
-    from rig.experiments.impedance import Judging  # noqa: PLC0415
-
     given: dict[str, Any] = {name: value for name, value in thresholds.items() if value is not None}
     return Judging(band_hz=None if band is None else _band(band, "--judged-band"), **given)
 
@@ -184,9 +177,6 @@ def _band(text: str, option: str) -> tuple[float, float]:
 
 
 def _draw(found: FrequencyMap, path: Path) -> str:
-    from rig.experiments.frequency_ranges import linear_curves  # noqa: PLC0415
-    from rig.views.plots.zwidth_frequency import draw_frequency_map  # noqa: PLC0415
-
     return str(draw_frequency_map(found, path, theory=linear_curves(found.plan)))
 
 

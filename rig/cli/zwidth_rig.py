@@ -5,18 +5,17 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli import output
+from rig.control.verdict import Measured
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
-
-if TYPE_CHECKING:
-    from rig.control.verdict import Measured
-    from rig.experiments.zwidth import MapPlan, ZWidth
-    from rig.experiments.zwidth_rig import Next
+from rig.devices import load_backend
+from rig.experiments import map_files
+from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.experiments.zwidth_rig import Next, Session, work_of
 
 CONFIRM = ("each", "climb", "no")
 CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports
@@ -46,9 +45,6 @@ class Dialogue:
 
     def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
         """Map the device into a directory of its own below this one; returns that and the map."""
-        from rig.experiments import map_files  # noqa: PLC0415
-        from rig.experiments.zwidth_rig import Session, work_of  # noqa: PLC0415
-
         place = map_files.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
         session = Session(
             url=self._url,
@@ -101,9 +97,6 @@ class Dialogue:
 
 def load_device(url: str) -> None:
     """Import what hits on a device need, which compiles."""
-    from rig.devices import load_backend  # noqa: PLC0415
-    from rig.experiments import zwidth_rig  # noqa: F401, PLC0415
-
     load_backend(url)
 
 

@@ -11,16 +11,16 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, get_type_hints
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
 from rig.config.files import Table, nest
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
+from rig.core.deferred import pydantic
 from rig.core.quantity import STRICT
 from rig.core.sample import Motion
 
 if TYPE_CHECKING:
-    from pydantic import ConfigDict, TypeAdapter
     from pydantic_core import ErrorDetails
 
 T = TypeVar("T")
@@ -89,15 +89,13 @@ def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None,
     motion
         Of the rig, for units in messages; None when it is not known.
     """
-    from pydantic import ValidationError  # noqa: PLC0415  (slow to import, and only needed here)
-
     problems = list(_mistaken_choices(kind, table))
     # By way of JSON, because strict validation of Python objects accepts instances of the dataclasses only.
     text = json.dumps(_jsonable(table))
     try:
         root: Any = kind.root
         return _adapter(root).validate_json(text), problems
-    except ValidationError as error:
+    except pydantic.ValidationError as error:
         found = [_problem_of(e, kind, table, motion) for e in error.errors(include_url=False)]
         return None, list(dict.fromkeys(found)) + problems
 
@@ -159,11 +157,9 @@ class _Changing:
         return now
 
     def _leaf(self, section: type, name: str, value: Any, path: tuple[str, ...]) -> Any:
-        from pydantic import ValidationError  # noqa: PLC0415
-
         try:
             return _adapter_of_key(section, name).validate_json(json.dumps(_jsonable(value)))
-        except ValidationError as error:
+        except pydantic.ValidationError as error:
             found = error.errors(include_url=False)
             self.errors += [({**one, "loc": (*path, *one["loc"])}, self._whole) for one in found]
             return value
@@ -202,18 +198,14 @@ def place(path: Sequence[str]) -> str:
 
 
 @cache
-def _adapter(root: type) -> TypeAdapter[Any]:
-    from pydantic import TypeAdapter  # noqa: PLC0415
-
-    return TypeAdapter(root)
+def _adapter(root: type) -> Any:
+    return pydantic.TypeAdapter(root)
 
 
 @cache
-def _adapter_of_key(section: type, name: str) -> TypeAdapter[Any]:
-    from pydantic import TypeAdapter  # noqa: PLC0415
-
+def _adapter_of_key(section: type, name: str) -> Any:
     hint = get_type_hints(section, include_extras=True)[name]
-    return TypeAdapter(hint, config=cast("ConfigDict", STRICT))
+    return pydantic.TypeAdapter(hint, config=STRICT)
 
 
 def _jsonable(value: Any) -> Any:

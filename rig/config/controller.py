@@ -17,7 +17,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import Experiment, device_law, motor_push, verdict_limits
 from rig.control import estimators, friction, laws
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.step import CONTROL, Controller, new_memory
 from rig.control.watch import TRAVEL, TRAVEL_COUNTS
 from rig.core.errors import PlanError

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, TypedDict
 from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.sections import Experiment, Rig
 from rig.config.table import shown
+from rig.control import estimators, laws
+from rig.control.verdict import Limits
 from rig.core.errors import ConfigError
 from rig.core.model import Reach, RigModel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rig.control.verdict import Limits
 
 ABOVE_COULOMB = 10.0  # rms of an excitation over the Coulomb friction
 SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
@@ -114,8 +115,6 @@ def verdict_limits(experiment: Experiment) -> Limits:
 
     A handle that moves by x has turned the link by x / radius; a force F there is a torque of F · radius.
     """
-    from rig.control.verdict import Limits  # noqa: PLC0415
-
     given, radius = experiment.verdict, experiment.rig.mechanics.handle_radius
     return Limits(
         tail_s=given.tail_s,
@@ -142,8 +141,6 @@ def check_plugins(experiment: Experiment, source: str) -> None:
     ConfigError
         An unknown name (with the closest known one), an unknown setting, or one out of range.
     """
-    from rig.control import estimators, laws  # noqa: PLC0415
-
     controller = experiment.controller
     problems: list[Problem] = []
     # To look for plug-ins takes longer than all the rest of it.

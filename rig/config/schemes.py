@@ -23,6 +23,7 @@ from typing import Any, Literal
 
 from rig import config
 from rig.config import Experiment
+from rig.control import estimators
 from rig.core.errors import ConfigError
 
 _KINDS = ("uniform", "dual")
@@ -231,8 +232,6 @@ def _checked(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
 
 
 def _has_cutoff(estimator: str) -> bool:
-    from rig.control import estimators  # noqa: PLC0415  (numba only when a scheme is applied)
-
     known = estimator in estimators.names()  # an unknown one is refused later, with every other problem
     return known and any(setting.name == _CUTOFF for setting in estimators.get(estimator).settings)
 

@@ -15,7 +15,9 @@ from typing import Annotated, Any, Literal, NamedTuple, cast, get_args, get_orig
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 
+from rig.config.files import preset_names
 from rig.config.sections import Experiment
+from rig.core.deferred import pydantic
 from rig.core.quantity import Quantity
 from rig.core.sample import UNITS, Motion, unit_of
 
@@ -189,8 +191,6 @@ def json_schema() -> dict[str, Any]:
 
     Nothing is required in it, because a file may start from a preset.
     """
-    from rig.config.files import preset_names  # noqa: PLC0415
-
     schema = schema_of(Experiment)
     for definition in (schema, *schema["$defs"].values()):
         definition.pop("required", None)
@@ -204,9 +204,7 @@ def json_schema() -> dict[str, Any]:
 
 def schema_of(root: type) -> dict[str, Any]:
     """JSON schema of a description, with the meaning and the unit of each key."""
-    from pydantic import TypeAdapter  # noqa: PLC0415  (slow to import, and only needed here)
-
-    schema = TypeAdapter(root).json_schema()
+    schema: dict[str, Any] = pydantic.TypeAdapter(root).json_schema()
     definitions: dict[str, Any] = schema["$defs"]
     for parameter in parameters_of(root).values():
         owner = schema if parameter.section is root else definitions[parameter.section.__name__]

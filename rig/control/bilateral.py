@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rig.control.excitation import ramp as fade
+from rig.control.law import Law
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
 
@@ -65,13 +66,41 @@ def shaken(
     return float(reaction + excitation * ramp(tick, int(parameters[RAMP_TICKS])))
 
 
+def bilateral_law() -> Law:
+    """Return the law of the wall on both sides."""
+    return Law("bilateral", "spring and damper on both sides", bilateral, 1, design)
+
+
+def shaken_law(
+    efforts: ArrayLike = (0.0,), ramp_ticks: int = 0, device: Mapping[str, int] | None = None
+) -> Law:
+    """Return the bilateral wall with an excitation that the rig's own motor plays.
+
+    Parameters
+    ----------
+    efforts
+        One period at the loop's rate, positive along the position (N·m or N), at least one sample.
+    ramp_ticks
+        Ticks in which the excitation rises.
+    device
+        Parameters from which a device makes the same table (`rig.control.excitation_table`).
+    """
+    table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
+
+    def designed(wall: Mapping[str, Any]) -> list[float]:
+        return design_shaken(wall, table, ramp_ticks)
+
+    summary = "bilateral, and shaken by the rig's own motor"
+    return Law("shaken", summary, shaken, SHAKEN_STATE, designed, dict(device or {}))
+
+
 def design(wall: Mapping[str, Any]) -> list[float]:
     """Parameters of the bilateral wall from the settings of ``[wall]``."""
     return [wall["stiffness"], wall["damping"]]
 
 
 def design_shaken(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
-    """Parameters of the shaken wall; see `rig.control.laws.shaken`."""
+    """Parameters of the shaken wall; see `shaken_law`."""
     reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
     return [*design(wall), float(ramp_ticks), *reactions]
 

@@ -272,7 +272,7 @@ class ExcitationTable:
         )
 
     def efforts(self, effort_quantum: float) -> Floats:
-        """One period of the table (N·m or N), for a law that plays it (`rig.control.laws.shaken`)."""
+        """One period of the table (N·m or N), for a law that plays it (`rig.control.bilateral.shaken_law`)."""
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:

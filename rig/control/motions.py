@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
 

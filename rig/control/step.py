@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from rig.control import estimators, guard, laws, sources, watch
 from rig.control.estimators.estimator import WINDOW, Prepared
 from rig.control.estimators.fdm import count_difference
-from rig.control.laws import Law, PreparedLaw
+from rig.control.law import Law, PreparedLaw
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime.kernel import kernel

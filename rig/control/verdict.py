@@ -1,8 +1,7 @@
 """The verdict of one hit: stable, limit cycle, unstable or invalid, with every number behind it.
 
-It uses only what a rig records, so that a simulated and a real trial are judged by the same text; in
-simulation the same function runs a second time on the truth. All signals are cut to the trial, uniformly
-sampled; the tail is its last `tail_s`.
+Here is what the numbers mean; `rig.control.judging` takes them from the signals of a trial. They are of its tail, the
+last `tail_s`:
 
 * **felt**: rms velocity between 30 and 500 Hz, from counts by a central difference and a zero-phase filter;
 * **heard**: rms of the commanded effort above 30 Hz;
@@ -34,20 +33,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from enum import IntFlag, StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from firmware_protocol.faults import LimitFlag
-from firmware_protocol.messages import NO_COMMAND_YET
-from rig.core.sample import Phase, RowFlag
-
-if TYPE_CHECKING:
-    from rig.control.measure import Meter
-
-# Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
-_OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -84,27 +73,6 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Signals:
-    """One trial, uniformly sampled: arrays of equal length, positions and efforts in the units of the rig.
-
-    `velocity` is None when it has to be derived from `position`; `resolution` is the count behind
-    `position`, 0 for truth.
-    """
-
-    tick_s: float
-    resolution: float
-    position: Floats
-    velocity: Floats | None
-    effort: Floats
-    penetration: Floats
-    saturated: Bools
-    late: Bools
-    gap: Bools
-    slew_bound: Bools
-    overruled: Bools  # the device limited, ramped or withheld what the law commanded
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """Outcome and numbers of one hit. Lengths and efforts in the units of the rig; None: not measurable."""
 
@@ -132,49 +100,6 @@ class Verdict:
     def as_mapping(self) -> dict[str, Any]:
         """Plain numbers and strings, for JSON."""
         return {**asdict(self), "kind": str(self.kind), "reasons": list(self.reasons)}
-
-
-def recorded_signals(rows: NDArray[np.void], tick_s: float, resolution: float) -> Signals:
-    """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`)."""
-    trial = rows[rows["phase"] == Phase.TRIAL]
-    return Signals(
-        position=trial["position"].copy(),
-        velocity=None,
-        effort=trial["effort_sent"].copy(),
-        penetration=trial["penetration"].copy(),
-        **_shared(trial, tick_s, abs(resolution)),
-    )
-
-
-def true_signals(rows: NDArray[np.void], tick_s: float, wall_position: float, wall_side: float) -> Signals:
-    """What really happened in a simulated trial: rows that carry `rig.core.sample.TRUTH_COLUMNS` too.
-
-    A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
-    penetration is that of the sensed side. On two masses the capstan lies between them.
-    """
-    trial = rows[rows["phase"] == Phase.TRIAL]
-    return Signals(
-        position=trial["handle_position_true"].copy(),
-        velocity=trial["handle_velocity_true"].copy(),
-        effort=trial["effort_true"].copy(),
-        penetration=wall_side * (trial["position_true"] - wall_position),
-        **_shared(trial, tick_s, 0.0),
-    )
-
-
-def _shared(trial: NDArray[np.void], tick_s: float, resolution: float) -> dict[str, Any]:
-    def flagged(flag: RowFlag) -> Bools:
-        return np.asarray((trial["flags"] & int(flag)) != 0)
-
-    return {
-        "tick_s": tick_s,
-        "resolution": resolution,
-        "saturated": flagged(RowFlag.SATURATED),
-        "late": flagged(RowFlag.LATE),
-        "gap": flagged(RowFlag.GAP),
-        "slew_bound": flagged(RowFlag.SLEW_BOUND),
-        "overruled": ((trial["limits"] & _OVERRULES) != 0) | (trial["command_age"] == NO_COMMAND_YET),
-    }
 
 
 class Finding(IntFlag):
@@ -206,40 +131,6 @@ INVALID = Finding(Finding.EXITS - 1) | Finding.TOUCHED_EARLY | Finding.LEFT  # a
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
 _EXCEEDED_BY = dict(zip(CRITERIA, (Finding.FELT, Finding.HEARD, EXCEEDED), strict=True))
-
-
-def judge(signals: Signals, limits: Limits) -> Verdict:
-    """Judge one trial (see the module's text).
-
-    A trial shorter than its tail is judged on what there is; one without samples is invalid.
-    """
-    return measured(signals, limits).verdict
-
-
-def measured(signals: Signals, limits: Limits, *, thrown_out: bool = False) -> Measured:
-    """Measure one trial: a verdict without its texts."""
-    numbers = meter(limits, signals.tick_s, signals.resolution).recorded(
-        signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
-    )
-    return Measured(numbers, limits, thrown_out)
-
-
-def meter(limits: Limits, tick_s: float, resolution: float) -> Meter:
-    """Return what measures trials for `decide`, `kinds` and `Measured`: one for each thread.
-
-    Its `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
-    `rig.control.measure.NUMBERS`; `resolution` is that of a count in the recorded ones.
-    """
-    from rig.control.measure import Meter  # noqa: PLC0415  (compiled code: whoever only wants the limits does not wait for it)
-
-    return Meter(
-        tick_s=tick_s,
-        resolution=resolution,
-        tail_s=limits.tail_s,
-        highpass_hz=limits.highpass_hz,
-        lowpass_hz=limits.lowpass_hz,
-        felt_velocity=limits.felt_velocity,
-    )
 
 
 def findings(numbers: Numbers, limits: Limits) -> Any:
@@ -366,23 +257,6 @@ class Measured:
 def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
     """Return the same numbers with another outcome, for a reason that the signals do not show."""
     return replace(verdict, kind=kind, reasons=(reason, *verdict.reasons))
-
-
-def _flags(signals: Signals) -> NDArray[np.int64]:
-    """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
-    from rig.control.measure import OVERRULED  # noqa: PLC0415
-
-    flags = np.zeros(len(signals.position), np.int64)
-    for bit, marked in (
-        (int(RowFlag.SATURATED), signals.saturated),
-        (int(RowFlag.LATE), signals.late),
-        (int(RowFlag.GAP), signals.gap),
-        (int(RowFlag.SLEW_BOUND), signals.slew_bound),
-        (OVERRULED, signals.overruled),
-    ):
-        if marked.any():
-            flags |= bit * marked.astype(np.int64)
-    return flags
 
 
 def _codes(found: Any) -> Any:

@@ -10,9 +10,13 @@ options, as is damping on the way in only.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.control.law import Law
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_CLAMPED, LAW_SIGNATURE
 
@@ -49,3 +53,15 @@ def spring_damper(
         state[LAW_CLAMPED] = 1.0
         return 0.0
     return float(reaction)
+
+
+def spring_damper_law() -> Law:
+    """Return the law of the virtual wall."""
+    return Law("spring-damper", "unilateral spring and damper", spring_damper, STATE, design)
+
+
+def design(wall: Mapping[str, Any]) -> list[float]:
+    """Parameters of the wall from the settings of ``[wall]``."""
+    may_pull = 1.0 if wall["pull"] == "allow" else 0.0
+    entry_only = 1.0 if wall["damping_on"] == "entry" else 0.0
+    return [wall["stiffness"], wall["damping"], may_pull, entry_only]

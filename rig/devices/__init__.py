@@ -10,17 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
-
-if TYPE_CHECKING:
-    from rig.core.model import RigModel
-    from rig.devices.framed import FramedDevice
-    from rig.devices.simulated import OpenRig, OpenShaker
+from rig.devices.framed import FramedDevice
+from rig.devices.simulated import OpenRig, OpenShaker
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
@@ -30,6 +28,7 @@ BUILT_IN = {
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
 SHAKERS = {"sim": "sim_backend.shaken:Shaker"}  # and shaken
+PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"  # and traced tick by tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +134,11 @@ def simulated_shaker(scheme: str = "sim") -> OpenShaker:
     return cast("OpenShaker", _loaded(SHAKERS[scheme], scheme, "haptic-rig"))
 
 
+def simulated_trial() -> tuple[Any, Any]:
+    """Return what builds a plant and what runs a traced trial on it; `DeviceNotFoundError` when they do not load."""
+    return _loaded(PLANT, "sim", "haptic-rig").build, _loaded(TRIAL, "sim", "haptic-rig")
+
+
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
     """Open the device behind a URL; parameters and errors as `open_link`."""
-    from rig.devices.framed import FramedDevice  # noqa: PLC0415
-
     return FramedDevice(open_link(url, model))

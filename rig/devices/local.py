@@ -14,17 +14,16 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rig import devices
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices import simulated_model
 from rig.devices.device import DeviceUrl
+from rig.devices.framed import FramedDevice
+from rig.devices.hand import SharedHand
 from rig.realtime.scheduling import obtained
-
-if TYPE_CHECKING:
-    from rig.devices.framed import FramedDevice
 
 SERVERS = {"sim": "sim_backend.pty:serve"}
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
@@ -177,8 +176,6 @@ def _served_options(url: DeviceUrl) -> dict[str, Any]:
 
 def _check_led(path: str, model: RigModel | None) -> None:
     """Say here what the process could only die of."""
-    from rig.devices.hand import SharedHand  # noqa: PLC0415
-
     SharedHand.open(path).close()
     if model is None or model.operator is None:
         raise ConfigError(

@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 import serial
 from numpy.typing import NDArray
+from serial.tools import list_ports
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.core.model import RigModel
@@ -36,6 +37,7 @@ from rig.devices import tty
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.devices.failures import error_number, link_error
 from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
+from rig.realtime import system
 from rig.realtime.clock import Clock, MonotonicClock
 
 DEFAULT_BAUD = 921_600
@@ -106,8 +108,6 @@ def _ports() -> str:
 
 def available_ports() -> list[tuple[str, str]]:
     """Name and description of every serial port that pyserial finds and that has hardware behind it."""
-    from serial.tools import list_ports  # noqa: PLC0415
-
     return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
 
 
@@ -167,8 +167,6 @@ class SerialLink:
 
     def port(self) -> LoopPort:
         """Return the system calls of the loop on this descriptor."""
-        from rig.realtime import system  # noqa: PLC0415  (numba only when a loop is built)
-
         return LoopPort.on(
             self.clock,
             read=system.descriptor_read,

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from rig.control.step import Controller
-    from rig.control.verdict import Limits, Measured
-    from rig.core.model import RigModel
+from rig.control.step import Controller
+from rig.control.verdict import Limits, Measured
+from rig.core.model import RigModel
 
 
 @dataclass(frozen=True, slots=True)

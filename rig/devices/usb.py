@@ -33,6 +33,8 @@ from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, LoopPort
 from rig.devices.failures import error_number, link_error
 from rig.devices.usb_handle import Bus, handle_of, unsuitable
+from rig.devices.usb_plain import PlainTransfers
+from rig.devices.usb_queue import QueuedTransfers
 from rig.realtime.clock import Clock, MonotonicClock
 
 OPTIONS = ("transfers",)
@@ -392,11 +394,7 @@ def _opened(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfer
         )
     try:
         if why:
-            from rig.devices.usb_plain import PlainTransfers  # noqa: PLC0415
-
             return PlainTransfers(device, pipes.endpoint_in, pipes.endpoint_out, pipes.packet, why)
-        from rig.devices.usb_queue import QueuedTransfers  # noqa: PLC0415  (numba)
-
         return QueuedTransfers(handle_of(device), pipes.endpoint_in, pipes.endpoint_out, pipes.packet)
     except OSError as error:
         raise _not_opened(error, device, url) from None

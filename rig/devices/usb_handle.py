@@ -16,11 +16,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 import usb
 import usb.core
 import usb.util
 from numpy.typing import NDArray
+from usb.backend import libusb1
 
 from rig.core.errors import DeviceNotFoundError
 
@@ -125,8 +127,6 @@ def _own_backend() -> Any:
     """Make a backend of pyusb with a new context, as its `get_backend` makes the shared one; None when it differs."""
     if _version() not in TESTED:
         return None
-    from usb.backend import libusb1  # noqa: PLC0415
-
     try:
         if libusb1._lib is None:  # noqa: SLF001
             libusb1._lib = libusb1._load_library()  # noqa: SLF001
@@ -147,8 +147,6 @@ def unsuitable(device: usb.core.Device) -> str:
     if _version() not in TESTED:
         tested = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
         return f"pyusb {usb.__version__} is not among the tested ones ({tested})"
-    import numba  # noqa: PLC0415  (0.3 s)
-
     if numba.config.DISABLE_JIT:
         return "numba does not compile"
     return _strange(device)
@@ -156,8 +154,6 @@ def unsuitable(device: usb.core.Device) -> str:
 
 def _strange(device: usb.core.Device) -> str:
     """Look at the private names; say what is not as tested."""
-    from usb.backend import libusb1  # noqa: PLC0415
-
     try:
         backend = device.backend
         if not isinstance(backend, libusb1._LibUSB):  # noqa: SLF001

@@ -16,6 +16,8 @@ from typing import Any
 
 import usb.core
 
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
+
 READ_TIMEOUT_MS = 50  # of one call of the reader: how soon it sees that it shall end
 WRITE_TIMEOUT_MS = 5  # of one write of the loop
 OUT_LIMIT_S = 0.5
@@ -104,7 +106,6 @@ class PlainTransfers:
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
         """Return read, write, wait and their handle (`rig.devices.device.LoopPort`)."""
-        from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction  # noqa: PLC0415  (numba)
 
         def native(kind: Any, function: Callable[..., int], signature: Any) -> Any:
             callback = kind(_guarded(function))

@@ -13,8 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.config.controller import resolution as signed
 from rig.control.estimators.arrays import inputs, quantise
 from rig.control.estimators.estimator import Floats, Ints
+from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion, Phase
 from rig.core.signals import Signal, edge_times
@@ -152,8 +154,6 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     filter of order 4 at `REFERENCE_HZ`, run forwards and backwards: no delay, but nothing above that frequency either,
     so that errors against it are comparable, not absolute.
     """
-    from rig.config.controller import resolution as signed  # noqa: PLC0415  (compiles the loop, which signals do not need)
-
     experiment = experiment_of(recording)
     resolution = signed(experiment)
     position_rate = experiment.controller.position_rate
@@ -197,11 +197,11 @@ def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Cal
         true = recording.column("velocity_true")
         known = np.isfinite(true)
         return lambda t: np.interp(t, time_s[known], true[known]), "the simulation's truth"
-    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415  (only here)
-
     tick_s = np.min(np.diff(time_s))
     grid = np.arange(time_s[0], time_s[-1] + 0.5 * tick_s, tick_s)
     position = np.interp(grid, time_s, resolution * np.unwrap(recording.column("count"), period=2**32))
     cutoff_hz = min(REFERENCE_HZ, 0.2 / tick_s)
-    smooth = np.gradient(sosfiltfilt(butter(4, cutoff_hz, fs=1.0 / tick_s, output="sos"), position), tick_s)
+    smooth = np.gradient(
+        signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=1.0 / tick_s, output="sos"), position), tick_s
+    )
     return lambda t: np.interp(t, grid, smooth), f"zero-phase Butterworth of order 4 at {cutoff_hz:g} Hz"

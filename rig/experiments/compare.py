@@ -13,18 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
-from rig import config
+from rig import config, devices
 from rig.config import Experiment, controller
 from rig.config.schemes import Scheme
 from rig.control.step import ENDS_RUN, TRIAL, Controller
-from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.errors import ConfigError
 from rig.core.sample import ROW
 from rig.experiments.impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
@@ -251,7 +250,7 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
     placed = replace(experiment, rig=rig)
     model, rates, trial = config.rig_model(placed), placed.controller, placed.trial
     tick_s = 1.0 / rates.position_rate
-    build, run_trial = _simulation()
+    build, run_trial = devices.simulated_trial()
     plant = build(model, tick_s)
     position, velocity = _one_tick_before(placed, start, tick_s)
     trace = run_trial(
@@ -301,14 +300,3 @@ def _rows(law: Controller, plant: Any, trace: Any) -> NDArray[np.void]:
     again = rows.copy()
     replay_rows(law.estimator.estimator.update, law.law.law.function, rows, again, NO_SETS, *law.arguments())
     return again
-
-
-def _simulation() -> tuple[Any, Any]:
-    """Return what builds a plant and what runs a trial on it, by name: `rig` has no import of the simulation."""
-    try:
-        plant, trial = import_module("sim_backend.plant"), import_module("sim_backend.trial")
-    except ImportError as error:
-        raise DeviceNotFoundError(
-            f"the simulation does not load: {error}", remedy="reinstall haptic-rig"
-        ) from error
-    return plant.DiscretePlant.build, trial.run_trial

@@ -9,13 +9,14 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rig import config, devices
+from rig.bench.doctor.gate import Gate, check_armable
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment, device_law
 from rig.config.controller import Run
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
@@ -26,9 +27,6 @@ from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
 from rig.recording.reader import open_recording
-
-if TYPE_CHECKING:
-    from rig.bench.doctor.gate import Gate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,8 +244,6 @@ def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
     """Refuse what the link makes dangerous; None in virtual time, which has no delay."""
     if device.link.clock.virtual:
         return None
-    from rig.bench.doctor.gate import check_armable  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
-
     found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
     if found is not None and request.judged_link is not None:
         request.judged_link(found)

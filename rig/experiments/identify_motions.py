@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from rig import config
 from rig.analysis.identification.sliding import Stroke
 from rig.config import Experiment
-from rig.control import laws
+from rig.control import bilateral
 from rig.control.excitation import Multisine
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.motions import nudging, tracing
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
@@ -144,7 +144,7 @@ def shaking_motion(x: Experiment, shaking: Multisine, inertia: float) -> Motion:
     """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
     rate = x.controller.position_rate
     periods = settle_periods(shaking.period_s) + PERIODS
-    law = laws.shaken(shaking.period(rate), round(shaking.period_s * rate))
+    law = bilateral.shaken_law(shaking.period(rate), round(shaking.period_s * rate))
     changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
     return Motion(_moved(x, _middle(x), periods * shaking.period_s, rate, changes), law)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from firmware_protocol.faults import Fault
 from rig.config import Experiment, experiment_from_mapping, verdict_limits
-from rig.control import verdict
+from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Verdict
 from rig.core.sample import Phase
 from rig.recording.data import Recording
@@ -60,11 +60,11 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     """Measure and judge a recording; `experiment` is the one in effect, from `experiment_of` where nobody has it."""
     limits, wall, early = verdict_limits(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
-    signals = verdict.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
-    measured, true = verdict.measured(signals, limits, thrown_out=thrown_out), None
+    signals = judging.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
+    measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
     if recording.has_truth:
-        signals = verdict.true_signals(recording.rows, tick_s, wall.position, wall.side)
-        true = verdict.measured(signals, limits, thrown_out=thrown_out)
+        signals = judging.true_signals(recording.rows, tick_s, wall.position, wall.side)
+        true = judging.measured(signals, limits, thrown_out=thrown_out)
     overruling = early
     if early is None and experiment.trial.kind == "excitation":
         overruling = (

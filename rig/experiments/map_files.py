@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rig.control.measure import UNITS
 from rig.core.sample import unit_of
 from rig.experiments import sweep
 from rig.experiments.results import make_directory, plan_directory, write_document, write_table
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, zwidth
-
-if TYPE_CHECKING:
-    from rig.experiments.zwidth_rig import Session
+from rig.experiments.zwidth_rig import Session, zwidth_on_rig
 
 JOURNAL, TABLE, SUMMARY, RECORDINGS = "journal", "hits.parquet", "map.json", "hits"
 
@@ -47,8 +45,6 @@ def map_into(
 
 def map_on_rig(plan: MapPlan, directory: Path, session: Session) -> ZWidth:
     """Map a device and keep everything in a directory; errors as `rig.experiments.zwidth_rig.zwidth_on_rig`."""
-    from rig.experiments.zwidth_rig import zwidth_on_rig  # noqa: PLC0415  (recordings and links, not for a simulation)
-
     make_directory(directory)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)

@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from rig.core.deferred import parquet, pyarrow
 from rig.experiments import sweep
 from rig.recording.files import plain_errors, whole_file
 
@@ -62,23 +63,20 @@ def write_table(
     RecordingError
         The disk refuses.
     """
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet  # noqa: PLC0415
-
     left = iter(rows)
     first = list(islice(left, BATCH))
     fields = [
-        pa.field(name, _type(pa, name, first), metadata={"unit": units.get(name, "")})
+        pyarrow.field(name, _type(name, first), metadata={"unit": units.get(name, "")})
         for name in (first[0] if first else {})
     ]
-    schema = pa.schema(fields, metadata={KEY: json.dumps(plan)})
+    schema = pyarrow.schema(fields, metadata={KEY: json.dumps(plan)})
     written = 0
     with (
         whole_file(path, overwrite=True) as file,
-        pa.parquet.ParquetWriter(file, schema, compression="zstd") as writer,
+        parquet.ParquetWriter(file, schema, compression="zstd") as writer,
     ):
         for batch in _batches(first, left):
-            writer.write_table(pa.Table.from_pylist(batch, schema=schema))
+            writer.write_table(pyarrow.Table.from_pylist(batch, schema=schema))
             written += len(batch)
     return written
 
@@ -90,10 +88,10 @@ def _batches(first: list[Any], left: Iterator[Any]) -> Iterator[list[Any]]:
         batch = list(islice(left, BATCH))
 
 
-def _type(pa: Any, name: str, rows: list[Any]) -> Any:
+def _type(name: str, rows: list[Any]) -> Any:
     """The type of the first value that is not None; a column of nothing but None is taken as truths."""
     value = next((row[name] for row in rows if row[name] is not None), False)
-    for kind, arrow in ((bool, pa.bool_()), (int, pa.int64()), (float, pa.float64())):
+    for kind, arrow in ((bool, pyarrow.bool_()), (int, pyarrow.int64()), (float, pyarrow.float64())):
         if isinstance(value, kind):
             return arrow
-    return pa.string()
+    return pyarrow.string()

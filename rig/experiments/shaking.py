@@ -30,7 +30,7 @@ from rig.config import Experiment, controller
 from rig.control import bilateral, laws
 from rig.control.excitation import Multisine
 from rig.control.excitation_table import ExcitationTable, Phases
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import RecordingError
 from rig.core.model import RigModel, state_space
 from rig.core.sample import Phase, RowFlag
@@ -149,12 +149,12 @@ def shaken_law(experiment: Experiment, realisation: int = 0, current_quantum_a: 
             experiment.rig.amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
         )
         table = device_table(experiment, realisation, current_quantum_a)
-        return laws.shaken(
+        return bilateral.shaken_law(
             table.efforts(controller.effort_quantum(experiment, quantum)), table.ramp, table.parameters()
         )
     rate = experiment.controller.position_rate
     efforts = multisine_of(experiment, realisation).period(rate)
-    return laws.shaken(efforts, round(ramp_s(experiment) * rate))
+    return bilateral.shaken_law(efforts, round(ramp_s(experiment) * rate))
 
 
 class ShakingBench:

@@ -22,7 +22,7 @@ from firmware_protocol.parameter import Value
 from rig.config import Experiment, as_mapping, device_law
 from rig.config import controller as controllers
 from rig.config.controller import Run
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.step import Controller
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.core.errors import RigError, StoppedError

@@ -23,6 +23,7 @@ import numpy as np
 
 from rig.control import estimators
 from rig.control.estimators.estimator import Estimator, Floats, Setting
+from rig.core.deferred import optimize, stats
 from rig.core.errors import ConfigError
 from rig.experiments.cases import Case
 from rig.experiments.estimators import Score, Variant, errors, estimates, score
@@ -304,17 +305,14 @@ class _Search:
 
     def descend(self) -> Floats:
         """Best point of the unit cube."""
-        from scipy.optimize import minimize  # noqa: PLC0415  (slow to import)
-        from scipy.stats import qmc  # noqa: PLC0415
-
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
-        points = [start, *qmc.Sobol(d, scramble=False).random_base2(SCANNED_LOG2 + d)]
+        points = [start, *stats.qmc.Sobol(d, scramble=False).random_base2(SCANNED_LOG2 + d)]
         values = [self.value(self.settings_at(point)) for point in points]
         best = np.array(points[int(np.argmin(values))])
         spread = 2.0 ** -(1.0 + SCANNED_LOG2 / d)
         corners = best + spread * np.eye(d) * np.where(best > 0.5, -1.0, 1.0)
-        found = minimize(
+        found = optimize.minimize(
             lambda point: self.value(self.settings_at(point)),
             best,
             method="Nelder-Mead",

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,7 @@ from rig.realtime.codec import STATE
 from rig.realtime.kernel import prepare
 from rig.realtime.mailbox import SET_FLOATS
 from rig.realtime.ring import Ring
-
-if TYPE_CHECKING:
-    from rig.realtime.scheduling import Realtime
+from rig.realtime.scheduling import Realtime
 
 POLL_S = 0.02
 JOIN_S = 5.0

@@ -11,6 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from rig.realtime.system import monotonic_now, monotonic_sleep, virtual_now, virtual_sleep
+
 
 class Clock(Protocol):
     """What Python and the loop ask of a clock. All times are nanoseconds from an arbitrary origin."""
@@ -60,15 +62,11 @@ class MonotonicClock:
     @property
     def now_plug(self) -> Any:
         """Compiled clock_gettime."""
-        from rig.realtime.system import monotonic_now  # noqa: PLC0415  (numba only when a loop is built)
-
         return monotonic_now
 
     @property
     def sleep_plug(self) -> Any:
         """Compiled clock_nanosleep."""
-        from rig.realtime.system import monotonic_sleep  # noqa: PLC0415
-
         return monotonic_sleep
 
 
@@ -96,13 +94,9 @@ class VirtualClock:
     @property
     def now_plug(self) -> Any:
         """Compiled read of the number."""
-        from rig.realtime.system import virtual_now  # noqa: PLC0415
-
         return virtual_now
 
     @property
     def sleep_plug(self) -> Any:
         """Compiled write of the number."""
-        from rig.realtime.system import virtual_sleep  # noqa: PLC0415
-
         return virtual_sleep

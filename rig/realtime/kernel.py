@@ -22,10 +22,11 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy
-from numba.core import typeinfer
+from numba.core import event, typeinfer
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
+from rig.realtime import compiling
 from rig.realtime.source_files import compiled_files
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -92,18 +93,19 @@ def _open_cache() -> Path:
 
 CACHE_DIRECTORY = _open_cache()
 numba.config.CACHE_DIR = str(CACHE_DIRECTORY)
-_MARK = CACHE_DIRECTORY / "warm"
 
 
-def is_cold() -> bool:
-    """Whether the kernels of this version still have to be compiled (tens of seconds, once)."""
-    return not _MARK.exists() and not numba.config.DISABLE_JIT
+class _Compilations(event.Listener):  # type: ignore[misc]
+    """Tells `rig.realtime.compiling` when numba begins and ends to compile; loading from the cache is no compiling."""
+
+    def on_start(self, event: Any) -> None:
+        compiling.began()
+
+    def on_end(self, event: Any) -> None:
+        compiling.ended()
 
 
-def mark_warm() -> None:
-    """Remember that a whole run has been compiled into the cache."""
-    with contextlib.suppress(OSError):
-        _MARK.touch()
+event.register("numba:compile", _Compilations())
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]

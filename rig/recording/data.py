@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import pandas
 from rig.core.errors import RecordingError, RigError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +113,14 @@ class Recording:
         """Return all columns, each as a contiguous array of its own."""
         return {name: self.column(name) for name in self.names}
 
-    def to_pandas(self) -> pd.DataFrame:
+    def to_pandas(self) -> Any:
         """Return a DataFrame whose `attrs` hold ``units``, ``descriptions`` and ``header``.
 
         Raises `RigError` when pandas is not installed.
         """
         try:
-            import pandas as pd  # noqa: PLC0415  (only here)
+            frame = pandas.DataFrame(self.to_numpy())
         except ImportError as error:
             raise RigError("pandas is not installed", remedy="pip install pandas") from error
-        frame = pd.DataFrame(self.to_numpy())
         frame.attrs = {"units": self.units, "descriptions": self.descriptions, "header": self.header}
         return frame

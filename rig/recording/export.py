@@ -11,7 +11,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from rig.core.errors import RecordingError, RigError
+from rig.core.deferred import io as scipy_io
+from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.files import refuse_existing, whole_file
@@ -96,10 +97,6 @@ def write_mat(file: BinaryIO, recording: Recording) -> None:
 
     ``jsondecode(header)`` gives the header as a struct. Whole numbers stay int64.
     """
-    try:
-        from scipy.io import savemat  # noqa: PLC0415  (only here)
-    except ImportError as error:
-        raise RigError("MAT needs scipy", remedy="pip install scipy") from error
     parts = facts(recording)
     texts = {name: canonical_json(parts[name]).decode() for name in ("header", "trailer", "lost")}
     contents = {
@@ -110,7 +107,7 @@ def write_mat(file: BinaryIO, recording: Recording) -> None:
         **texts,
     }
     try:
-        savemat(file, contents, long_field_names=True, do_compression=True, oned_as="column")
+        scipy_io.savemat(file, contents, long_field_names=True, do_compression=True, oned_as="column")
     except ValueError as error:
         raise RecordingError(f"MAT cannot hold this recording: {error}", remedy="export Parquet") from error
 

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import parquet, pyarrow
 from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
@@ -30,29 +31,25 @@ CHECKSUM_KEY = b"rig.crc32"
 def has_pyarrow() -> bool:
     """Whether Parquet can be written and read here."""
     try:
-        import pyarrow.parquet  # noqa: F401, PLC0415
+        return bool(parquet.ParquetFile)
     except ImportError:
         return False
-    return True
 
 
-def _pyarrow() -> Any:
+def _check_pyarrow() -> None:
     if not has_pyarrow():
         raise RecordingError("Parquet needs pyarrow", remedy="pip install pyarrow, or use captures and CSV")
-    import pyarrow.parquet  # noqa: PLC0415
-
-    return pyarrow
 
 
 def write_parquet(file: BinaryIO, recording: Recording) -> None:
     """Write a recording; equal recordings give equal bytes under the same pyarrow."""
-    pa = _pyarrow()
+    _check_pyarrow()
     units, descriptions = recording.units, recording.descriptions
     columns = recording.to_numpy()
     fields = [
-        pa.field(
+        pyarrow.field(
             name,
-            pa.from_numpy_dtype(column.dtype),
+            pyarrow.from_numpy_dtype(column.dtype),
             nullable=False,
             metadata={"unit": units[name], "description": descriptions[name]},
         )
@@ -62,13 +59,15 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
     facts = (recording.header, recording.trailer, recording.complete, lost)
     metadata = {key: canonical_json(fact) for key, fact in zip(KEYS, facts, strict=True)}
     metadata[CHECKSUM_KEY] = _checksum(metadata, columns)
-    # The memory as it is: pa.array would import pandas first, if it is installed, to ask whether this comes from there.
+    # The memory as it is: pyarrow.array would import pandas, if it is installed, to ask whether this comes from there.
     arrays = [
-        pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), len(column), [None, pa.py_buffer(column)])
+        pyarrow.Array.from_buffers(
+            pyarrow.from_numpy_dtype(column.dtype), len(column), [None, pyarrow.py_buffer(column)]
+        )
         for column in columns.values()
     ]
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=metadata))
-    pa.parquet.write_table(table, file, compression="zstd", **_encodings(columns))
+    table = pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields, metadata=metadata))
+    parquet.write_table(table, file, compression="zstd", **_encodings(columns))
 
 
 def _checksum(metadata: Mapping[bytes, bytes], columns: Mapping[str, NDArray[Any]]) -> bytes:
@@ -91,17 +90,17 @@ def _encodings(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 def read_parquet(path: Path) -> Recording:
     """Read a sealed recording; raises `RecordingError` when it is none, or when a bit of it has changed."""
-    pa = _pyarrow()
+    _check_pyarrow()
     with plain_errors("read", path), open(path, "rb") as file:
         try:
-            table = pa.parquet.ParquetFile(file).read()
+            table = parquet.ParquetFile(file).read()
             metadata = table.schema.metadata or {}
             if not any(key in metadata for key in KEYS):
                 raise RecordingError(
                     f"{path} is not a recording", remedy="it is Parquet that another program wrote"
                 )
             return _recording(path, table, metadata)
-        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        except (pyarrow.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             raise RecordingError(f"{path} is damaged", remedy=f"{error}".partition("\n")[0]) from error
 
 

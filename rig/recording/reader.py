@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.recording.capture import read_capture
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
+from rig.recording.parquet import read_parquet
 
 _PARQUET_MAGIC = b"PAR1"
 
@@ -24,9 +26,5 @@ def open_recording(path: str | Path) -> Recording:
     with plain_errors("read", path), open(path, "rb") as file:
         magic = file.read(len(_PARQUET_MAGIC))
     if magic == _PARQUET_MAGIC:
-        from rig.recording.parquet import read_parquet  # noqa: PLC0415  (pyarrow only when it is needed)
-
         return read_parquet(path)
-    from rig.recording.capture import read_capture  # noqa: PLC0415
-
     return read_capture(path)

@@ -7,49 +7,23 @@ before anybody touches the handle: a session begins with consent to all of them,
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
 
+from rig.bench.doctor import gate as gates
 from rig.config import Experiment
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.plan import Check, Outcome
+from rig.session.bench import Bench, Refusal, Wall
 from rig.session.conditions import Walls, own_rates
 from rig.session.protocol import BLINDED
 from rig.session.schedule import levels_of
-
-if TYPE_CHECKING:
-    from rig.session.hits import Bench
 
 CONSENT = (
     "a search for the limit asks for walls that do not hold: consent to them once, with --arm-anyway, and every hit "
     "is cut off as the guide says; or search softer walls, on a quicker link"
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wall:
-    """A wall that a session may ask for, and what of it a device must not change."""
-
-    condition: str
-    experiment: Experiment
-    changes: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Refusal:
-    """What the gate refuses of one condition at one damping, out of so many walls; why, for the softest of them."""
-
-    condition: str
-    damping: float
-    stiffness: tuple[float, ...]
-    walls: int
-    text: str
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for the log."""
-        return {"condition": self.condition, "damping": self.damping, "stiffness": list(self.stiffness)}
 
 
 def walls_of(walls: Walls) -> Iterator[Wall]:
@@ -81,8 +55,6 @@ def refusals(
     """
     if device.link.clock.virtual:
         return ()
-    from rig.bench.doctor import gate as gates  # noqa: PLC0415  (theory and more kernels: a tenth of a second)
-
     found = []
     for (condition, damping), experiments in under.items():
         x = experiments[0]

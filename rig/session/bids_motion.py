@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from rig.core.deferred import csv, pyarrow
 from rig.core.errors import RecordingError
 from rig.core.sample import Motion, Phase, RowFlag, unit_of
 from rig.recording.data import Recording
@@ -138,9 +139,6 @@ def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel
     every
         Only every n-th row; nothing is averaged or filtered.
     """
-    import pyarrow as pa  # noqa: PLC0415  (only here)
-    from pyarrow import csv  # noqa: PLC0415
-
     table = {
         channel.name: _cells(
             np.char.mod("%.6f", recording.time_s[::every])
@@ -150,7 +148,7 @@ def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel
         for channel in columns
     }
     options = csv.WriteOptions(include_header=False, delimiter="\t", quoting_style="none")
-    csv.write_csv(pa.table(table), file, options)
+    csv.write_csv(pyarrow.table(table), file, options)
 
 
 def sidecar(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.config import Experiment
+from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.experiments.plan import Outcome
 from rig.session.arming import arming_checks
@@ -30,6 +31,8 @@ from rig.session.comparisons import (
 from rig.session.conditions import Walls, base_of
 from rig.session.disk import bytes_of_trial
 from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
+from rig.session.fitting import fit_checks
+from rig.session.hits import RigBench
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Block, levels_of, rows_of, schedule
@@ -90,9 +93,6 @@ def check(
         *rest_checks(protocol, trials, times),
     ]
     if url is not None:
-        from rig.session.fitting import fit_checks  # noqa: PLC0415  (the bench compiles a loop)
-        from rig.session.hits import RigBench  # noqa: PLC0415
-
         with closing(
             RigBench(url=url, realtime=True, verified=True)
         ) as bench:  # as a session with a person has it
@@ -160,8 +160,6 @@ def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:
 
 
 def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:
-    from rig.config.schemes import Scheme  # noqa: PLC0415  (it knows estimators)
-
     known: dict[Any, Trials] = {}
     for condition, experiments in zip(protocol.condition, under, strict=True):
         wanted = protocol.search_of(condition)

@@ -28,14 +28,14 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import Phase, unit_of
+from rig.session.bench import Bench, Done
 from rig.session.conditions import Walls, own_rates
-from rig.session.desk import VERDICTS, Action, Desk, Question, Reply, View
+from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
 from rig.session.expected import likely_trials
-from rig.session.hits import Bench, Done
 from rig.session.items import asked, parse_answer
 from rig.session.log import Event
-from rig.session.protocol import BLINDED
+from rig.session.protocol import BLINDED, VERDICTS
 from rig.session.schedule import Block, Run
 from rig.session.state import (
     DoAsk,

@@ -9,13 +9,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-if TYPE_CHECKING:
-    from rig.session.directory import Session
-
-Verdict = Literal["stable", "buzz", "unstable", "unsure"]
-VERDICTS: tuple[Verdict, ...] = ("stable", "buzz", "unstable", "unsure")
+from rig.session.directory import Session
 
 QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
 # ready: before a trial. verdict: after one. rest: `seconds` of it are due; "go" ends it early. paused: "go" goes on.

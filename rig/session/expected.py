@@ -12,7 +12,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from rig.analysis.theory import k_max_curve
 from rig.analysis.theory.loop import NO_OPERATOR
+from rig.bench.doctor.late_loops import LateLoops
 from rig.config import Experiment
 from rig.core.errors import ConfigError
 from rig.session.protocol import Protocol, Search
@@ -99,9 +101,6 @@ def expected_limits(
     wanted
         Whose levels stand in where theory says nothing.
     """
-    from rig.analysis.theory import k_max_curve  # noqa: PLC0415
-    from rig.bench.doctor.late_loops import LateLoops  # noqa: PLC0415  (compiles the estimators)
-
     levels = levels_of(wanted)
     unknown = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
     try:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,9 @@ from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import Check, device_checks, link_checks
 from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
-from rig.session.arming import Refusal, Wall, refusals
+from rig.recording.header import host_facts
+from rig.session.arming import refusals
+from rig.session.bench import Done, Refusal, Wall, Watch
 from rig.session.log import without_nan
 from rig.session.place import software
 
@@ -48,71 +50,6 @@ NUMBERS = (
     "late_ticks",
     "gaps",
 )
-
-Watch = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Done:
-    """A trial that was run: what its event in the log says of it, and what ended it early, if anything did."""
-
-    content: Mapping[str, Any]
-    error: Exception | None
-    duration_s: float
-
-
-class Bench(Protocol):
-    """Where trials are run: a rig (`RigBench`), or what a test puts in its place.
-
-    `hand` is the file through which somebody moves the simulated hand, None while it plays its script. `arm_anyway`:
-    somebody consented to walls that the arming gate refuses.
-    """
-
-    hand: Path | None
-    arm_anyway: bool
-
-    @property
-    def simulated(self) -> bool:
-        """Whether no rig can move."""
-        ...
-
-    @property
-    def virtual(self) -> bool:
-        """Whether time is the simulation's own."""
-        ...
-
-    @property
-    def messages(self) -> Sequence[str]:
-        """What this computer or the port did not grant, told once."""
-        ...
-
-    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """What the log should know of the device, its clock and this computer."""
-        ...
-
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
-        """Which of these walls the rig does not arm without consent; see `RigBench.refusals`."""
-        ...
-
-    def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
-        """Whether the device and its link carry an experiment; nothing moves."""
-        ...
-
-    def hit(
-        self,
-        experiment: Experiment,
-        changes: Mapping[str, Any],
-        directory: Path,
-        name: str,
-        watch: Callable[[Experiment], Watch | None],
-        heat: float,
-    ) -> Done:
-        """Run one trial; see `RigBench.hit`."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the device."""
-        ...
 
 
 @dataclass(slots=True, kw_only=True)
@@ -161,8 +98,6 @@ class RigBench:
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         """What the log should know of the device, its clock and this computer."""
-        from rig.recording.header import host_facts  # noqa: PLC0415
-
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
             "url": url,

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.messages import MAJOR, MINOR
+from rig.experiments.sweep.executors import code_version
 from rig.recording.header import checkout, versions
 from rig.session.log import Event
 
@@ -77,8 +78,6 @@ def device_words(opened: Mapping[str, Any]) -> str:
 @cache
 def software() -> dict[str, str]:
     """Versions of what runs a session here."""
-    from rig.experiments.sweep.executors import code_version  # noqa: PLC0415  (reads all sources)
-
     return {
         **versions(f"{MAJOR}.{MINOR}"),
         "sources": code_version().partition("+")[2],

@@ -24,6 +24,9 @@ RuleName = Literal["ascending", "staircase", "interleaved", "psi", "grid"]
 
 BLINDED = ("both", "operator")  # of `study.blind`: the operator sees no wall
 
+Verdict = Literal["stable", "buzz", "unstable", "unsure"]
+VERDICTS: tuple[Verdict, ...] = ("stable", "buzz", "unstable", "unsure")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Study:

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +19,10 @@ from rig.control.verdict import Kind
 from rig.core.errors import ConfigError
 from rig.session.clock import WallClock
 from rig.session.desk import Desk, Question, Reply, View
+from rig.session.directory import Session
 from rig.session.protocol import Protocol
 from rig.session.search.observer import Observer
 from rig.session.state import State, Trial
-
-if TYPE_CHECKING:
-    from rig.session.directory import Session
 
 _MAIN_VERDICT = {Kind.STABLE: "stable", Kind.LIMIT_CYCLE: "buzz", Kind.UNSTABLE: "unstable"}
 LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at most

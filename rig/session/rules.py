@@ -14,10 +14,11 @@ from itertools import islice
 from typing import Any
 
 from rig.config.problems import Problem, did_you_mean
+from rig.config.schemes import Scheme
 from rig.config.table import shown
 from rig.core.errors import ConfigError
 from rig.session import search
-from rig.session.console.keymap import KeyMap
+from rig.session.keymap import KeyMap
 from rig.session.protocol import Protocol, Search
 from rig.session.schedule import level_steps, rule
 
@@ -124,8 +125,6 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def _scheme(key: str, text: str) -> Iterator[Problem]:
-    from rig.config.schemes import Scheme  # noqa: PLC0415  (it knows experiments, which a log's reader does not need)
-
     try:
         Scheme.parse(text)
     except ConfigError as error:

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rig import config
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
+from rig.session.bench import Bench
 from rig.session.check import refuse_walls
 from rig.session.clock import Clock, WallClock
 from rig.session.conditions import Walls
@@ -23,9 +24,9 @@ from rig.session.desk import Desk, View
 from rig.session.directory import LOG, Session, begin, refuse_begun, resume
 from rig.session.disk import refuse_full_disk
 from rig.session.fitting import refuse_misfit
-from rig.session.hits import Bench
 from rig.session.load import load_walls
 from rig.session.log import Event, read
+from rig.session.lsl.session import LslMarks
 from rig.session.place import (
     OTHER_DEVICE,
     Place,
@@ -41,9 +42,6 @@ from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_no
 from rig.session.schedule import rows_of, schedule
 from rig.session.state import State
 from rig.session.telling import lost
-
-if TYPE_CHECKING:
-    from rig.session.lsl.session import LslMarks
 
 SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 
@@ -363,8 +361,6 @@ def _streams(protocol: Protocol, experiment: Mapping[str, Any], *, wanted: bool)
     if not wanted:
         yield None
         return
-    from rig.session.lsl.session import LslMarks  # noqa: PLC0415
-
     rates = {one.scheme and Scheme.parse(one.scheme).position_rate for one in protocol.condition}
     rate = rates.pop() if len(rates) == 1 else None
     with LslMarks(

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-from rig.control.verdict import KINDS, Kind, Limits, Measured, Signals, judge, kinds, meter
+from rig.control.judging import Signals, judge, meter
+from rig.control.verdict import KINDS, Kind, Limits, Measured, kinds
 
 RATE = 20_000
 TIME = np.arange(RATE) / RATE

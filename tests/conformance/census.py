@@ -96,18 +96,27 @@ def nothing_left() -> Iterator[None]:
     assert not changes, changes
 
 
-def marked(mark: str) -> dict[int, str]:
-    """Return the processes with this mark in their environment: number → command line."""
+def marked(mark: str, variable: str = MARK) -> dict[int, str]:
+    """Return the processes with this mark in their environment: number → command line, and the test it is of."""
     found = {}
-    wanted = f"{MARK}={mark}".encode()
     for name in _listed("/proc"):
         if not name.isdecimal():
             continue
         with suppress(OSError):  # it ended, or belongs to somebody else
             directory = Path("/proc") / name
-            if wanted in (directory / "environ").read_bytes().split(b"\0"):
-                command = (directory / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
-                found[int(name)] = command
+            environment = (directory / "environ").read_bytes().split(b"\0")
+            if f"{variable}={mark}".encode() in environment:
+                of = [entry for entry in environment if entry.startswith(b"PYTEST_CURRENT_TEST=")]
+                said = (directory / "cmdline").read_bytes().replace(b"\0", b" ") + b" ".join(of)
+                found[int(name)] = said.decode("utf-8", "replace")
+    return found
+
+
+def still_there(mark: str, variable: str = MARK) -> dict[int, str]:
+    """Return the processes with this mark that do not end by themselves."""
+    deadline = time.monotonic() + SETTLED_S
+    while (found := marked(mark, variable)) and time.monotonic() < deadline:
+        time.sleep(0.05)
     return found
 
 

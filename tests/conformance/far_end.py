@@ -31,9 +31,9 @@ from sim_backend.channel import Direction, FrameFault, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.real_time import FirmwareTime, Port, RealTime, sleep_until
+from tests.conformance.started import die_with_parent
 
 WAIT_S = 30.0  # for anything at all, on a loaded machine
-LONGEST_LIFE_S = 90.0  # of a device process whose test has died
 FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
 
 WITNESS = np.dtype(
@@ -239,6 +239,7 @@ def _serve(
     firmware: bool,
     pipe: Any,
 ) -> None:
+    die_with_parent()
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -250,10 +251,10 @@ def _serve(
             made = WatchedFirmware(
                 model, witness, script, position_rate_maximum=pty.FIRMWARE_RATE_MAXIMUM, **options
             )
-            FirmwareTime(made, FaultyPort(port, made, script, unplug, witness), stop).run(LONGEST_LIFE_S)
+            FirmwareTime(made, FaultyPort(port, made, script, unplug, witness), stop).run(None)
         else:
             device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
-            RealTime(device, FaultyPort(port, device, script, unplug, witness), stop).run(LONGEST_LIFE_S)
+            RealTime(device, FaultyPort(port, device, script, unplug, witness), stop).run(None)
 
 
 # ---------------------------------------------------------------------- in the process of the test
@@ -394,6 +395,7 @@ def _run_host(url: str, experiment: Any, recording: Path, pipe: Any) -> None:
     from rig.devices import open_device  # noqa: PLC0415
     from tests.conformance.trials import trial_on  # noqa: PLC0415
 
+    die_with_parent()
     said = ""
     try:
         with open_device(url) as device:

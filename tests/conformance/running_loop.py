@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from tests.conformance.started import started
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,13 +50,8 @@ ended.wait()
 def loop_process(info: dict[str, Any] | None = None, kind: str = "obey") -> Iterator[subprocess.Popen[str]]:
     """Start it, yield it when its loop runs, and leave nothing of it behind."""
     command = [sys.executable, "-c", PROGRAM, json.dumps(info or {}), kind]
-    process = subprocess.Popen(
-        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
-    )
-    try:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with started(*command, cwd=ROOT, text=True, bufsize=1, **pipes) as process:
         assert process.stdout is not None
         assert process.stdout.readline().strip() == "ready"
         yield process
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.communicate()

@@ -32,6 +32,7 @@ from rig.realtime.system import monotonic_now, sleep_until
 from rig.recording.capture import BLOCK_ROWS, pack_header
 from rig.recording.recorder import _HEAD_WORDS, _ROW_WORDS, FLUSH_S, POLL_NS, SYNC_NS, record
 from tests.conformance.recording import example_header
+from tests.conformance.started import started
 
 # The disk. Arguments: bytes of the header, bytes and dtype of a row, the pauses. It prints "ready", then what it got.
 DISK = """
@@ -161,15 +162,12 @@ def record_on_a_pausing_disk(
     header = pack_header(example_header())
     arguments = [str(len(header)), str(ROW.itemsize), repr(ROW.descr), json.dumps(list(pauses))]
     command = [sys.executable, "-c", DISK, *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as disk:
-        try:
-            assert disk.stdout is not None
-            assert disk.stdout.readline() == b"ready\n"
-            with Ring.allocate(round(ring_s * rate_hz), shared=shared) as ring:
-                ring.rows.view(np.uint8)[:] = 0  # every page is there before memory is looked at
-                return _run(ring, header, disk, seconds, rate_hz, pauses)
-        finally:
-            disk.kill()
+    with started(*command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as disk:
+        assert disk.stdout is not None
+        assert disk.stdout.readline() == b"ready\n"
+        with Ring.allocate(round(ring_s * rate_hz), shared=shared) as ring:
+            ring.rows.view(np.uint8)[:] = 0  # every page is there before memory is looked at
+            return _run(ring, header, disk, seconds, rate_hz, pauses)
 
 
 def _run(

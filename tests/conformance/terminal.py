@@ -23,6 +23,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.conformance.started import LEASH
+
 PATIENCE_S = 30.0
 LOOK_S = 0.05  # what is waited for may be about more than the screen
 ROWS, COLUMNS = 24, 80
@@ -153,6 +155,7 @@ _LAUNCH = """
 import fcntl, os, signal, sys, termios
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 signal.signal(signal.SIGINT, lambda number, frame: None)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 pid = os.fork()
 if pid == 0:
     os.execv(sys.argv[2], sys.argv[2:])
@@ -221,7 +224,7 @@ class Terminal:
         """Start a program in a session of its own whose controlling terminal this is; its errors go to a pipe."""
         reader, writer = os.pipe()
         process = subprocess.Popen(
-            [sys.executable, "-c", _LAUNCH, str(reader), *command],
+            [*LEASH, sys.executable, "-c", _LAUNCH, str(reader), *command],
             pass_fds=(reader,),
             stdin=self.slave,
             stdout=self.slave,

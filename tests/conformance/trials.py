@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.config import Experiment
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.devices.framed import FramedDevice
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 

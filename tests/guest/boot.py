@@ -19,6 +19,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.conformance.started import started
 from tests.guest import initramfs, kernel_files
 from tests.guest.absent import GuestAbsentError
 
@@ -134,9 +135,8 @@ def _port(channel: tuple[str, Path] | None) -> list[str]:
 def _emulate(command: list[str], watchdog_s: float) -> bool:
     """Run the emulator, its console to standard output; return whether it had to be killed."""
     environment = {**os.environ, "LC_ALL": "C"}
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment
-    ) as guest:
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with started(*command, env=environment, **pipes) as guest:
         killed = threading.Event()
 
         def kill() -> None:
@@ -152,7 +152,6 @@ def _emulate(command: list[str], watchdog_s: float) -> bool:
                 sys.stdout.flush()
         finally:
             watchdog.cancel()
-            guest.kill()
     return killed.is_set()
 
 

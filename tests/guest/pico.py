@@ -20,6 +20,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.core.model import RigModel
+from tests.conformance.started import started
 from tests.firmware.rp2040 import emulator
 from tests.guest.absent import GuestAbsentError
 
@@ -88,17 +89,10 @@ def _server(place: Path, image: Path, modules: Path, status: Path) -> Iterator[P
     file = place / "settings.json"
     file.write_text(json.dumps(settings))
     command = ["node", str(emulator.HERE / "usb_server.js"), str(file)]
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "NODE_PATH": str(modules)},
-    ) as server:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    environment = {**os.environ, "NODE_PATH": str(modules)}
+    with started(*command, text=True, env=environment, **pipes) as server:
         assert server.stdout is not None
-        try:
-            if server.stdout.readline() != "ready\n":
-                raise RuntimeError("the emulated board does not start")
-            yield place / "usb"
-        finally:
-            server.kill()
+        if server.stdout.readline() != "ready\n":
+            raise RuntimeError("the emulated board does not start")
+        yield place / "usb"

@@ -33,6 +33,7 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import rotary_rig
+from tests.conformance.started import die_with_parent, started
 
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
@@ -227,17 +228,14 @@ def test_what_one_host_left_unread_is_not_read_by_the_next(server: Server, firmw
 def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmware: bool) -> None:
     """Two processes, as in life: the host dies by kill -9 in the middle of a run; the rig ends by SIGTERM, cleanly."""
     link_path = tmp_path / "rig"
-    rig = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM.format(link_path=str(link_path), firmware=firmware)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    program = PROGRAM.format(link_path=str(link_path), firmware=firmware)
+    with started(sys.executable, "-c", program, stdout=subprocess.PIPE, text=True) as rig:
         assert rig.stdout is not None
         assert rig.stdout.readline().strip() == str(link_path)
         child = os.fork()
         if child == 0:
             try:
+                die_with_parent()
                 host = Host(open_port(str(link_path)))
                 host.begin()
                 run(host, 60.0)
@@ -256,10 +254,6 @@ def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmwar
         rig.send_signal(signal.SIGTERM)
         assert rig.wait(WAIT_S) == 0
         assert not link_path.is_symlink()
-    finally:
-        rig.kill()
-        rig.wait()
-        rig.stdout.close()  # type: ignore[union-attr]
 
 
 def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:

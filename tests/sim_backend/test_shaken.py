@@ -10,7 +10,7 @@ import pytest
 from rig import config
 from rig.config import controller, presets
 from rig.control import laws
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.step import step
 from rig.core.errors import LawError
 from rig.core.sample import Phase

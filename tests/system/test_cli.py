@@ -13,6 +13,7 @@ from rig import config
 from rig.config import presets
 from rig.devices.local import serve_locally
 from rig.recording.reader import open_recording
+from tests.conformance.started import started
 
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
 
@@ -306,27 +307,25 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(run
     assert "recordings" in err
 
 
-def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "rig",
-        "hit",
-        "--duration",
-        "3000",
-        "--no-plot",
-        "--output",
-        str(tmp_path / "out"),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 100.0
-    while process.poll() is None and time.monotonic() < deadline:
-        captures = list((tmp_path / "out").glob("*.rigcap"))
-        if captures and captures[0].stat().st_size > 1_000_000:
-            break
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60.0)
+# A shell that lets Ctrl-C be ignored, as that of `nohup … &`, means it: kill ends what it starts.
+@pytest.mark.signals
+@pytest.mark.parametrize(
+    ("shell", "numbers"),
+    [((), [signal.SIGINT]), (("env", "--ignore-signal=INT"), [signal.SIGINT, signal.SIGTERM])],
+    ids=["heard", "ignored"],
+)
+def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(shell, numbers, tmp_path):
+    options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with started(*shell, sys.executable, "-m", "rig", "hit", *options, **pipes) as process:
+        deadline = time.monotonic() + 100.0
+        for size, number in enumerate(numbers, start=1):
+            while sum(path.stat().st_size for path in tmp_path.glob("out/*.rigcap")) < size * 1_000_000:
+                assert process.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            process.send_signal(number)
+        _, err = process.communicate(timeout=60.0)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert "stopped" in err

@@ -12,6 +12,8 @@ from pathlib import Path
 import numba
 import pytest
 
+from tests.conformance.started import started
+
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
@@ -179,6 +181,7 @@ def test_an_output_that_is_no_directory(run, tmp_path):
 # --- Ctrl-C -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.signals
 def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     command = [
         sys.executable, "-m", "rig", "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
@@ -186,14 +189,14 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     ]  # fmt: skip
     options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE,
                "env": {**os.environ, "PYTHONPATH": str(ROOT)}}  # fmt: skip
-    process = subprocess.Popen(command, **options)
     until = time.monotonic() + WAIT_S
-    while not any(path.read_bytes().count(b"\n") > 1 for path in tmp_path.glob("maps/*/journal")):
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < until
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=WAIT_S)
+    with started(*command, **options) as process:
+        while not any(path.read_bytes().count(b"\n") > 1 for path in tmp_path.glob("maps/*/journal")):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=WAIT_S)
     assert process.returncode == 130
     assert out == ""
     assert re.search(

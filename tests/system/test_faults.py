@@ -22,7 +22,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import (
     DeviceFaultError,
     DeviceRefusedError,
@@ -43,6 +43,7 @@ from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.safety import IDLE_LIFETIME_S
+from tests.conformance.started import started
 from tests.conformance.trials import trial_on
 
 LIFETIME_S = 0.005  # of a command at 1 kHz: five ticks
@@ -300,6 +301,7 @@ def test_a_start_out_of_reach_is_given_up(tmp_path):
     bench.check_ended_safely()
 
 
+@pytest.mark.signals
 def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path):
     bench = Bench(tmp_path, experiment=config.override(SHORT, {"trial.duration_s": 60.0}))
     seen = []
@@ -346,8 +348,10 @@ def test_kill_minus_nine_of_the_host_leaves_a_device_at_zero_and_a_readable_reco
     from rig.devices.local import serve_locally  # noqa: PLC0415
 
     path = tmp_path / "killed.rigcap"
-    with serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
-        host = subprocess.Popen([sys.executable, "-c", HOST, url, str(path)], stderr=subprocess.PIPE)
+    with (
+        serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url,
+        started(sys.executable, "-c", HOST, url, path, stderr=subprocess.PIPE) as host,
+    ):
         deadline = time.monotonic() + 60.0
         while host.poll() is None and time.monotonic() < deadline:
             if path.exists() and path.stat().st_size > 200_000:

@@ -17,7 +17,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,
@@ -292,6 +292,7 @@ def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.signals
 def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(number, far_end, tmp_path):
     device = far_end()
     sent = []
@@ -307,6 +308,7 @@ def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(number, far_end, t
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.signals
 def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number, far_end, tmp_path):
     """From outside, as a person, a session manager and the kernel send them; a stopped host is like a dead one."""
     device, path = far_end(), tmp_path / "trial.rigcap"

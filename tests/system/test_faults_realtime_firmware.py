@@ -146,6 +146,7 @@ def test_a_brown_out_is_told(far_end: Start, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.signals
 def test_a_signal_to_the_host_leaves_the_device_at_rest(
     number: signal.Signals, far_end: Start, tmp_path: Path
 ) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from rig import config
 from rig.config import presets
-from rig.control.verdict import meter, recorded_signals, true_signals
+from rig.control.judging import meter, recorded_signals, true_signals
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.bench import Bench

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -23,6 +22,7 @@ from rig.experiments.recover import Outcome, recover
 from rig.realtime.ring import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
+from tests.conformance.started import started
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -39,16 +39,9 @@ def hit(directory: Path, *more: str) -> Iterator[tuple[subprocess.Popen[str], Ru
     """A hit of a simulated rig in real time that waits long before its wall; yields it when its loop steps."""
     options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--no-plot", "--json", *more]
     command = [sys.executable, "-m", "rig", "hit", "--realtime", "-o", str(directory), *options]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with started(*command, cwd=ROOT, text=True, **pipes) as process:
         yield process, stepping(process)
-    finally:
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.communicate(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
 
 
 def stepping(process: subprocess.Popen[str]) -> RunningLoop:

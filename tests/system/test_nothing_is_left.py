@@ -19,7 +19,7 @@ import rig.cli
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import (
     DeviceFaultError,
     DeviceNotFoundError,
@@ -37,8 +37,9 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
-from tests.conformance.census import MARK, Census, marked, nothing_left
+from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script
+from tests.conformance.started import started
 from tests.conformance.trials import trial_on
 
 WAIT_S = 50.0  # on a loaded machine
@@ -176,6 +177,7 @@ def warm(tmp_path):
 
 
 @pytest.mark.parametrize("exit_kind", EXITS)
+@pytest.mark.signals
 def test_nothing_is_left_in_virtual_time(exit_kind, warm, tmp_path):
     with nothing_left(), in_memory() as device:
         run(device, tmp_path, *EXITS[exit_kind])
@@ -267,31 +269,36 @@ def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(tmp_pa
 # ---------------------------------------------------------------------- from outside
 
 
+def test_what_a_test_starts_dies_with_it_also_when_the_test_is_killed():
+    program = """
+import sys
+from tests.conformance.started import started
+with started("sleep", "600") as process:
+    print(process.pid, flush=True)
+    sys.stdin.read()
+"""
+    mark = uuid.uuid4().hex
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with started(sys.executable, "-c", program, env={**os.environ, MARK: mark}, **pipes) as test:
+        assert int(test.stdout.readline()) in marked(mark)
+        test.kill()
+    assert not still_there(mark)
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.signals
 def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number, tmp_path):
     """The device's process, the one that draws, and whatever multiprocessing started all go, whoever dies first."""
     mark = uuid.uuid4().hex
     before = set(os.listdir("/dev/shm"))
-    with open(tmp_path / "said", "wb") as said:
-        command = subprocess.Popen(
-            [sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60"],
-            cwd=tmp_path,
-            env={**os.environ, MARK: mark},
-            stdout=said,
-            stderr=said,
-            start_new_session=True,
-        )
-        try:
-            wait_until(
-                lambda: grown(tmp_path) or command.poll() is not None, lambda: "the trial does not begin"
-            )
-            assert len(marked(mark)) >= 2 or command.poll() is not None, "host and device at least"
-            command.send_signal(number)  # nothing, when it has ended by itself
-            command.wait(WAIT_S)
-        finally:
-            command.kill()
-            command.wait()
-    wait_until(lambda: not marked(mark), lambda: f"still there: {marked(mark)}")
+    command = (sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60")
+    options = {"cwd": tmp_path, "env": {**os.environ, MARK: mark}, "start_new_session": True}
+    with open(tmp_path / "said", "wb") as said, started(*command, stdout=said, stderr=said, **options) as hit:
+        wait_until(lambda: grown(tmp_path) or hit.poll() is not None, lambda: "the trial does not begin")
+        assert len(marked(mark)) >= 2 or hit.poll() is not None, "host and device at least"
+        hit.send_signal(number)  # nothing, when it has ended by itself
+        hit.wait(WAIT_S)
+    assert not still_there(mark)
     ours = {name for name in set(os.listdir("/dev/shm")) - before if "haptic" in name or "rig" in name}
     assert not ours
     assert b"Traceback" not in (tmp_path / "said").read_bytes()

@@ -14,7 +14,7 @@ import numba
 import pytest
 
 from rig.config import controller, load, presets
-from rig.control import verdict
+from rig.control import judging
 from rig.experiments import judgement
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
@@ -32,7 +32,7 @@ COUNTED: dict[str, Callable[..., Any]] = {
     "rules": load.checked,  # after a file, and after a change of some values
     "designs": controller.for_experiment,
     "judgements": judgement.judge,
-    "measurings": verdict.measured,  # a judgement is one of what was recorded, and in simulation one of the truth
+    "measurings": judging.measured,  # a judgement is one of what was recorded, and in simulation one of the truth
     "openings": reader.open_recording,
 }
 

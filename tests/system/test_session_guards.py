@@ -12,8 +12,9 @@ import pytest
 from rig.experiments import trial as one_trial
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
+from rig.session.bench import Bench
 from rig.session.desk import Desk, Question, Reply
-from rig.session.hits import Bench, RigBench
+from rig.session.hits import RigBench
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk

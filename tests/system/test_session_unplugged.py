@@ -15,9 +15,10 @@ from rig.devices.local import serve_locally
 from rig.experiments import hit as one_hit
 from rig.recording.reader import open_recording
 from rig.session.analysis import analyse
+from rig.session.bench import Done
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
-from rig.session.hits import Done, RigBench
+from rig.session.hits import RigBench
 from rig.session.log import read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session

@@ -20,6 +20,7 @@ from rig.experiments.sweep import SweepStoppedError, Task, TaskError, executors
 from rig.experiments.sweep import cluster as clusters
 from rig.experiments.sweep.executors import as_json
 from tests.conformance import sweep_work
+from tests.conformance.started import LEASH
 
 HERE = sweep_work.__name__
 SINES, KILLS = f"{HERE}:sines", f"{HERE}:kill_the_worker"
@@ -83,6 +84,7 @@ class Cluster:
         with log:
             process = subprocess.Popen(
                 [
+                    *LEASH,
                     sys.executable,
                     "-m",
                     f"distributed.cli.{command}",
@@ -203,6 +205,7 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
 
 
 @needs_distributed
+@pytest.mark.signals
 def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(shared, tmp_path):
     tasks = sines(60, wait_s=0.02)
 

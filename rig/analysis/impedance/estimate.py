@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.analysis.impedance.signals import Complexes, Floats, Shaken
+from rig.core.deferred import stats
 from rig.core.errors import ConfigError
 
 VarianceFrom = Literal["realisations", "periods", "segments", "nothing"]
@@ -107,9 +108,7 @@ class Impedance:
         """
         if math.isinf(self.degrees_of_freedom):
             return z_score * self.deviation
-        from scipy.stats import norm, t  # noqa: PLC0415
-
-        return float(t.isf(norm.sf(z_score), self.degrees_of_freedom)) * self.deviation
+        return float(stats.t.isf(stats.norm.sf(z_score), self.degrees_of_freedom)) * self.deviation
 
     def within(self, band: tuple[float, float] | None) -> Impedance:
         """Return the lines of a band (Hz), ends included; all of them for None.

@@ -21,6 +21,7 @@ import numpy as np
 
 from rig.analysis.impedance.estimate import Impedance, residual_share, same_lines
 from rig.analysis.impedance.signals import Complexes, Floats, Shaken
+from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 
 SEGMENTS = 8  # of tfestimate
@@ -174,17 +175,15 @@ class _Spectra:
 
     @classmethod
     def of(cls, run: Shaken, settings: WelchSettings) -> _Spectra:
-        from scipy.signal import csd, get_window  # noqa: PLC0415
-
         r, f, v = aligned(run)
         length = settings.segment(len(r), run.rate_hz)
         overlap = int(settings.overlap * length)
-        window = get_window(settings.window, length, fftbins=False)
+        window = signal.get_window(settings.window, length, fftbins=False)
         transform = max(settings.transform(length), length)
 
         def cross(x: Floats, y: Floats) -> Complexes:
             return np.asarray(
-                csd(
+                signal.csd(
                     x,
                     y,
                     fs=run.rate_hz,

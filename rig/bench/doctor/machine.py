@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rig.bench.doctor import access, kernel, limits
+from rig.bench.doctor import access, kernel, limits, wake_up
 from rig.bench.doctor.finding import Finding
 from rig.bench.doctor.subject import Machine
 from rig.bench.doctor.udev import udev_rules
@@ -49,7 +49,5 @@ def machine_checks(
     machine = machine or Machine(request=host or Host())
     findings = [check(machine) for check in CHECKS]
     if seconds > 0:
-        from rig.bench.doctor import wake_up  # noqa: PLC0415  (numba only when something is measured)
-
         findings.append(wake_up.finding_of(wake_up.measure(machine.request, seconds)))
     return findings

@@ -7,6 +7,7 @@ from typing import Any
 
 from rig.bench.doctor.finding import Finding, Outcome
 from rig.devices.serial import available_ports, port_facts
+from rig.devices.usb import available_devices
 
 _WHY = "a port that keeps bytes back delays every command; one that others can open loses some"
 
@@ -60,7 +61,5 @@ def _finding(name: str, sentence: str) -> Finding:
 
 
 def _usb_devices() -> list[Port]:
-    from rig.devices.usb import available_devices  # noqa: PLC0415  (libusb is looked for when it is wanted)
-
     rigs = [device for device in available_devices() if device.is_rig]
     return [Port(device.url, device.product, {"path": device.path}) for device in rigs]

@@ -14,7 +14,7 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,7 @@ from rig.core.errors import LinkLostError
 from rig.devices.framed import FramedDevice
 from rig.realtime import codec
 from rig.realtime.codec import HEAD, TIME
-
-if TYPE_CHECKING:
-    from rig.realtime.scheduling import Realtime
+from rig.realtime.scheduling import Realtime
 
 ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
 TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trial`)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -215,8 +216,6 @@ def _compiled(
 
 
 def _copied(source: Path, target: Path) -> None:
-    import shutil  # noqa: PLC0415  (where links need a right of their own)
-
     shutil.copytree(source, target)
 
 

@@ -11,6 +11,7 @@ from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Parameter
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.firmware.flash import read_image
+from rig.devices import open_device
 
 LAWS = {0: "none: the law runs on the host", 1: "in integers", 2: "in integers and in float32"}
 
@@ -70,8 +71,6 @@ def info(source: str) -> FirmwareInfo:
     if "://" not in source:
         record = read_image(Path(source))[1]
         return about(source, record.dictionary, record.dictionary_hash, asdict(record.facts))
-    from rig.devices import open_device  # noqa: PLC0415  (compiles)
-
     with open_device(source) as device:
         return about(source, device.dictionary, device.dictionary_hash, None)
 

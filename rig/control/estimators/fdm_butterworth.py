@@ -14,6 +14,7 @@ from typing import Any
 
 from rig.control.estimators import fdm
 from rig.control.estimators.estimator import COMMON, Estimator, Floats, Ints, Setting
+from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE
@@ -55,15 +56,13 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
     Raises `ConfigError`, in the name of the estimator `name`, for a cut-off at or above Nyquist, and for one so far
     below the rate that rounding changes the gain at rest.
     """
-    from scipy.signal import butter  # noqa: PLC0415  (slow to import, and only needed here)
-
     nyquist_hz = 0.5 / period_s
     if cutoff_hz >= nyquist_hz:
         raise ConfigError(
             f"estimator {name}: cutoff_hz = {cutoff_hz:g} Hz is not below Nyquist {nyquist_hz:g} Hz",
             remedy=f"choose a lower one, usually {0.2 * nyquist_hz:g} Hz, or raise velocity_rate",
         )
-    sections: list[list[float]] = butter(order, cutoff_hz, fs=1.0 / period_s, output="sos").tolist()
+    sections: list[list[float]] = signal.butter(order, cutoff_hz, fs=1.0 / period_s, output="sos").tolist()
     dc_gain = 1.0
     for section in sections:
         dc_gain *= sum(section[:3]) / sum(section[3:])

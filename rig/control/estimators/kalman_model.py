@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from rig.control.estimators.estimator import Floats
+from rig.core.deferred import linalg
 from rig.core.errors import ConfigError
 
 
@@ -60,13 +61,11 @@ def steady_gain(noise: Floats, r: float) -> Floats:
     ConfigError
         When scipy finds no solution. (It does down to ω0·T = 1e-6, to seven digits of the gain.)
     """
-    from scipy.linalg import solve_discrete_are  # noqa: PLC0415  (slow to import, and only needed here)
-
     order = len(noise)
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
     measured = np.eye(order)[:, :1]
     try:
-        predicted = solve_discrete_are(transition.T, measured, noise, np.array([[r]]))
+        predicted = linalg.solve_discrete_are(transition.T, measured, noise, np.array([[r]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ConfigError(
             f"estimator kalman: no steady gain ({error})",

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import optimize
 from rig.core.errors import ConfigError
 
 Floats = NDArray[np.float64]
@@ -94,8 +95,6 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     refined together by nonlinear least squares; offset, amplitudes and phases follow linearly (variable projection).
     Source: Chawda et al., section IV; the choice of frequencies is ours.
     """
-    from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import, and only needed here)
-
     time_s, position = _checked(time_s, position, sines)
     t, y = _thinned(time_s - time_s[0], position - position[0])
     length, step = t[-1] - t[0], float(np.median(np.diff(t)))
@@ -105,7 +104,7 @@ def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT
     for _ in range(sines):
         rest = y - _evaluated(found, t, _linear_part(found, t, y))
         guess = np.append(found, np.clip(_spectral_peak(rest, step), 1.01 * lowest, 0.99 * highest))
-        found = least_squares(
+        found = optimize.least_squares(
             _residual,
             guess,
             _jacobian,

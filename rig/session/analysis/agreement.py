@@ -24,6 +24,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import stats
 from rig.session.analysis.rows import TrialRow
 
 Floats = NDArray[np.float64]
@@ -214,8 +215,6 @@ def _independent(counts: Floats, weights: Weights) -> tuple[float, float]:
 
 def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | None:
     """Interval of kappa for other people of the same kind, by leaving out one at a time; None where that cannot be."""
-    from scipy import stats  # noqa: PLC0415
-
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:

@@ -22,6 +22,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import stats
 from rig.session.analysis.kmax import beyond_of, holm
 from rig.session.analysis.rows import MEASURES, Measure, RunRow, TrialRow
 from rig.session.analysis.study import VOIDED
@@ -208,8 +209,6 @@ def _over(each: Mapping[str, float], shared: bool) -> tuple[float, float, float,
     Where all have the conditions' means in common, those are told from the same values and leave one slope fewer free:
     of two conditions, each searched once, this is the two-sample test of a crossover.
     """
-    from scipy import stats  # noqa: PLC0415
-
     slopes = np.array(list(each.values()))
     count, least = len(slopes), 3 if shared else 2
     if count == 0:

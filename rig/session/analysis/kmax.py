@@ -27,6 +27,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rig.core.deferred import stats
 from rig.session.analysis.rows import MEASURES, Limit, Measure, Observed, RunRow
 
 LEAST_REPEATS = 3  # for an interval over them
@@ -359,8 +360,6 @@ def _behind(
 
 def student(values: np.ndarray) -> tuple[float, float]:
     """Student's interval of 95 % for a mean; NaN for fewer than two values, or when all are alike."""
-    from scipy import stats  # noqa: PLC0415
-
     count = len(values)
     if count < 2 or _alike(values):
         return math.nan, math.nan
@@ -370,8 +369,6 @@ def student(values: np.ndarray) -> tuple[float, float]:
 
 def paired_p(differences: np.ndarray) -> float:
     """Two-sided p of Student's test that a mean difference is zero; NaN for fewer than two, or when all are alike."""
-    from scipy import stats  # noqa: PLC0415
-
     count, deviation = len(differences), _deviation(differences)
     if count < 2 or _alike(differences):
         return math.nan
@@ -390,8 +387,6 @@ def holm(p: Sequence[float]) -> list[float]:
 
 def bootstrap(values: np.ndarray, seed: int = 0) -> tuple[float, float] | None:
     """BCa interval of 95 % for a mean (scipy); percentiles where BCa has none, None where all values are alike."""
-    from scipy import stats  # noqa: PLC0415
-
     if len(values) < 2 or np.ptp(values) == 0.0:
         return None
     for method in ("BCa", "percentile"):

@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import mixed_linear_model, stats
 from rig.session.analysis.kmax import NONE_BEYOND, Beyond, Bound, Cell, beyond_of, bound_of, holm
 from rig.session.analysis.rows import Measure, Observed
 
@@ -279,10 +280,9 @@ def _problem(data: _Data) -> str:
 
 def _installed() -> bool:
     try:
-        import statsmodels.regression.mixed_linear_model  # noqa: F401, PLC0415
+        return bool(mixed_linear_model.MixedLM)
     except ImportError:
         return False
-    return True
 
 
 def _degrees(data: _Data, design: Floats) -> int:
@@ -308,16 +308,12 @@ class _Model:
 
     def term(self, name: str, weights: Floats) -> Term:
         """A linear combination of the fixed effects."""
-        from scipy import stats  # noqa: PLC0415
-
         value = float(weights @ self.mean)
         half = float(stats.t.ppf(0.975, self.degrees)) * self.deviation(weights)
         return Term(name=name, value=value, low=value - half, high=value + half)
 
     def p(self, weights: Floats) -> float:
         """Two-sided p that a linear combination is zero."""
-        from scipy import stats  # noqa: PLC0415
-
         deviation = self.deviation(weights)
         if deviation == 0.0:
             return math.nan
@@ -399,8 +395,6 @@ def _simpler(parts: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 def _fit(data: _Data, design: Floats, parts: Sequence[str], *, reml: bool = True) -> Any:
     """A fit by statsmodels of limits in units of their deviation, None when it breaks down."""
-    from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec  # noqa: PLC0415
-
     limits = (data.limits - data.limits.mean()) / data.limits.std()
     codes = np.array(data.codes)
     names: list[str] = []
@@ -412,11 +406,13 @@ def _fit(data: _Data, design: Floats, parts: Sequence[str], *, reml: bool = True
         names.append(part)
         labels.append([[str(value) for value in np.unique(of)] for of in each])
         columns.append([np.asarray(of[:, None] == np.unique(of), dtype=np.float64) for of in each])
-    components = VCSpec(names, labels, columns) if names else None
+    components = mixed_linear_model.VCSpec(names, labels, columns) if names else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what they say is looked up: `_converged`
         try:
-            model = MixedLM(limits, design, codes, exog_re=np.ones((len(limits), 1)), exog_vc=components)
+            model = mixed_linear_model.MixedLM(
+                limits, design, codes, exog_re=np.ones((len(limits), 1)), exog_vc=components
+            )
             fit = model.fit(reml=reml, method=_OPTIMISERS)
             return fit if math.isfinite(float(fit.llf)) and np.isfinite(fit.cov_params()).any() else None
         except (np.linalg.LinAlgError, ValueError, FloatingPointError):
@@ -511,8 +507,6 @@ def _likelihood_ratio(
     data: _Data, model: _Model, factor: str, whole: Any, full: Floats, reduced: Floats
 ) -> LikelihoodRatio | None:
     """None where the factor cannot be told from the rest, or a fit does not converge."""
-    from scipy import stats  # noqa: PLC0415
-
     rank = int(np.linalg.matrix_rank(reduced))
     degrees = full.shape[1] - rank
     if degrees <= 0 or rank < reduced.shape[1] or not _converged(whole):

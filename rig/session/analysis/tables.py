@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rig.core.deferred import parquet, pyarrow
 from rig.experiments.results import make_directory, write_document
 from rig.recording.files import whole_file
 from rig.session.analysis.analyse import Analysis
@@ -122,13 +123,11 @@ def _write_csv(
 def _write_parquet(
     path: Path, table: Table, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
 ) -> None:
-    import pyarrow as pa  # noqa: PLC0415
-    import pyarrow.parquet  # noqa: PLC0415
 
-    types = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-    schema = pa.schema(
+    types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
+    schema = pyarrow.schema(
         [
-            pa.field(
+            pyarrow.field(
                 name,
                 types[column.kind],
                 metadata={"unit": _unit(column, found), "description": column.meaning},
@@ -138,11 +137,11 @@ def _write_parquet(
         metadata={"rig.study": json.dumps({"title": found.study.protocol.study.title, "row": table.row})},
     )
     columns = [
-        pa.array([row[place] for row in rows], type=types[column.kind])
+        pyarrow.array([row[place] for row in rows], type=types[column.kind])
         for place, column in enumerate(table.columns)
     ]
     with whole_file(path, overwrite=True) as file:
-        pa.parquet.write_table(pa.Table.from_arrays(columns, schema=schema), file, compression="zstd")
+        parquet.write_table(pyarrow.Table.from_arrays(columns, schema=schema), file, compression="zstd")
 
 
 # ------------------------------------------------------------------------------------------------ the tables

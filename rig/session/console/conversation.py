@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, cast
 
-from rig.session.console.keymap import STOP, KeyMap
-from rig.session.desk import VERDICTS, Action, Question, View
+from rig.session.desk import Action, Question, View
 from rig.session.items import parse_answer, wanted
+from rig.session.keymap import STOP, KeyMap
+from rig.session.protocol import VERDICTS
 
 LATER: tuple[Action, ...] = ("pause", "note", "abort")  # what may be asked for while nobody asks
 TWICE: dict[Action, str] = {  # what a slip of the key must not do

@@ -11,19 +11,17 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.devices.hand import SharedHand
+from rig.session.bench import Bench
 from rig.session.console import terminal
 from rig.session.console.child import Child, Message
-from rig.session.console.keymap import KeyMap
 from rig.session.console.pointer import HandKind
-from rig.session.desk import VERDICTS, Action, Desk, Question, Reply, View
-from rig.session.protocol import Keys, Protocol
-
-if TYPE_CHECKING:
-    from rig.session.hits import Bench
+from rig.session.desk import Action, Desk, Question, Reply, View
+from rig.session.keymap import KeyMap
+from rig.session.protocol import VERDICTS, Keys, Protocol
 
 SILENCE_S = 2.0  # of the console while a hit runs; then the hit ends
 HUNG_S = 10.0  # of a console while nothing moves; then it is started anew

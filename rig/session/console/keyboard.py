@@ -17,25 +17,6 @@ from dataclasses import dataclass
 
 MOST_SEQUENCE = 64  # bytes of an escape sequence; a longer one is noise
 
-NAMED = frozenset(
-    {
-        "enter",
-        "space",
-        "tab",
-        "escape",
-        "backspace",
-        "up",
-        "down",
-        "left",
-        "right",
-        "home",
-        "end",
-        "pageup",
-        "pagedown",
-        "insert",
-        "delete",
-    }
-) | {f"f{n}" for n in range(1, 13)}
 
 _FINAL = {"A": "up", "B": "down", "C": "right", "D": "left", "H": "home", "F": "end"}
 _FUNCTION = {"P": "f1", "Q": "f2", "R": "f3", "S": "f4"}  # after SS3

@@ -6,24 +6,32 @@ stopped process, a terminal that takes no more output, ends a hit within seconds
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import signal
+import struct
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from rig.devices.hand import SharedHand
 from rig.realtime import running
 from rig.session.console import terminal
 from rig.session.console.conversation import Conversation, Outcome, Stop
 from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse
-from rig.session.console.keymap import STOP, KeyMap
 from rig.session.console.live import Live, Snapshot
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
 from rig.session.console.pointer import Hand, Pointer
+from rig.session.console.screen import picture
+from rig.session.keymap import STOP, KeyMap
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -292,8 +300,6 @@ class _Screen(_Face):
     """
 
     def __init__(self, hand: _MovedHand | None) -> None:
-        from rich.console import Console  # noqa: PLC0415  (lines do without)
-
         self._console: Console = Console(file=sys.stdout, highlight=False, markup=False, emoji=False)
         self._blocks = (self._console.encoding or "").lower().startswith("utf")
         self._mouse = hand is not None and hand.kind == "mouse"
@@ -313,8 +319,6 @@ class _Screen(_Face):
 
     def show(self, told: Conversation, live: Snapshot | None) -> None:
         """Draw what has changed; now and then everything, should somebody else have written there."""
-        from rig.session.console.screen import picture  # noqa: PLC0415
-
         now_s = time.monotonic()
         width, height = size = self._console.size.width, self._console.size.height
         with self._console.capture() as drawn:
@@ -340,10 +344,6 @@ class _MovedHand:
     """The simulated hand that somebody moves at this terminal."""
 
     def __init__(self, told: dict[str, Any]) -> None:
-        from pathlib import Path  # noqa: PLC0415
-
-        from rig.devices.hand import SharedHand  # noqa: PLC0415  (only where a rig is simulated)
-
         self.kind = told["kind"]
         self._hand: Hand = SharedHand.create(Path(told["path"]))
         self._pointer = Pointer(float(told["press"]))
@@ -384,10 +384,6 @@ class _MovedHand:
 
 def _width(*, pixels: bool) -> int:
     """Width of the terminal in pixels (0: it does not say) or cells."""
-    import fcntl  # noqa: PLC0415
-    import struct  # noqa: PLC0415
-    import termios  # noqa: PLC0415
-
     try:
         _, cells, wide, _ = struct.unpack("HHHH", fcntl.ioctl(IN, termios.TIOCGWINSZ, bytes(8)))
     except OSError:

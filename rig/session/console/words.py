@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rig.session.console.conversation import TWICE, Conversation
-from rig.session.console.keymap import KeyMap
 from rig.session.console.live import Snapshot
 from rig.session.desk import Action, View
+from rig.session.keymap import KeyMap
 
 HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
 MEANINGS: dict[str, str] = {

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.sample import ROW, Phase, RowFlag
+from rig.loop.layout import EndReason
 from rig.realtime import ring as words
 from rig.realtime.ring import Ring
 from rig.session.lsl.clock import LiveClock
@@ -198,8 +199,6 @@ class Follower:
         }
 
     def _end(self, time_ns: int) -> Marker:
-        from rig.loop.layout import EndReason  # noqa: PLC0415  (compiled code)
-
         reason = self.ring.get(words.END_REASON)
         named = EndReason(reason).name.lower() if reason in set(EndReason) else str(reason)
         place = {name: int(self._before[name][0]) for name in ("tick", "device_time")} if self.rows else {}

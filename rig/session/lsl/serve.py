@@ -156,8 +156,6 @@ class _Server:
         told: Callable[[Mapping[str, Any]], None],
     ) -> None:
         self._pylsl, self._rate, self._name, self._blind, self._told = pylsl, rate, name, blind, told
-        from rig.loop.layout import EndReason  # noqa: F401, PLC0415  (compiled code: now, not when a loop runs)
-
         self._offset = library.clock_offset(pylsl)
         with Ring.allocate(1) as ring:
             Follower(ring).poll()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.core.deferred import stats
 from rig.session.search.psychometric import opened
 from rig.session.search.rule import Answer, Censored, Estimate, Probe, check_whole, checked_levels, told
 
@@ -60,8 +61,6 @@ class Ascending:
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
         """Mean over the climbs that have ended, and Student's interval of it, infinite for a single climb."""
-        from scipy import stats  # noqa: PLC0415
-
         climbs = self.climbs(answers)
         if not climbs:
             return Estimate(

@@ -26,6 +26,7 @@ from rig.session.analysis.tables import SLIPS_BEFORE
 from rig.session.conduct import walls_in
 from rig.session.schedule import levels_of
 from rig.session.state import END, State
+from rig.views.plots.session import tracks_name
 from rig.views.report.session_events import Deviation, deviations, notes, useless_trials
 from rig.views.report.session_methods import MEASURES, Paragraph, analysed_with, finite, methods
 from rig.views.report.template import data_uris, fill, provenance_lines
@@ -665,8 +666,6 @@ def _participant(found: Analysis, session: Session) -> tuple[str, ...]:
 
 
 def _tracks(found: Analysis) -> Section | None:
-    from rig.views.plots.session import tracks_name  # noqa: PLC0415  (matplotlib)
-
     codes = [s.code for s in found.study.sessions if any(run.participant == s.code for run in found.runs)]
     if not codes:
         return None

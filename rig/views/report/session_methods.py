@@ -7,10 +7,12 @@ protocol file and this.
 from __future__ import annotations
 
 import math
+import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from rig.config import Experiment, experiment_from_mapping
@@ -492,9 +494,6 @@ class _Told:
 
 def analysed_with() -> dict[str, str]:
     """Versions of what this analysis was computed with."""
-    import platform  # noqa: PLC0415
-    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415
-
     found = {}
     for name in ("haptic-rig", "numpy", "scipy", "statsmodels", "matplotlib"):
         try:

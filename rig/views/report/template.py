@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
+from rig.core.deferred import jinja2, markupsafe
 from rig.core.errors import ConfigError
 
 STYLE_SHEET = "page.css"
@@ -18,7 +19,12 @@ STYLE_SHEET = "page.css"
 
 def check_installed() -> None:
     """Raise `ConfigError` when jinja2 is missing: better before the work than after it."""
-    _jinja2()
+    try:
+        bool(jinja2.Environment)
+    except ImportError:
+        raise ConfigError(
+            "a report needs jinja2, which is not installed", remedy="pip install 'haptic-rig[report]'"
+        ) from None
 
 
 def fill(template: str, **values: Any) -> str:
@@ -36,13 +42,11 @@ def fill(template: str, **values: Any) -> str:
     ConfigError
         jinja2 is not installed.
     """
-    jinja2 = _jinja2()
+    check_installed()
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    from markupsafe import Markup  # noqa: PLC0415  (of jinja2)
-
-    css = Markup(_text(STYLE_SHEET))
+    css = markupsafe.Markup(_text(STYLE_SHEET))
     page: str = environment.from_string(_text(template)).render(css=css, **values)
     return page
 
@@ -64,13 +68,3 @@ def provenance_lines(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _text(name: str) -> str:
     return files("rig.views.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _jinja2() -> Any:
-    try:
-        import jinja2  # noqa: PLC0415  (an extra)
-    except ImportError:
-        raise ConfigError(
-            "a report needs jinja2, which is not installed", remedy="pip install 'haptic-rig[report]'"
-        ) from None
-    return jinja2

@@ -58,6 +58,7 @@ from tests.benchmarks.realtime.workbench import (
     quantiles,
     running_loop,
 )
+from tests.conformance.started import LEASH
 
 RATE = 20_000  # a period shorter than SHORTEST_WAIT_NS, so that both wait for that
 ROUNDS, SECONDS = (15, 0.5) if FULL else (5, 0.12)
@@ -212,7 +213,7 @@ class Contest:
 def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Contest]:
     """Open a link with a far end behind it."""
     with LINKS[link]() as (wire, far):
-        command = [programs["far_end"], str(far), str(priority), "0"]
+        command = [*LEASH, programs["far_end"], str(far), str(priority), "0"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[far], text=True) as process:
             assert process.stdout is not None
             try:

@@ -35,6 +35,7 @@ from rig.realtime.clock import MonotonicClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import obtained
+from tests.conformance.started import started
 
 HERE = Path(__file__).parent
 FULL = os.environ.get("RIG_BENCH_FULL", "") not in ("", "0")
@@ -101,15 +102,10 @@ def inherited(priority: int, cpu: int | None = None) -> Iterator[None]:
 @contextlib.contextmanager
 def processor_hogs(count: int) -> Iterator[None]:
     """Run that many processes that do nothing but compute; they end with the context."""
-    script = "while kill -0 $PPID 2> /dev/null; do i=0; while [ $i -lt 100000 ]; do i=$((i + 1)); done; done"
-    hogs = [subprocess.Popen(["sh", "-c", script]) for _ in range(count)]
-    try:
+    with contextlib.ExitStack() as hogs:
+        for _ in range(count):
+            hogs.enter_context(started("sh", "-c", "while :; do :; done"))
         yield
-    finally:
-        for hog in hogs:
-            hog.kill()
-        for hog in hogs:
-            hog.wait()
 
 
 @contextlib.contextmanager

@@ -9,8 +9,9 @@ import numpy as np
 
 from rig import config
 from rig.config import Experiment, controller, presets
+from rig.control.judging import Signals, judge
 from rig.control.step import Controller
-from rig.control.verdict import Signals, Verdict, judge
+from rig.control.verdict import Verdict
 from rig.core.sample import Phase, RowFlag
 from sim_backend import trial
 from sim_backend.plant import DiscretePlant, advance

@@ -14,6 +14,7 @@ from firmware_protocol.parameters import BY_NAME, LIVE, decode_block, encode_blo
 from rig import config
 from rig.config import controller, device_law, presets
 from rig.control import bilateral, laws
+from rig.control.law import Law
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.live import parameter_set
 from rig.experiments.shaking import shaken_law
@@ -80,7 +81,7 @@ def experiments(draw: st.DrawFn) -> config.Experiment:
     return config.override(base, changes)
 
 
-def values_of(x: config.Experiment, law: laws.Law | None = None, reference: int = 12_345) -> dict:
+def values_of(x: config.Experiment, law: Law | None = None, reference: int = 12_345) -> dict:
     return controller.prepared(
         x, current_quantum_a=QUANTUM, reference_count=reference, verified=True, law=law
     ).parameters
@@ -198,11 +199,11 @@ def test_what_a_device_does_not_have_is_refused_by_key_value_and_remedy(case):
 
 def test_a_foreign_law_and_a_table_of_the_host_are_refused():
     x = config.override(PRESETS["koul-rigid"], {"controller.loop": "device"})
-    foreign = laws.Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
+    foreign = Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
     with pytest.raises(PlanError, match=r'wall.law = "mine".*no such law'):
         values_of(x, foreign)
     with pytest.raises(PlanError, match="a table of the host cannot be sent"):
-        values_of(x, laws.shaken([0.1, -0.1]))
+        values_of(x, bilateral.shaken_law([0.1, -0.1]))
 
 
 def test_values_beyond_the_wire_name_what_is_behind_them():

@@ -25,6 +25,7 @@ from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.realtime.clock import VirtualClock
 from sim_backend.hardware import Hardware
+from tests.conformance.started import LEASH
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c
 
@@ -83,7 +84,7 @@ class Partner:
             directory / "requests", os.O_RDWR
         )  # both ways, so that nobody waits to open it
         self._replies = os.open(directory / "replies", os.O_RDWR)
-        self._process = subprocess.Popen(command, cwd=directory, stdin=subprocess.DEVNULL)
+        self._process = subprocess.Popen([*LEASH, *command], cwd=directory, stdin=subprocess.DEVNULL)
 
     def __call__(self, world: World, data: bytes, ticks: bool) -> Reply:
         os.write(self._requests, request_of(world, data, ticks))

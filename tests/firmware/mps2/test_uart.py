@@ -19,6 +19,7 @@ from rig.bench.firmware.selftest import SelfTestRequest, selftest
 from rig.core.errors import LinkLostError
 from rig.devices import open_device
 from rig.devices.framed import FramedDevice
+from tests.conformance.started import started
 from tests.firmware import cross
 
 BOOT_S = 30.0
@@ -34,19 +35,13 @@ def built() -> BuildResult:
 @pytest.fixture
 def url(built: BuildResult) -> Iterator[str]:
     command = [cross.need_qemu(), "-M", MACHINE, "-display", "none", "-monitor", "none", "-serial", "pty"]
-    with subprocess.Popen(
-        [*command, "-kernel", str(built.elf)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as process:
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with started(*command, "-kernel", built.elf, text=True, **pipes) as process:
         assert process.stdout is not None
         said = process.stdout.readline()
         port = re.search(r"/dev/pts/\d+", said)
         assert port is not None, said
         yield f"serial://{port[0]}"
-        process.kill()
 
 
 def met(device: FramedDevice) -> None:

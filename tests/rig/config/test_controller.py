@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from firmware_protocol.parameters import BY_NAME, check
 from rig import config
 from rig.config import controller, presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from sim_backend.configuration import describe

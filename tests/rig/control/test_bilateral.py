@@ -17,7 +17,7 @@ TABLE = np.array([1.0, -2.0, 3.0, 0.5])
 
 def shaken(wall=WALL, table=TABLE, ramp_ticks=0):
     """The law with its memory, as a function of penetration, velocity and elapsed ticks."""
-    prepared = laws.shaken(table, ramp_ticks).prepare(wall)
+    prepared = bilateral.shaken_law(table, ramp_ticks).prepare(wall)
 
     def react(penetration=0.0, velocity=0.0, elapsed=1):
         return prepared.law.function(penetration, velocity, elapsed, prepared.state, prepared.parameters)
@@ -60,7 +60,7 @@ def test_samples_that_were_lost_are_skipped_in_the_excitation_too(elapsed, ramp_
     react = shaken(ramp_ticks=ramp_ticks)
     ticks = np.concatenate([[0], np.cumsum(elapsed[1:])]).astype(int)
     whole = bilateral.played(
-        laws.shaken(TABLE, ramp_ticks).prepare(WALL).parameters, 1, 1e-3, int(ticks[-1]) + 1
+        bilateral.shaken_law(TABLE, ramp_ticks).prepare(WALL).parameters, 1, 1e-3, int(ticks[-1]) + 1
     )
     assert [-react(elapsed=n) for n in elapsed] == pytest.approx(whole[ticks].tolist(), abs=1e-12)
 
@@ -80,11 +80,11 @@ def test_the_laws_are_found_by_name_so_that_a_recording_can_be_replayed():
     for name in ("bilateral", "shaken"):
         assert name in laws.names()
         assert laws.get(name).prepare(WALL).parameters[:2].tolist() == [1000.0, 5.0]
-    saved = laws.shaken(TABLE, 7).prepare(WALL)
+    saved = bilateral.shaken_law(TABLE, 7).prepare(WALL)
     from rig.config import controller, presets  # noqa: PLC0415
 
     plain = controller.for_experiment(
-        presets.load("chawda-linear"), current_quantum_a=0.001, law=laws.shaken(TABLE, 7)
+        presets.load("chawda-linear"), current_quantum_a=0.001, law=bilateral.shaken_law(TABLE, 7)
     )
     again = Controller.from_mapping(plain.as_mapping())
     assert again.law.parameters.tobytes()[16:] == saved.parameters.tobytes()[16:]

@@ -15,6 +15,7 @@ from rig import config
 from rig.config import controller, presets
 from rig.control import laws
 from rig.control.friction import DEFAULT_SHARE, Compensation, around, compensated, compensation, dead_band_of
+from rig.control.law import Law
 from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
@@ -235,7 +236,7 @@ def test_a_third_party_law_can_be_compensated():
         return parameters[0]
 
     law = compensated(
-        laws.Law("mine", "a constant", nothing, 1, lambda wall: [7.0]),
+        Law("mine", "a constant", nothing, 1, lambda wall: [7.0]),
         Compensation(up=1.0, down=1.0, dead_band=0.1, share=0.5),
     ).prepare({"side": 1})
     assert law.law.function(0.0, 1.0, 1, law.state, law.parameters) == pytest.approx(6.5)

@@ -15,9 +15,10 @@ from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 from rig import config
 from rig.config import controller, presets
 from rig.control import measure
+from rig.control.judging import meter
 from rig.control.measure import FEWEST_TICKS, NUMBERS, OVERRULED, filters, toggling_floor
 from rig.control.median import median
-from rig.control.verdict import Limits, Verdict, meter
+from rig.control.verdict import Limits, Verdict
 from rig.core.sample import Phase, RowFlag
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import run_trial

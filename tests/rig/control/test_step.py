@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control import estimators, laws
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.step import CONTROL, MEMORY, Controller, new_memory, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase, RowFlag

@@ -13,21 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.control.judging import Signals, judge, meter, recorded_signals, true_signals
 from rig.control.measure import NUMBERS
-from rig.control.verdict import (
-    CRITERIA,
-    KINDS,
-    Kind,
-    Limits,
-    Measured,
-    Signals,
-    decide,
-    judge,
-    kinds,
-    meter,
-    recorded_signals,
-    true_signals,
-)
+from rig.control.verdict import CRITERIA, KINDS, Kind, Limits, Measured, decide, kinds
 from rig.core.sample import ROW, TRUTH_COLUMNS, Phase, RowFlag
 
 RATE = 20_000

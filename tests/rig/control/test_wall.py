@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control import laws
+from rig.control.law import PreparedLaw
 from rig.core.errors import ConfigError
 from rig.realtime.plugs import LAW_CLAMPED
 
@@ -17,12 +18,12 @@ STIFFNESS = st.floats(0.0, 1e5)
 DAMPING = st.floats(0.0, 1e3)
 
 
-def wall(stiffness: float, damping: float, pull: str = "clamp", damping_on: str = "both") -> laws.PreparedLaw:
+def wall(stiffness: float, damping: float, pull: str = "clamp", damping_on: str = "both") -> PreparedLaw:
     section = {"stiffness": stiffness, "damping": damping, "pull": pull, "damping_on": damping_on}
     return laws.get("spring-damper").prepare(section)
 
 
-def reaction(law: laws.PreparedLaw, penetration: float, velocity: float) -> float:
+def reaction(law: PreparedLaw, penetration: float, velocity: float) -> float:
     return law.law.function(penetration, velocity, 1, law.state, law.parameters)
 
 

@@ -17,7 +17,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import controller, presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import ConfigError, DeviceFaultError, LawError, LinkLostError, RecordingError, RigError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import FramedDevice

@@ -11,7 +11,6 @@ import math
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -30,6 +29,7 @@ from rig.experiments.sweep import journal as journals
 from rig.experiments.sweep.executors import as_json
 from rig.recording import lines
 from tests.conformance import sweep_work
+from tests.conformance.started import started
 
 HERE = sweep_work.__name__
 SINES, MARKS, RAISES = f"{HERE}:sines", f"{HERE}:leave_a_mark", f"{HERE}:raise_when_told"
@@ -153,14 +153,11 @@ def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path):
     ended = False
     for _ in range(4):
         before = len(keys_in(journal)) if journal.exists() else 0
-        process = subprocess.Popen(
-            [sys.executable, "-c", program], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
-        )
-        while not ended and (not journal.exists() or len(keys_in(journal)) < before + 20):
-            ended = process.poll() is not None
-            time.sleep(0.005)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        with started(sys.executable, "-c", program, cwd=ROOT, env=environment) as process:
+            while not ended and (not journal.exists() or len(keys_in(journal)) < before + 20):
+                ended = process.poll() is not None
+                time.sleep(0.005)
     assert not ended, "it should have been killed in the middle each time"
     kept = keys_in(journal)
     assert 80 <= len(kept) < 120
@@ -331,6 +328,7 @@ def interrupt_at(done):
 
 
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
+@pytest.mark.signals
 def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes_on(kept, tmp_path):
     journal, log = tmp_path / "j" if kept == "in a journal" else None, tmp_path / "log"
     tasks = marks(60, log, wait_s=0.01)
@@ -377,6 +375,7 @@ def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
 
 # Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.signals
 def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
     journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
     main = threading.main_thread().ident

@@ -24,7 +24,7 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.core.errors import (
     ConfigError,
     DeviceFaultError,
@@ -375,6 +375,7 @@ def assert_stopped(bench, caught):
     ],
     ids=["once", "twice", "term", "impatient"],
 )
+@pytest.mark.signals
 def test_ctrl_c_however_often_ends_with_a_whole_recording(numbers, tmp_path, handlers):
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError) as caught:
@@ -400,6 +401,7 @@ def handlers():
 
 
 @pytest.mark.parametrize("place", ["finish", "end", "handover"])
+@pytest.mark.signals
 def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(place, tmp_path, monkeypatch, handlers):
     bench = Bench(tmp_path)
     original = getattr(LoopThread, place)
@@ -414,6 +416,7 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(place, tmp_path
     assert_stopped(bench, caught)
 
 
+@pytest.mark.signals
 def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path, handlers):
     """It comes while the recording is sealed: that ends well, and then nothing more begins."""
 
@@ -430,6 +433,7 @@ def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path, handlers):
     assert files(tmp_path) == ["trial.parquet"]
 
 
+@pytest.mark.signals
 def test_ctrl_c_while_arming_moves_nothing(tmp_path, monkeypatch, handlers):
     bench = Bench(tmp_path)
     original = bench.device.arm
@@ -445,6 +449,7 @@ def test_ctrl_c_while_arming_moves_nothing(tmp_path, monkeypatch, handlers):
     assert len(open_recording(caught.value.recording)) == 0
 
 
+@pytest.mark.signals
 def test_an_ignored_interrupt_stays_ignored(tmp_path):
     """As under nohup, and in the background of a shell without job control."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -479,6 +484,7 @@ def descriptors():
 
 
 @pytest.mark.parametrize("ending", ["finished", "law", "fault", "unplug", "refused", "interrupted"])
+@pytest.mark.signals
 def test_no_thread_and_no_descriptor_is_left(ending, tmp_path, frames_until_armed):
     Bench(tmp_path).run(name="warm")  # imports and caches
     before = threads(), descriptors()

@@ -27,7 +27,7 @@ from firmware_protocol.faults import Fault
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, unpack
 from rig.config import controller, presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.step import SETTLE
 from rig.core.sample import Phase, RowFlag
 from rig.devices.device import LoopPort

@@ -13,6 +13,8 @@ from rig.loop.signals import STOPPING, stop_on_signals
 from rig.realtime import ring as words
 from rig.realtime.ring import Ring
 
+pytestmark = pytest.mark.signals
+
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:

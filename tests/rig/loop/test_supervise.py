@@ -21,7 +21,7 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
 from firmware_protocol.parameters import decode_block
 from rig.config import controller, presets
-from rig.control.laws import Law
+from rig.control.law import Law
 from rig.control.step import new_memory
 from rig.core.errors import PlanError
 from rig.core.sample import Phase, RowFlag

@@ -10,6 +10,7 @@ import sys
 import textwrap
 import threading
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numba
@@ -26,6 +27,7 @@ from rig.recording.capture import pack_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder, sync, write_all
 from tests.conformance.recording import example_header, example_rows
+from tests.conformance.started import started
 
 pytestmark = pytest.mark.skipif(
     numba.config.DISABLE_JIT, reason="system calls and atomic words need the compiler"
@@ -244,11 +246,11 @@ PRODUCER = """
 """
 
 
-def run_python(body: str, path: Path) -> subprocess.Popen[str]:
+def run_python(body: str, path: Path) -> AbstractContextManager[subprocess.Popen[str]]:
     program = textwrap.dedent(PRODUCER) + textwrap.dedent(body)
     root = Path(__file__).parents[3]
-    return subprocess.Popen(
-        [sys.executable, "-c", program, str(path)], cwd=root, stdout=subprocess.PIPE, text=True, bufsize=1
+    return started(
+        sys.executable, "-c", program, path, cwd=root, stdout=subprocess.PIPE, text=True, bufsize=1
     )
 
 

@@ -12,9 +12,8 @@ import numpy as np
 from rig.config import Experiment
 from rig.core.errors import RigError
 from rig.recording.files import whole_file
-from rig.session.arming import Refusal, Wall
+from rig.session.bench import Done, Refusal, Wall
 from rig.session.desk import Desk, Question, Reply, View
-from rig.session.hits import Done
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Protocol

@@ -19,7 +19,8 @@ from rig.core.errors import ConfigError, PlanError
 from rig.experiments.hit import HitRequest
 from rig.experiments.plan import Outcome
 from rig.session import hits
-from rig.session.arming import Refusal, Wall, arming_checks, refuse_unarmable, walls_of
+from rig.session.arming import arming_checks, refuse_unarmable, walls_of
+from rig.session.bench import Refusal, Wall
 from rig.session.check import check
 from rig.session.conditions import Walls
 from rig.session.desk import Desk, Question, Reply

@@ -21,13 +21,13 @@ from rig.realtime.ring import Ring
 from rig.session.console import words
 from rig.session.console.conversation import Answer, Conversation, Stop
 from rig.session.console.keyboard import Key, Keyboard, Mode, Mouse
-from rig.session.console.keymap import KeyMap
 from rig.session.console.live import Live, Snapshot, snapshot_of
 from rig.session.console.messages import Lines, line_of
 from rig.session.console.plain import PlainLines
 from rig.session.console.pointer import Pointer
 from rig.session.console.screen import picture
 from rig.session.desk import Action, Question, View
+from rig.session.keymap import KeyMap
 from rig.session.protocol import Keys
 
 KEYMAP = KeyMap.of(Keys())

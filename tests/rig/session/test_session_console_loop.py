@@ -15,10 +15,10 @@ import pytest
 from rig.realtime.ring import STOP, Ring
 from rig.session.console import program
 from rig.session.console.conversation import Conversation, Stop
-from rig.session.console.keymap import KeyMap
 from rig.session.console.live import Snapshot
 from rig.session.console.messages import line_of
 from rig.session.desk import Question, View
+from rig.session.keymap import KeyMap
 from rig.session.protocol import Keys
 
 

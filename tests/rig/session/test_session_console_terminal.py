@@ -341,6 +341,7 @@ def program(terminal: Terminal) -> Iterator[tuple[Program, int]]:
         started.end()
 
 
+@pytest.mark.signals
 def test_ctrl_c_reaches_the_session_past_a_stopped_console(terminal: Terminal) -> None:
     with program(terminal) as (started, child):
         terminal.wait("P09", "[1] stable")

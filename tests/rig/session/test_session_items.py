@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.session.console.conversation import Answer, Conversation
-from rig.session.console.keymap import KeyMap
 from rig.session.desk import Question
 from rig.session.items import asked, parse_answer, wanted
+from rig.session.keymap import KeyMap
 from rig.session.protocol import Item, Keys
 
 SCALE = asked(Item(name="tired", text="How tired?", lowest=-2, highest=7))

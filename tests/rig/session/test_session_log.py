@@ -26,6 +26,7 @@ from rig.session.log import (
     set_damaged_line_aside,
     without_nan,
 )
+from tests.conformance.started import die_with_parent
 
 SAID = [
     ("trial", {"k": 40.0}),
@@ -279,6 +280,7 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path, place):
 
 
 def _append_for_ever(path):
+    die_with_parent()
     with SessionLog(path) as log:
         while True:
             log.append("tick", number=len(log.events))
@@ -288,7 +290,9 @@ def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path):
     path = tmp_path / "log"
     for _ in range(5):
         before = len(read(path)) if path.exists() else 0
-        child = multiprocessing.get_context("fork").Process(target=_append_for_ever, args=(path,))
+        child = multiprocessing.get_context("fork").Process(
+            target=_append_for_ever, args=(path,), daemon=True
+        )
         child.start()
         while not path.exists() or len(_whole(path)) < before + 20:
             assert child.is_alive()

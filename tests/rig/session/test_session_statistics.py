@@ -533,9 +533,15 @@ def test_repeats_of_one_person_are_no_more_people():
         for row in runs_of_people(repeats=1, dampings=(0.0, 1.0, 3.0), scatter=25.0)
     ]
     once, often = model_of(rows), model_of(rows * 5)
-    assert [test.p for test in often.tests] == pytest.approx([test.p for test in once.tests], rel=1e-6)
+    # Means over repeats are the same but for rounding, which may send an optimiser another way. Any way ends `_NOTHING`
+    # or less below the largest log likelihood, which moves a ratio of two by twice as much, and p by as much of itself:
+    # χ²'s hazard is at most ½ from two degrees of freedom on.
+    assert [test.p for test in often.tests] == pytest.approx(
+        [test.p for test in once.tests], rel=2 * mixed._NOTHING
+    )
+    # An optimiser stops at a slope of 1e-5 for each value, where the curvature is 0.03: deviations are known to 3e-4.
     for one, other in zip(once.contrasts, often.contrasts, strict=True):
-        assert (other.low, other.high) == pytest.approx((one.low, one.high))
+        assert (other.low, other.high) == pytest.approx((one.low, one.high), abs=1e-3 * (one.high - one.low))
     assert (once.runs, often.runs) == (48, 240)
 
 

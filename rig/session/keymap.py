@@ -7,9 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from rig.core.errors import ConfigError
-from rig.session.console.keyboard import NAMED
-from rig.session.desk import VERDICTS
-from rig.session.protocol import Keys
+from rig.session.protocol import VERDICTS, Keys
 
 STOP, HELP = "space", "?"
 RESERVED = {
@@ -19,6 +17,26 @@ RESERVED = {
     "escape": "it leaves a line that is being typed",
     "backspace": "it corrects a line that is being typed",
 }
+
+NAMED = frozenset(
+    {
+        "enter",
+        "space",
+        "tab",
+        "escape",
+        "backspace",
+        "up",
+        "down",
+        "left",
+        "right",
+        "home",
+        "end",
+        "pageup",
+        "pagedown",
+        "insert",
+        "delete",
+    }
+) | {f"f{n}" for n in range(1, 13)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,133 @@
+"""From the signals of one trial to its verdict: what a rig records, or in simulation the truth.
+
+A verdict uses only what a rig records, so that a simulated and a real trial are judged by the same text; in
+simulation the same function runs a second time on the truth. All signals are cut to the trial, uniformly sampled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.faults import LimitFlag
+from firmware_protocol.messages import NO_COMMAND_YET
+from rig.control.measure import OVERRULED, Meter
+from rig.control.verdict import Bools, Floats, Limits, Measured, Verdict
+from rig.core.sample import Phase, RowFlag
+
+# Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
+_OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signals:
+    """One trial, uniformly sampled: arrays of equal length, positions and efforts in the units of the rig.
+
+    `velocity` is None when it has to be derived from `position`; `resolution` is the count behind
+    `position`, 0 for truth.
+    """
+
+    tick_s: float
+    resolution: float
+    position: Floats
+    velocity: Floats | None
+    effort: Floats
+    penetration: Floats
+    saturated: Bools
+    late: Bools
+    gap: Bools
+    slew_bound: Bools
+    overruled: Bools  # the device limited, ramped or withheld what the law commanded
+
+
+def recorded_signals(rows: NDArray[np.void], tick_s: float, resolution: float) -> Signals:
+    """What a rig records of the trial phase of its rows (`rig.core.sample.ROW`)."""
+    trial = rows[rows["phase"] == Phase.TRIAL]
+    return Signals(
+        position=trial["position"].copy(),
+        velocity=None,
+        effort=trial["effort_sent"].copy(),
+        penetration=trial["penetration"].copy(),
+        **_shared(trial, tick_s, abs(resolution)),
+    )
+
+
+def true_signals(rows: NDArray[np.void], tick_s: float, wall_position: float, wall_side: float) -> Signals:
+    """What really happened in a simulated trial: rows that carry `rig.core.sample.TRUTH_COLUMNS` too.
+
+    A hand feels the handle, so velocity and position are those of the handle; the law lives where the encoder is, so
+    penetration is that of the sensed side. On two masses the capstan lies between them.
+    """
+    trial = rows[rows["phase"] == Phase.TRIAL]
+    return Signals(
+        position=trial["handle_position_true"].copy(),
+        velocity=trial["handle_velocity_true"].copy(),
+        effort=trial["effort_true"].copy(),
+        penetration=wall_side * (trial["position_true"] - wall_position),
+        **_shared(trial, tick_s, 0.0),
+    )
+
+
+def _shared(trial: NDArray[np.void], tick_s: float, resolution: float) -> dict[str, Any]:
+    def flagged(flag: RowFlag) -> Bools:
+        return np.asarray((trial["flags"] & int(flag)) != 0)
+
+    return {
+        "tick_s": tick_s,
+        "resolution": resolution,
+        "saturated": flagged(RowFlag.SATURATED),
+        "late": flagged(RowFlag.LATE),
+        "gap": flagged(RowFlag.GAP),
+        "slew_bound": flagged(RowFlag.SLEW_BOUND),
+        "overruled": ((trial["limits"] & _OVERRULES) != 0) | (trial["command_age"] == NO_COMMAND_YET),
+    }
+
+
+def judge(signals: Signals, limits: Limits) -> Verdict:
+    """Judge one trial (see the module's text).
+
+    A trial shorter than its tail is judged on what there is; one without samples is invalid.
+    """
+    return measured(signals, limits).verdict
+
+
+def measured(signals: Signals, limits: Limits, *, thrown_out: bool = False) -> Measured:
+    """Measure one trial: a verdict without its texts."""
+    numbers = meter(limits, signals.tick_s, signals.resolution).recorded(
+        signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
+    )
+    return Measured(numbers, limits, thrown_out)
+
+
+def meter(limits: Limits, tick_s: float, resolution: float) -> Meter:
+    """Return what measures trials for `decide`, `kinds` and `Measured`: one for each thread.
+
+    Its `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
+    `rig.control.measure.NUMBERS`; `resolution` is that of a count in the recorded ones.
+    """
+    return Meter(
+        tick_s=tick_s,
+        resolution=resolution,
+        tail_s=limits.tail_s,
+        highpass_hz=limits.highpass_hz,
+        lowpass_hz=limits.lowpass_hz,
+        felt_velocity=limits.felt_velocity,
+    )
+
+
+def _flags(signals: Signals) -> NDArray[np.int64]:
+    """Pack what is marked in a trial into bits, as the compiled measuring wants it."""
+    flags = np.zeros(len(signals.position), np.int64)
+    for bit, marked in (
+        (int(RowFlag.SATURATED), signals.saturated),
+        (int(RowFlag.LATE), signals.late),
+        (int(RowFlag.GAP), signals.gap),
+        (int(RowFlag.SLEW_BOUND), signals.slew_bound),
+        (OVERRULED, signals.overruled),
+    ):
+        if marked.any():
+            flags |= bit * marked.astype(np.int64)
+    return flags

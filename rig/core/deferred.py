@@ -1,0 +1,33 @@
+"""Heavy libraries, each imported when one of its names is first used.
+
+`from rig.core.deferred import signal` at the top of a file costs nothing; `signal.butter(…)` loads scipy.signal, which
+takes most of a second. A command pays for what it uses, and every import stands at the top of its file.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+
+class _Deferred:
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        return getattr(import_module(self._name), attribute)
+
+
+io: Any = _Deferred("scipy.io")
+linalg: Any = _Deferred("scipy.linalg")
+optimize: Any = _Deferred("scipy.optimize")
+signal: Any = _Deferred("scipy.signal")
+stats: Any = _Deferred("scipy.stats")
+pandas: Any = _Deferred("pandas")
+pyarrow: Any = _Deferred("pyarrow")
+parquet: Any = _Deferred("pyarrow.parquet")
+csv: Any = _Deferred("pyarrow.csv")
+jinja2: Any = _Deferred("jinja2")
+markupsafe: Any = _Deferred("markupsafe")
+pydantic: Any = _Deferred("pydantic")
+mixed_linear_model: Any = _Deferred("statsmodels.regression.mixed_linear_model")

@@ -1,0 +1,100 @@
+"""What the engine knows of a rig: a place where trials are run, and what it says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from rig.config import Experiment
+from rig.experiments.plan import Check
+
+Watch = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wall:
+    """A wall that a session may ask for, and what of it a device must not change."""
+
+    condition: str
+    experiment: Experiment
+    changes: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """What the gate refuses of one condition at one damping, out of so many walls; why, for the softest of them."""
+
+    condition: str
+    damping: float
+    stiffness: tuple[float, ...]
+    walls: int
+    text: str
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for the log."""
+        return {"condition": self.condition, "damping": self.damping, "stiffness": list(self.stiffness)}
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A trial that was run: what its event in the log says of it, and what ended it early, if anything did."""
+
+    content: Mapping[str, Any]
+    error: Exception | None
+    duration_s: float
+
+
+class Bench(Protocol):
+    """Where trials are run: a rig (`RigBench`), or what a test puts in its place.
+
+    `hand` is the file through which somebody moves the simulated hand, None while it plays its script. `arm_anyway`:
+    somebody consented to walls that the arming gate refuses.
+    """
+
+    hand: Path | None
+    arm_anyway: bool
+
+    @property
+    def simulated(self) -> bool:
+        """Whether no rig can move."""
+        ...
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time is the simulation's own."""
+        ...
+
+    @property
+    def messages(self) -> Sequence[str]:
+        """What this computer or the port did not grant, told once."""
+        ...
+
+    def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """What the log should know of the device, its clock and this computer."""
+        ...
+
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
+        """Which of these walls the rig does not arm without consent; see `RigBench.refusals`."""
+        ...
+
+    def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
+        """Whether the device and its link carry an experiment; nothing moves."""
+        ...
+
+    def hit(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        directory: Path,
+        name: str,
+        watch: Callable[[Experiment], Watch | None],
+        heat: float,
+    ) -> Done:
+        """Run one trial; see `RigBench.hit`."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device."""
+        ...
