@@ -16,8 +16,6 @@ from rig.cli import hit_output, options, output
 from rig.core.errors import RigError
 from rig.devices import load_backend
 from rig.experiments import hit as hits
-from rig.experiments.judgement import experiment_of, judge
-from rig.recording.reader import open_recording
 
 
 @click.command()
@@ -107,8 +105,7 @@ def hit(
         except RigError as error:
             bars.stop()
             failure = error
-            if error.recording is not None:
-                _show_what_was_recorded(error.recording, artist, quiet=as_json)
+            _show_what_was_recorded(error, artist, quiet=as_json)
     if as_json:
         output.print_json({"hits": done, "error": None if failure is None else output.error_facts(failure)})
     if failure is not None:
@@ -178,19 +175,21 @@ def _say_gate(gate: Gate) -> None:
     click.echo(f"rig: arming although ({why}): {gate.text}", err=True)
 
 
-def _show_what_was_recorded(recording: Path, artist: Artist, *, quiet: bool) -> None:
-    """Judge and draw a run that ended early, as far as it got."""
-    picture = artist.draw(recording)
+def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> None:
+    """Show and draw a run that ended early, as far as it got."""
+    try:
+        left = hits.left_by(error)
+    except RigError as unreadable:
+        click.echo(f"rig: {unreadable}", err=True)
+        return
+    if left is None:
+        return
+    picture = artist.draw(left.path)
     if quiet:
         return
-    try:
-        opened = open_recording(recording)
-        experiment, verdicts = experiment_of(opened), judge(opened)
-    except RigError as error:
-        click.echo(f"rig: {error}", err=True)
-        return
-    click.echo(hit_output.headline(experiment))
-    _print_pairs(hit_output.verdict_pairs(experiment, *verdicts), recording, picture)
+    click.echo(hit_output.headline(left.experiment))
+    verdicts = left.judgement.verdict, left.judgement.verdict_true
+    _print_pairs(hit_output.verdict_pairs(left.experiment, *verdicts), left.path, picture)
 
 
 def _print_pairs(pairs: list[tuple[str, str]], recording: Path, picture: str | None) -> None:

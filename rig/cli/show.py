@@ -9,7 +9,7 @@ import click
 
 from rig.cli import hit_output, options, output
 from rig.core.sample import unit_of
-from rig.experiments.judgement import as_trailer, experiment_of, judge
+from rig.experiments.judgement import experiment_of, judge
 from rig.experiments.plan import ARITHMETIC_WORDS
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
@@ -25,13 +25,13 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
     opened = open_recording(recording)
     experiment = experiment_of(opened)
-    verdict, true = judge(opened)
+    judgement = judge(opened, experiment)
     if plot is not None:
         draw_hit(recording, plot)
     happened = _marks(opened) if marks else None
     if as_json:
         told = {} if happened is None else {"marks": [mark.as_mapping() for mark in happened]}
-        output.print_json({**_facts(opened, verdict, true), **told})
+        output.print_json({**_facts(opened, judgement), **told})
         return
     click.echo(hit_output.headline(experiment))
     header, trailer = opened.header, opened.trailer or {}
@@ -47,7 +47,8 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
         pairs.append(("beside the host's law", _agreement(trailer["law_agreement"])))
     if trailer.get("error"):
         pairs.append(("error", trailer["error"]))
-    output.print_pairs([*pairs, *hit_output.verdict_pairs(experiment, verdict, true)])
+    verdicts = hit_output.verdict_pairs(experiment, judgement.verdict, judgement.verdict_true)
+    output.print_pairs([*pairs, *verdicts])
     if happened is not None:
         click.echo("marks")
         output.print_pairs(_mark_pairs(happened))
@@ -95,10 +96,10 @@ def _agreement(found: dict[str, Any]) -> str:
     )
 
 
-def _facts(opened: Any, verdict: Any, true: Any) -> dict[str, Any]:
+def _facts(opened: Any, judgement: Any) -> dict[str, Any]:
     return {
         "header": opened.header,
-        "trailer": {**(opened.trailer or {}), **as_trailer(verdict, true)},
+        "trailer": {**(opened.trailer or {}), **judgement.as_trailer()},
         "rows": len(opened.rows),
         "complete": opened.complete,
         "lost": [str(loss) for loss in opened.lost],

@@ -22,12 +22,15 @@ from rig.config.derive import (
     verdict_limits,
 )
 from rig.config.load import (
+    LOOP,
     as_mapping,
+    checked,
     experiment_from_mapping,
     load_experiment,
     override,
     realtime_changes,
     with_realtime,
+    with_values,
 )
 from rig.config.sections import (
     Controller,
@@ -43,6 +46,7 @@ from rig.config.sections import (
 from rig.config.table import Described, describe, json_schema
 
 __all__ = [
+    "LOOP",
     "Controller",
     "Described",
     "Excitation",
@@ -55,6 +59,7 @@ __all__ = [
     "Wall",
     "as_mapping",
     "check_plugins",
+    "checked",
     "describe",
     "excitation_s",
     "excitation_size",
@@ -69,4 +74,5 @@ __all__ = [
     "shaken",
     "verdict_limits",
     "with_realtime",
+    "with_values",
 ]

@@ -9,14 +9,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, get_type_hints
 
-from rig.config.files import Table
+from rig.config.files import Table, nest
 from rig.config.problems import Problem, did_you_mean
 from rig.config.table import Parameter, parameters_of, sections_of, shown
 from rig.core.deferred import pydantic
+from rig.core.quantity import STRICT
 from rig.core.sample import Motion
 
 if TYPE_CHECKING:
@@ -99,6 +100,74 @@ def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None,
         return None, list(dict.fromkeys(found)) + problems
 
 
+def changed(kind: Kind[T], described: T, changes: Table, motion: Motion | None) -> tuple[T, list[Problem]]:
+    """Set some keys of what is checked already; only their new values are checked, each by itself.
+
+    Parameters
+    ----------
+    kind
+        Of the file that it came from.
+    described
+        What to start from; it stays as it is.
+    changes
+        Nested tables (`rig.config.files.nest`) of new values; in a table of free keys they join those that are there.
+    motion
+        As in `typed`.
+    """
+    making = _Changing(changes)
+    result = making.section(described, changes, ())
+    problems = [_problem_of(error, kind, table, motion) for error, table in making.errors]
+    return result, [*dict.fromkeys(problems), *_mistaken_choices(kind, changes)]
+
+
+class _Changing:
+    """Dataclasses with other values, and what is wrong with those: an error of pydantic, and the tables it is about."""
+
+    def __init__(self, whole: Table) -> None:
+        self._whole = whole
+        self.errors: list[tuple[Any, Table]] = []
+
+    def section(self, section: Any, changes: Table, path: tuple[str, ...]) -> Any:
+        known = {item.name: getattr(section, item.name) for item in fields(section)}
+        before = len(self.errors)
+        new = {
+            name: self._field(section, name, changes[name], (*path, name))
+            for name in known
+            if name in changes
+        }
+        for name in (name for name in changes if name not in known):
+            self._refused("unexpected_keyword_argument", (*path, name))
+        if len(self.errors) > before:
+            return section
+        try:
+            return replace(section, **new)
+        except ValueError as error:  # a dataclass that checks its own keys against each other
+            given = nest({".".join(path): plain(section) | changes})
+            self.errors.append(({"type": "value_error", "loc": path, "ctx": {"error": error}}, given))
+            return section
+
+    def _field(self, section: Any, name: str, value: Any, path: tuple[str, ...]) -> Any:
+        now = getattr(section, name)
+        if not is_dataclass(now):
+            joins = isinstance(now, Mapping) and isinstance(value, dict)
+            return self._leaf(type(section), name, {**now, **value} if joins else value, path)
+        if isinstance(value, dict):
+            return self.section(now, value, path)
+        self._refused("dataclass_type", path)
+        return now
+
+    def _leaf(self, section: type, name: str, value: Any, path: tuple[str, ...]) -> Any:
+        try:
+            return _adapter_of_key(section, name).validate_json(json.dumps(_jsonable(value)))
+        except pydantic.ValidationError as error:
+            found = error.errors(include_url=False)
+            self.errors += [({**one, "loc": (*path, *one["loc"])}, self._whole) for one in found]
+            return value
+
+    def _refused(self, why: str, path: tuple[str, ...]) -> None:
+        self.errors.append(({"type": why, "loc": path}, self._whole))
+
+
 def plain(value: Any) -> Any:
     """Nested dicts of a dataclass; what is None is left out, and comes back as None."""
     if is_dataclass(value):
@@ -131,6 +200,12 @@ def place(path: Sequence[str]) -> str:
 @cache
 def _adapter(root: type) -> Any:
     return pydantic.TypeAdapter(root)
+
+
+@cache
+def _adapter_of_key(section: type, name: str) -> Any:
+    hint = get_type_hints(section, include_extras=True)[name]
+    return pydantic.TypeAdapter(hint, config=STRICT)
 
 
 def _jsonable(value: Any) -> Any:

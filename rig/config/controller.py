@@ -1,13 +1,15 @@
 """From an experiment to the numbers of one run: the controller of the loop, and the parameters of the device.
 
 One place turns configured quantities into ticks, counts and quanta: what the host's law works with
-(`for_experiment`) and what the device is told (`device_parameters`) come from the same values.
+(`for_experiment`) and what the device is told (`device_parameters`) come from the same values. `prepared` makes both,
+once for a run: what a plan shows, what is checked and what is executed is that object.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -175,18 +177,86 @@ def supervise_lifetime_s(experiment: Experiment) -> float:
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
 
-def device_parameters(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """A run, prepared for one device.
+
+    Attributes
+    ----------
+    experiment
+        In effect.
+    current_quantum_a, reference_count
+        Of the device (A), and its count at position zero.
+    controller
+        The host's law before the first sample: numbers, and rows of the tables that name its kernels. A copy of it is
+        executed.
+    parameters
+        What the device is told.
+    own_law
+        A law of the caller's own, in place of the one that the experiment names.
+    """
+
+    experiment: Experiment
+    current_quantum_a: float
+    reference_count: int
+    controller: Controller
+    parameters: Mapping[str, Value]
+    own_law: bool
+
+
+def prepared(
     experiment: Experiment,
     *,
-    current_quantum_a: float,
-    reference_count: int,
-    verified: bool,
+    current_quantum_a: float | None = None,
+    reference_count: int = 0,
+    verified: bool = True,
     law: Law | None = None,
+) -> Run:
+    """Prepare a run.
+
+    Parameters
+    ----------
+    experiment
+        Validated experiment, as it is to run.
+    current_quantum_a
+        What the device declares (A); None for the one that the experiment gives its amplifier.
+    reference_count
+        Count at position zero.
+    verified
+        Somebody vouches for the signs of motor and encoder, or nothing can move.
+    law
+        Stands in for the law that the experiment names.
+
+    Raises
+    ------
+    ConfigError
+        As `for_experiment`.
+    PlanError
+        As `device_parameters`.
+    """
+    if law is not None:
+        experiment = replace(experiment, wall=replace(experiment.wall, law=law.name))
+    quantum = experiment.rig.amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
+    controller = for_experiment(
+        experiment, current_quantum_a=quantum, reference_count=reference_count, law=law
+    )
+    return Run(
+        experiment=experiment,
+        current_quantum_a=quantum,
+        reference_count=reference_count,
+        controller=controller,
+        parameters=device_parameters(experiment, controller, current_quantum_a=quantum, verified=verified),
+        own_law=law is not None,
+    )
+
+
+def device_parameters(
+    experiment: Experiment, controller: Controller, *, current_quantum_a: float, verified: bool
 ) -> dict[str, Value]:
     """Values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
 
-    With ``controller.loop = "device"`` the device's law is among them, as `rig.config.device_law` designs it; else it
-    is switched off. `law` stands in for the law that the experiment names, as in `for_experiment`.
+    With ``controller.loop = "device"`` the device's law is among them, as `rig.config.device_law` makes it of
+    `controller`, the host's; else it is switched off.
 
     Raises
     ------
@@ -194,6 +264,7 @@ def device_parameters(
         A limit that does not fit the wire: more current than a 16-bit command carries, a window beyond 32-bit counts. A
         law that the device does not have.
     """
+    reference_count = int(controller.control[0]["reference_count"])
     rig, rates = experiment.rig, experiment.controller
     limits, delta = rig.limits, abs(rig.encoder.resolution)
     quantum = effort_quantum(experiment, current_quantum_a)
@@ -220,10 +291,7 @@ def device_parameters(
         "law": 0,
     }
     if rates.loop == "device":
-        host = for_experiment(
-            experiment, current_quantum_a=current_quantum_a, reference_count=reference_count, law=law
-        )
-        values |= device_law.law_parameters(host, device_law.arithmetic_of(rates))
+        values |= device_law.law_parameters(controller, device_law.arithmetic_of(rates))
         values |= {
             "batch_layout": device_law.batch_layout(experiment),
             "batch_samples": device_law.batch_samples(experiment),

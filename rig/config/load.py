@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rig.config.checked import Kind, plain, typed, value_at
+from rig.config.checked import Kind, changed, plain, typed, value_at
 from rig.config.files import Table, flatten, nest, overlay, preset_names, preset_table, read_toml, tidy
 from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.rules import broken_rules
@@ -57,18 +59,62 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
 
 
 def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "command line") -> Experiment:
-    """Return the experiment with some keys changed, checked like a file.
+    """Return the experiment with some keys changed: their values are checked, and then the rules between all keys.
 
     Parameters
     ----------
     experiment
-        What to start from.
+        What to start from; returned as it is when nothing differs.
     changes
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source
         What errors call the changes.
     """
-    return _validated(_stack(as_mapping(experiment), nest(tidy(changes))), source)
+    other = with_values(experiment, changes, source)
+    return experiment if other == experiment else checked(other, source)
+
+
+def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str) -> Experiment:
+    """Return the experiment with some keys changed, each value checked by itself: a step on the way to `checked`.
+
+    The settings of an estimator do not outlive it, nor the numbers of a grip. A key that is set is meant in real time,
+    too: ``[realtime]`` says nothing of it any more.
+    """
+    wanted = nest(tidy(changes))
+    start = _without_what_goes(experiment, wanted)
+    if isinstance(wanted.get("realtime", {}), dict):
+        meant = {
+            key for key, _ in flatten({name: part for name, part in wanted.items() if name != "realtime"})
+        }
+        kept = {key: value for key, value in start.realtime.items() if key not in meant}
+        start = replace(start, realtime=kept)
+        if "realtime" in wanted:
+            wanted["realtime"] = dict(flatten(wanted["realtime"]))
+    with _computable(source):
+        other, problems = changed(EXPERIMENT, start, wanted, _motion(wanted, experiment.rig.motion))
+    problems += _wrong_realtime(wanted.get("realtime", {}))
+    if problems:
+        raise config_error(problems, source)
+    return other
+
+
+def checked(experiment: Experiment, source: str) -> Experiment:
+    """Return an experiment of good values whose keys agree with each other; `ConfigError` lists those that do not."""
+    with _computable(source):
+        problems = broken_rules(experiment)
+    if problems:
+        raise config_error(problems, source)
+    return experiment
+
+
+def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
+    """The experiment without the settings of an estimator, or the numbers of a grip, that gives way to another."""
+    estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
+    if estimator is not None and estimator != experiment.controller.estimator:
+        experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
+    if isinstance(grip, str) and grip in GRIPS and grip != experiment.operator.grip:
+        experiment = replace(experiment, operator=GRIPS[grip])
+    return experiment
 
 
 def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -123,21 +169,26 @@ def _stack(base: Table, top: Table) -> Table:
 
 
 def _validated(table: Table, source: str) -> Experiment:
+    """Check every value and every rule of a whole file."""
     table = _with_defaults(table)
+    with _computable(source):
+        found = typed(EXPERIMENT, table, _motion(table))
+    experiment, problems = found
+    problems += _wrong_realtime(table.get("realtime", {}))
+    if problems or experiment is None:
+        raise config_error(problems, source)
+    return checked(experiment, source)
+
+
+@contextmanager
+def _computable(source: str) -> Iterator[None]:
     try:
-        checked = typed(EXPERIMENT, table, _motion(table))
-        experiment, problems = checked
-        problems += _wrong_realtime(table.get("realtime", {}))
-        if experiment is not None and not problems:
-            problems = broken_rules(experiment)
+        yield
     except ArithmeticError as error:
         raise ConfigError(
             f"{source}: some values are too large or too small to compute with ({error})",
             remedy="check units and powers of ten",
         ) from None
-    if problems or experiment is None:
-        raise config_error(problems, source)
-    return experiment
 
 
 def _with_defaults(table: Table) -> Table:
@@ -168,6 +219,8 @@ def _wrong_realtime(changes: Any) -> Iterator[Problem]:
             )
 
 
-def _motion(table: Table) -> Motion | None:
+def _motion(table: Table, unless_named: Motion | None = None) -> Motion | None:
     named = value_at(table, ("rig", "motion"))
+    if named is None:
+        return unless_named
     return named if isinstance(named, str) and named in UNITS["position"] else None  # type: ignore[return-value]

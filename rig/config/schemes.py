@@ -17,7 +17,7 @@ neither 200 Hz at 2 kHz nor one reading of 20 kHz: so the cut-off is a setting, 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -117,7 +117,7 @@ class Scheme:
 
     def label(self, experiment: Experiment) -> str:
         """What a legend calls the scheme on an experiment: rates, estimator, and the cut-off where there is one."""
-        controller = self.applied(experiment).controller
+        controller = self.on(experiment).controller
         fast, slow = controller.position_rate / 1e3, controller.velocity_rate / 1e3
         rates = f"{fast:g} kHz" if fast == slow else f"{fast:g}/{slow:g} kHz"
         text = f"{self.kind} {rates}, {controller.estimator}"
@@ -141,17 +141,28 @@ class Scheme:
         ConfigError
             Rates that do not divide, an unknown estimator or setting.
         """
+        source = f"scheme {self.text}"
+        applied = config.checked(self.on(experiment), source)
+        config.check_plugins(applied, source)
+        return applied
+
+    def on(self, experiment: Experiment) -> Experiment:
+        """Return the experiment with the keys of this scheme, each checked by itself: a step on the way to `applied`.
+
+        What [realtime] says about a controller no longer holds.
+        """
         changes: dict[str, Any] = {
             "controller.position_rate": self.position_rate,
             "controller.velocity_rate": self.velocity_rate,
             "controller.estimator": self.estimator or experiment.controller.estimator,
+            "controller.parameters": self._parameters_on(experiment),
             **{f"controller.{key}": getattr(self, key) for key in _OWN if getattr(self, key) is not None},
         }
-        mapping = config.as_mapping(experiment)
-        mapping["controller"]["parameters"] = self._parameters_on(experiment)
-        plain = config.experiment_from_mapping(_changed(mapping, changes), f"scheme {self.text}")
-        config.check_plugins(plain, f"scheme {self.text}")
-        return plain
+        gentler = {
+            key: value for key, value in experiment.realtime.items() if not key.startswith("controller.")
+        }
+        bare = replace(experiment, controller=replace(experiment.controller, parameters={}), realtime=gentler)
+        return config.with_values(bare, changes, f"scheme {self.text}")
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
         """Settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""
@@ -218,17 +229,6 @@ def _checked(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
             )
         checked["slow_velocity_rate"] = int(rate)
     return checked
-
-
-def _changed(mapping: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Set dotted keys in nested tables; what [realtime] says about them no longer holds."""
-    for key, value in changes.items():
-        section, _, name = key.partition(".")
-        mapping[section][name] = value
-    mapping["realtime"] = {
-        key: value for key, value in mapping.get("realtime", {}).items() if not key.startswith("controller.")
-    }
-    return mapping
 
 
 def _has_cutoff(estimator: str) -> bool:

@@ -6,7 +6,6 @@ simulation the same function runs a second time on the truth. All signals are cu
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
 from rig.control.measure import OVERRULED, Meter
-from rig.control.verdict import _MAY_BE_NONE, _WORDS, Bools, Floats, Limits, Measured, Verdict, decide
+from rig.control.verdict import Bools, Floats, Limits, Measured, Verdict
 from rig.core.sample import Phase, RowFlag
 
 # Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
@@ -92,11 +91,7 @@ def judge(signals: Signals, limits: Limits) -> Verdict:
 
     A trial shorter than its tail is judged on what there is; one without samples is invalid.
     """
-    numbers = measured(signals, limits).numbers
-    kind, reasons = decide(numbers, limits)
-    shown = {name: numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS}
-    shown.update({name: None for name in _MAY_BE_NONE if math.isnan(shown[name])})
-    return Verdict(kind=kind, reasons=reasons, **shown)
+    return measured(signals, limits).verdict
 
 
 def measured(signals: Signals, limits: Limits, *, thrown_out: bool = False) -> Measured:

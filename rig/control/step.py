@@ -158,6 +158,16 @@ class Controller:
         e, w = self.estimator, self.law
         return (self.control, self.memory, e.state_f, e.state_i, e.parameters, w.state, w.parameters)
 
+    def copy(self) -> Controller:
+        """Return one that a run may change without changing this one."""
+        e, w = self.estimator, self.law
+        return Controller(
+            control=self.control.copy(),
+            memory=self.memory.copy(),
+            estimator=Prepared(e.estimator, e.parameters.copy(), e.state_f.copy(), e.state_i.copy()),
+            law=PreparedLaw(w.law, w.parameters.copy(), w.state.copy()),
+        )
+
     def fresh(self, wall: Mapping[str, Any]) -> Controller:
         """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
         e = self.estimator

@@ -28,6 +28,7 @@ does not vote.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from enum import IntFlag, StrEnum
@@ -216,6 +217,16 @@ class Measured:
         if self.thrown_out:
             return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
         return KINDS[int(_codes(int(self.found)))]
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Outcome, reasons and numbers, by the signals alone (see `overruled` for the rest)."""
+        kind, reasons = decide(self.numbers, self.limits)
+        shown = {
+            name: self.numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS
+        }
+        shown.update({name: None for name in _MAY_BE_NONE if math.isnan(shown[name])})
+        return Verdict(kind=kind, reasons=reasons, **shown)
 
     def passes(self, criterion: str) -> bool | None:
         """Whether the wall lies within the Z-width under a criterion; None when the trial says nothing about it.

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from rig.config import Experiment
 from rig.core.sample import Phase
-from rig.experiments.judgement import experiment_of
 from rig.recording.data import Recording
 
 
@@ -44,12 +44,8 @@ class Baseline:
         return asdict(self)
 
 
-def baseline(recording: Recording) -> Baseline | None:
-    """Measure the baseline of a recording; None where the trial has none or never began.
-
-    Raises `rig.core.errors.ConfigError` when this version cannot read the experiment.
-    """
-    experiment = experiment_of(recording)
+def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:
+    """Measure the baseline of a recording of this experiment; None where the trial has none or never began."""
     tick_s = 1.0 / experiment.controller.position_rate
     ticks = round(experiment.trial.baseline_s / tick_s)
     trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]

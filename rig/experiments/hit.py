@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +15,18 @@ from rig import config, devices
 from rig.bench.doctor.gate import Gate, check_armable
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment, device_law
+from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.verdict import Verdict
 from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
-from rig.experiments.judgement import as_trailer, judge
-from rig.experiments.plan import Check, Outcome, device_checks, link_checks, make_plan
-from rig.experiments.trial import TrialRequest, run_trial
+from rig.experiments.judgement import Judgement, judge
+from rig.experiments.plan import Check, Outcome, device_checks, link_checks, plan_of
+from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
+from rig.recording.reader import open_recording
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,18 +79,50 @@ class HitRequest:
     judged_link: Callable[[Gate], None] | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a hit leaves: the experiment in effect, its recording as it was read back, and what that says."""
+
+    experiment: Experiment
+    recording: Recording
+    judgement: Judgement
+
+    @property
+    def path(self) -> Path:
+        """The file of the recording."""
+        assert self.recording.path is not None
+        return self.recording.path
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HitResult:
-    """One hit: its recording, and the verdicts: the recorded one and, in simulation, the true one."""
+    """One hit."""
 
-    recording: Path
-    experiment: Experiment
-    verdict: Verdict
-    verdict_true: Verdict | None
+    recorded: Recorded
     counters: dict[str, int]
     cleared_fault: str | None  # what an earlier run had left latched on the device
     gate: Gate | None = None  # what speaks for and against arming on this link; None in virtual time
     messages: tuple[str, ...] = ()  # what this computer or the port did not grant, each with its remedy
+
+    @property
+    def recording(self) -> Path:
+        """The file of the recording."""
+        return self.recorded.path
+
+    @property
+    def experiment(self) -> Experiment:
+        """The one in effect."""
+        return self.recorded.experiment
+
+    @property
+    def verdict(self) -> Verdict:
+        """What was recorded says."""
+        return self.recorded.judgement.verdict
+
+    @property
+    def verdict_true(self) -> Verdict | None:
+        """What the truth says, in simulation."""
+        return self.recorded.judgement.verdict_true
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -108,7 +143,7 @@ class HitResult:
             "effort": config.motor_push(self.experiment),
             "start": self.experiment.trial.start,
             "seed": self.experiment.trial.seed,
-            **as_trailer(self.verdict, self.verdict_true),
+            **self.recorded.judgement.as_trailer(),
             "thresholds": asdict(config.verdict_limits(self.experiment)),
             "counters": self.counters,
             "cleared_fault": self.cleared_fault,
@@ -143,35 +178,40 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
     RigError
         Whatever ended a trial early (see `rig.experiments.trial.run_trial`); the effort is zero.
     """
-    with _opened(request) as device:
-        experiment, law = vetted(request, device)
+    with _opened(request) as (device, effective):
+        run = vetted(request, device, effective)
+        experiment = run.experiment
         gate = _gate(request, device, experiment)
         with plain_errors("make", request.output):
             request.output.mkdir(parents=True, exist_ok=True)
         stem = f"{_file_name(experiment.rig.name)}-{datetime.now():%Y%m%d-%H%M%S}"
-        trial = TrialRequest(
-            experiment=experiment,
-            recording=request.output,
-            verified=request.verified or device.dictionary.simulated,
-            reference_count=_reference_count(request, device),
-            seed=experiment.trial.seed,
-            law=law,
-        )
         for repeat in range(experiment.trial.repeats):
-            yield _one(
-                device,
-                replace(
-                    trial,
-                    recording=_free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
-                    progress=watch(repeat, experiment) if watch else None,
-                    extra={"repeat": repeat + 1, **({} if gate is None else {"gate": gate.as_mapping()})},
-                ),
-                gate,
+            trial = TrialRequest(
+                run=run,
+                recording=_free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
+                seed=experiment.trial.seed,
+                progress=watch(repeat, experiment) if watch else None,
+                judge=partial(judge, experiment=experiment),
+                extra={"repeat": repeat + 1, **({} if gate is None else {"gate": gate.as_mapping()})},
             )
+            yield _one(device, trial, gate)
 
 
-def vetted(request: HitRequest, device: FramedDevice) -> tuple[Experiment, Law | None]:
-    """The experiment as it would run on an open device, and its law. The link is not measured, and nothing moves.
+def left_by(error: Exception) -> Recorded | None:
+    """What a hit left that ended with this error; None where nothing moved."""
+    end: TrialEnd | None = getattr(error, "end", None)
+    return None if end is None else _recorded(end)
+
+
+def _recorded(end: TrialEnd) -> Recorded:
+    if end.sealed is not None and end.judgement is not None:
+        return Recorded(end.experiment, end.sealed, end.judgement)
+    recording = open_recording(end.recording)  # sealing failed, and something else before
+    return Recorded(end.experiment, recording, judge(recording, end.experiment))
+
+
+def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Run:
+    """The run of an experiment in effect on an open device. The link is not measured, and nothing moves.
 
     Raises
     ------
@@ -180,20 +220,24 @@ def vetted(request: HitRequest, device: FramedDevice) -> tuple[Experiment, Law |
     ConfigError
         Another rig than the one in the experiment, or a real one that nobody vouches for.
     """
-    experiment = in_effect(request.experiment, device, request.changes)
     config.check_plugins(experiment, experiment.rig.name)
-    _refuse(make_plan(experiment).checks)
     law = request.law
     if law is not None and not isinstance(law, Law):
         law = law(device.dictionary.current_quantum_a)
-    _refuse(device_checks(experiment, device.dictionary, law))
+    run = prepared_on(
+        device,
+        experiment,
+        verified=request.verified or device.dictionary.simulated,
+        reference_count=_reference_count(request, device),
+        law=law,
+    )
+    _refuse(plan_of(run).checks)
+    _refuse(device_checks(run, device.dictionary))
     _refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
     _check_same_rig(experiment, device)
     _check_verified(request, device)
     _check_person(experiment, device)
-    if law is not None:
-        experiment = replace(experiment, wall=replace(experiment.wall, law=law.name))
-    return experiment, law
+    return run
 
 
 def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
@@ -207,20 +251,10 @@ def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
 
 
 def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitResult:
-    verdicts: list[tuple[Verdict, Verdict | None]] = []
-
-    def judged(recording: Recording) -> dict[str, Any]:
-        verdicts.append(judge(recording))
-        return as_trailer(*verdicts[-1])
-
-    end = run_trial(device, replace(trial, judge=judged))
+    end = run_trial(device, trial)
     fault, device.cleared_fault = device.cleared_fault, None
-    recorded, true = verdicts[0]
     return HitResult(
-        recording=end.recording,
-        experiment=trial.experiment,
-        verdict=recorded,
-        verdict_true=true,
+        recorded=_recorded(end),
         counters=end.counters,
         cleared_fault=None if fault is None else fault.text,
         gate=gate,
@@ -229,27 +263,35 @@ def _one(device: FramedDevice, trial: TrialRequest, gate: Gate | None) -> HitRes
 
 
 @contextmanager
-def _opened(request: HitRequest) -> Iterator[FramedDevice]:
-    """Open the device of a request; a simulated one in real time becomes a process of its own."""
+def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
+    """Open the device of a request; with it the experiment in effect there.
+
+    A simulated one in real time becomes a process of its own.
+    """
+    experiment = request.experiment
     if request.device is not None:
-        yield request.device
+        yield request.device, in_effect(experiment, request.device, request.changes)
         return
-    loop = request.changes.get("controller.loop", request.experiment.controller.loop)
-    url = devices.url_for(request.url or "sim://", loop)
-    changed = config.with_realtime if request.realtime else config.override
-    simulated = changed(request.experiment, request.changes) if url.startswith("sim:") else None
+    url = devices.url_for(
+        request.url or "sim://", request.changes.get(config.LOOP, experiment.controller.loop)
+    )
+    simulated = url.startswith("sim:")
+    if simulated:  # what simulates it needs to know it
+        experiment = (config.with_realtime if request.realtime else config.override)(
+            experiment, request.changes
+        )
     with opened(
         url,
-        None if simulated is None else config.rig_model(simulated),
+        config.rig_model(experiment) if simulated else None,
         in_real_time=request.realtime,
         seed=request.experiment.trial.seed,
-        realtime="try" if simulated is None else simulated.host.realtime,
+        realtime=experiment.host.realtime if simulated else "try",
     ) as device:
-        yield device
+        yield device, in_effect(experiment, device, request.changes)
 
 
 def _reference_count(request: HitRequest, device: FramedDevice) -> int:
-    if device.dictionary.simulated:
+    if device.dictionary.simulated or not request.verified:  # then nothing moves
         return 0
     return device.count() if request.reference_count is None else request.reference_count
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -47,10 +47,9 @@ from rig.experiments.identify_motions import (
     strokes_of,
 )
 from rig.experiments.plan import Check, Outcome, Plan, link_checks
-from rig.experiments.trial import TrialRequest, run_trial
+from rig.experiments.trial import TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
-from rig.recording.reader import open_recording
 
 Tell = Callable[[str], None]
 
@@ -273,20 +272,25 @@ class _Session:
         """Run one trial; return the rows of the trial proper, without a gap, and their rate (Hz)."""
         simulated = self._device.dictionary.simulated
         x = motion.experiment
+        run = prepared_on(
+            self._device,
+            x,
+            verified=self._request.verified or simulated,
+            reference_count=self._reference,
+            law=motion.law,
+        )
         end = run_trial(
             self._device,
             TrialRequest(
-                experiment=replace(x, wall=replace(x.wall, law=motion.law.name)),
+                run=run,
                 recording=self._free_name(f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
-                verified=self._request.verified or simulated,
                 seed=x.trial.seed,
-                reference_count=self._reference,
-                law=motion.law,
                 extra={"identification": name, "number": number + 1, "seed": self._request.seed},
             ),
         )
         self.recordings[name] = (*self.recordings.get(name, ()), end.recording)
-        return trial_rows(open_recording(end.recording)), float(x.controller.position_rate)
+        assert end.sealed is not None
+        return trial_rows(end.sealed), float(x.controller.position_rate)
 
     def _free_name(self, stem: str) -> Path:
         output = self._request.output

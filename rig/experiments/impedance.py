@@ -31,7 +31,7 @@ from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
 from rig.core.sample import Phase, unit_of
-from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hit import HitRequest, hit, left_by
 from rig.experiments.judgement import THROWN_OUT
 from rig.experiments.plan import STANDS_FOR_DEVICE, Outcome
 from rig.experiments.results import write_table
@@ -39,7 +39,6 @@ from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, reco
 from rig.experiments.shaking_plan import excitation_checks
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, whole_file
-from rig.recording.reader import open_recording
 
 Method = Literal["periodic", "welch"]
 Wall = tuple[float, float]  # stiffness, damping
@@ -443,17 +442,18 @@ def _recorded(
     try:
         (result,) = hit(request)
     except (GuardError, DeviceFaultError) as error:
-        if error.recording is None:
+        left = left_by(error)
+        if left is None:
             raise
-        recording = open_recording(error.recording)
+        recording = left.recording
         rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
         if not (len(rows) and _thrown_out(recording)):
             raise
         ended_s = len(rows) / experiment.controller.position_rate
-        return Run(None, error.message, ended_s, bound_share(recording)), error.recording
-    recording = open_recording(result.recording)
+        return Run(None, error.message, ended_s, bound_share(recording)), left.path
+    recording = result.recorded.recording
     try:
-        record = record_of(recording)
+        record = record_of(recording, result.experiment)
     except RecordingError as error:
         error.recording = result.recording
         raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from firmware_protocol.faults import Fault
@@ -25,39 +26,62 @@ def experiment_of(recording: Recording) -> Experiment:
     return experiment_from_mapping(recording.experiment, "the recording's header")
 
 
-def judge(recording: Recording) -> tuple[Verdict, Verdict | None]:
-    """Return the verdict from what was recorded, and the one from the truth where there is one.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """What a recording says of its wall.
 
-    A push that did not last is invalid, unless the wall threw the handle out: then it is unstable.
+    Attributes
+    ----------
+    verdict, verdict_true
+        From what was recorded, and from the truth where there is one. A push that did not last is invalid, unless the
+        wall threw the handle out: then it is unstable.
+    measured, measured_true
+        The numbers that these go by, and what each criterion says.
+    early
+        What an early end makes of the verdict (`ended_early`).
     """
-    experiment = experiment_of(recording)
-    limits = verdict_limits(experiment)
-    tick_s = 1.0 / experiment.controller.position_rate
-    resolution = experiment.rig.encoder.resolution
-    recorded = judging.judge(judging.recorded_signals(recording.rows, tick_s, resolution), limits)
-    true = None
-    if recording.has_truth:
-        wall = experiment.wall
-        true = judging.judge(judging.true_signals(recording.rows, tick_s, wall.position, wall.side), limits)
-    early = ended_early(recording)
-    if early is None and experiment.trial.kind == "excitation":
-        early = Kind.INVALID, "the rig was shaken about its wall, not driven into it: see rig impedance"
-    if early is None:
-        return recorded, true
-    return verdict.overruled(recorded, *early), None if true is None else verdict.overruled(true, *early)
+
+    verdict: Verdict
+    verdict_true: Verdict | None
+    measured: Measured
+    measured_true: Measured | None
+    early: tuple[Kind, str] | None
+
+    def as_trailer(self) -> dict[str, Any]:
+        """What a recording keeps of its verdicts."""
+        true = self.verdict_true
+        return {
+            "verdict": self.verdict.as_mapping(),
+            "verdict_true": None if true is None else true.as_mapping(),
+        }
 
 
-def measure(recording: Recording) -> tuple[Measured, Measured | None]:
-    """Measure a recording, and its truth if it has one: what `judge` goes by, and what each criterion says."""
-    experiment = experiment_of(recording)
-    limits, wall = verdict_limits(experiment), experiment.wall
-    tick_s, thrown_out = 1.0 / experiment.controller.position_rate, ended_early(recording) is not None
+def judge(recording: Recording, experiment: Experiment) -> Judgement:
+    """Measure and judge a recording; `experiment` is the one in effect, from `experiment_of` where nobody has it."""
+    limits, wall, early = verdict_limits(experiment), experiment.wall, ended_early(recording)
+    tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
     signals = judging.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
-    recorded = judging.measured(signals, limits, thrown_out=thrown_out)
-    if not recording.has_truth:
-        return recorded, None
-    true = judging.true_signals(recording.rows, tick_s, wall.position, wall.side)
-    return recorded, judging.measured(true, limits, thrown_out=thrown_out)
+    measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
+    if recording.has_truth:
+        signals = judging.true_signals(recording.rows, tick_s, wall.position, wall.side)
+        true = judging.measured(signals, limits, thrown_out=thrown_out)
+    overruling = early
+    if early is None and experiment.trial.kind == "excitation":
+        overruling = (
+            Kind.INVALID,
+            "the rig was shaken about its wall, not driven into it: see rig impedance",
+        )
+    return Judgement(
+        verdict=_overruled(measured, overruling),
+        verdict_true=None if true is None else _overruled(true, overruling),
+        measured=measured,
+        measured_true=true,
+        early=early,
+    )
+
+
+def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
+    return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
@@ -72,8 +96,3 @@ def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     if thrown and touched:
         return Kind.UNSTABLE, thrown
     return Kind.INVALID, f"the run ended early: {reason.replace('_', ' ')}"
-
-
-def as_trailer(recorded: Verdict, true: Verdict | None) -> dict[str, Any]:
-    """What a recording keeps of its verdicts."""
-    return {"verdict": recorded.as_mapping(), "verdict_true": None if true is None else true.as_mapping()}

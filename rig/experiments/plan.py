@@ -16,7 +16,6 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
-from rig.control.law import Law
 from rig.core.sample import unit_of
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
@@ -59,12 +58,16 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The steps of one trial, how often it runs, and the checks."""
+    """The steps of one trial, how often it runs, and the checks.
+
+    `run` is what is executed; None where several different runs follow each other, as in an identification.
+    """
 
     rig: str
     repeats: int
     steps: tuple[Step, ...]
     checks: tuple[Check, ...]
+    run: controller.Run | None = None
 
     @property
     def duration_s(self) -> float:
@@ -78,28 +81,30 @@ class Plan:
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        return {**asdict(self), "duration_s": self.duration_s, "ok": self.ok}
+        return {
+            "rig": self.rig,
+            "repeats": self.repeats,
+            "steps": [asdict(step) for step in self.steps],
+            "checks": [asdict(check) for check in self.checks],
+            "duration_s": self.duration_s,
+            "ok": self.ok,
+        }
 
 
 def make_plan(experiment: Experiment) -> Plan:
-    """List and check an experiment.
+    """List and check an experiment; errors as `rig.config.controller.prepared`."""
+    return plan_of(controller.prepared(experiment))
 
-    Raises
-    ------
-    ConfigError
-        Settings of the estimator or the law that cannot be realised.
-    PlanError
-        A limit that does not fit the wire.
-    """
-    quantum = experiment.rig.amplifier.current_quantum_a
-    controller.for_experiment(experiment, current_quantum_a=quantum)
-    controller.device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
+
+def plan_of(run: controller.Run) -> Plan:
+    """List and check a prepared run."""
+    experiment = run.experiment
     if experiment.trial.kind == "excitation":
         from rig.experiments.shaking_plan import shaking_plan  # noqa: PLC0415  (it needs the linear theory)
 
-        return shaking_plan(experiment)
+        return replace(shaking_plan(experiment), run=run)
     checks = (*_wall_checks(experiment), *_watch_checks(experiment), *_heat_checks(experiment))
-    return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks)
+    return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
@@ -146,23 +151,17 @@ def _batch_check(x: Experiment, usable: float) -> Check:
     )
 
 
-def device_checks(experiment: Experiment, dictionary: Dictionary, law: Law | None = None) -> list[Check]:
+def device_checks(run: controller.Run, dictionary: Dictionary) -> list[Check]:
     """Whether a device has the law that it is to run; nothing to check where the host runs it.
 
     Parameters
     ----------
-    experiment
+    run
         As it is about to run.
     dictionary
         What the device says of itself.
-    law
-        Stands in for the law that the experiment names.
-
-    Raises
-    ------
-    PlanError
-        As `rig.config.device_law.law_parameters`: no device has that.
     """
+    experiment = run.experiment
     if experiment.controller.loop != "device":
         return []
     arithmetic = device_law.arithmetic_of(experiment.controller)
@@ -177,16 +176,9 @@ def device_checks(experiment: Experiment, dictionary: Dictionary, law: Law | Non
                 f'{simulated}; or let the host run it (controller.loop = "host")',
             )
         ]
-    values = controller.device_parameters(
-        experiment,
-        current_quantum_a=dictionary.current_quantum_a,
-        reference_count=0,
-        verified=True,
-        law=law,
-    )
     narrow = [
         f"{name} = {value:g} (it takes {info.minimum:g} to {info.maximum:g})"
-        for name, value in values.items()
+        for name, value in run.parameters.items()
         if name in LAW_NAMES
         and (info := dictionary.parameter(name)) is not None
         and not info.minimum <= value <= info.maximum

@@ -132,7 +132,7 @@ def _recover(capture: Path) -> Recovered:
             if fresh:
                 reason = f"it ended just now, its run may be sealing it; try again in {SEALING_S:g} s"
                 return Recovered(capture, Outcome.IN_USE, reason=reason)
-            sealed = seal(capture)
+            sealed = seal(recording).path or capture
             _remove_drafts(sealed)
             return _with_cost(capture, sealed, recording)
     except OSError as error:

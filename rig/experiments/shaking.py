@@ -34,7 +34,6 @@ from rig.control.law import Law
 from rig.core.errors import RecordingError
 from rig.core.model import RigModel, state_space
 from rig.core.sample import Phase, RowFlag
-from rig.experiments.judgement import experiment_of
 from rig.recording.data import Recording
 
 ACQUISITION_HZ = 4000.0  # Chawda et al., section VI: velocity and force at 4 kHz
@@ -270,15 +269,14 @@ class _Excitation:
         return cls(multisine, larger.period(inner_rate_hz, offset=0.5), None)
 
 
-def record_of(recording: Recording) -> Shaken:
-    """Record of a realisation from the recording of a trial with the law ``shaken``.
+def record_of(recording: Recording, x: Experiment) -> Shaken:
+    """Record of a realisation from the recording of a trial of this experiment with the law ``shaken``.
 
     Raises
     ------
     RecordingError
         Another kind of trial, one that ended early, or lost samples in what is to be analysed.
     """
-    x = experiment_of(recording)
     saved = recording.header["initial_state"]["law"]
     if x.trial.kind != "excitation" or saved["name"] != "shaken":
         raise RecordingError(

@@ -21,6 +21,7 @@ from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Value
 from rig.config import Experiment, as_mapping, device_law
 from rig.config import controller as controllers
+from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.step import Controller
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
@@ -29,6 +30,7 @@ from rig.core.sample import Phase
 from rig.devices.device import Link
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.experiments.endings import error_of
+from rig.experiments.judgement import Judgement
 from rig.loop import exchange, host, supervise
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopEnd, LoopSettings, LoopThread, prepare_loop
@@ -42,7 +44,7 @@ from rig.recording.data import Recording
 from rig.recording.header import make_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
-from rig.recording.seal import seal, with_truth
+from rig.recording.seal import seal
 
 BLACK_BOX_ROWS = 100
 LOST_AFTER_S = 0.05  # silence that ends a run: the device has ramped down long before
@@ -58,28 +60,62 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """What a trial needs to know besides the device: where its recording goes, and who may interfere."""
+    """What a trial needs to know besides the device: the run, where its recording goes, and who may interfere."""
 
-    experiment: Experiment
+    run: Run
     recording: Path
-    verified: bool
     seed: int
-    reference_count: int = 0  # count at position zero
-    law: Law | None = None
     progress: Progress | None = None
-    judge: Callable[[Recording], dict[str, Any]] | None = None  # what to add to the recording's trailer
+    judge: Callable[[Recording], Judgement] | None = None
     sealed: bool = True  # False leaves the capture as it is, for callers that run thousands of trials
     extra: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class TrialEnd:
-    """How a trial ended: the sealed recording, the reason, the counters of the link, what was not granted."""
+    """How a trial ended.
 
+    Attributes
+    ----------
+    experiment
+        That ran.
+    recording
+        Its file.
+    reason, counters
+        Why the loop ended, and what it counted on the link.
+    messages
+        What was not granted.
+    sealed
+        The recording as it was read back from its sealed file; None where it was not sealed.
+    judgement
+        What the request's `judge` said of it.
+    """
+
+    experiment: Experiment
     recording: Path
     reason: EndReason
     counters: dict[str, int]
     messages: tuple[str, ...] = ()
+    sealed: Recording | None = None
+    judgement: Judgement | None = None
+
+
+def prepared_on(
+    device: FramedDevice,
+    experiment: Experiment,
+    *,
+    verified: bool = True,
+    reference_count: int = 0,
+    law: Law | None = None,
+) -> Run:
+    """Prepare a run for an open device; see `rig.config.controller.prepared`."""
+    return controllers.prepared(
+        experiment,
+        current_quantum_a=device.dictionary.current_quantum_a,
+        verified=verified,
+        reference_count=reference_count,
+        law=law,
+    )
 
 
 def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
@@ -87,30 +123,20 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
 
     Raises
     ------
-    DeviceRefusedError, PlanError
+    DeviceRefusedError
         The device does not take the configuration or does not arm; nothing moved and nothing was recorded.
     LinkLostError, DeviceFaultError, GuardError, LawError, StoppedError
-        The run ended early. The effort is zero, the recording is closed, and its path stands in the error's
-        `recording`.
+        The run ended early. The effort is zero, the recording is closed, its path stands in the error's `recording`,
+        and how it ended in its `end` (`TrialEnd`).
     Exception
-        What the caller's progress raised; it ends the run in the same way, and carries `recording`, too.
+        What the caller's progress raised; it ends the run in the same way, and carries `recording` and `end`, too.
     """
-    experiment = request.experiment
-    quantum = device.dictionary.current_quantum_a
-    controller = controllers.for_experiment(
-        experiment, current_quantum_a=quantum, reference_count=request.reference_count, law=request.law
-    )
-    parameters = controllers.device_parameters(
-        experiment,
-        current_quantum_a=quantum,
-        reference_count=request.reference_count,
-        verified=request.verified,
-        law=request.law,
-    )
+    run = request.run
+    controller, parameters = run.controller.copy(), run.parameters
     echo = device.configure(parameters)
     virtual = device.link.clock.virtual
     with (
-        obtained(experiment.host, virtual=virtual) as realtime,
+        obtained(run.experiment.host, virtual=virtual) as realtime,
         _ring(device, request) as ring,
         stop_on_signals(ring) as signals,
     ):
@@ -120,7 +146,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
             try:
                 if request.progress is not None:  # a STOP that came while the link was measured
                     request.progress(0, Phase.WAIT)
-                loop = _arm(device, request, controller, parameters, ring, realtime, signals)
+                loop = _arm(device, run, controller, ring, realtime, signals)
             except BaseException:
                 request.recording.unlink(missing_ok=True)  # nothing moved: no empty recording stays behind
                 raise
@@ -132,7 +158,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
                 _bring_to_rest(device, loop)
             end = loop.end()
             error = _conclude(device, loop, end, recorder, realtime, exchanges, watch.stopped)
-        path = _seal(request, device.link.truth(), error)
+        sealed, judgement = _seal(request, device.link.truth(), error)
     if error is None and (signals.seen or watch.stopped):
         error = StoppedError("stopped after the trial had finished; the effort is zero")
         if watch.stopped is not None and not isinstance(watch.stopped, StoppedError):
@@ -141,10 +167,13 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         error.signal = signals.seen[0]
     if isinstance(error, RigError):
         error.messages = (*device.link.messages, *realtime.messages, *loop.messages())
+    path = request.recording if sealed is None or sealed.path is None else sealed.path
+    messages = (*realtime.messages, *loop.messages())
+    done = TrialEnd(run.experiment, path, end.reason, end.counters, messages, sealed, judgement)
     if error is not None:
-        vars(error)["recording"] = path  # a caller's own exception carries it as ours do
+        vars(error).update(recording=path, end=done)  # a caller's own exception carries it as ours do
         raise error from end.error
-    return TrialEnd(path, end.reason, end.counters, (*realtime.messages, *loop.messages()))
+    return done
 
 
 class _Watch:
@@ -166,35 +195,34 @@ class _Watch:
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
     """The block that the loop, the recorder and, in real time, other processes of this user share."""
-    rate, gate = request.experiment.controller.position_rate, request.extra.get("gate")
+    run, gate = request.run, request.extra.get("gate")
     info = {
         "url": device.link.url.text,
         "recording": str(request.recording.resolve()),
         "pid": os.getpid(),
-        "experiment": as_mapping(request.experiment),
-        "current_quantum_a": device.dictionary.current_quantum_a,
-        "reference_count": request.reference_count,
-        "law": request.law is not None,  # the caller's own: its parameters are nobody else's to compute
+        "experiment": as_mapping(run.experiment),
+        "current_quantum_a": run.current_quantum_a,
+        "reference_count": run.reference_count,
+        "law": run.own_law,  # the caller's own: its parameters are nobody else's to compute
         "gate": {name: gate[name] for name in ("delay_ticks", "simulated", "forced")} if gate else None,
     }
-    rows = max(RING_ROWS_MINIMUM, round(RING_SECONDS * rate))
+    rows = max(RING_ROWS_MINIMUM, round(RING_SECONDS * run.experiment.controller.position_rate))
     return Ring.allocate(rows, info=info, shared=not device.link.clock.virtual)
 
 
 def _arm(
     device: FramedDevice,
-    request: TrialRequest,
+    run: Run,
     controller: Controller,
-    parameters: Mapping[str, Value],
     ring: Ring,
     realtime: Realtime,
     signals: Signals,
 ) -> LoopThread:
     """Arm the device, and make the loop that goes with where the law runs."""
-    experiment, virtual = request.experiment, device.link.clock.virtual
+    experiment, virtual = run.experiment, device.link.clock.virtual
     period_s = 1.0 / experiment.controller.position_rate
     # Before arming, because an armed device waits for half a second only: what must be compiled, and memory.
-    thread = _loop_of(experiment, controller, device.link)
+    thread = _loop_of(run, device.link)
     realtime.prefault(ring.buffer)
     settings = LoopSettings(
         period_ns=round(period_s * 1e9),
@@ -211,7 +239,7 @@ def _arm(
         exchange_every_ns=exchange.EVERY_NS,
     )
     if experiment.controller.loop == "device":
-        settings = _supervising(settings, experiment, parameters)
+        settings = _supervising(settings, experiment, run.parameters)
     return thread(
         device.link,
         controller,
@@ -223,18 +251,16 @@ def _arm(
     )
 
 
-def _loop_of(experiment: Experiment, controller: Controller, link: Link) -> Callable[..., LoopThread]:
+def _loop_of(run: Run, link: Link) -> Callable[..., LoopThread]:
     """The thread of the loop, for a law here or on the device, with all that it runs compiled."""
-    if experiment.controller.loop == "host":
-        prepare_loop(host.run, link, controller)
+    rates = run.experiment.controller
+    if rates.loop == "host":
+        prepare_loop(host.run, link, run.controller)
         return LoopThread
-    prepare_loop(supervise.run, link, controller)
+    prepare_loop(supervise.run, link, run.controller)
     prepare(take)  # what the thread takes from the mailbox becomes a block for the device
-    armed = Controller.from_mapping(
-        controller.as_mapping(), law=controller.law.law
-    )  # the loop changes its own
-    arithmetic = device_law.arithmetic_of(experiment.controller)
-    return partial(SupervisedThread, live=partial(device_law.live_parameters, armed, arithmetic))
+    arithmetic = device_law.arithmetic_of(rates)
+    return partial(SupervisedThread, live=partial(device_law.live_parameters, run.controller, arithmetic))
 
 
 def _supervising(
@@ -259,22 +285,29 @@ def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
     device.stop()
 
 
-def _seal(request: TrialRequest, truth: NDArray[np.void] | None, error: Exception | None) -> Path:
+def _seal(
+    request: TrialRequest, truth: NDArray[np.void] | None, error: Exception | None
+) -> tuple[Recording | None, Judgement | None]:
     """Seal the capture, with what the caller's judge says of it. A failure here never hides the `error` of the run."""
     if not request.sealed:
-        return request.recording
+        return None, None
+    said: list[Judgement] = []
+
+    def judged(recording: Recording) -> dict[str, Any]:
+        if request.judge is None:
+            return {}
+        said.append(request.judge(recording))
+        return said[0].as_trailer()
+
     try:
-        more = None
-        if request.judge is not None:
-            recording = open_recording(request.recording)
-            more = request.judge(recording if truth is None else with_truth(recording, truth))
-        return seal(request.recording, truth, extra_trailer=more)
+        sealed = seal(open_recording(request.recording), truth, judge=judged)
+        return sealed, said[0] if said else None
     except RigError as own:
         if error is None:
             own.recording = request.recording
             raise
         error.add_note(f"the recording was not sealed: {own}")
-        return request.recording
+        return None, None
 
 
 def _conclude(
@@ -317,7 +350,7 @@ def _header(
     realtime: Realtime,
     clock: ClockFit | None,
 ) -> dict[str, Any]:
-    experiment, dictionary = request.experiment, device.dictionary
+    experiment, dictionary = request.run.experiment, device.dictionary
     return make_header(
         rig=experiment.rig.name,
         motion=experiment.rig.motion,

@@ -26,13 +26,13 @@ from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments import sweep
-from rig.experiments.hit import HitRequest, hit
-from rig.experiments.judgement import THREW_OUT, THROWN_OUT, ended_early, measure
+from rig.experiments.hit import HitRequest, Recorded, hit, left_by
+from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.ladder import Outcomes, Search
 from rig.experiments.plan import Outcome, device_checks, link_checks, make_plan
+from rig.experiments.trial import prepared_on
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
 from rig.recording.data import Recording
-from rig.recording.reader import open_recording
 
 ATTEMPTS = 3  # at a hit that says nothing
 CALM_S = 0.5  # pause between hits, whatever the motor's heat
@@ -194,7 +194,7 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
         climb = next(climb for climb in plan.climbs() if climb.scheme == number)
         under = plan.experiment_of(climb)
         checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
-        checks += device_checks(under, device.dictionary)
+        checks += device_checks(prepared_on(device, under), device.dictionary)
         for stiffness in (rungs[0], rungs[-1]):
             checks += make_plan(config.override(under, _changes(under, stiffness), "the map")).checks
         refused = {check.name: check for check in checks if check.outcome is Outcome.REFUSED}.values()
@@ -213,10 +213,10 @@ def _row(bench: _Bench, experiment: Experiment, asked: Next) -> dict[str, Any]:
         asked = replace(asked, attempt=attempt, thrown_out=bench.thrown_out and bench.device is not None)
         if not session.agrees(asked):
             raise StoppedError("ended between two hits; the effort is zero")
-        recording, path = _recorded_hit(bench, experiment, asked.stiffness)
-        recorded, true = measure(recording)
+        left = _recorded_hit(bench, experiment, asked.stiffness)
+        recorded, true = left.judgement.measured, left.judgement.measured_true
         session.tells(asked, recorded)
-        session.pause(CALM_S + _cooling_of(recording, experiment))
+        session.pause(CALM_S + _cooling_of(left.recording, experiment))
         if recorded.passes("any") is not None:
             row = {"stiffness": asked.stiffness} | row_of(recorded, "")
             return row if true is None else row | row_of(true, TRUE)
@@ -226,11 +226,11 @@ def _row(bench: _Bench, experiment: Experiment, asked: Next) -> dict[str, Any]:
         f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
         remedy="mend that; the same command goes on after the last whole climb",
     )
-    error.recording = path
+    error.recording = left.path
     raise error
 
 
-def _recorded_hit(bench: _Bench, experiment: Experiment, stiffness: float) -> tuple[Recording, Path]:
+def _recorded_hit(bench: _Bench, experiment: Experiment, stiffness: float) -> Recorded:
     """Run one hit. One that the wall ended by throwing the handle out is a hit like others; other ends raise."""
     request = HitRequest(
         experiment=experiment,
@@ -246,20 +246,21 @@ def _recorded_hit(bench: _Bench, experiment: Experiment, stiffness: float) -> tu
     bench.thrown_out = False
     try:
         (result,) = hit(request)
-        path = result.recording
     except (GuardError, DeviceFaultError) as error:
-        if error.recording is None or not _thrown_out(open_recording(error.recording)):
+        left = left_by(error)
+        if left is None or not _thrown_out(left):
             raise
-        path, bench.thrown_out = error.recording, True
-    return open_recording(path), path
+        bench.thrown_out = True
+        return left
+    return result.recorded
 
 
-def _thrown_out(recording: Recording) -> bool:
+def _thrown_out(left: Recorded) -> bool:
     """Whether the wall threw the handle out: in the push, or in the release, which leaves the verdict of the push."""
-    early = ended_early(recording)
+    early = left.judgement.early
     if early is not None:
         return early[0] is Kind.UNSTABLE
-    trailer = recording.trailer or {}
+    trailer = left.recording.trailer or {}
     fault = (trailer.get("fault") or {}).get("name")
     return trailer.get("reason") in THREW_OUT or fault in THROWN_OUT
 

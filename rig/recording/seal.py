@@ -7,9 +7,8 @@ Sealing can be repeated: when a crash left both files, the next call compares th
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +33,12 @@ _log = logging.getLogger(__name__)
 
 
 def seal(
-    capture: str | Path,
+    recording: Recording,
     truth: NDArray[np.void] | None = None,
     *,
-    extra_trailer: Mapping[str, Any] | None = None,
+    judge: Callable[[Recording], Mapping[str, Any]] | None = None,
     keep_capture: bool = False,
-) -> Path:
+) -> Recording:
     """Turn a capture into Parquet beside it, latency ledger and sync edges filled in, and remove the capture.
 
     Without pyarrow the capture is kept (and takes up ledger, truth and the longer trailer, unless it is damaged
@@ -47,51 +46,54 @@ def seal(
 
     Parameters
     ----------
-    capture
-        A ``.rigcap`` file whose writer has ended, cleanly or not.
+    recording
+        Read from a ``.rigcap`` file whose writer has ended, cleanly or not.
     truth
         The simulation's truth (`rig.core.sample.TRUTH`); joined by sample index, NaN where it has no such sample.
-    extra_trailer
-        Added to the trailer: verdicts, and what else was found after the trial.
+    judge
+        Given the recording with its truth, returns what is added to the trailer.
     keep_capture
         Leave the capture where it is.
 
     Returns
     -------
-    Path
-        The file that now holds the recording.
+    Recording
+        As it was read back from the file that now holds it, its `path`.
 
     Raises
     ------
     RecordingError
-        The file is no capture or cannot be read, the disk refuses, another recording has the name, or the sealed file
-        is not equal. It is then untouched.
+        The file is no capture, the disk refuses, another recording has the name, or the sealed file is not equal. The
+        capture is then untouched.
     """
-    capture = Path(capture)
+    capture = recording.path
+    assert capture is not None
     if capture.suffix == SEALED_SUFFIX:  # it would be compared with itself, and removed
         raise RecordingError(
             f"{capture} is no capture: it has the name of a sealed recording", remedy="name a .rigcap"
         )
-    opened = open_recording(capture)
-    recording = with_sync_edges(with_ledger(opened))
-    sealed = recording if truth is None else with_truth(recording, truth)
-    if extra_trailer:
-        sealed = replace(sealed, trailer={**(sealed.trailer or {}), **plain(extra_trailer)})
+    timed = with_sync_edges(with_ledger(recording))
+    sealed = timed if truth is None else with_truth(timed, truth)
+    if judge is not None:
+        sealed = replace(sealed, trailer={**(sealed.trailer or {}), **plain(judge(sealed))})
+    read_back = _ReadBack(sealed)
     if not has_pyarrow():
         _log.warning("pyarrow is not installed: %s stays a capture", capture)
-        if sealed is not opened and recording.complete and not recording.lost:
-            with whole_file(capture, overwrite=True, check=partial(_require_equal, sealed)) as file:
-                write_capture(file, sealed)
-        return capture
+        if sealed is recording or not recording.complete or recording.lost:
+            return recording
+        with whole_file(capture, overwrite=True, check=read_back) as file:
+            write_capture(file, sealed)
+        return read_back.at(capture)
     target = capture.with_suffix(SEALED_SUFFIX)
     if target.exists():
-        _require_equal(recording, target)
+        read_back = _ReadBack(timed)
+        read_back(target)
     else:
-        with whole_file(target, check=partial(_require_equal, sealed)) as file:
+        with whole_file(target, check=read_back) as file:
             write_parquet(file, sealed)
     if not keep_capture:
         capture.unlink(missing_ok=True)
-    return target
+    return read_back.at(target)
 
 
 def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
@@ -120,18 +122,31 @@ def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
     return replace(recording, header={**recording.header, "schema": joined}, rows=rows)
 
 
-def _require_equal(expected: Recording, path: Path) -> None:
-    """Read a file back and compare every bit of the expected columns (it may have more)."""
-    found = open_recording(path)
-    same = (
-        len(found) == len(expected)
-        and set(expected.names) <= set(found.names)
-        and {**found.header, "schema": None} == {**expected.header, "schema": None}
-        and (found.complete, found.lost) == (expected.complete, expected.lost)
-        and all(found.column(name).tobytes() == expected.column(name).tobytes() for name in expected.names)
-    )
-    if not same:
-        raise RecordingError(
-            f"{path} does not hold what {expected.path} holds",
-            remedy="the capture is kept; move one of them away",
+class _ReadBack:
+    """Reads a file back and compares every bit of the expected columns (it may have more)."""
+
+    def __init__(self, expected: Recording) -> None:
+        self._expected = expected
+        self._found = expected
+
+    def __call__(self, path: Path) -> None:
+        expected, found = self._expected, open_recording(path)
+        same = (
+            len(found) == len(expected)
+            and set(expected.names) <= set(found.names)
+            and {**found.header, "schema": None} == {**expected.header, "schema": None}
+            and (found.complete, found.lost) == (expected.complete, expected.lost)
+            and all(
+                found.column(name).tobytes() == expected.column(name).tobytes() for name in expected.names
+            )
         )
+        if not same:
+            raise RecordingError(
+                f"{path} does not hold what {expected.path} holds",
+                remedy="the capture is kept; move one of them away",
+            )
+        self._found = found
+
+    def at(self, path: Path) -> Recording:
+        """What was read, by the name that its file has now."""
+        return replace(self._found, path=path)

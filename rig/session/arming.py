@@ -16,8 +16,8 @@ from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.plan import Check, Outcome
 from rig.session.bench import Bench, Refusal, Wall
-from rig.session.conditions import experiment_of, own_rates
-from rig.session.protocol import BLINDED, Protocol
+from rig.session.conditions import Walls, own_rates
+from rig.session.protocol import BLINDED
 from rig.session.schedule import levels_of
 
 CONSENT = (
@@ -26,15 +26,16 @@ CONSENT = (
 )
 
 
-def walls_of(protocol: Protocol, base: Experiment) -> Iterator[Wall]:
+def walls_of(walls: Walls) -> Iterator[Wall]:
     """Every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
+    protocol = walls.protocol
     practised = protocol.practice.condition or protocol.condition[0].name
     for condition in protocol.condition:
         for damping in condition.damping:
             stiffness = set(levels_of(protocol.search_of(condition)))
             if condition.name == practised and damping == condition.damping[0]:
                 stiffness |= set(protocol.practice.stiffness)
-            x = experiment_of(protocol, base, condition, damping, max(stiffness))
+            x = walls.at(condition, damping, max(stiffness))
             for level in sorted(stiffness):
                 under = replace(x, wall=replace(x.wall, stiffness=level))
                 yield Wall(condition=condition.name, experiment=under, changes=own_rates(condition, x))
@@ -70,16 +71,16 @@ def refusals(
     return tuple(found)
 
 
-def refuse_unarmable(protocol: Protocol, base: Experiment, bench: Bench) -> None:
+def refuse_unarmable(walls: Walls, bench: Bench) -> None:
     """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session, and nobody consented to those.
 
     A blinded operator hears how many there are, and nothing of any wall.
     """
-    blinded = protocol.study.blind in BLINDED
+    blinded = walls.protocol.study.blind in BLINDED
     if bench.simulated:  # never refused
         return
     try:
-        found = bench.refusals(tuple(walls_of(protocol, base)))
+        found = bench.refusals(tuple(walls_of(walls)))
     except PlanError as error:
         if not blinded:
             raise
@@ -88,25 +89,26 @@ def refuse_unarmable(protocol: Protocol, base: Experiment, bench: Bench) -> None
             remedy="rig session check says which, with the same --url",
         ) from error
     if found and not bench.arm_anyway:
-        said = f"{_number(found)}: {_listed(found, base.rig.motion)}" if not blinded else _number(found)
+        said = f"{_number(found)}: {_listed(found, walls.base.rig.motion)}" if not blinded else _number(found)
         raise PlanError(
             f"the arming gate refuses, on this link as measured, {said}",
             remedy=f"{CONSENT}; rig session check lists them, with the same --url",
         )
 
 
-def arming_checks(protocol: Protocol, base: Experiment, bench: Bench) -> Iterator[Check]:
+def arming_checks(walls: Walls, bench: Bench) -> Iterator[Check]:
     """Say which walls a real rig does not arm without consent. Its link is measured; nothing moves."""
     if bench.simulated:
         return
     try:
-        found = bench.refusals(tuple(walls_of(protocol, base)))
+        found = bench.refusals(tuple(walls_of(walls)))
     except ConfigError as error:
         yield Check("arming", Outcome.REFUSED, error.message, error.remedy)
         return
     text = "on this link as measured nothing speaks against any wall"
     if found:
-        text = f"the arming gate refuses, on this link as measured, {_number(found)}: {_listed(found, base.rig.motion)}"
+        listed = _listed(found, walls.base.rig.motion)
+        text = f"the arming gate refuses, on this link as measured, {_number(found)}: {listed}"
     yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
 
 

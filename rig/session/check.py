@@ -28,7 +28,7 @@ from rig.session.comparisons import (
     stop_checks,
     wall_checks,
 )
-from rig.session.conditions import base_of, experiment_of
+from rig.session.conditions import Walls, base_of
 from rig.session.disk import bytes_of_trial
 from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
 from rig.session.fitting import fit_checks
@@ -69,7 +69,8 @@ def check(
     if participants is not None:
         protocol = replace(protocol, study=replace(protocol.study, participants=participants))
     base = base_of(protocol, folder)
-    under = [_experiments(protocol, base, condition) for condition in protocol.condition]
+    study = Walls(protocol, base)
+    under = [_experiments(study, condition) for condition in protocol.condition]
     cells = tuple(_cells(protocol, under))
     searches = sum((cell.trials for cell in cells), NO_TRIALS) * protocol.order.repeats
     practice = len(protocol.practice.stiffness)
@@ -82,7 +83,7 @@ def check(
     duration = dict(_durations(protocol, blocks, trials, times, stiffest))
     rows = rows_of(protocol)
     checks = [
-        *wall_checks([*_walls(protocol, under), *_practice(protocol, base)]),
+        *wall_checks([*_walls(protocol, under), *_practice(study)]),
         *level_checks(cells, base.rig.motion),
         *energy_check(protocol, under),
         *cap_checks(protocol, under),
@@ -95,8 +96,8 @@ def check(
         with closing(
             RigBench(url=url, realtime=True, verified=True)
         ) as bench:  # as a session with a person has it
-            checks += fit_checks(protocol, base, bench)
-            checks += arming_checks(protocol, base, bench)
+            checks += fit_checks(study, bench)
+            checks += arming_checks(study, bench)
     return StudyPlan(
         title=protocol.study.title,
         rig=base.rig.name,
@@ -122,10 +123,10 @@ def check(
     )
 
 
-def refuse_walls(protocol: Protocol, base: Experiment) -> None:
+def refuse_walls(study: Walls) -> None:
     """Raise `rig.core.errors.PlanError` when a rule may ask for a wall that must not be hit on this rig."""
-    under = [_experiments(protocol, base, condition) for condition in protocol.condition]
-    walls = [*_walls(protocol, under), *_practice(protocol, base)]
+    under = [_experiments(study, condition) for condition in study.protocol.condition]
+    walls = [*_walls(study.protocol, under), *_practice(study)]
     refused = [one for one in wall_checks(walls) if one.outcome is Outcome.REFUSED]
     if refused:
         raise PlanError(
@@ -134,12 +135,12 @@ def refuse_walls(protocol: Protocol, base: Experiment) -> None:
         )
 
 
-def _experiments(protocol: Protocol, base: Experiment, condition: Condition) -> list[Experiment]:
+def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
     """Experiments of a condition: at every damping, all its levels."""
-    levels = levels_of(protocol.search_of(condition))
+    levels = levels_of(study.protocol.search_of(condition))
     found = []
     for damping in condition.damping:
-        stiffest = experiment_of(protocol, base, condition, damping, levels[-1])
+        stiffest = study.at(condition, damping, levels[-1])
         found += [replace(stiffest, wall=replace(stiffest.wall, stiffness=level)) for level in levels]
     return found
 
@@ -150,11 +151,12 @@ def _walls(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
             yield condition.name, x
 
 
-def _practice(protocol: Protocol, base: Experiment) -> Iterator[tuple[str, Experiment]]:
+def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:
     """Walls of practice."""
+    protocol = study.protocol
     condition = protocol.condition_named(protocol.practice.condition or protocol.condition[0].name)
     for stiffness in protocol.practice.stiffness:
-        yield "practice", experiment_of(protocol, base, condition, condition.damping[0], stiffness)
+        yield "practice", study.at(condition, condition.damping[0], stiffness)
 
 
 def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:

@@ -7,6 +7,7 @@ Later ones win: the preset or the experiment file; what a person at the handle d
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,15 +66,8 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
         return [Problem("study.experiment", shown(file), f"is none: {error.message}", error.remedy)]
 
 
-def experiment_of(
-    protocol: Protocol,
-    base: Experiment,
-    condition: Condition,
-    damping: float,
-    stiffness: float,
-    changes: Mapping[str, Any] | None = None,
-) -> Experiment:
-    """Return the experiment of one wall of a condition.
+class Walls:
+    """The walls of a study, as experiments: each is checked once, and then handed out to whoever asks again.
 
     Parameters
     ----------
@@ -81,30 +75,51 @@ def experiment_of(
         A checked one.
     base
         What its ``[study]`` names, from `base_of`.
-    condition
-        One of the protocol's.
-    damping, stiffness
-        B and K of the wall (`rig.core.sample.unit_of`).
-    changes
-        Over everything else, by dotted key: the seed of a trial.
-
-    Raises
-    ------
-    ConfigError
-        Something that this rig, this trial or this estimator does not allow.
     """
+
+    def __init__(self, protocol: Protocol, base: Experiment) -> None:
+        self.protocol = protocol
+        self.base = base
+        self._known: dict[tuple[str, float, float], Experiment] = {}
+
+    def at(
+        self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
+    ) -> Experiment:
+        """Return the experiment of one wall of a condition.
+
+        Parameters
+        ----------
+        condition
+            One of the protocol's.
+        damping, stiffness
+            B and K of the wall (`rig.core.sample.unit_of`).
+        seed
+            Of a trial; that of the experiment, unless given.
+
+        Raises
+        ------
+        ConfigError
+            Something that this rig, this trial or this estimator does not allow.
+        """
+        key = (condition.name, damping, stiffness)
+        if key not in self._known:
+            self._known[key] = _experiment_of(self.protocol, self.base, condition, damping, stiffness)
+        x = self._known[key]
+        return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
+
+
+def _experiment_of(
+    protocol: Protocol, base: Experiment, condition: Condition, damping: float, stiffness: float
+) -> Experiment:
     source = f"condition {shown(condition.name)}"
     wall = {"wall.stiffness": stiffness, "wall.damping": damping}
-    physics = {key: value for key, value in condition.changes.items() if not key.startswith("controller.")}
-    experiment = config.override(
-        base,
-        {**_safe(protocol, base), **protocol.study.changes, **_said(protocol), **wall, **physics},
-        source,
-    )
+    studied = {**_safe(protocol, base), **protocol.study.changes, **_said(protocol)}
+    experiment = config.with_values(base, studied, source)
     if condition.scheme is not None:
-        experiment = Scheme.parse(condition.scheme).applied(experiment)
-    last = {**condition.changes, **wall, **(changes or {})}
-    experiment = config.override(experiment, last, source)
+        experiment = Scheme.parse(condition.scheme).on(experiment)
+        source += f" with scheme {condition.scheme}"
+    experiment = config.with_values(experiment, {**condition.changes, **wall}, source)
+    experiment = config.checked(experiment, source)
     config.check_plugins(experiment, source)
     return experiment
 
@@ -129,10 +144,10 @@ def base_of(protocol: Protocol, folder: Path) -> Experiment:
     return base
 
 
-def broken_conditions(protocol: Protocol, base: Experiment) -> list[Problem]:
+def broken_conditions(walls: Walls) -> list[Problem]:
     """What of the conditions the rig, the trial or the estimators do not allow, each condition's first problems."""
-    problems = [*_misplaced(protocol), *_wide_caps(protocol, base)]
-    return problems or list(_refused(protocol, base))
+    problems = [*_misplaced(walls.protocol), *_wide_caps(walls.protocol, walls.base)]
+    return problems or list(_refused(walls))
 
 
 def _safe(protocol: Protocol, base: Experiment) -> dict[str, Any]:
@@ -189,17 +204,17 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
             )
 
 
-def _refused(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
+def _refused(walls: Walls) -> Iterator[Problem]:
     """Every condition and damping at the softest and the stiffest wall, until one of them is refused."""
-    unit = unit_of("stiffness", base.rig.motion)
+    protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
     for number, condition in enumerate(protocol.condition, 1):
         levels = levels_of(protocol.search_of(condition))
-        walls = [(b, k) for k in (levels[0], levels[-1]) for b in condition.damping]
+        asked = [(b, k) for k in (levels[0], levels[-1]) for b in condition.damping]
         if condition.name == (protocol.practice.condition or protocol.condition[0].name):
-            walls += [(condition.damping[0], k) for k in protocol.practice.stiffness]
-        for damping, stiffness in walls:
+            asked += [(condition.damping[0], k) for k in protocol.practice.stiffness]
+        for damping, stiffness in asked:
             try:
-                experiment_of(protocol, base, condition, damping, stiffness)
+                walls.at(condition, damping, stiffness)
             except RigError as error:
                 name = f"condition {number}, {shown(condition.name)}"
                 where = f"cannot be run at K = {stiffness:g} {unit}: {error.message}"

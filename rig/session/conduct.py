@@ -29,14 +29,13 @@ from rig.core.errors import (
 )
 from rig.core.sample import Phase, unit_of
 from rig.session.bench import Bench, Done
-from rig.session.conditions import experiment_of, own_rates
+from rig.session.conditions import Walls, own_rates
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
 from rig.session.expected import likely_trials
 from rig.session.items import asked, parse_answer
 from rig.session.log import Event
 from rig.session.protocol import BLINDED, VERDICTS
-from rig.session.protocol import Protocol as StudyProtocol
 from rig.session.schedule import Block, Run
 from rig.session.state import (
     DoAsk,
@@ -66,21 +65,18 @@ _ASKED = (GuardError, LinkLostError, OverrunError, StoppedError)  # after these 
 _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
 
 
-def first_wall(
-    protocol: StudyProtocol, base: Experiment, blocks: Sequence[Block]
-) -> tuple[Experiment, Mapping[str, Any]]:
+def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
     """The softest wall of the first run: what a device is opened with before anything is hit."""
+    protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
-    return _wall(protocol, base, run, softest, protocol.study.seed)
+    return _wall(walls, run, softest, protocol.study.seed)
 
 
-def _wall(
-    protocol: StudyProtocol, base: Experiment, run: Run, stiffness: float, seed: int
-) -> tuple[Experiment, Mapping[str, Any]]:
+def _wall(walls: Walls, run: Run, stiffness: float, seed: int) -> tuple[Experiment, Mapping[str, Any]]:
     """The experiment of a hit, and what a device must not change of it."""
-    condition = protocol.condition_named(run.condition)
-    experiment = experiment_of(protocol, base, condition, run.damping, stiffness, {"trial.seed": seed})
+    condition = walls.protocol.condition_named(run.condition)
+    experiment = walls.at(condition, run.damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)
 
 
@@ -97,6 +93,7 @@ def conduct(
     bench: Bench,
     desk: Desk,
     *,
+    walls: Walls | None = None,
     told: Callable[[Event], None] | None = None,
     marks: Marks | None = None,
 ) -> State:
@@ -110,6 +107,8 @@ def conduct(
         The rig.
     desk
         Who sits there.
+    walls
+        Of its study; None for those of the protocol and the experiment in its log.
     told
         Told each event after it was written.
     marks
@@ -126,7 +125,7 @@ def conduct(
         What cannot go on: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
         and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
     """
-    engine = _Engine(session, bench, desk, told, marks)
+    engine = _Engine(session, bench, desk, walls or walls_in(session.state), told, marks)
     try:
         engine.open()
         while engine.step():
@@ -167,6 +166,12 @@ def _for_the_blinded(state: State, error: Exception) -> RigError | None:
     return told
 
 
+def walls_in(state: State) -> Walls:
+    """The walls of a session: of the protocol and the experiment in its log."""
+    base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
+    return Walls(state.protocol, base)
+
+
 class _Left(Exception):  # noqa: N818  (no error: somebody leaves)
     """Somebody leaves the session."""
 
@@ -179,6 +184,7 @@ class _Engine:
         session: Session,
         bench: Bench,
         desk: Desk,
+        walls: Walls,
         told: Callable[[Event], None] | None,
         marks: Marks | None,
     ) -> None:
@@ -187,9 +193,7 @@ class _Engine:
         self._desk = desk
         self._told = told
         self._marks = marks
-        self._base = config.experiment_from_mapping(
-            session.state.experiment, "the experiment in the session's log"
-        )
+        self._walls = walls
         self._last = ""
         self._lines: list[str] = []
         self._expected = 0
@@ -212,7 +216,7 @@ class _Engine:
         """Say which device it is."""
         state = self._state
         self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
-        self.record("opened", **self._bench.facts(*first_wall(state.protocol, self._base, state.blocks)))
+        self.record("opened", **self._bench.facts(*first_wall(self._walls, state.blocks)))
 
     def step(self) -> bool:
         """Do what comes next; False when the session is over or somebody left it."""
@@ -266,7 +270,7 @@ class _Engine:
     def _hit(self, step: DoTrial) -> None:
         state, run = self._state, step.run
         seed = step.seed if self._bench.virtual else state.seed
-        experiment, changes = _wall(state.protocol, self._base, run, step.probe.level, seed)
+        experiment, changes = _wall(self._walls, run, step.probe.level, seed)
         trials = self._session.directory / TRIALS
         if self._marks is not None:
             self._marks.push(
@@ -480,7 +484,7 @@ class _Engine:
                 practice=step.run.practice if step else trial.practice if trial else False,
                 attempt=step.attempt if step else 1,
                 blinded=blind,
-                scale=_scale(experiment or self._base),
+                scale=_scale(experiment or self._walls.base),
                 heat=state.heat,
                 last=self._last,
                 lines=tuple(self._lines[-LINES_SHOWN:]),

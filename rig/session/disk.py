@@ -8,7 +8,7 @@ from pathlib import Path
 from rig.config import Experiment
 from rig.core.errors import ConfigError
 from rig.recording.files import plain_errors
-from rig.session.conditions import experiment_of
+from rig.session.conditions import Walls
 from rig.session.expected import likely_trials
 from rig.session.protocol import Protocol
 from rig.session.schedule import levels_of, schedule
@@ -24,13 +24,14 @@ def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
     return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
 
 
-def refuse_full_disk(protocol: Protocol, base: Experiment, row: int, place: Path) -> None:
+def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
     """Raise `ConfigError` where a session would run out of room; `place` need not exist yet."""
+    protocol = walls.protocol
     trials = likely_trials(protocol, schedule(protocol, row))
     needed = 0.0
     for condition in protocol.condition:
         softest = levels_of(protocol.search_of(condition))[0]
-        x = experiment_of(protocol, base, condition, condition.damping[0], softest)
+        x = walls.at(condition, condition.damping[0], softest)
         needed += trials[condition.name] * bytes_of_trial(x, protocol)
     here = next(one for one in (place, *place.absolute().parents) if one.exists())
     with plain_errors("look at", here):

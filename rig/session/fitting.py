@@ -11,12 +11,11 @@ from rig.core.errors import PlanError
 from rig.experiments.plan import Check, Outcome
 from rig.session.bench import Bench
 from rig.session.comparisons import SEVERITY
-from rig.session.conditions import experiment_of, own_rates
-from rig.session.protocol import Protocol
+from rig.session.conditions import Walls, own_rates
 from rig.session.schedule import levels_of
 
 
-def fit_checks(protocol: Protocol, base: Experiment, bench: Bench) -> list[Check]:
+def fit_checks(walls: Walls, bench: Bench) -> list[Check]:
     """What the device and its link say of the conditions; of each comparison the worst one.
 
     The device is opened and asked; nothing moves.
@@ -27,7 +26,7 @@ def fit_checks(protocol: Protocol, base: Experiment, bench: Bench) -> list[Check
         A device that does not open.
     """
     worst: dict[str, Check] = {}
-    for x, changes in _walls(protocol, base):
+    for x, changes in _stiffest(walls):
         for one in bench.fits(x, changes):
             known = worst.get(one.name)
             if known is None or SEVERITY.index(one.outcome) > SEVERITY.index(known.outcome):
@@ -35,9 +34,9 @@ def fit_checks(protocol: Protocol, base: Experiment, bench: Bench) -> list[Check
     return list(worst.values())
 
 
-def refuse_misfit(protocol: Protocol, base: Experiment, bench: Bench) -> None:
+def refuse_misfit(walls: Walls, bench: Bench) -> None:
     """Raise `rig.core.errors.PlanError` when the device of a session cannot run one of its conditions."""
-    refused = [one for one in fit_checks(protocol, base, bench) if one.outcome is Outcome.REFUSED]
+    refused = [one for one in fit_checks(walls, bench) if one.outcome is Outcome.REFUSED]
     if refused:
         raise PlanError(
             "; ".join(f"{one.name}: {one.text}" for one in refused),
@@ -45,12 +44,12 @@ def refuse_misfit(protocol: Protocol, base: Experiment, bench: Bench) -> None:
         )
 
 
-def _walls(protocol: Protocol, base: Experiment) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
+def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
     """The stiffest wall of each condition and damping."""
-    for condition in protocol.condition:
-        stiffest = levels_of(protocol.search_of(condition))[-1]
+    for condition in walls.protocol.condition:
+        stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:
-            x = experiment_of(protocol, base, condition, damping, stiffest)
+            x = walls.at(condition, damping, stiffest)
             yield x, own_rates(condition, x)
 
 

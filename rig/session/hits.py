@@ -16,18 +16,18 @@ from rig import config, devices
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind
-from rig.core.errors import DeviceFaultError, LinkLostError, RecordingError
+from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.model import RigModel
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.baseline import baseline
-from rig.experiments.hit import HitRequest, hit, vetted
-from rig.experiments.judgement import THREW_OUT, THROWN_OUT, experiment_of, judge, measure
+from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
+from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import Check, device_checks, link_checks
+from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
 from rig.recording.header import host_facts
-from rig.recording.reader import open_recording
 from rig.session.arming import refusals
 from rig.session.bench import Done, Refusal, Wall, Watch
 from rig.session.log import without_nan
@@ -140,7 +140,7 @@ class RigBench:
             request = HitRequest(
                 experiment=wall.experiment, url=self.url, changes=wall.changes, verified=self.verified
             )
-            x, _ = vetted(request, device)
+            x = vetted(request, device, in_effect(wall.experiment, device, wall.changes)).experiment
             under.setdefault((wall.condition, x.wall.damping), []).append(x)
         self._refused = refusals(device, under)
         return self._refused
@@ -204,18 +204,17 @@ class RigBench:
         error: Exception | None = None
         try:
             (result,) = hit(request, lambda _, effective: watch(effective))
-            path = result.recording
+            left = result.recorded
             self.messages += [text for text in result.messages if text not in self.messages]
         except Exception as survived:
-            left = getattr(survived, "recording", None)
-            if left is None or isinstance(survived, RecordingError):
+            recorded = left_by(survived)
+            if recorded is None:
                 raise
-            error, path = survived, left
+            error, left = survived, recorded
             if isinstance(error, LinkLostError) and not isinstance(error, DeviceFaultError):
                 self.close()  # the next trial opens it anew
-        recording = open_recording(path)
         return Done(
-            _content(recording, path.relative_to(directory.parent), heat), error, _duration_s(recording)
+            _content(left, left.path.relative_to(directory.parent), heat), error, _duration_s(left.recording)
         )
 
     def close(self) -> None:
@@ -257,7 +256,7 @@ def _fits(experiment: Experiment, changes: Mapping[str, Any], device: FramedDevi
     x, dictionary = in_effect(experiment, device, changes), device.dictionary
     return [
         *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
-        *device_checks(x, dictionary),
+        *device_checks(prepared_on(device, x), dictionary),
     ]
 
 
@@ -285,18 +284,18 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _content(recording: Recording, path: Path, heat: float) -> dict[str, Any]:
-    experiment, (verdict, _), (measured, _) = experiment_of(recording), judge(recording), measure(recording)
-    trailer, free = recording.trailer or {}, baseline(recording)
+def _content(left: Recorded, path: Path, heat: float) -> dict[str, Any]:
+    experiment, recording = left.experiment, left.recording
+    verdict, measured = left.judgement.verdict, left.judgement.measured
+    trailer, free = recording.trailer or {}, baseline(recording, experiment)
     ended = str(trailer.get("reason", "the recording breaks off"))
     fault = (trailer.get("fault") or {}).get("name", "")
     limits, tick_s = experiment.rig.limits, 1.0 / experiment.controller.position_rate
     numbers = without_nan({name: value for name, value in asdict(verdict).items() if name in NUMBERS})
     invalid = verdict.kind is Kind.INVALID
-    assert recording.path is not None
     return {
         "recording": str(path),
-        "sha256": sha256_of(recording.path),
+        "sha256": sha256_of(left.path),
         "rows_sha256": hashlib.sha256(recording.rows.tobytes()).hexdigest(),
         "ended": ended,
         "aborted": ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",

@@ -13,7 +13,7 @@ from rig.config.problems import Problem, config_error
 from rig.config.table import schema_of
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion
-from rig.session.conditions import base_experiment, broken_conditions
+from rig.session.conditions import Walls, base_experiment, broken_conditions
 from rig.session.protocol import Protocol
 from rig.session.rules import broken_rules, looks_like_a_name, settings_schema, spells_a_name
 
@@ -25,7 +25,12 @@ LONGEST_CODE = 32  # it names a directory
 
 
 def load_protocol(path: str | Path) -> Protocol:
-    """Read and check a protocol file, with the experiment that it names and every condition on it.
+    """Read and check a protocol file, with the experiment that it names and every condition on it; see `load_walls`."""
+    return load_walls(path).protocol
+
+
+def load_walls(path: str | Path) -> Walls:
+    """Read and check a protocol file; returns it with the experiment that it names, and its walls on that.
 
     Raises
     ------
@@ -40,11 +45,13 @@ def load_protocol(path: str | Path) -> Protocol:
     if isinstance(base, list):
         known = {problem.key for problem in problems}
         problems += [problem for problem in base if problem.key not in known]
-    elif protocol is not None and not problems:
-        problems = broken_conditions(protocol, base)
-    if problems or protocol is None:
+    if problems or protocol is None or isinstance(base, list):
         raise config_error(problems, source)
-    return protocol
+    walls = Walls(protocol, base)
+    broken = broken_conditions(walls)
+    if broken:
+        raise config_error(broken, source)
+    return walls
 
 
 def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
@@ -19,13 +18,13 @@ from rig.session.arming import refuse_unarmable
 from rig.session.bench import Bench
 from rig.session.check import refuse_walls
 from rig.session.clock import Clock, WallClock
-from rig.session.conditions import base_of
-from rig.session.conduct import conduct, first_wall
+from rig.session.conditions import Walls
+from rig.session.conduct import conduct, first_wall, walls_in
 from rig.session.desk import Desk, View
 from rig.session.directory import LOG, Session, begin, refuse_begun, resume
 from rig.session.disk import refuse_full_disk
 from rig.session.fitting import refuse_misfit
-from rig.session.load import load_protocol
+from rig.session.load import load_walls
 from rig.session.log import Event, read
 from rig.session.lsl.session import LslMarks
 from rig.session.place import (
@@ -135,24 +134,24 @@ def run_session(
     RigError
         As `rig.session.conduct.conduct`.
     """
-    protocol = load_protocol(protocol_file)
+    walls = load_walls(protocol_file)
+    protocol, experiment = walls.protocol, walls.base
     with plain_errors("read", protocol_file):
         text = protocol_file.read_bytes()
-    experiment = base_of(protocol, protocol_file.parent)
     place = study_directory(protocol, study, rehearsal=person is not None) / code
     refuse_begun(protocol, place, code)
     if person is not None:
         refuse_nobody(person, protocol)
     row = row_of(code) if row is None else _checked_row(row, protocol)
     _refuse_a_real_rig(person, bench)
-    refuse_walls(protocol, experiment)
-    refuse_full_disk(protocol, experiment, row, place)
+    refuse_walls(walls)
+    refuse_full_disk(walls, row, place)
     mapping = config.as_mapping(experiment)
     with closing(bench):
         # Before anything is written: a rig that somebody else uses, or a place without a terminal, leaves no trace.
-        bench.facts(*first_wall(protocol, experiment, schedule(protocol, row)))
-        refuse_misfit(protocol, experiment, bench)
-        refuse_unarmable(protocol, experiment, bench)
+        bench.facts(*first_wall(walls, schedule(protocol, row)))
+        refuse_misfit(walls, bench)
+        refuse_unarmable(walls, bench)
         with (
             desk(protocol, mapping, bench) as somebody,
             _streams(protocol, mapping, wanted=lsl) as marks,
@@ -169,7 +168,7 @@ def run_session(
                 clock=_clock(person, bench),
             ) as session,
         ):
-            return _conducted(session, bench, somebody, told, marks)
+            return _conducted(session, bench, somebody, walls, told, marks)
 
 
 def resume_session(
@@ -191,18 +190,18 @@ def resume_session(
     _refuse_a_real_rig(person, bench)
     state, events = session_state(directory)
     with closing(bench):
-        base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
+        walls = walls_in(state)
         if not other_device and state.ended is None:
-            _refuse_another_device(state, events, bench, base)
-        refuse_unarmable(state.protocol, base, bench)
-        return _resumed(directory, desk, state, person, bench, at, told, lsl=lsl)
+            _refuse_another_device(state, events, bench, walls)
+        refuse_unarmable(walls, bench)
+        return _resumed(directory, desk, state, person, bench, walls, at, told, lsl=lsl)
 
 
-def _refuse_another_device(state: State, events: list[Event], bench: Bench, base: Experiment) -> None:
+def _refuse_another_device(state: State, events: list[Event], bench: Bench, walls: Walls) -> None:
     before = last_opened(events)
     if not before:
         return
-    now = bench.facts(*first_wall(state.protocol, base, state.blocks))
+    now = bench.facts(*first_wall(walls, state.blocks))
     if differences(before, now):
         url = (before.get("place") or {}).get("url")
         raise ConfigError(
@@ -218,6 +217,7 @@ def _resumed(
     state: State,
     person: Person | None,
     bench: Bench,
+    walls: Walls,
     at: str,
     told: Told | None,
     *,
@@ -228,7 +228,7 @@ def _resumed(
         _streams(state.protocol, state.experiment, wanted=lsl) as marks,
         resume(directory, at=at, clock=_clock(person, bench)) as session,
     ):
-        return _conducted(session, bench, somebody, told, marks)
+        return _conducted(session, bench, somebody, walls, told, marks)
 
 
 def rehearsed(directory: Path) -> Person | None:
@@ -336,10 +336,15 @@ def _clock(person: Person | None, bench: Bench) -> Clock:
 
 
 def _conducted(
-    session: Session, bench: Bench, somebody: Desk, told: Told | None, marks: LslMarks | None
+    session: Session,
+    bench: Bench,
+    somebody: Desk,
+    walls: Walls,
+    told: Told | None,
+    marks: LslMarks | None,
 ) -> SessionResult:
     try:
-        conduct(session, bench, somebody, told=told, marks=marks)
+        conduct(session, bench, somebody, walls=walls, told=told, marks=marks)
     finally:
         if marks is not None:
             sent = marks.close()

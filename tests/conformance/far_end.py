@@ -393,16 +393,13 @@ class HostProcess:
 def _run_host(url: str, experiment: Any, recording: Path, pipe: Any) -> None:
     from rig.core.errors import RigError  # noqa: PLC0415
     from rig.devices import open_device  # noqa: PLC0415
-    from rig.experiments.trial import TrialRequest, run_trial  # noqa: PLC0415
+    from tests.conformance.trials import trial_on  # noqa: PLC0415
 
     die_with_parent()
     said = ""
     try:
         with open_device(url) as device:
-            run_trial(
-                device,
-                TrialRequest(experiment=experiment, recording=recording, verified=True, seed=0, sealed=False),
-            )
+            trial_on(device, experiment=experiment, recording=recording, verified=True, seed=0, sealed=False)
     except RigError as error:
         said = type(error).__name__
     pipe.send(said)

@@ -50,9 +50,9 @@ EXPERIMENT = config.override(
     },
 )
 MODEL = config.rig_model(EXPERIMENT)
-PARAMETERS = controller.device_parameters(
+PARAMETERS = controller.prepared(
     EXPERIMENT, current_quantum_a=MODEL.amplifier.current_quantum_a, reference_count=0, verified=True
-)
+).parameters
 
 
 class Far(Supervisor):

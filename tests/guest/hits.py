@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ from rig.config import Experiment, presets
 from rig.core.errors import DeviceFaultError, GuardError, LinkLostError, RigError
 from rig.devices import open_device
 from rig.experiments.hit import HitRequest, hit
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
+from tests.conformance.trials import trial_on
 from tests.guest.far_end import RATE, FarEnd
 
 RIG = "koul-compliant"
@@ -92,7 +93,8 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
         experiment = config.override(EXPERIMENT, {**CHANGES, **rates})
         recording = output / f"struck-{len(list(output.iterdir()))}.rigcap"
         with open_device(url) as device:
-            request = TrialRequest(
+            request = partial(
+                trial_on,
                 experiment=experiment,
                 recording=recording,
                 verified=True,
@@ -100,7 +102,7 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
                 progress=progress,
                 sealed=False,
             )
-            return run_trial(device, request).recording
+            return request(device).recording
 
     return _ended(run)
 

@@ -18,7 +18,7 @@ from usb.backend import libusb1
 from firmware_protocol import messages as m
 from rig import config
 from rig.config import presets
-from rig.config.controller import device_parameters
+from rig.config.controller import prepared
 from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
 from rig.experiments import trial
@@ -112,7 +112,7 @@ def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board):
     """Enumerated, identified, configured, armed, supervised, stopped: without the loop, a request at a time."""
     experiment = config.override(presets.load(pico.RIG), pico.CHANGES)
     quantum = experiment.rig.amplifier.current_quantum_a
-    told = device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
+    told = prepared(experiment, current_quantum_a=quantum, reference_count=0, verified=True).parameters
     link = open_link(board.url)
     try:
         host = Host(link)

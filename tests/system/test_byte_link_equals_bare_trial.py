@@ -1,5 +1,7 @@
 """The way over the wire changes nothing: frames, splitter, codec, ring and recorder are transparent to the law."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -8,13 +10,13 @@ from rig.config import controller, presets
 from rig.core.sample import Phase
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
 from sim_backend import trial as bare
 from sim_backend.link import open_link
 from sim_backend.operator import Script
 from sim_backend.plant import DiscretePlant
+from tests.conformance.trials import trial_on
 
 SHORT = {"trial.duration_s": 0.15, "trial.release_s": 0.02, "verdict.tail_s": 0.05, "homing.settle_s": 0.02}
 HELD = {
@@ -28,10 +30,10 @@ HELD = {
 def over_the_wire(experiment, path, url="sim://"):
     link = open_link(DeviceUrl.parse(url), config.rig_model(experiment))
     with FramedDevice(link) as device:
-        request = TrialRequest(
-            experiment=experiment, recording=path, verified=True, seed=experiment.trial.seed
+        request = partial(
+            trial_on, experiment=experiment, recording=path, verified=True, seed=experiment.trial.seed
         )
-        return open_recording(run_trial(device, request).recording)
+        return open_recording(request(device).recording)
 
 
 @pytest.mark.parametrize("name", presets.names())
@@ -92,10 +94,14 @@ def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_han
     counts = []
     with FramedDevice(link) as device:
         for repeat in (1, 2):
-            request = TrialRequest(
-                experiment=experiment, recording=tmp_path / f"{repeat}.rigcap", verified=True, seed=0
+            request = partial(
+                trial_on,
+                experiment=experiment,
+                recording=tmp_path / f"{repeat}.rigcap",
+                verified=True,
+                seed=0,
             )
-            rows = open_recording(run_trial(device, request).recording).rows
+            rows = open_recording(request(device).recording).rows
             pushed = rows["count"][rows["phase"] == Phase.TRIAL]
             assert pushed[0] < 0 < pushed.max()
             counts.append(pushed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 
 import numba
 import numpy as np
@@ -18,13 +19,13 @@ from rig.config import presets
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_clock
 from rig.devices.framed import FramedDevice
 from rig.experiments.timing import timing
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.capture import write_capture
 from rig.recording.reader import open_recording
 from rig.recording.timing import NEEDED
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
+from tests.conformance.trials import trial_on
 
 HIT = config.override(
     presets.load("koul-compliant"),
@@ -96,10 +97,15 @@ def hit(directory, ppm, *, sealed=True, ticks_before=0, experiment=HIT):
     for _ in range(ticks_before):
         simulated.tick()
     with FramedDevice(MemoryLink(simulated, clock_ppm=ppm)) as device:
-        request = TrialRequest(
-            experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0, sealed=sealed
+        request = partial(
+            trial_on,
+            experiment=experiment,
+            recording=directory / "hit.rigcap",
+            verified=True,
+            seed=0,
+            sealed=sealed,
         )
-        return run_trial(device, request).recording
+        return request(device).recording
 
 
 @pytest.mark.parametrize("ppm", [0.0, 120.0, -120.0])

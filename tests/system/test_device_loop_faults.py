@@ -6,6 +6,7 @@ a run whose frames to the host suffer must show the same samples as an undisturb
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numba
@@ -24,13 +25,13 @@ from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedEr
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.firmware_library import compiler
 from sim_backend.link import MemoryLink
+from tests.conformance.trials import trial_on
 
 RATE = 5000
 START = -0.015
@@ -72,12 +73,12 @@ class Bench:
         self.messages: tuple[str, ...] = ()
 
     def run(self) -> Bench:
-        request = TrialRequest(
-            experiment=self.experiment, recording=self.path, verified=True, seed=0, sealed=False
+        request = partial(
+            trial_on, experiment=self.experiment, recording=self.path, verified=True, seed=0, sealed=False
         )
         try:
             with FramedDevice(self.link) as device:
-                self.messages = run_trial(device, request).messages
+                self.messages = request(device).messages
         except RigError as error:
             self.error, self.messages = error, tuple(error.messages)
         return self

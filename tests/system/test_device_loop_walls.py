@@ -70,9 +70,9 @@ class Session:
         self.arithmetic = device_law.arithmetic_of(x.controller)
         quantum = self.host.dictionary.current_quantum_a
         self.bundle, armed = (controller.for_experiment(x, current_quantum_a=quantum) for _ in range(2))
-        parameters = controller.device_parameters(
+        parameters = controller.prepared(
             x, current_quantum_a=quantum, reference_count=0, verified=True
-        )
+        ).parameters
         self.echo = self.host.configure(parameters)
         self.memory = Ring.allocate(20_000)
         settings = LoopSettings(

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,6 @@ from rig.core.errors import (
 from rig.core.sample import Phase, RowFlag
 from rig.devices import framed
 from rig.devices.framed import EXCHANGES, STOP_FRAMES, FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
@@ -44,6 +44,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from sim_backend.safety import IDLE_LIFETIME_S
 from tests.conformance.started import started
+from tests.conformance.trials import trial_on
 
 LIFETIME_S = 0.005  # of a command at 1 kHz: five ticks
 RAMP_S = 0.010
@@ -78,12 +79,18 @@ class Bench:
         self.error: RigError | None = None
 
     def run(self) -> "Bench":
-        request = TrialRequest(
-            experiment=self.experiment, recording=self.path, verified=True, seed=0, law=self.law, sealed=False
+        request = partial(
+            trial_on,
+            experiment=self.experiment,
+            recording=self.path,
+            verified=True,
+            seed=0,
+            law=self.law,
+            sealed=False,
         )
         try:
             with FramedDevice(self.link) as device:
-                run_trial(device, request)
+                request(device)
         except RigError as error:
             self.error = error
         return self
@@ -304,7 +311,8 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path):
             seen.append(ticks)
             signal.raise_signal(signal.SIGINT)
 
-    request = TrialRequest(
+    request = partial(
+        trial_on,
         experiment=bench.experiment,
         recording=bench.path,
         verified=True,
@@ -313,7 +321,7 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path):
         sealed=False,
     )
     with pytest.raises(StoppedError) as caught, FramedDevice(bench.link) as device:
-        run_trial(device, request)
+        request(device)
     assert seen
     assert caught.value.recording == bench.path
     assert bench.recording().trailer["reason"] == "stopped"
@@ -327,10 +335,10 @@ from pathlib import Path
 from rig import config
 from rig.config import presets
 from rig.devices import open_device
-from rig.experiments.trial import TrialRequest, run_trial
+from tests.conformance.trials import trial_on
 x = config.override(config.with_realtime(presets.load("koul-compliant")), {"trial.duration_s": 30.0})
 with open_device(sys.argv[1]) as device:
-    run_trial(device, TrialRequest(experiment=x, recording=Path(sys.argv[2]), verified=True, seed=0))
+    trial_on(device, experiment=x, recording=Path(sys.argv[2]), verified=True, seed=0)
 """
 
 
@@ -380,11 +388,17 @@ def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(t
             if ticks > 200:
                 process.kill()
 
-        request = TrialRequest(
-            experiment=long, recording=path, verified=True, seed=0, progress=pull_the_plug, sealed=False
+        request = partial(
+            trial_on,
+            experiment=long,
+            recording=path,
+            verified=True,
+            seed=0,
+            progress=pull_the_plug,
+            sealed=False,
         )
         with pytest.raises(LinkLostError) as caught:
-            run_trial(device, request)
+            request(device)
     assert caught.value.remedy
     assert caught.value.statistics["ticks"] > 200
     assert len(caught.value.rows) == 100

@@ -7,6 +7,7 @@ test_device_loop_faults.py and test_faults.py; what the device does, tick by tic
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,12 @@ from rig.core.errors import (
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from sim_backend.channel import Faults, Happening
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.firmware import need_compiler
+from tests.conformance.trials import trial_on
 
 RATE = 2_000
 START = -0.015
@@ -69,12 +70,12 @@ class Bench:
         self.error: RigError | None = None
 
     def run(self) -> Bench:
-        request = TrialRequest(
-            experiment=self.experiment, recording=self.path, verified=True, seed=0, sealed=False
+        request = partial(
+            trial_on, experiment=self.experiment, recording=self.path, verified=True, seed=0, sealed=False
         )
         try:
             with FramedDevice(self.link) as device:
-                run_trial(device, request)
+                request(device)
         except RigError as error:
             self.error = error
         return self

@@ -8,6 +8,7 @@ reads, and what the line lost is counted.
 import resource
 import signal
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,12 +31,12 @@ from rig.core.errors import (
 )
 from rig.core.sample import Phase
 from rig.devices import open_device
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
+from tests.conformance.trials import trial_on
 
 BOUND_S = 15.0  # of everything that a host does after a fault, on a loaded machine
 RATE = 500
@@ -81,7 +82,8 @@ class Run:
         self.path = directory / "trial.rigcap"
         self.error = None
         began = time.monotonic()
-        request = TrialRequest(
+        request = partial(
+            trial_on,
             experiment=experiment,
             recording=self.path,
             verified=True,
@@ -92,7 +94,7 @@ class Run:
         )
         try:
             with open_device(device_end.url) as device:
-                run_trial(device, request)
+                request(device)
         except RigError as error:
             self.error = error
         assert time.monotonic() - began < experiment.trial.duration_s + BOUND_S

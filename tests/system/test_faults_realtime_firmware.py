@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from rig.config import presets
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.devices import open_device
 from rig.experiments.replay import replay
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import FarEnd, HostProcess, Script
 from tests.conformance.firmware import need_compiler
+from tests.conformance.trials import trial_on
 
 RATE = 2_000
 EARLY = 200  # ticks of RUNNING before something breaks
@@ -72,12 +73,12 @@ class Run:
         self.device = device
         self.path = directory / "trial.rigcap"
         self.error: RigError | None = None
-        request = TrialRequest(
-            experiment=experiment, recording=self.path, verified=True, seed=0, sealed=False
+        request = partial(
+            trial_on, experiment=experiment, recording=self.path, verified=True, seed=0, sealed=False
         )
         try:
             with open_device(device.url) as opened:
-                run_trial(opened, request)
+                request(opened)
         except RigError as error:
             self.error = error
 

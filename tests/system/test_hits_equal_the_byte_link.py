@@ -1,5 +1,7 @@
 """A hit without bytes is the hit over the byte link, to the last bit of every number that a map is made of."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,9 @@ from rig.control.judging import meter, recorded_signals, true_signals
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.bench import Bench
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from sim_backend.link import open_link
+from tests.conformance.trials import trial_on
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
@@ -34,10 +36,14 @@ def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(name, chan
 
     placed = config.override(experiment, {"rig.simulation.initial_position": bench.start})
     with FramedDevice(open_link(DeviceUrl.parse("sim://"), config.rig_model(placed))) as device:
-        request = TrialRequest(
-            experiment=placed, recording=tmp_path / "hit.rigcap", verified=True, seed=placed.trial.seed
+        request = partial(
+            trial_on,
+            experiment=placed,
+            recording=tmp_path / "hit.rigcap",
+            verified=True,
+            seed=placed.trial.seed,
         )
-        rows = open_recording(run_trial(device, request).recording).rows
+        rows = open_recording(request(device).recording).rows
 
     tick_s, resolution = 1.0 / placed.controller.position_rate, placed.rig.encoder.resolution
     measuring = meter(bench.limits, tick_s, resolution)

@@ -25,12 +25,12 @@ from rig.core.model import Simulation
 from rig.core.sample import Phase
 from rig.devices import local
 from rig.devices.framed import FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.marks import marks as found_marks
 from rig.recording.reader import open_recording
 from rig.session.lsl.session import LslMarks
 from rig.session.lsl.streams import CHANNELS
 from tests.conformance.lsl_loop import OFFSET_NS, HandTurnedLoop
+from tests.conformance.trials import trial_on
 
 SHORT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
@@ -185,7 +185,7 @@ def test_a_hit_in_real_time_is_streamed_as_it_is_recorded(
             ) as url,
             FramedDevice(devices.open_link(url, model)) as device,
         ):
-            run_trial(device, TrialRequest(experiment=SHORT, recording=path, verified=True, seed=0))
+            trial_on(device, experiment=SHORT, recording=path, verified=True, seed=0)
     except (LinkLostError, DeviceFaultError):  # this machine has no time for a loop
         return
     inlets.pull_until("end")

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import uuid
+from functools import partial
 
 import numpy as np
 import pytest
@@ -31,7 +32,6 @@ from rig.core.errors import (
 )
 from rig.devices import open_device
 from rig.devices.framed import FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
@@ -40,6 +40,7 @@ from sim_backend.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script
 from tests.conformance.started import started
+from tests.conformance.trials import trial_on
 
 WAIT_S = 50.0  # on a loaded machine
 RATE = 500
@@ -146,7 +147,8 @@ def test_the_census_sees_what_is_left(tmp_path):
 
 def run(device, directory, changes, more, allowed):
     """One trial to its end, of whatever kind; the error that ended it, if any."""
-    request = TrialRequest(
+    request = partial(
+        trial_on,
         experiment=config.override(REAL, changes),
         recording=directory / f"{uuid.uuid4().hex}.rigcap",
         verified=True,
@@ -154,7 +156,7 @@ def run(device, directory, changes, more, allowed):
         **{name: make() for name, make in more.items()},
     )
     try:
-        run_trial(device, request)
+        request(device)
     except allowed as error:
         return type(error)
     return None
@@ -199,7 +201,7 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_made(warm, tmp_path):
     path = tmp_path / "there.rigcap"
     path.touch()
     with nothing_left(), in_memory() as device, pytest.raises(RecordingError):
-        run_trial(device, TrialRequest(experiment=REAL, recording=path, verified=True, seed=0))
+        trial_on(device, experiment=REAL, recording=path, verified=True, seed=0)
 
 
 # ---------------------------------------------------------------------- real time

@@ -9,24 +9,25 @@ from typing import Any
 import pytest
 
 from rig.config.presets import load as preset
+from rig.experiments import hit
 from rig.session import hits
 from rig.session.hits import RigBench
 from rig.session.log import SessionLog, read
 
 
 def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    judge, measured = hits.judge, hits.baseline
+    judge, measured = hit.judge, hits.baseline
 
-    def judged(recording: Any) -> Any:
-        verdict, more = judge(recording)
-        return replace(verdict, heard=float("nan")), more
+    def judged(recording: Any, experiment: Any) -> Any:
+        said = judge(recording, experiment)
+        return replace(said, verdict=replace(said.verdict, heard=float("nan")))
 
-    def noisy(recording: Any) -> Any:
-        free = measured(recording)
+    def noisy(recording: Any, experiment: Any) -> Any:
+        free = measured(recording, experiment)
         assert free is not None
         return replace(free, velocity_rms=float("inf"))
 
-    monkeypatch.setattr(hits, "judge", judged)
+    monkeypatch.setattr(hit, "judge", judged)
     monkeypatch.setattr(hits, "baseline", noisy)
     x = preset("koul-rigid")
     x = replace(x, trial=replace(x.trial, kind="human", baseline_s=0.1, duration_s=1.0))

@@ -6,7 +6,6 @@ import numba
 import numpy as np
 import pytest
 
-from rig import config
 from rig.config import override, presets
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, GuardError, PlanError
@@ -64,7 +63,7 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag
     assert rows["flags"][-1] & flag
     assert not (rows["flags"][:-1] & (RowFlag.VIOLENT | RowFlag.ENERGY)).any()
     assert (rows["phase"][-1], rows["current_sent"][-1], rows["effort_sent"][-1]) == (Phase.DONE, 0, 0.0)
-    assert judge(recording)[0].kind is Kind.UNSTABLE
+    assert judge(recording, experiment).verdict.kind is Kind.UNSTABLE
     assert trailer["watched"]["swings" if reason == "violent" else "energy"] > 0.0
     assert replay(recording).exact
     watched = Bench(experiment).hit(1200.0, 0.5)
@@ -147,14 +146,14 @@ def test_a_baseline_comes_before_the_hit(tmp_path):
     assert result.verdict.contact_s == pytest.approx(plain.verdict.contact_s + 0.3, abs=0.005)
     assert result.verdict.kind is plain.verdict.kind is Kind.STABLE
     assert result.verdict.ticks == plain.verdict.ticks + round(0.3 * 20_000)
-    found = baseline(open_recording(result.recording))
+    found = baseline(result.recorded.recording, result.experiment)
     assert found is not None
     assert found.duration_s == pytest.approx(0.3)
     assert found.effort_rms == pytest.approx(0.002 * PLACED.rig.amplifier.effort_per_ampere, rel=0.1)
     assert (found.sent_rms, found.touched) == (0.0, False)
     assert found.count_range <= 2
     assert found.as_mapping()["velocity_rms"] == found.velocity_rms < 0.05
-    assert baseline(open_recording(plain.recording)) is None
+    assert baseline(plain.recorded.recording, plain.experiment) is None
 
 
 def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path):
@@ -164,13 +163,11 @@ def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path):
     rows = recording.rows
     contact_s = float(np.flatnonzero(rows["penetration"][rows["phase"] == Phase.TRIAL] > 0.0)[0] / 20_000)
     assert contact_s < 0.3
-    recording.header["experiment"] = config.as_mapping(
-        experiment
-    )  # the hand did not wait as long as it was told
-    verdict, true = judge(recording)
-    assert verdict.kind is true.kind is Kind.INVALID
-    assert any("free space before the hit" in reason for reason in verdict.reasons)
-    assert baseline(recording).touched
+    # the hand did not wait as long as it was told
+    said = judge(recording, experiment)
+    assert said.verdict.kind is said.verdict_true.kind is Kind.INVALID
+    assert any("free space before the hit" in reason for reason in said.verdict.reasons)
+    assert baseline(recording, experiment).touched
 
 
 def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline():

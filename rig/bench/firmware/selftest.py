@@ -21,7 +21,7 @@ from rig.bench.firmware.check import Check
 from rig.bench.firmware.info import compatibility
 from rig.bench.firmware.stream import judge_stream
 from rig.config import Experiment
-from rig.config.controller import device_parameters
+from rig.config.controller import prepared
 from rig.core.board import describe
 from rig.core.errors import DeviceRefusedError, RigError
 from rig.core.model import RigModel
@@ -399,12 +399,9 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
         return Check("stream", "skipped", "--stream with --rig runs its law with a current limit of zero")
     experiment = config.override(request.experiment, {"controller.loop": "device"})
     before = device.in_force()
-    wanted = device_parameters(
-        experiment,
-        current_quantum_a=device.dictionary.current_quantum_a,
-        reference_count=device.count(),
-        verified=True,
-    )
+    wanted = prepared(
+        experiment, current_quantum_a=device.dictionary.current_quantum_a, reference_count=device.count()
+    ).parameters
     device.configure({**wanted, "current_limit": 0, "hold_to_run": 0})
     try:
         device.arm()

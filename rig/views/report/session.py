@@ -23,7 +23,7 @@ from rig.session.analysis.mixed import Contrast
 from rig.session.analysis.rows import Measure
 from rig.session.analysis.study import LOG, VOIDED, Session
 from rig.session.analysis.tables import SLIPS_BEFORE
-from rig.session.conditions import experiment_of
+from rig.session.conduct import walls_in
 from rig.session.schedule import levels_of
 from rig.session.state import END, State
 from rig.views.plots.session import tracks_name
@@ -180,12 +180,12 @@ def provenance(found: Analysis) -> dict[str, Any]:
 
 def effective(state: State) -> dict[str, Any]:
     """Experiment of each condition, its changes and the study's in it, at its first damping and its softest wall."""
-    base = config.experiment_from_mapping(state.experiment, "the session's log")
+    walls = walls_in(state)
     found: dict[str, Any] = {}
     for condition in state.protocol.condition:
         softest = levels_of(state.protocol.search_of(condition))[0]
         try:
-            x = experiment_of(state.protocol, base, condition, condition.damping[0], softest)
+            x = walls.at(condition, condition.damping[0], softest)
         except RigError as error:  # an estimator that is not installed here
             found[condition.name] = {"unknown here": error.message}
         else:

@@ -24,7 +24,7 @@ from rig.session.analysis.agreement import LEAST_PEOPLE
 from rig.session.analysis.analyse import Analysis
 from rig.session.analysis.kmax import ENOUGH_REPEATS, LEAST_REPEATS, RESAMPLES
 from rig.session.analysis.rows import Measure
-from rig.session.conditions import experiment_of
+from rig.session.conditions import Walls
 from rig.session.protocol import Condition, Protocol, Search
 from rig.session.schedule import levels_of, rows_of, rule
 from rig.session.search.ascending import Ascending
@@ -91,7 +91,7 @@ class _Told:
         condition = protocol.condition[0]
         softest = levels_of(protocol.search_of(condition))[0]
         try:
-            return experiment_of(protocol, base, condition, condition.damping[0], softest)
+            return Walls(protocol, base).at(condition, condition.damping[0], softest)
         except RigError:  # an estimator that is not installed here
             return base
 

@@ -81,9 +81,9 @@ def experiments(draw: st.DrawFn) -> config.Experiment:
 
 
 def values_of(x: config.Experiment, law: Law | None = None, reference: int = 12_345) -> dict:
-    return controller.device_parameters(
+    return controller.prepared(
         x, current_quantum_a=QUANTUM, reference_count=reference, verified=True, law=law
-    )
+    ).parameters
 
 
 @given(experiments())

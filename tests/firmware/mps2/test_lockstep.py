@@ -56,7 +56,7 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
     device = FramedDevice(rig)
     quantum = device.dictionary.current_quantum_a
     told = {"current_quantum_a": quantum, "reference_count": 0}
-    device.configure(controller.device_parameters(experiment, verified=True, **told))
+    device.configure(controller.prepared(experiment, verified=True, **told).parameters)
     device.arm()
     first = len(rig.trace)
     for tick in range(ticks):

@@ -11,7 +11,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.packing import unpack_batch_samples
 from firmware_protocol.parameter import Value
 from rig.bench.firmware.build import BuildResult
-from rig.config.controller import device_parameters
+from rig.config.controller import prepared
 from rig.config.load import override
 from rig.config.presets import load
 from tests.conformance.host import RUN_PARAMETERS, Host
@@ -60,7 +60,7 @@ class Session:
             },
         )
         quantum = experiment.rig.amplifier.current_quantum_a
-        values = device_parameters(experiment, current_quantum_a=quantum, reference_count=0, verified=True)
+        values = prepared(experiment, current_quantum_a=quantum, reference_count=0, verified=True).parameters
         values |= changes
         self.configure(**values)
         return values

@@ -30,9 +30,9 @@ def built(experiment, **options):
 
 def told(experiment, *, reference_count=0, verified=True, **options):
     quantum = options.pop("quantum", experiment.rig.amplifier.current_quantum_a)
-    return controller.device_parameters(
+    return controller.prepared(
         experiment, current_quantum_a=quantum, reference_count=reference_count, verified=verified
-    )
+    ).parameters
 
 
 @pytest.mark.parametrize("realtime", [False, True])

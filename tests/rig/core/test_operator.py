@@ -139,9 +139,9 @@ def test_with_a_person_the_motor_pushes_nothing_and_the_end_mass_is_off() -> Non
 
 def test_the_device_is_told_that_somebody_may_hold_the_handle_still() -> None:
     for experiment, told in ((KOUL, 0), (held(), 1)):
-        values = controller.device_parameters(
+        values = controller.prepared(
             experiment, current_quantum_a=0.001, reference_count=0, verified=True
-        )
+        ).parameters
         assert values["hold_to_run"] == told
 
 

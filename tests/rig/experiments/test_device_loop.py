@@ -14,7 +14,8 @@ from rig import config, devices
 from rig.bench.doctor.gate import gate
 from rig.bench.doctor.in_effect import in_effect
 from rig.bench.doctor.walls import candidate_rates
-from rig.config import controller, device_law, presets
+from rig.config import device_law, presets
+from rig.config.controller import prepared
 from rig.control import bilateral
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.errors import ConfigError, PlanError
@@ -90,7 +91,7 @@ def test_what_one_tick_would_have_to_make_up_is_bounded():
             ON_DEVICE,
             {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1},
         )
-        return controller.device_parameters(x, current_quantum_a=0.001, reference_count=0, verified=True)
+        return prepared(x, current_quantum_a=0.001, reference_count=0, verified=True).parameters
 
     assert told(400)["slow_multiple"] == 5
     with pytest.raises(PlanError, match=r"slow_velocity_rate = 200 .* 10 velocity periods") as refused:
@@ -124,22 +125,24 @@ def test_a_rate_of_the_device_is_the_hosts_only(loop, rate):
 
 
 def test_a_device_without_a_law_is_refused_with_what_to_do():
-    (check,) = device_checks(ON_DEVICE, device(law=(0, 0)))
+    (check,) = device_checks(prepared(ON_DEVICE), device(law=(0, 0)))
     assert check.outcome is Outcome.REFUSED
     assert "board (1) runs no law of its own" in check.text
     assert "rig firmware" in check.remedy
-    (simulated,) = device_checks(ON_DEVICE, replace(device(law=(0, 0)), simulated=True))
+    (simulated,) = device_checks(prepared(ON_DEVICE), replace(device(law=(0, 0)), simulated=True))
     assert "firmware=1" in simulated.remedy
-    assert device_checks(RIGID, device(law=(0, 0))) == []
+    assert device_checks(prepared(RIGID), device(law=(0, 0))) == []
 
 
 def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lacks():
-    (good,) = device_checks(ON_DEVICE, device())
+    (good,) = device_checks(prepared(ON_DEVICE), device())
     assert (good.outcome, good.text) == (Outcome.OK, "board runs it in float32")
-    (integers,) = device_checks(ON_DEVICE, device(law=(0, 1)))
+    (integers,) = device_checks(prepared(ON_DEVICE), device(law=(0, 1)))
     assert integers.outcome is Outcome.REFUSED
     assert "law = 2 (it takes 0 to 1)" in integers.text
-    (short,) = device_checks(SHAKEN, device(excitation_period=(2, 1000)), shaking.shaken_law(SHAKEN))
+    (short,) = device_checks(
+        prepared(SHAKEN, law=shaking.shaken_law(SHAKEN)), device(excitation_period=(2, 1000))
+    )
     assert "excitation_period = 2000 (it takes 2 to 1000)" in short.text
 
 
@@ -226,13 +229,11 @@ def test_the_host_plays_the_table_that_the_device_makes(kind):
     law, quantum = shaking.shaken_law(x, current_quantum_a=0.002), 0.002 * x.rig.amplifier.effort_per_ampere
     given = {name.removeprefix("excitation_"): value for name, value in law.device.items()}
     table = ExcitationTable(**{**given, "phases": PHASES[given["phases"]]})
-    prepared = law.prepare({"stiffness": 1.0, "damping": 0.0, "side": x.wall.side})
-    played = bilateral.played(prepared.parameters, x.wall.side, 1.0, 3 * table.period)[2 * table.period :]
+    rendered = law.prepare({"stiffness": 1.0, "damping": 0.0, "side": x.wall.side})
+    played = bilateral.played(rendered.parameters, x.wall.side, 1.0, 3 * table.period)[2 * table.period :]
     np.testing.assert_array_equal(played, table.table * 2.0**-table.bits * quantum)
     assert table.ramp == round(shaking.ramp_s(x) * 20_000)
-    values = controller.device_parameters(
-        x, current_quantum_a=0.002, reference_count=0, verified=True, law=law
-    )
+    values = prepared(x, current_quantum_a=0.002, reference_count=0, verified=True, law=law).parameters
     assert law.device.items() <= values.items()
     assert values["bilateral"] == 1
 

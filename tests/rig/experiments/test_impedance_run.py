@@ -18,6 +18,7 @@ from rig.control import bilateral, laws
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.experiments import impedance as measuring
 from rig.experiments.impedance import Judging, OnDevice, measure_impedance, measure_on_device, write_results
+from rig.experiments.judgement import experiment_of
 from rig.experiments.plan import Outcome, make_plan
 from rig.experiments.replay import replay
 from rig.experiments.shaking import (
@@ -303,13 +304,13 @@ def test_and_the_impedance_is_that_of_the_run_without_bytes(on_device):
 def test_a_recording_of_it_is_replayed_and_measured_again(on_device):
     _, result = on_device
     recording = open_recording(result.recordings[0])
-    record = record_of(recording)
+    record = record_of(recording, experiment_of(recording))
     assert record.periods == 2
     assert record.effort_hold_s == 1e-3
     assert not np.any(replay(recording).rows["effort_sent"] != recording.rows["effort_sent"])
     broken = replace(recording, rows=recording.rows[:-500])
     with pytest.raises(RecordingError, match="not whole"):
-        record_of(broken)
+        record_of(broken, experiment_of(broken))
 
 
 def test_a_trial_where_nothing_shakes_has_no_record(on_device):
@@ -318,7 +319,7 @@ def test_a_trial_where_nothing_shakes_has_no_record(on_device):
     header = json.loads(json.dumps(recording.header))
     header["initial_state"]["law"]["name"] = "spring-damper"
     with pytest.raises(RecordingError, match="nothing shakes"):
-        record_of(replace(recording, header=header))
+        record_of(replace(recording, header=header), experiment_of(recording))
 
 
 def test_the_delay_between_command_and_current_is_read_off_the_recording():
@@ -342,17 +343,17 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
     failures = iter([RecordingError("not whole", remedy="again")])
 
-    def holed(recording):
+    def holed(recording, experiment):
         for failure in failures:
             raise failure
-        return record_of(recording)
+        return record_of(recording, experiment)
 
     monkeypatch.setattr(measuring, "record_of", holed)
     (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)])
     assert result.impedance is not None
     assert len(result.recordings) == len(set(result.recordings)) == 2
 
-    def always(recording):
+    def always(recording, experiment):
         raise RecordingError("not whole", remedy="again")
 
     monkeypatch.setattr(measuring, "record_of", always)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numba
 import numpy as np
@@ -21,7 +22,6 @@ from rig.core.errors import ConfigError, DeviceFaultError, LawError, LinkLostErr
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import COMPUTED, replay
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
@@ -30,6 +30,7 @@ from rig.recording.reader import open_recording
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Happening, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.trials import trial_on
 
 START = -0.015
 SHORT = config.override(
@@ -46,13 +47,13 @@ def recorded(directory, experiment=SHORT, *, faults=None, law=None, error=None, 
     """Run one trial in virtual time and return what it recorded."""
     link = link or new_link(experiment, faults)
     path = directory / "trial.rigcap"
-    request = TrialRequest(
-        experiment=experiment, recording=path, verified=True, seed=0, law=law, sealed=False
+    request = partial(
+        trial_on, experiment=experiment, recording=path, verified=True, seed=0, law=law, sealed=False
     )
     caught = None
     with FramedDevice(link) as device:
         try:
-            run_trial(device, request)
+            request(device)
         except RigError as raised:
             caught = raised
     assert (caught is None) if error is None else isinstance(caught, error), caught
@@ -70,7 +71,8 @@ def armed(tmp_path_factory):
     recorded(tmp_path_factory.mktemp("first"))  # reads the dictionary: all others know it
     counted, link = [], new_link(faults=Faults())
     with FramedDevice(link) as device:
-        request = TrialRequest(
+        request = partial(
+            trial_on,
             experiment=SHORT,
             recording=tmp_path_factory.mktemp("counted") / "trial.rigcap",
             verified=True,
@@ -84,7 +86,7 @@ def armed(tmp_path_factory):
             return session
 
         device.arm = arm
-        run_trial(device, request)
+        request(device)
     return counted[0]
 
 

@@ -44,8 +44,7 @@ from rig.experiments import hit as hits
 from rig.experiments import trial as trials
 from rig.experiments.endings import ENDINGS, error_of
 from rig.experiments.hit import HitRequest, hit
-from rig.experiments.judgement import as_trailer, judge
-from rig.experiments.trial import TrialRequest, run_trial
+from rig.experiments.judgement import experiment_of, judge
 from rig.loop.layout import EndReason
 from rig.loop.run import COUNTERS, LoopEnd, LoopThread
 from rig.realtime.kernel import kernel
@@ -55,6 +54,7 @@ from sim_backend import pty
 from sim_backend.channel import DeviceFault, Direction, Faults, FrameFault, Kind
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.trials import trial_on
 
 WAIT_S = 20.0
 START = -0.015
@@ -76,9 +76,8 @@ class Bench:
 
     def run(self, experiment=SHORT, name="trial", **options):
         given = {"verified": True, "seed": 0, **options}
-        return run_trial(
-            self.device,
-            TrialRequest(experiment=experiment, recording=self.directory / f"{name}.rigcap", **given),
+        return trial_on(
+            self.device, experiment=experiment, recording=self.directory / f"{name}.rigcap", **given
         )
 
     def at_rest(self):
@@ -93,7 +92,7 @@ def files(directory):
 
 
 def judged(recording):
-    return as_trailer(*judge(recording))
+    return judge(recording, experiment_of(recording))
 
 
 # ---------------------------------------------------------------------- refused before anything moves

@@ -24,7 +24,6 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.loop.layout import Buffers
 from rig.loop.receive import WRAP
 from rig.loop.rows import sync_time
@@ -36,6 +35,7 @@ from rig.recording.reader import open_recording
 from sim_backend.link import open_link
 from tests.conformance.recording import example_header, example_rows
 from tests.conformance.rigs import rotary_rig
+from tests.conformance.trials import trial_on
 
 START = -0.015
 EDGES_S = (0.02, 0.05, 0.0501001, 0.13)
@@ -54,7 +54,7 @@ def recorded(directory: Path, loop: str, clock_ppm: int) -> Recording:
     )
     path = directory / "trial.rigcap"
     with FramedDevice(devices.open_link(url, config.rig_model(experiment))) as device:
-        run_trial(device, TrialRequest(experiment=experiment, recording=path, verified=True, seed=0))
+        trial_on(device, experiment=experiment, recording=path, verified=True, seed=0)
     return open_recording(path.with_suffix(".parquet"))
 
 

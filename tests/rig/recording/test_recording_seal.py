@@ -47,8 +47,18 @@ def write(path: Path, recording: Recording) -> Path:
     return path
 
 
+def sealed_file(capture: Path, *given: Any, **options: Any) -> Path:
+    """Seal a capture; what was read back and is returned is what its file holds."""
+    sealed = seal(open_recording(capture), *given, **options)
+    assert sealed.path is not None
+    again = open_recording(sealed.path)
+    assert (again.header, again.trailer, again.lost) == (sealed.header, sealed.trailer, sealed.lost)
+    assert again.rows.tobytes() == sealed.rows.tobytes()
+    return sealed.path
+
+
 def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording: Recording) -> None:
-    sealed = seal(capture)
+    sealed = sealed_file(capture)
     assert sealed == capture.with_suffix(".parquet")
     assert list(sealed.parent.iterdir()) == [sealed]
     found = open_recording(sealed)
@@ -58,10 +68,10 @@ def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording:
 
 
 def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> None:
-    sealed = seal(capture)
+    sealed = sealed_file(capture)
     content = sealed.read_bytes()
     with pytest.raises(RecordingError, match="is no capture"):
-        seal(sealed)
+        sealed_file(sealed)
     assert sealed.read_bytes() == content
 
 
@@ -82,7 +92,7 @@ def timed(**trailer: Any) -> Recording:
 
 def test_the_ledger_is_filled_in_where_clocks_were_compared(tmp_path: Path) -> None:
     recording = timed(clock=CLOCK.as_mapping())
-    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    found = open_recording(sealed_file(write(tmp_path / "trial.rigcap", recording)))
     device = recording.rows["device_time"]
     assert found.column("sampled_at").tolist() == CLOCK.host_of(device).tolist()
     assert found.column("applied_at").tolist() == [*CLOCK.host_of(device[1:-1]).tolist(), 0, 0]
@@ -100,22 +110,22 @@ def test_the_ledger_is_filled_in_where_clocks_were_compared(tmp_path: Path) -> N
 
 def test_a_ledger_sealed_twice_or_after_a_crash_is_the_same(tmp_path: Path) -> None:
     recording = timed(clock=CLOCK.as_mapping())
-    files = [seal(write(tmp_path / f"{run}.rigcap", recording), keep_capture=True) for run in range(2)]
+    files = [sealed_file(write(tmp_path / f"{run}.rigcap", recording), keep_capture=True) for run in range(2)]
     before = files[0].read_bytes()
     assert files[1].read_bytes() == before
-    assert seal(tmp_path / "0.rigcap").read_bytes() == before
+    assert sealed_file(tmp_path / "0.rigcap").read_bytes() == before
 
 
 def test_without_a_clock_nothing_is_added(tmp_path: Path) -> None:
     recording = timed()
-    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    found = open_recording(sealed_file(write(tmp_path / "trial.rigcap", recording)))
     assert found.rows.tobytes() == recording.rows.tobytes()
     assert found.trailer == recording.trailer
 
 
 def test_a_run_whose_clocks_could_not_be_compared_keeps_the_hosts_share(tmp_path: Path) -> None:
     recording = timed(clock=None)
-    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    found = open_recording(sealed_file(write(tmp_path / "trial.rigcap", recording)))
     assert found.rows.tobytes() == recording.rows.tobytes()
     assert found.trailer is not None
     stages = found.trailer["timing"]["stages"]
@@ -127,19 +137,19 @@ def test_a_clock_that_makes_no_sense_costs_the_ledger_and_not_the_recording(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     recording = timed(clock={"drift_ppm": "much"})
-    found = open_recording(seal(write(tmp_path / "trial.rigcap", recording)))
+    found = open_recording(sealed_file(write(tmp_path / "trial.rigcap", recording)))
     assert found.rows.tobytes() == recording.rows.tobytes()
     assert "the latency ledger stays empty" in caplog.text
 
 
 def test_equal_captures_give_equal_bytes(tmp_path: Path, recording: Recording) -> None:
-    files = [seal(write(tmp_path / f"{run}.rigcap", recording)).read_bytes() for run in range(2)]
+    files = [sealed_file(write(tmp_path / f"{run}.rigcap", recording)).read_bytes() for run in range(2)]
     assert files[0] == files[1]
 
 
 def test_other_programs_find_units_in_the_fields(capture: Path) -> None:
     """Read by pyarrow alone: unit and meaning at each field, header and trailer as JSON in the file's metadata."""
-    file = parquet.ParquetFile(seal(capture))
+    file = parquet.ParquetFile(sealed_file(capture))
     for field, column in zip(file.schema_arrow, COLUMNS, strict=True):
         assert field.name == column.name
         assert field.metadata[b"description"].decode() == column.description
@@ -157,7 +167,7 @@ def test_truth_is_joined_by_sample_index(capture: Path, recording: Recording) ->
     truth = example_truth(np.concatenate([[index[3]], index[40:9:-1] + 1, index[40:9:-1], [7, 999]]))
     truth["position_true"][0] = -1.0
     again = example_truth(index[3:4])
-    found = open_recording(seal(capture, np.concatenate([truth, again])))
+    found = open_recording(sealed_file(capture, np.concatenate([truth, again])))
     assert found.has_truth
     known = np.isin(np.arange(50), [3, *range(10, 41)])
     for number, column in enumerate(TRUTH_COLUMNS):
@@ -176,7 +186,7 @@ def test_no_truth_at_all_is_nan(recording: Recording) -> None:
 
 def test_the_trailer_can_grow(capture: Path) -> None:
     found = open_recording(
-        seal(capture, extra_trailer={"verdict": {"ripple": np.float64(0.1), "stable": True}})
+        sealed_file(capture, judge=lambda _: {"verdict": {"ripple": np.float64(0.1), "stable": True}})
     )
     assert found.trailer is not None
     assert found.trailer["verdict"] == {"ripple": 0.1, "stable": True}
@@ -184,7 +194,7 @@ def test_the_trailer_can_grow(capture: Path) -> None:
 
 
 def test_a_capture_can_be_kept(capture: Path) -> None:
-    seal(capture, keep_capture=True)
+    sealed_file(capture, keep_capture=True)
     assert capture.exists()
 
 
@@ -192,7 +202,7 @@ def test_a_capture_cut_off_is_sealed_with_its_losses(capture: Path) -> None:
     """What a crash left becomes a sealed recording that still says what is missing."""
     capture.write_bytes(capture.read_bytes()[:-3000])
     before = open_recording(capture)
-    found = open_recording(seal(capture))
+    found = open_recording(sealed_file(capture))
     assert before.lost
     assert (found.lost, found.complete, found.trailer) == (before.lost, False, None)
     assert found.rows.tobytes() == before.rows.tobytes()
@@ -201,18 +211,18 @@ def test_a_capture_cut_off_is_sealed_with_its_losses(capture: Path) -> None:
 def test_sealing_again_after_a_crash_finishes(capture: Path, recording: Recording) -> None:
     """Both files are there when the process died between the two steps."""
     truth = example_truth(recording.rows["sample_index"])
-    sealed = seal(capture, truth, keep_capture=True)
+    sealed = sealed_file(capture, truth, keep_capture=True)
     before = sealed.read_bytes()
-    assert seal(capture) == sealed
+    assert sealed_file(capture) == sealed
     assert not capture.exists()
     assert sealed.read_bytes() == before
 
 
 def test_another_recording_of_that_name_stays(tmp_path: Path, capture: Path, recording: Recording) -> None:
     other = Recording(recording.header, example_rows(50, seed=9), recording.trailer)
-    sealed = seal(write(tmp_path / "other.rigcap", other)).rename(capture.with_suffix(".parquet"))
+    sealed = sealed_file(write(tmp_path / "other.rigcap", other)).rename(capture.with_suffix(".parquet"))
     with pytest.raises(RecordingError, match=r"does not hold what .*rigcap holds"):
-        seal(capture)
+        sealed_file(capture)
     assert capture.exists()
     assert open_recording(sealed).rows.tobytes() == other.rows.tobytes()
 
@@ -226,7 +236,7 @@ def test_a_write_that_fails_leaves_the_capture_alone(capture: Path, monkeypatch:
     with pytest.raises(
         RecordingError, match=r"cannot write .*\.parquet: No space left on device\. free some space"
     ):
-        seal(capture)
+        sealed_file(capture)
     assert list(capture.parent.iterdir()) == [capture]
 
 
@@ -240,7 +250,7 @@ def test_a_file_that_reads_back_wrong_never_replaces_the_capture(
 
     monkeypatch.setattr(seal_module, "write_parquet", wrong)
     with pytest.raises(RecordingError, match=r"does not hold what .*rigcap holds"):
-        seal(capture)
+        sealed_file(capture)
     assert open_recording(capture).rows.tobytes() == recording.rows.tobytes()
     assert list(capture.parent.iterdir()) == [capture]
 
@@ -270,7 +280,8 @@ def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording
 
         truth = example_truth(np.arange(100, 200))
         for name in sys.argv[1:3]:
-            assert str(seal(name, truth, extra_trailer={"verdict": "stable"})) == name
+            sealed = seal(open_recording(name), truth, judge=lambda _: {"verdict": "stable"})
+            assert str(sealed.path) == name
         found = open_recording(sys.argv[1])
         assert found.column("position_true").tolist() == found.column("sample_index").tolist()
         assert found.trailer["verdict"] == "stable" and found.complete

@@ -22,6 +22,7 @@ from rig.session import hits
 from rig.session.arming import arming_checks, refuse_unarmable, walls_of
 from rig.session.bench import Refusal, Wall
 from rig.session.check import check
+from rig.session.conditions import Walls
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
 from rig.session.hits import RigBench
@@ -129,7 +130,7 @@ def _abort(question: Question) -> Reply | None:
 
 def test_every_wall_that_a_session_may_ask_for_is_asked_about(tmp_path: Path) -> None:
     protocol = protocol_of(practice={"stiffness": [130.0, 210.0]})
-    walls = list(walls_of(protocol, KOUL))
+    walls = list(walls_of(Walls(protocol, KOUL)))
     found = {(wall.condition, wall.experiment.wall.stiffness) for wall in walls}
     levels = _levels(protocol)
     expected = {(name, level) for name in ("dual-hidden", "uniform-hidden") for level in levels}
@@ -142,13 +143,13 @@ def test_every_wall_that_a_session_may_ask_for_is_asked_about(tmp_path: Path) ->
 def test_a_simulated_rig_is_never_refused() -> None:
     bench = RealBench()
     bench.simulated = True
-    refuse_unarmable(protocol_of(), KOUL, bench)
-    assert list(arming_checks(protocol_of(), KOUL, bench)) == []
+    refuse_unarmable(Walls(protocol_of(), KOUL), bench)
+    assert list(arming_checks(Walls(protocol_of(), KOUL), bench)) == []
     assert bench.asked == []
 
 
 def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
-    (found,) = arming_checks(protocol_of(), KOUL, RealBench())
+    (found,) = arming_checks(Walls(protocol_of(), KOUL), RealBench())
     assert found.outcome is Outcome.WARNING
     assert "dual-hidden, B = 0.37: 19 of 21 walls, from K = 150 to 600 N·m/rad" in found.text
     assert "--arm-anyway" in found.remedy
@@ -162,7 +163,7 @@ def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
 def test_the_quick_answer_is_that_of_the_gate(scheme: int, travel_s: float) -> None:
     protocol = protocol_of()
     name = protocol.condition[scheme].name
-    walls = [wall.experiment for wall in walls_of(protocol, KOUL) if wall.condition == name][::5]
+    walls = [wall.experiment for wall in walls_of(Walls(protocol, KOUL)) if wall.condition == name][::5]
     expected = [x.wall.stiffness for x in walls if not gate(x, link(travel_s)).armable]
     assert refused_among(walls[0], link(travel_s), [x.wall.stiffness for x in walls]) == tuple(expected)
 
@@ -185,7 +186,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real: None) -> None:
     protocol = protocol_of(study=study(changes={**study()["changes"], "verdict.lowpass_hz": 400.0}))
     bench = RigBench(url="serial:///dev/rig", verified=True)
-    found = bench.refusals(tuple(walls_of(protocol, KOUL)))
+    found = bench.refusals(tuple(walls_of(Walls(protocol, KOUL))))
     dual = next(one for one in found if one.condition == "dual-hidden")
     assert dual.walls == 21
     assert dual.stiffness[0] == 100.0  # in a relaxed hand none of them holds
@@ -196,13 +197,13 @@ def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real: None) -> Non
 
 
 def _first(protocol: Protocol) -> tuple[Experiment, Any]:
-    wall = next(walls_of(protocol, KOUL))
+    wall = next(walls_of(Walls(protocol, KOUL)))
     return wall.experiment, wall.changes
 
 
 def test_a_rig_that_nobody_vouches_for_is_refused_before_anything_else(real: None) -> None:
     with pytest.raises(ConfigError, match="nobody vouches"):
-        RigBench(url="serial:///dev/rig").refusals(tuple(walls_of(protocol_of(), KOUL)))
+        RigBench(url="serial:///dev/rig").refusals(tuple(walls_of(Walls(protocol_of(), KOUL))))
 
 
 def test_the_check_of_a_study_asks_the_device(real: None, tmp_path: Path) -> None:
@@ -223,7 +224,7 @@ def test_consent_reaches_every_hit(consent: bool, tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(hits, "hit", hit)
     monkeypatch.setattr(RigBench, "_device", lambda *arguments: None)
     bench = RigBench(url="serial:///dev/rig", arm_anyway=consent)
-    wall = next(walls_of(protocol_of(), KOUL))
+    wall = next(walls_of(Walls(protocol_of(), KOUL)))
     with pytest.raises(PlanError, match="enough"):
         bench.hit(wall.experiment, wall.changes, tmp_path, "t0001", lambda x: None, 0.0)
     assert asked == [consent]

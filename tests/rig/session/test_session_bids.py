@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import numba
 import numpy as np
@@ -21,7 +22,6 @@ from rig.config import presets
 from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from rig.session.analysis import read_study
 from rig.session.bids import Options, export_bids, label_of
@@ -30,6 +30,7 @@ from rig.session.export import export_trials
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.studies import Person, protocol, sitting, without_sync
+from tests.conformance.trials import trial_on
 
 QUICK = {
     "controller.position_rate": 2000,
@@ -49,10 +50,10 @@ def recorded(directory, preset, **changes):
     """A hit of that rig at a low rate, sealed."""
     experiment = config.override(presets.load(preset), {**QUICK, **changes})
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
-        request = TrialRequest(
-            experiment=experiment, recording=directory / f"{preset}.rigcap", verified=True, seed=0
+        request = partial(
+            trial_on, experiment=experiment, recording=directory / f"{preset}.rigcap", verified=True, seed=0
         )
-        return run_trial(device, request).recording
+        return request(device).recording
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,8 @@ import pytest
 from rig import config
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
+from rig.experiments.trial import TrialEnd
+from rig.loop.layout import EndReason
 from rig.session import hits
 from rig.session.clock import WallClock
 from rig.session.conduct import conduct
@@ -133,7 +135,11 @@ def test_a_law_that_ends_a_hit_is_survived_with_its_recording(
     def broken(request: Any, watch: Any) -> Any:
         (result,) = ran(request, watch)
         error = LawError("the law gave a value that is not finite")
-        error.recording = result.recording
+        left = result.recorded
+        error.recording = left.path
+        vars(error)["end"] = TrialEnd(
+            left.experiment, left.path, EndReason.NONFINITE, {}, (), left.recording, left.judgement
+        )
         raise error
 
     monkeypatch.setattr(hits, "hit", broken)
@@ -227,14 +233,14 @@ def test_a_wall_that_an_experiment_refuses_stays_hidden(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What refuses is the check of the experiment, before the rig is asked."""
-    override = config.override
+    checked = config.checked
 
-    def strict(experiment: Any, changes: Any, source: str = "") -> Any:
-        if changes.get("wall.stiffness", 0.0) > 200.0 and "trial.seed" in changes:
-            raise ConfigError(f"wall.stiffness = {changes['wall.stiffness']:g}: at most 200")
-        return override(experiment, changes, source)
+    def strict(experiment: Any, source: str) -> Any:
+        if experiment.wall.stiffness > 200.0:
+            raise ConfigError(f"wall.stiffness = {experiment.wall.stiffness:g}: at most 200")
+        return checked(experiment, source)
 
-    monkeypatch.setattr(config, "override", strict)
+    monkeypatch.setattr(config, "checked", strict)
     with started(tmp_path / "P01") as session, pytest.raises(PlanError) as told:
         conduct(session, FakeBench(), ScriptedDesk())
     assert not re.search(r"[1-9]\d\d", str(told.value))

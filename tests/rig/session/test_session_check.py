@@ -13,12 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.config import override
 from rig.core.errors import ConfigError
 from rig.experiments.plan import Check, Outcome, predict_impact
 from rig.session import disk, state
 from rig.session import times as session_times
 from rig.session.check import check
-from rig.session.conditions import base_of, experiment_of
+from rig.session.conditions import Walls, base_of
 from rig.session.disk import refuse_full_disk
 from rig.session.expected import Range, expected_trials
 from rig.session.load import load_protocol
@@ -136,10 +137,10 @@ def test_the_room_for_recordings_is_told_and_looked_for(
     searched = plan.trials.likely - plan.practice
     assert plan.disk_bytes.likely == pytest.approx(searched * plan.trial_bytes)
     base, place = base_of(schemes, Path()), tmp_path / "sessions" / "not yet"
-    refuse_full_disk(schemes, base, 0, place)
+    refuse_full_disk(Walls(schemes, base), 0, place)
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda _: SimpleNamespace(free=int(10e6)))
     with pytest.raises(ConfigError, match=r"has 10 MB left, and a session of about .* trials takes"):
-        refuse_full_disk(schemes, base, 0, place)
+        refuse_full_disk(Walls(schemes, base), 0, place)
 
 
 def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Protocol) -> None:
@@ -158,7 +159,7 @@ def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, sch
     assert effort.remedy.startswith("expected for a moment at impact")  # the push itself is light enough
     base = base_of(schemes, Path())
     walls = [
-        experiment_of(schemes, base, condition, 0.2, level)
+        Walls(schemes, base).at(condition, 0.2, level)
         for condition in schemes.condition
         for level in levels_of(schemes.search)
     ]
@@ -215,8 +216,7 @@ def test_a_ladder_costs_more_the_higher_the_limit_lies() -> None:
 
 def heat(schemes: Protocol, trials: int, share: float, press: float = 1.5) -> Any:
     base = base_of(schemes, Path())
-    changes = {"operator.press": press} if press != 1.5 else {}
-    x = experiment_of(schemes, base, schemes.condition[0], 0.1, 200.0, changes)
+    x = override(Walls(schemes, base).at(schemes.condition[0], 0.1, 200.0), {"operator.press": press})
     times = trial_times(x, 0.5, asks=True)
     return heat_of(x, times, trials, share), times, x
 

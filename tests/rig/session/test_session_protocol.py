@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rig.config.files import parse_toml
 from rig.config.table import parameters_of
 from rig.core.errors import ConfigError, RecordingError
-from rig.session.conditions import base_of, experiment_of
+from rig.session.conditions import Walls, base_of
 from rig.session.load import as_mapping, check_code, json_schema, load_protocol, protocol_from_mapping
 from rig.session.protocol import Protocol
 from rig.session.rules import settings_schema
@@ -120,7 +120,7 @@ def test_an_experiment_file_lies_beside_the_protocol(tmp_path: Path) -> None:
     text = TEXT.replace('preset = "koul-compliant"', 'experiment = "rigs/mine.toml"')
     protocol = load_protocol(written(tmp_path, text))
     base = base_of(protocol, tmp_path)
-    assert experiment_of(protocol, base, protocol.condition[0], 0.0, 200.0).trial.duration_s == 1.2
+    assert Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0).trial.duration_s == 1.2
 
 
 def test_a_condition_becomes_an_experiment_with_everything_that_was_said(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_condition_becomes_an_experiment_with_everything_that_was_said(tmp_pat
     }
     protocol = load_protocol(written(tmp_path, toml(changed(own))))
     base = base_of(protocol, tmp_path)
-    x = experiment_of(protocol, base, protocol.condition[1], 0.1, 225.0, {"trial.seed": 9})
+    x = Walls(protocol, base).at(protocol.condition[1], 0.1, 225.0, seed=9)
     assert (x.wall.stiffness, x.wall.damping, x.trial.seed, x.trial.repeats) == (225.0, 0.1, 9, 1)
     assert (x.controller.position_rate, x.controller.velocity_rate) == (20000, 2000)
     assert (x.controller.friction_compensation, x.rig.encoder.ratio) == (0.5, 20.0)
@@ -143,21 +143,21 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
     protocol = load_protocol(written(tmp_path))
     base = base_of(protocol, tmp_path)
     assert base.rig.limits.effort == 1.3
-    held = experiment_of(protocol, base, protocol.condition[0], 0.0, 200.0)
+    held = Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0)
     assert (held.rig.limits.human, held.rig.limits.effort) == (True, 0.286)
     answers = {"rig.limits.override_stall": True, "rig.limits.effort": 1.0}
     protocol = load_protocol(written(tmp_path, toml(changed({"study.changes": answers}))))
-    assert experiment_of(protocol, base, protocol.condition[0], 0.0, 200.0).rig.limits.effort == 1.0
+    assert Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0).rig.limits.effort == 1.0
     stall = "[rig.limits]\noverride_stall = true\nhuman = true\n"
     (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{stall}')
     own = load_protocol(
         written(tmp_path, TEXT.replace('preset = "koul-compliant"', 'experiment = "mine.toml"'))
     )
-    allowed = experiment_of(own, base_of(own, tmp_path), own.condition[0], 0.0, 200.0)
+    allowed = Walls(own, base_of(own, tmp_path)).at(own.condition[0], 0.0, 200.0)
     assert allowed.rig.limits.effort == 1.3
     motor = {"trial": {"kind": "constant-effort"}, "study.changes": {"trial.effort": 0.4}}
     protocol = load_protocol(written(tmp_path, toml(changed(motor))))
-    assert experiment_of(protocol, base, protocol.condition[0], 0.0, 200.0).rig.limits.effort == 1.3
+    assert Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0).rig.limits.effort == 1.3
 
 
 # What is wrong

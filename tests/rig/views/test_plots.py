@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numba
 import numpy as np
@@ -21,13 +22,13 @@ from rig.core.errors import RigError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import replay
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from rig.views.plots import style
 from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure
 from rig.views.plots.replay import draw_replay
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
+from tests.conformance.trials import trial_on
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +40,10 @@ def path(tmp_path_factory):
     )
     directory = tmp_path_factory.mktemp("plots")
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
-        request = TrialRequest(
-            experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0
+        request = partial(
+            trial_on, experiment=experiment, recording=directory / "hit.rigcap", verified=True, seed=0
         )
-        return run_trial(device, request).recording
+        return request(device).recording
 
 
 @pytest.fixture(scope="module")

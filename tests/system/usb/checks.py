@@ -9,6 +9,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -400,7 +401,7 @@ def unplugged_in_a_trial(bench: Bench, directory: str) -> dict[str, Any]:
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
     from rig.devices import open_device  # noqa: PLC0415
-    from rig.experiments.trial import TrialRequest, run_trial  # noqa: PLC0415
+    from tests.conformance.trials import trial_on  # noqa: PLC0415
 
     changes = {"trial.duration_s": 30.0, "controller.position_rate": 500, "controller.velocity_rate": 500}
     experiment = config.override(config.with_realtime(presets.load("koul-compliant")), changes)
@@ -411,12 +412,12 @@ def unplugged_in_a_trial(bench: Bench, directory: str) -> dict[str, Any]:
             happened.append(bench.order("unplug"))
 
     path = Path(directory) / "unplugged.rigcap"
-    request = TrialRequest(
-        experiment=experiment, recording=path, verified=True, seed=0, progress=pull, sealed=False
+    request = partial(
+        trial_on, experiment=experiment, recording=path, verified=True, seed=0, progress=pull, sealed=False
     )
     with open_device(bench.url) as device:
         try:
-            run_trial(device, request)
+            request(device)
         except LinkLostError as error:
             ended_ns = time.monotonic_ns()
             recording = open_recording(path)

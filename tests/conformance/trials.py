@@ -1,0 +1,27 @@
+"""A trial on an open device, from an experiment: what most tests of one begin with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rig.config import Experiment
+from rig.control.law import Law
+from rig.devices.framed import FramedDevice
+from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
+
+
+def trial_on(
+    device: FramedDevice,
+    experiment: Experiment,
+    recording: Path,
+    *,
+    verified: bool = True,
+    reference_count: int = 0,
+    law: Law | None = None,
+    seed: int = 0,
+    **options: Any,
+) -> TrialEnd:
+    """Prepare a run of this experiment and run it as one trial; `options` are those of `TrialRequest`."""
+    run = prepared_on(device, experiment, verified=verified, reference_count=reference_count, law=law)
+    return run_trial(device, TrialRequest(run=run, recording=recording, seed=seed, **options))

@@ -1,0 +1,102 @@
+"""Nothing is computed twice: how often a hit and a session validate, design, judge and read, told in numbers."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numba
+import pytest
+
+from rig.config import controller, load, presets
+from rig.control import judging
+from rig.experiments import judgement
+from rig.experiments.hit import HitRequest, hit
+from rig.recording import reader
+from rig.session.directory import LOG
+from rig.session.hits import RigBench
+from rig.session.log import read
+from rig.session.rehearsal import Person
+from rig.session.run import rehearsal_desk, run_session
+from tests.system.session_study import PROTOCOL
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
+
+COUNTED: dict[str, Callable[..., Any]] = {
+    "files": load.experiment_from_mapping,  # every value of an experiment and every rule
+    "rules": load.checked,  # after a file, and after a change of some values
+    "designs": controller.for_experiment,
+    "judgements": judgement.judge,
+    "measurings": judging.measured,  # a judgement is one of what was recorded, and in simulation one of the truth
+    "openings": reader.open_recording,
+}
+
+
+@contextmanager
+def counted() -> Iterator[Counter[str]]:
+    """Count the calls of this thread by the code that runs, whatever name it was imported by."""
+    names = {function.__code__: name for name, function in COUNTED.items()}
+    seen: Counter[str] = Counter()
+
+    def look(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code in names:
+            seen[names[frame.f_code]] += 1
+
+    sys.setprofile(look)
+    try:
+        yield seen
+    finally:
+        sys.setprofile(None)
+
+
+@pytest.mark.parametrize(("loop", "changed"), [("host", 0), ("device", 1)])
+def test_a_hit_validates_designs_judges_and_reads_back_once(loop: str, changed: int, tmp_path: Path) -> None:
+    """A change on top of the file, as ``--set`` makes it, asks the rules once more, and no value that it leaves."""
+    with counted() as seen:
+        experiment = presets.load("koul-rigid")
+        changes = {"controller.loop": loop} if changed else {}
+        (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=tmp_path))
+        assert result.recorded.recording.trailer is not None
+        assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
+    assert result.experiment.controller.loop == loop
+    assert seen == {
+        "files": 1,
+        "rules": 1 + changed,
+        "designs": 1,
+        "judgements": 1,
+        "measurings": 2,
+        "openings": 2,  # the capture, and the sealed file that has taken its place
+    }
+
+
+def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(
+    tmp_path: Path,
+) -> None:
+    protocol = tmp_path / "quick.toml"
+    settings = "settings = { turns = 3, most = 5, steps = [2, 1] }"
+    text = PROTOCOL.replace("settings = { turns = 2, most = 3, steps = [2, 1] }", settings)
+    protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
+    person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
+    with counted() as seen:
+        run_session(
+            protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
+        )
+    hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
+    trials, levels, conditions, practice = len(hits), 6, 2, 1
+    assert trials == 11
+    met = {(one["condition"], one["stiffness"]) for one in hits}
+    ends = {(name, end) for name in ("hidden-dual", "hidden-uniform") for end in (20.0, 120.0)}
+    assert seen == {
+        "files": 1,  # the preset
+        "rules": 1 + len(met | ends),  # and each wall that is hit, or that a search may end at
+        # each wall that a rule may ask for, as a hit of its own; what of the device each condition needs; each trial
+        "designs": conditions * levels + practice + conditions + trials,
+        "judgements": trials,
+        "measurings": 2 * trials,
+        "openings": 2 * trials,
+    }
