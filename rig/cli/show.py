@@ -10,7 +10,7 @@ import click
 from rig.cli import hit_output, options, output
 from rig.core.sample import unit_of
 from rig.experiments.judgement import experiment_of, judge
-from rig.experiments.plan import ARITHMETIC_WORDS
+from rig.experiments.planned import ARITHMETIC_WORDS
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
 from rig.views.plots.hit import draw_hit

@@ -16,7 +16,7 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
-from rig.experiments.plan import Outcome
+from rig.experiments.planned import Outcome
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
     cap_checks,

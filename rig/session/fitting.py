@@ -8,7 +8,7 @@ from typing import Any
 
 from rig.config import Experiment
 from rig.core.errors import PlanError
-from rig.experiments.plan import Check, Outcome
+from rig.experiments.planned import Check, Outcome
 from rig.session.bench import Bench
 from rig.session.comparisons import SEVERITY
 from rig.session.conditions import Walls, own_rates
