@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from rig.control.median import median
 from rig.core.deferred import signal
 from rig.core.sample import RowFlag
+from rig.realtime.groups import group, type_of
 from rig.realtime.kernel import kernel
 
 NUMBERS = np.dtype(
@@ -482,6 +483,19 @@ def measure(
     _rest_and_impact(position, velocity, penetration, settings, scratch, numbers)
 
 
+@group
+class MeterArguments(NamedTuple):
+    """A meter as compiled code takes it: settings of recorded and of true trials, and what `measure` takes besides."""
+
+    recorded: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
+    true: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
+    sections: Annotated[Floats, SECTIONS_TYPE]
+    scratch: Annotated[Floats, _SCRATCH_TYPE]
+
+
+METER_TYPE = type_of(MeterArguments)
+
+
 class Meter:
     """Measures trials of one kind, one after the other: filters, and scratch for the longest.
 
@@ -527,10 +541,11 @@ class Meter:
         self._numbers = np.zeros(1, NUMBERS)
         self._no_velocity = np.zeros(0)
 
-    @property
-    def arrays(self) -> tuple[Any, ...]:
-        """Settings of recorded and of true trials, sections and scratch, for a kernel that calls `measure` itself."""
-        return self._recorded, self._true, self._sections, self._scratch
+    def arguments(self) -> MeterArguments:
+        """Return what a kernel takes that calls `measure` itself."""
+        return MeterArguments(
+            recorded=self._recorded, true=self._true, sections=self._sections, scratch=self._scratch
+        )
 
     def recorded(
         self,
