@@ -7,6 +7,7 @@ side: a real hit is slower and softer.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -16,6 +17,7 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
+from rig.core.errors import PlanError
 from rig.core.sample import unit_of
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
@@ -105,6 +107,16 @@ def plan_of(run: controller.Run) -> Plan:
         return replace(shaking_plan(experiment), run=run)
     checks = (*_wall_checks(experiment), *_watch_checks(experiment), *_heat_checks(experiment))
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
+
+
+def refuse(checks: Iterable[Check]) -> None:
+    """Raise `PlanError` with everything that these checks refuse, and what to do."""
+    refused = [check for check in checks if check.outcome is Outcome.REFUSED]
+    if refused:
+        raise PlanError(
+            "; ".join(f"{check.name}: {check.text}" for check in refused),
+            remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
+        )
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
