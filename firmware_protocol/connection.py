@@ -42,6 +42,15 @@ from firmware_protocol.faults import Status
 from firmware_protocol.framing import HEADER_BYTES, FrameSplitter, encode_frame
 from firmware_protocol.messages import MAJOR, Delivery, Message, Role
 from firmware_protocol.packing import HEADER, LAYOUT_OF, LAYOUTS, Layout, type_id_of
+from firmware_protocol.transaction import (
+    CHUNK,
+    CHUNK_BYTES,
+    DONE,
+    MOST_TRIES,
+    Transaction,
+    after_answer,
+    after_time,
+)
 
 
 class State(IntEnum):
@@ -113,10 +122,6 @@ UNASKED: dict[State, frozenset[type[Message]]] = {
     State.RUNNING: frozenset({m.State, m.Batch}),
     State.FAULT: frozenset({m.State, m.Batch}),  # the batches that were still in the buffer
 }
-
-# How long a host waits for an answer before it repeats the request with the same nonce; after the last
-# repeat it waits the last time once more and gives up.
-RETRY_AFTER_S = (0.020, 0.040, 0.080)
 
 QUEUE_LIMIT = 4096  # frames received and not yet taken; beyond it the oldest go, counted
 OPEN_LIMIT = 16  # requests under way; a host has one or two
@@ -190,6 +195,8 @@ class Connection:
         State of the device; on the host, the latest that is known of it.
     session
         Session of the armed run, 0 outside of one.
+    transaction
+        Host: how far the transaction is that was begun last.
     statistics
         Counters of what was received (`LinkStatistics`).
     """
@@ -199,6 +206,9 @@ class Connection:
         self.state = State.BOOT
         self.session = 0
         self.statistics = LinkStatistics()
+        self.transaction = Transaction(0, 0, DONE)
+        self._requests: tuple[Message, ...] = ()  # of the transaction
+        self._session_to_open: int | None = None  # by it
         self._last_session = 0
         self._splitter = FrameSplitter(self.statistics)
         self._frames: deque[bytes] = deque()
@@ -295,6 +305,7 @@ class Connection:
         event = Received(message, session, sequence)
         if self.role is Role.HOST:
             self._answered(message)
+            self.transaction = after_answer(self.transaction, event.nonce, *self._as_ack(message))
             return event
         objection = self._objection(event)
         if objection is not None:
@@ -374,6 +385,43 @@ class Connection:
             else:
                 self._answered(message)
         return frame
+
+    def begin(self, *requests: Message, session: int | None = None) -> None:
+        """Host: begin a transaction of one request, or of those of `transfer.set_parameters`; then `say` it.
+
+        `session` is as for `send`. What was under way is given up.
+        """
+        self._only(Role.HOST, "begin")
+        self._requests, self._session_to_open = requests, session
+        nonce, step = requests[0].nonce, type_id_of(type(requests[0]))  # type: ignore[attr-defined]
+        length = requests[0].length if isinstance(requests[0], m.SetBegin) else 0
+        self.transaction = Transaction(nonce, length, step)
+
+    def say(self, time_ns: int) -> bytes:
+        """Host: the frame of the transaction that is to be written to the link now; none when nothing is due.
+
+        `time_ns` is of any clock that goes on. Raises `LocalProtocolError` as `send` does.
+        """
+        before = self.transaction
+        self.transaction = after_time(before, time_ns, MOST_TRIES)
+        if self.transaction.tries == before.tries:
+            return b""
+        return self.send(self.request, session=self._session_to_open)
+
+    @property
+    def request(self) -> Message:
+        """Host: the request of the transaction that is under way."""
+        t = self.transaction
+        if t.step == CHUNK:
+            return self._requests[1 + t.offset // CHUNK_BYTES]
+        return self._requests[0 if t.step == type_id_of(type(self._requests[0])) else -1]
+
+    def _as_ack(self, reply: Message) -> tuple[int, int, int]:
+        """Request, status and detail of an answer: those of an ACK; another reply that does not fit refuses all."""
+        if isinstance(reply, m.Ack):
+            return reply.request, reply.status, reply.detail
+        step = self.transaction.step
+        return step, int(Status.OK if _REQUEST_OF[type(reply)] == step else Status.UNSUPPORTED), 0
 
     def _session_of_request(self, layout: Layout, session: int | None) -> int:
         if layout.type_id not in _NEXT[self.state]:

@@ -2,8 +2,8 @@
 
 The device knows no radians: lengths are counts, velocities counts per velocity period, currents quanta, times ticks. A
 host designs everything, filters included (`rig.config.device_law`), and the device only multiplies. Integers of the
-fixed law that need 64 bits travel as two halves. What is not in use (another estimator, the other arithmetic) stays at
-its default. Source of what each is: firmware/law/law.h.
+fixed law that need 64 bits travel as two halves. What is not in use (another estimator, the other arithmetic) is not
+sent, and nobody reads it. Source of what each is: firmware/law/law.h.
 
 Live parameters may change while the device is armed, between two ticks, when the handle is in free space.
 """
@@ -29,7 +29,10 @@ def _rows() -> list[tuple[str, str, str, tuple[Value, Value], Value, str, bool]]
         ("batch_samples", "u8", "tick", (1, 76), 45, "most samples in a frame, if it holds as many", fixed),
         ("estimator", "u8", "", (0, 6), 0, "0 fdm-butterworth in integers; 1 fdm, 2 fdm-butterworth, "
          "3 foaw-end, 4 foaw-best, 5 levant, 6 kalman", fixed),
+        ("velocity_divider", "u16", "tick", (1, 1_000), 1, "the velocity is sampled every N ticks, T2 = N T1", fixed),
         ("extrapolate", "u8", "", (0, 1), 0, "1: first-order prediction between velocity samples; float32 only", fixed),
+        ("wall_side", "i8", "", (-1, 1), 1, "+1: the wall fills the positions above its surface, -1: below", fixed),
+        ("wall_pull", "u8", "", (0, 1), 0, "0: the wall only pushes (effort clamped at zero), 1: it may pull", fixed),
         ("damping_on_entry", "u8", "", (0, 1), 0, "1: damping acts on the way in only", fixed),
         ("bilateral", "u8", "", (0, 1), 0, "1: spring and damper on both sides of the surface", fixed),
         ("slow_multiple", "u16", "", (1, 65_535), 1, "velocity periods between samples of a slow handle", fixed),
@@ -123,6 +126,7 @@ LAW_PARAMETERS: tuple[Parameter, ...] = tuple(
         *bounds,
         default,
         meaning or f"see {name.split('_')[0]} in law.h",
+        excluded=(0,) if name == "wall_side" else (),
         live=live,
     )
     for n, (name, ctype, unit, bounds, default, meaning, live) in enumerate(_rows())

@@ -18,7 +18,7 @@ from typing import Annotated
 
 from firmware_protocol.wire import Wire
 
-MAJOR = 1
+MAJOR = 2
 MINOR = 0
 TIME_UNIT_NS = 62.5  # one unit of every u32 and u64 device time: 1/16 µs; u32 wraps after 268 s
 

@@ -4,8 +4,8 @@ A block is a sequence of entries, each an id (u16) and a value in four bytes, bo
 by id. It is put in force as a whole or not at all. The same values always make the same bytes, so that
 the CRC-32 of the block that holds every parameter is the fingerprint of a configuration: ARM carries it.
 
-Units that depend on the motion of the rig are written by quantity (``position``, ``stiffness``, …).
-Defaults lie on the safe side: a device that was never configured gives no current.
+Everything is in the form that a device computes with: counts, ticks, quanta. Defaults lie on the safe side: a
+device that was never configured gives no current.
 """
 
 from __future__ import annotations
@@ -42,69 +42,14 @@ class ParameterError(ProtocolError):
 
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(1, "motion", "u8", "", 0, 1, 0, "0 rotary, 1 linear: which units the other parameters have"),
+    Parameter(
+        1, "motion", "u8", "", 0, 1, 0, "0 rotary, 1 linear; a device is one of them, and takes no other"
+    ),
     Parameter(
         2, "position_rate", "u32", "Hz", 50, 50_000, 1_000, "ticks a second; see the device's own maximum"
     ),
     Parameter(
         3,
-        "velocity_divider",
-        "u16",
-        "tick",
-        1,
-        1_000,
-        1,
-        "N: the velocity is sampled every N ticks, T2 = N T1",
-    ),
-    Parameter(
-        4,
-        "stiffness",
-        "f32",
-        "stiffness",
-        0.0,
-        1e6,
-        0.0,
-        "of the wall, in SI: to be read, the law has its own",
-        live=True,
-    ),
-    Parameter(
-        5,
-        "damping",
-        "f32",
-        "damping",
-        0.0,
-        1e5,
-        0.0,
-        "of the wall, in SI: to be read, the law has its own",
-        live=True,
-    ),
-    Parameter(
-        6,
-        "wall_position",
-        "f32",
-        "position",
-        -1e3,
-        1e3,
-        0.0,
-        "of the wall's surface, from the reference",
-        live=True,
-    ),
-    Parameter(
-        7,
-        "wall_side",
-        "i8",
-        "",
-        -1,
-        1,
-        1,
-        "+1: the wall fills the positions above its surface, -1: below",
-        excluded=(0,),
-    ),
-    Parameter(
-        8, "wall_pull", "u8", "", 0, 1, 0, "0: the wall only pushes (effort clamped at zero), 1: it may pull"
-    ),
-    Parameter(
-        9,
         "reference_count",
         "i32",
         "count",
@@ -114,7 +59,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "the count that is position zero; setting it declares the rig homed until the device starts anew",
     ),
     Parameter(
-        10,
+        4,
         "verified",
         "u8",
         "",
@@ -125,7 +70,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "a commit that does not repeat it clears it",
     ),
     Parameter(
-        11,
+        5,
         "command_lifetime_us",
         "u16",
         "µs",
@@ -135,7 +80,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "cap on the lifetime of a COMMAND of the host loop; the host chooses max(5 periods, 3 ms)",
     ),
     Parameter(
-        12,
+        6,
         "ramp_us",
         "u16",
         "µs",
@@ -144,9 +89,9 @@ PARAMETERS: tuple[Parameter, ...] = (
         10_000,
         "after link silence: time in which the effort falls to zero",
     ),
-    Parameter(13, "current_limit", "u16", "quantum", 0, _I16_MAXIMUM, 0, "largest current, either sign"),
+    Parameter(7, "current_limit", "u16", "quantum", 0, _I16_MAXIMUM, 0, "largest current, either sign"),
     Parameter(
-        14,
+        8,
         "slew_limit",
         "u16",
         "quantum/tick",
@@ -155,12 +100,12 @@ PARAMETERS: tuple[Parameter, ...] = (
         65_535,
         "largest change of current in a tick; 65535: none",
     ),
-    Parameter(15, "speed_limit", "u32", "count/s", 0, _U32_MAXIMUM, 0, "faster motion is a fault"),
+    Parameter(9, "speed_limit", "u32", "count/s", 0, _U32_MAXIMUM, 0, "faster motion is a fault"),
     Parameter(
-        16, "window_minimum", "i32", "count", _I32_MINIMUM, _I32_MAXIMUM, 0, "a smaller count is a fault"
+        10, "window_minimum", "i32", "count", _I32_MINIMUM, _I32_MAXIMUM, 0, "a smaller count is a fault"
     ),
     Parameter(
-        17,
+        11,
         "window_maximum",
         "i32",
         "count",
@@ -170,7 +115,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "a larger count is a fault; not below window_minimum",
     ),
     Parameter(
-        18,
+        12,
         "continuous_current",
         "u16",
         "quantum",
@@ -180,11 +125,11 @@ PARAMETERS: tuple[Parameter, ...] = (
         "what the motor bears for ever (I²t, nominal)",
     ),
     Parameter(
-        19, "thermal_time_constant", "f32", "s", 0.125, 8192.0, 8.0, "of the winding, for the I²t budget"
+        13, "thermal_time_constant", "f32", "s", 0.125, 8192.0, 8.0, "of the winding, for the I²t budget"
     ),
-    Parameter(20, "hold_to_run", "u8", "", 0, 1, 0, "1: effort only while the hold-to-run input is active"),
+    Parameter(14, "hold_to_run", "u8", "", 0, 1, 0, "1: effort only while the hold-to-run input is active"),
     Parameter(
-        21,
+        15,
         "supervise_lifetime_us",
         "u32",
         "µs",
@@ -194,7 +139,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "cap on the lifetime of a COMMAND that supervises a law on the device",
     ),
     Parameter(
-        22,
+        16,
         "encoder_sign",
         "i8",
         "",

@@ -10,10 +10,8 @@ from __future__ import annotations
 from firmware_protocol.errors import RemoteProtocolError
 from firmware_protocol.faults import Status
 from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
-from firmware_protocol.packing import data_limit
 from firmware_protocol.parameters import BLOCK_LIMIT, block_crc
-
-CHUNK_BYTES = data_limit(SetChunk)
+from firmware_protocol.transaction import CHUNK_BYTES
 
 
 def set_parameters(block: bytes, nonce: int) -> list[SetBegin | SetChunk | SetCommit]:

@@ -13,7 +13,7 @@ _LAZY: dict[str, str] = {
     "HitRequest": "rig.experiments.hit",
     "HitResult": "rig.experiments.hit",
     "Law": "rig.control.law",
-    "Plan": "rig.experiments.plan",
+    "Plan": "rig.experiments.planned",
     "Recording": "rig.recording.data",
     "RigError": "rig.core.errors",
     "Scheme": "rig.config.schemes",

@@ -15,7 +15,7 @@ from rig.devices import load_backend
 from rig.experiments import identify as identifying
 from rig.experiments.identified_file import file_text
 from rig.experiments.identify import Identification, IdentifyRequest
-from rig.experiments.plan import Plan
+from rig.experiments.planned import Plan
 from rig.views.plots.identify import draw_identification
 
 

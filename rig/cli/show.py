@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from rig.cli import hit_output, options, output
+from rig.core.sample import unit_of
 from rig.experiments.judgement import experiment_of, judge
-from rig.experiments.plan import ARITHMETIC_WORDS
+from rig.experiments.planned import ARITHMETIC_WORDS
 from rig.recording.marks import marks
 from rig.recording.reader import open_recording
 from rig.views.plots.hit import draw_hit
@@ -37,7 +38,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     pairs = [
         ("created", str(header.get("created"))),
         ("device", f"{header['identity']['device']} at {header['identity']['url']}"),
-        ("law ran on", _where(header["extra"])),
+        ("law ran on", _where(header)),
         ("ended", str(trailer.get("reason", "not cleanly: the writer died"))),
         ("rows", f"{len(opened.rows)}{'' if opened.complete else ', incomplete'}"),
     ]
@@ -72,12 +73,15 @@ def _mark_pairs(happened: list[Any]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _where(extra: dict[str, Any]) -> str:
-    """Where the law ran, in words; recordings of the first version do not say, and were the host's."""
-    if extra.get("loop", "host") == "host":
+def _where(header: dict[str, Any]) -> str:
+    """Where the law ran, and what a device has made of the wall."""
+    extra = header["extra"]
+    if extra["loop"] == "host":
         return "the host"
-    arithmetic = str(extra.get("arithmetic", ""))
-    return f"the device, in {ARITHMETIC_WORDS.get(arithmetic, arithmetic)}"
+    wall = ", ".join(
+        f"{name} {value:g} {unit_of(name, header['motion'])}" for name, value in extra["wall"].items()
+    )
+    return f"the device, in {ARITHMETIC_WORDS[extra['arithmetic']]}: {wall}"
 
 
 def _agreement(found: dict[str, Any]) -> str:

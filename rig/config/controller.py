@@ -265,7 +265,7 @@ def device_parameters(
         law that the device does not have.
     """
     reference_count = int(controller.control[0]["reference_count"])
-    rig, rates, wall = experiment.rig, experiment.controller, experiment.wall
+    rig, rates = experiment.rig, experiment.controller
     limits, delta = rig.limits, abs(rig.encoder.resolution)
     quantum = effort_quantum(experiment, current_quantum_a)
     edges = sorted(
@@ -276,12 +276,6 @@ def device_parameters(
         "motion": 0 if rig.motion == "rotary" else 1,
         "encoder_sign": rig.encoder.sign,
         "position_rate": rates.position_rate,
-        "velocity_divider": rates.position_rate // rates.velocity_rate,
-        "stiffness": wall.stiffness,
-        "damping": wall.damping,
-        "wall_position": wall.position,
-        "wall_side": wall.side,
-        "wall_pull": 1 if wall.pull == "allow" else 0,
         "reference_count": reference_count,
         "verified": 1 if verified else 0,
         "command_lifetime_us": round(command_lifetime_s(experiment) * 1e6),

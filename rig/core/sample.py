@@ -82,7 +82,6 @@ COLUMNS: tuple[Column, ...] = (
     Column("sample_index", "<i8", "1", "device's sample index, extended to 64 bits"),
     Column("elapsed_ticks", "<i8", "1", "samples since the previous row; above 1 the ones between were lost"),
     Column("phase", "<i8", "1", "what the loop was doing (rig.core.sample.Phase)"),
-    Column("host_time", "<i8", "ns", "host clock when the sample was received; law on the device: its batch"),
     Column("device_time", "<i8", "ns", "device clock when the sample was taken, extended to 64 bits"),
     Column(
         "lateness",
@@ -160,7 +159,12 @@ COLUMNS: tuple[Column, ...] = (
         "ns",
         "latency ledger: sample taken (host clock, by the clock fit); 0 until fitted",
     ),
-    Column("received_at", "<i8", "ns", "latency ledger: sample received (host clock)"),
+    Column(
+        "received_at",
+        "<i8",
+        "ns",
+        "latency ledger: sample received (host clock); law on the device: its batch",
+    ),
     Column("computed_at", "<i8", "ns", "latency ledger: effort computed (host clock); law on the device: 0"),
     Column(
         "sent_at",

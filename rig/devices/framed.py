@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
-from firmware_protocol.connection import RETRY_AFTER_S, Connection, Received, State
+from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.errors import IncompatibleMajorError, LocalProtocolError, RemoteProtocolError
 from firmware_protocol.faults import Fault, Status
-from firmware_protocol.packing import type_id_of, unpack_fault_entries
+from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import ParameterError, block_crc, decode_block, encode_block
+from firmware_protocol.transaction import UNANSWERED
 from firmware_protocol.transfer import PageReader, set_parameters
 from rig.core.clock_fit import EXCHANGE, ClockFit, fit_clock
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
@@ -150,12 +151,11 @@ class FramedDevice:
         """
         self._make_configurable()
         before, self._crc = self._crc, None
-        for message in set_parameters(encode_block(values), self._next_nonce()):
-            try:
-                ack = self._command(message)
-            except DeviceRefusedError:
-                self._crc = before
-                raise
+        try:
+            ack = self._command(*set_parameters(encode_block(values), self._next_nonce()))
+        except DeviceRefusedError:
+            self._crc = before
+            raise
         block = self._expected_block(values)
         if block is None or block_crc(block) != ack.crc:
             block = self._read_parameters()
@@ -356,8 +356,8 @@ class FramedDevice:
 
         For requests that must be refused: whoever sends one that may be taken undoes it.
         """
-        message = self._transact(replace(request, nonce=self._next_nonce()), session).message  # type: ignore[type-var]
-        return Status(message.status) if isinstance(message, m.Ack) else Status.OK
+        answer = self._transact(replace(request, nonce=self._next_nonce()), session=session)  # type: ignore[type-var]
+        return Status(answer.status) if isinstance(answer, m.Ack) else Status.OK
 
     def _listen_until(self, deadline_ns: int) -> None:
         """Let time pass, and throw away what the device says meanwhile, so that it does not stand before an answer."""
@@ -411,31 +411,40 @@ class FramedDevice:
 
     def _ask(self, question: m.Message, reply: type[Any]) -> Any:
         """Send a question and return its reply; a refusal is a `DeviceRefusedError`."""
-        event = self._transact(question, None)
-        if isinstance(event.message, reply):
-            return event.message
-        raise self._refusal(event.message)
+        answer = self._transact(question)
+        if isinstance(answer, reply):
+            return answer
+        raise self._refusal(answer)
 
-    def _command(self, request: m.Message, *, session: int | None = None) -> m.Ack:
-        event = self._transact(request, session)
-        if isinstance(event.message, m.Ack) and event.message.status == Status.OK:
-            return event.message
-        raise self._refusal(event.message)
+    def _command(self, *requests: m.Message, session: int | None = None) -> m.Ack:
+        answer = self._transact(*requests, session=session)
+        if isinstance(answer, m.Ack) and answer.status == Status.OK:
+            return answer
+        raise self._refusal(answer)
 
-    def _transact(self, request: m.Message, session: int | None) -> Received:
-        for attempt, patience_s in enumerate((*RETRY_AFTER_S, RETRY_AFTER_S[-1])):
+    def _transact(self, *requests: m.Message, session: int | None = None) -> m.Message:
+        """Say the requests of a transaction, each again while nobody answers; return the last answer."""
+        connection, clock, said = self.connection, self.link.clock, requests[0]
+        connection.begin(*requests, session=session)
+        while connection.transaction.step != UNANSWERED:
+            now_ns = clock.now_ns()
             with self._understood():
-                frame = self.connection.send(request, session=session)
-            if attempt == 0:  # a late answer may be to the first: then this is what it took
-                self._said_ns = self.link.clock.now_ns()
-            self.link.write(frame)
-            for event in self._events(patience_s):
-                if _answers(event.message, request):
-                    return event
+                frame = connection.say(now_ns)
+            if frame:
+                said = connection.request
+                if connection.transaction.tries == 1:  # a late answer may be to the first
+                    self._said_ns = clock.now_ns()
+                self.link.write(frame)
+            before = connection.transaction
+            for event in self._events((before.again_at - now_ns) * 1e-9):  # a write may have taken a while
+                if connection.transaction.step < 0:
+                    return event.message
+                if connection.transaction != before:
+                    break
         raise LinkLostError(
-            f"the device at {self.link.url.text} does not answer {type(request).__name__}",
+            f"the device at {self.link.url.text} does not answer {type(said).__name__}",
             remedy="check that the right firmware runs there, that the port is the right one, and the baud rate",
-            statistics=self.connection.statistics,
+            statistics=connection.statistics,
         )
 
     def _events(self, timeout_s: float) -> Iterator[Received]:
@@ -484,16 +493,6 @@ class FramedDevice:
 
     def _understood(self) -> _Translated:
         return _Translated(self.link.url.text)
-
-
-def _answers(message: m.Message, request: m.Message) -> bool:
-    """Whether a message is the answer to this very request, and not a late one to an earlier step of the same nonce."""
-    if isinstance(message, m.State | m.Batch) or message.nonce != request.nonce:  # type: ignore[attr-defined]
-        return False
-    if not isinstance(message, m.Ack):
-        return True
-    same_step = not isinstance(request, m.SetChunk) or message.detail == request.offset
-    return message.request == type_id_of(type(request)) and (same_step or message.status != Status.OK)
 
 
 class _Translated:

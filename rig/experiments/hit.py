@@ -22,7 +22,8 @@ from rig.core.errors import ConfigError, PlanError
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
-from rig.experiments.plan import device_checks, link_checks, plan_of, refuse
+from rig.experiments.plan import device_checks, link_checks, plan_of
+from rig.experiments.planned import refuse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors

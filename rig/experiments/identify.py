@@ -46,7 +46,8 @@ from rig.experiments.identify_motions import (
     strokes_motion,
     strokes_of,
 )
-from rig.experiments.plan import Plan, link_checks, refuse
+from rig.experiments.plan import link_checks
+from rig.experiments.planned import Plan, refuse
 from rig.experiments.trial import TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors

@@ -22,7 +22,7 @@ from rig.control.law import Law
 from rig.control.motions import nudging, tracing
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-from rig.experiments.plan import Check, Outcome, Plan, Step
+from rig.experiments.planned import Check, Outcome, Plan, Step
 
 Floats = NDArray[np.float64]
 

@@ -33,7 +33,8 @@ from rig.core.errors import ConfigError, DeviceFaultError, GuardError, PlanError
 from rig.core.sample import Phase, unit_of
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.experiments.judgement import THROWN_OUT
-from rig.experiments.plan import STANDS_FOR_DEVICE, refuse
+from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.planned import refuse
 from rig.experiments.results import write_table
 from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, record_of, shaken_law
 from rig.experiments.shaking_plan import excitation_checks

@@ -7,18 +7,16 @@ side: a real hit is slower and softer.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
-from typing import Any
+from dataclasses import dataclass, replace
 
 from firmware_protocol import messages
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
-from rig.core.errors import PlanError
 from rig.core.sample import unit_of
+from rig.experiments.planned import ARITHMETIC_WORDS, Check, Outcome, Plan, Step, where_it_runs
+from rig.experiments.shaking_plan import shaking_plan
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
@@ -28,69 +26,6 @@ STANDS_FOR_DEVICE = (
 )
 FLASH = "flash the firmware of this package (rig firmware)"
 LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
-ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
-
-
-class Outcome(StrEnum):
-    """What a check says."""
-
-    OK = "ok"
-    WARNING = "warning"
-    REFUSED = "refused"
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One thing that will happen, and how long it may take (s)."""
-
-    name: str
-    text: str
-    duration_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One comparison with a limit; `remedy` says what to do unless it is ok."""
-
-    name: str
-    outcome: Outcome
-    text: str
-    remedy: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The steps of one trial, how often it runs, and the checks.
-
-    `run` is what is executed; None where several different runs follow each other, as in an identification.
-    """
-
-    rig: str
-    repeats: int
-    steps: tuple[Step, ...]
-    checks: tuple[Check, ...]
-    run: controller.Run | None = None
-
-    @property
-    def duration_s(self) -> float:
-        """Longest time that everything may take (s)."""
-        return self.repeats * sum(step.duration_s for step in self.steps)
-
-    @property
-    def ok(self) -> bool:
-        """Whether nothing is refused."""
-        return all(check.outcome != Outcome.REFUSED for check in self.checks)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "rig": self.rig,
-            "repeats": self.repeats,
-            "steps": [asdict(step) for step in self.steps],
-            "checks": [asdict(check) for check in self.checks],
-            "duration_s": self.duration_s,
-            "ok": self.ok,
-        }
 
 
 def make_plan(experiment: Experiment) -> Plan:
@@ -102,21 +37,9 @@ def plan_of(run: controller.Run) -> Plan:
     """List and check a prepared run."""
     experiment = run.experiment
     if experiment.trial.kind == "excitation":
-        from rig.experiments.shaking_plan import shaking_plan  # noqa: PLC0415  (it needs the linear theory)
-
         return replace(shaking_plan(experiment), run=run)
     checks = (*_wall_checks(experiment), *_watch_checks(experiment), *_heat_checks(experiment))
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
-
-
-def refuse(checks: Iterable[Check]) -> None:
-    """Raise `PlanError` with everything that these checks refuse, and what to do."""
-    refused = [check for check in checks if check.outcome is Outcome.REFUSED]
-    if refused:
-        raise PlanError(
-            "; ".join(f"{check.name}: {check.text}" for check in refused),
-            remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
-        )
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
@@ -262,17 +185,6 @@ def _push_text(x: Experiment) -> str:
     return (
         f"a person's hand with a {o.grip} grip, no motor: it reaches {o.depth * 1e3:g} mm deep in {o.reach_s:g} s "
         f"from {o.begin_s:g} s on, and presses {o.press:g} N"
-    )
-
-
-def where_it_runs(x: Experiment) -> str:
-    """Where the law runs, in words: with the device's arithmetic and what it sends of every tick."""
-    if x.controller.loop == "host":
-        return "the law on this computer"
-    arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]
-    return (
-        f"the law on the device in {arithmetic}, which sends every tick, {device_law.batch_samples(x)} to a frame "
-        f"({device_law.bytes_per_second(x) / 1e3:.1f} kB/s)"
     )
 
 

@@ -15,7 +15,8 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.kmax import KMax
 from rig.experiments.ladder import Search, Way
-from rig.experiments.plan import Outcome, make_plan
+from rig.experiments.plan import make_plan
+from rig.experiments.planned import Outcome
 from rig.experiments.zwidth import MapPlan
 
 SPAN = 100.0  # highest stiffness over the lowest

@@ -16,7 +16,7 @@ from rig.config import Experiment
 from rig.control.excitation import Check as Found
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion, unit_of
-from rig.experiments.plan import Check, Outcome, Plan, Step, where_it_runs
+from rig.experiments.planned import Check, Outcome, Plan, Step, where_it_runs
 from rig.experiments.shaking import multisine_of
 
 RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`

@@ -372,17 +372,18 @@ def _header(
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
         initial_state=controller.as_mapping(),
-        extra={**_where_the_law_runs(experiment), **request.extra},
+        extra={**_where_the_law_runs(experiment, controller, echo), **request.extra},
         host={"scheduling": realtime.report},
     )
 
 
-def _where_the_law_runs(experiment: Experiment) -> dict[str, Any]:
-    """What the header says of it; firmware and parameters of a device stand in its identity."""
+def _where_the_law_runs(experiment: Experiment, controller: Controller, echo: Echo) -> dict[str, Any]:
+    """What the header says of it, with the wall that a device makes of ours; its parameters stand in its identity."""
     rates = experiment.controller
     if rates.loop == "host":
         return {"loop": "host"}
-    return {"loop": "device", "arithmetic": device_law.arithmetic_of(rates)}
+    wall = device_law.rendered_wall(echo.values, controller)
+    return {"loop": "device", "arithmetic": device_law.arithmetic_of(rates), "wall": asdict(wall)}
 
 
 def _trailer(

@@ -29,7 +29,8 @@ from rig.experiments import sweep
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.ladder import Outcomes, Search
-from rig.experiments.plan import Outcome, device_checks, link_checks, plan_of
+from rig.experiments.plan import device_checks, link_checks, plan_of
+from rig.experiments.planned import Outcome
 from rig.experiments.trial import prepared_on
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
 from rig.recording.data import Recording

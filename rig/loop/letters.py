@@ -18,9 +18,9 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from firmware_protocol.connection import RETRY_AFTER_S
 from firmware_protocol.faults import Status
 from firmware_protocol.parameters import ENTRY_BYTES
+from firmware_protocol.transaction import RETRY_AFTER_S
 from rig.control.step import CONTROL_TYPE
 from rig.core.errors import ConfigError
 from rig.loop.layout import BYTES, FLOAT_ROWS, FLOATS, INTS, PROGRESS_TYPE, SETTINGS_TYPE

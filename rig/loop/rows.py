@@ -116,7 +116,6 @@ def leave_row(
     r["tick"] = tick
     r["sample_index"] = p["sample_index"]
     r["elapsed_ticks"] = elapsed
-    r["host_time"] = received_ns
     r["device_time"] = device_ns(p["device_time"], s["device_tick_ps"])
     r["lateness"] = p["late"]
     r["count"] = state[STATE.count]

@@ -1,6 +1,6 @@
 """One block of memory between the loop, the recorder and whoever supervises them.
 
-Layout (version 3), every part at a multiple of 64 bytes::
+Layout (version 4), every part at a multiple of 64 bytes::
 
     control words   `WORDS` int64                                 what they say stands below
     info            2 × `INFO_BYTES`; one is UTF-8 JSON, the other is free
@@ -44,7 +44,7 @@ from rig.core.sample import ROW
 if TYPE_CHECKING:
     from rig.realtime.mailbox import Mailbox
 
-LAYOUT_VERSION = 3
+LAYOUT_VERSION = 4
 WORDS = 64
 INFO_BYTES = 65536
 MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded to find the rows

@@ -94,7 +94,7 @@ class Recording:
     @property
     def time_s(self) -> NDArray[np.float64]:
         """Time from the first row, in s: the device's clock, or the host's where the device gave none."""
-        for name in ("device_time", "host_time"):
+        for name in ("device_time", "received_at"):
             if name in self.names:
                 time: NDArray[np.int64] = self.rows[name]
                 if len(time) and np.any(time != time[0]):

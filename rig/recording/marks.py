@@ -35,7 +35,7 @@ from rig.recording.ledger import CLOCK_KEY, clock_of, period_ns_of
 from rig.recording.timing import device_times
 
 EDGES_KEY = "sync_edges"  # of the trailer
-NEEDED = ("tick", "elapsed_ticks", "device_time", "host_time", "phase", "flags")
+NEEDED = ("tick", "elapsed_ticks", "device_time", "received_at", "phase", "flags")
 OUTPUTS = {"trial_out": Input.SYNC_TRIAL, "inside_out": Input.SYNC_INSIDE}
 
 _log = logging.getLogger(__name__)
@@ -169,7 +169,7 @@ def _on_both_clocks(recording: Recording, found: Iterable[_Found]) -> list[Mark]
         return [Mark(name, device, None, tick) for name, device, tick in found]
     rows = recording.rows
     first: _Ints = rows["device_time"][:1]
-    shift = int(device_times(first, fit, int(rows["host_time"][0]))[0]) - int(first[0])
+    shift = int(device_times(first, fit, int(rows["received_at"][0]))[0]) - int(first[0])
     host = fit.host_of(np.array([device for _, device, _ in found], np.int64) + shift)
     return [
         Mark(name, device, int(time), tick) for (name, device, tick), time in zip(found, host, strict=True)

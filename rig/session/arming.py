@@ -14,7 +14,7 @@ from rig.config import Experiment
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.plan import Check, Outcome
+from rig.experiments.planned import Check, Outcome
 from rig.session.bench import Bench, Refusal, Wall
 from rig.session.conditions import Walls, own_rates
 from rig.session.protocol import BLINDED

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rig.config import Experiment
-from rig.experiments.plan import Check
+from rig.experiments.planned import Check
 
 Watch = Callable[[int, int], None]
 

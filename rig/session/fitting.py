@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from rig.config import Experiment
-from rig.experiments.plan import Check, refuse
+from rig.experiments.planned import Check, refuse
 from rig.session.bench import Bench
 from rig.session.comparisons import SEVERITY
 from rig.session.conditions import Walls, own_rates

@@ -24,7 +24,8 @@ from rig.devices.local import opened
 from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
-from rig.experiments.plan import Check, device_checks, link_checks
+from rig.experiments.plan import device_checks, link_checks
+from rig.experiments.planned import Check
 from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
 from rig.recording.header import host_facts

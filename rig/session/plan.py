@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from rig.core.sample import Motion
-from rig.experiments.plan import Check, Outcome
+from rig.experiments.planned import Check, Outcome
 from rig.session.expected import NOTHING, Expected, Range, Trials
 from rig.session.times import Heat, TrialTimes
 

@@ -37,7 +37,7 @@ class HandTurnedLoop:
         number = len(self.told) + np.arange(count)
         rows["tick"], rows["sample_index"] = number, 100 + number
         rows["device_time"] = 1_000_000 * (100 + number)
-        rows["received_at"] = rows["host_time"] = rows["device_time"] + OFFSET_NS + 400_000
+        rows["received_at"] = rows["device_time"] + OFFSET_NS + 400_000
         for name in ("position", "velocity", "penetration", "effort_sent", "effort_applied"):
             rows[name] = np.random.default_rng(len(self.told)).normal(size=count)
         for name, values in columns.items():

@@ -111,7 +111,7 @@ def check_header_and_trailer_come_back(write: Write, read: Read) -> None:
     assert found.complete
     assert found.lost == ()
     assert found.units["effort_sent"] == "N·m"
-    assert found.units["host_time"] == "ns"
+    assert found.units["received_at"] == "ns"
     assert found.descriptions == {column.name: column.description for column in COLUMNS}
     state = np.array([float(value) for value in found.header["initial_state"]["estimator"]])
     assert _bits(state) == _bits(np.array(AWKWARD))

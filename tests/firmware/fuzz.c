@@ -130,6 +130,10 @@ static uint32_t law_value(size_t index, uint32_t law)
         return 1 + below(76);
     case HR_PARAMETER_ESTIMATOR:
         return law == 2 ? below(7) : 0;
+    case HR_PARAMETER_VELOCITY_DIVIDER:
+        return below(3) ? 1 : 1 + below(1000);
+    case HR_PARAMETER_WALL_SIDE:
+        return below(2) ? 1 : UINT32_MAX;
     case HR_PARAMETER_EXTRAPOLATE:
         return law == 2 ? below(2) : 0;
     case HR_PARAMETER_SLOW_MULTIPLE:

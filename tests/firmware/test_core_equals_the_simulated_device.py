@@ -465,11 +465,17 @@ def test_an_armed_device_takes_and_refuses_the_same_blocks(library: ctypes.CDLL,
     pair = Pair(library, rig_of())
     pair.bring_to(state)
     live = encode_block(
-        {"stiffness": 3.0, "damping": 1.0, "wall_position": -0.5, "fixed_shift": 7, "fixed_surface": 1}
+        {
+            "float_stiffness": 3.0,
+            "float_damping": 1.0,
+            "fixed_surface": 1,
+            "fixed_stiffness": 2,
+            "fixed_shift": 7,
+        }
     )
     broken = [b"", live, live[:7], live[6:] + live[:6], live + live[-6:], b"\xff\xff" + live[2:6], live * 2,
-              live[:6] + encode_block({"ramp_us": 3}), live + encode_block({"fixed_constant_low": 9}),
-              live[:12] + b"\x06\0\0\0\xc0\x7f", live * 5]  # fmt: skip
+              encode_block({"ramp_us": 3}) + live[:6], live + encode_block({"fixed_constant_low": 9}),
+              live[:8] + b"\0\0\xc0\x7f", live * 5]  # fmt: skip
     for block in broken:
         for lie in (0, 1):
             nonce = pair.next_nonce()

@@ -621,11 +621,7 @@ def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: ctypes
     assert (board.core.status.current, board.core.status.fault) == (50, Fault.NONE)
 
 
-def test_values_of_a_host_may_change_whatever_runs(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**told_to_run(push()))
-    board.run([0] * 5)
-    assert board.configure(stiffness=300.0, damping=2.0, wall_position=0.1).status == Status.OK
-    board.disarm()
+def test_a_wall_of_a_law_that_does_not_run_may_change_at_any_time(library: ctypes.CDLL) -> None:
     plain = Board(library).begin(law=0)
     plain.run([4_000] * 3)
     assert plain.configure(fixed_surface=0, fixed_stiffness=5).status == Status.OK

@@ -312,7 +312,7 @@ def test_a_stale_session_is_not_a_host(library: ctypes.CDLL) -> None:
     ("name", "value", "status"),
     [
         ("float_stiffness", float("inf"), Status.OUT_OF_RANGE),
-        ("stiffness", -1.0, Status.OUT_OF_RANGE),
+        ("float_damping", -1.0, Status.OUT_OF_RANGE),
         ("position_rate", 1_000, Status.NOT_LIVE),
         ("current_limit", 32_767, Status.NOT_LIVE),
     ],

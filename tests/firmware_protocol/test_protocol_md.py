@@ -24,7 +24,7 @@ def test_every_section_is_in_the_document_once() -> None:
 
 def test_a_stale_table_is_noticed_and_mended() -> None:
     fresh = codegen.PROTOCOL.read_text(encoding="utf-8")
-    stale = fresh.replace("| `stiffness` | f32 |", "| `stiffness` | f64 |")
+    stale = fresh.replace("| `float_stiffness` | f32 |", "| `float_stiffness` | f64 |")
     assert stale != fresh
     assert codegen.render(stale) == fresh
 

@@ -13,7 +13,8 @@ from firmware_protocol.faults import Status
 from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
 from firmware_protocol.packing import pack
 from firmware_protocol.parameters import BLOCK_LIMIT, DEFAULTS, encode_block
-from firmware_protocol.transfer import CHUNK_BYTES, Assembler, PageReader, page, set_parameters
+from firmware_protocol.transaction import CHUNK_BYTES
+from firmware_protocol.transfer import Assembler, PageReader, page, set_parameters
 
 blocks = st.binary(max_size=BLOCK_LIMIT)
 

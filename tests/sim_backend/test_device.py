@@ -152,17 +152,17 @@ def test_a_late_repeat_of_disarm_does_not_lead_out_of_a_fault_that_came_in_betwe
 
 def test_only_live_parameters_change_while_armed() -> None:
     host = armed()
-    ack = host.configure(stiffness=5.0)
+    ack = host.configure(float_stiffness=5.0)
     assert ack.status == Status.OK
     assert device_of(host).connection.state is State.ARMED
-    ack = host.configure(stiffness=6.0, ramp_us=0)
+    ack = host.configure(float_stiffness=6.0, ramp_us=0)
     assert (ack.status, ack.detail) == (Status.NOT_LIVE, BY_NAME["ramp_us"].id)
 
 
 def test_live_parameters_change_while_armed_and_leave_it_verified() -> None:
     host = armed()
-    before = host.configure(stiffness=100.0)
-    after = host.configure(stiffness=200.0)
+    before = host.configure(float_stiffness=100.0)
+    after = host.configure(float_stiffness=200.0)
     assert before.status == after.status == Status.OK
     assert before.crc != after.crc
     host.ask(m.Disarm(host.nonce(), 0))

@@ -149,7 +149,9 @@ def test_timing_says_where_the_law_ran(
     bench = Bench(tmp_path).run()
     sealed = seal(open_recording(bench.path)).path
     recording = open_recording(sealed)
-    assert recording.header["extra"] == {"loop": "device", "arithmetic": "fixed"}
+    extra, wall = recording.header["extra"], recording.experiment["wall"]
+    assert (extra["loop"], extra["arithmetic"]) == ("device", "fixed")
+    assert extra["wall"] == pytest.approx({name: wall[name] for name in extra["wall"]}, rel=1e-6)
     assert recording.header["identity"]["parameters"]["law"] == 1
     assert (recording.rows["sampled_at"] != 0).any()
     assert not recording.rows["applied_at"].any()

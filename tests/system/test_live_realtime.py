@@ -54,6 +54,7 @@ def stepping(process: subprocess.Popen[str]) -> RunningLoop:
         time.sleep(0.02)
     if process.poll() in LOST:
         pytest.skip("the link was lost before a thousand steps: this machine has no time for a loop")
+    process.kill()
     raise AssertionError(f"no loop: {process.communicate()}")
 
 

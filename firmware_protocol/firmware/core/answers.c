@@ -1,8 +1,8 @@
-/* Requests of the host: what executes each, and its answer. */
+#include "answers.h"
+
 #include <string.h>
 
 #include "bytes.h"
-#include "device_internal.h"
 #include "law_settings.h"
 
 /* Every transaction begins with its nonce. */
@@ -318,7 +318,7 @@ static void acknowledge(struct device *device, const uint8_t *raw, size_t count,
         return;
     }
     if (verdict->kind == VERDICT_REQUEST && type == HR_TYPE_SET_COMMIT && device_is_armed(device)) {
-        live_change_begin(device, nonce_of(raw), session); /* answered when it is done */
+        live_change_begin(&device->live_change, &device->assembler, nonce_of(raw), session); /* answered when done */
         return;
     }
     const struct ack ack = verdict->kind == VERDICT_REFUSE ? refused(raw, verdict) : executed(device, raw, count);
@@ -329,7 +329,7 @@ static void acknowledge(struct device *device, const uint8_t *raw, size_t count,
         connection_answered(&device->connection, type, session);
 }
 
-void answer_live_change(struct device *device)
+static void answer_live_change(struct device *device)
 {
     const struct live_change *change = &device->live_change;
     const bool done = change->refusal.status == HR_STATUS_OK;
@@ -343,6 +343,22 @@ void answer_live_change(struct device *device)
     };
     remember(device, &ack, change->session);
     send_ack(device, &ack);
+}
+
+void answer_more(struct device *device)
+{
+    const struct live_change_of of = {
+        .board = device->board,
+        .assembler = &device->assembler,
+        .configuration = &device->configuration,
+        .renderer = &device->renderer,
+        .sample_index = device->sample_index,
+        .count = device->count,
+        .state = device->connection.state,
+        .armed = device_is_armed(device),
+    };
+    if (live_change_continue(&device->live_change, &of))
+        answer_live_change(device);
 }
 
 /* Answer one of the questions, which have replies of their own; false for every other request. */
@@ -373,7 +389,7 @@ static bool tell(struct device *device, const uint8_t *raw)
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
     while (device_is_changing(device))
-        live_change_continue(device);
+        answer_more(device);
     if (verdict->kind == VERDICT_REQUEST && tell(device, raw))
         connection_answered(&device->connection, raw[HR_AT_HEADER_TYPE_ID], raw[HR_AT_HEADER_SESSION]);
     else

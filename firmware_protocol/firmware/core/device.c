@@ -1,19 +1,26 @@
 #include "device.h"
 
 #include "bytes.h"
-#include "device_internal.h"
 
 #define UNITS_PER_SECOND (HR_TIME_UNITS_PER_US * 1000000u)
 #define UNARMED_STATES_A_SECOND 100u    /* enough to home by hand */
 #define SUPERVISED_STATES_A_SECOND 200u /* beside BATCH, which has every tick */
 #define FAULT(name) (UINT32_C(1) << HR_FAULT_##name)
-
-
 #define COMMANDED_PINS (HR_SYNC_TRIAL | HR_SYNC_INSIDE)
 
 bool device_is_armed(const struct device *device)
 {
     return device->connection.state == HR_STATE_ARMED || device->connection.state == HR_STATE_RUNNING;
+}
+
+bool device_is_preparing(const struct device *device)
+{
+    return device->renderer.there && !device->renderer.ready;
+}
+
+bool device_is_changing(const struct device *device)
+{
+    return device->live_change.step != LIVE_NOTHING;
 }
 
 static void show_sync(struct device *device, unsigned bits)
@@ -166,14 +173,14 @@ void device_fault(struct device *device, uint8_t fault)
 
 /* ------------------------------------------------------------------ driving */
 
-static bool law_is_in_charge(const struct device *device)
+bool device_runs_law(const struct device *device)
 {
     return device->supervised && device->renderer.there;
 }
 
 static int16_t wanted_current(struct device *device)
 {
-    if (law_is_in_charge(device))
+    if (device_runs_law(device))
         return watchdog_faded(&device->watchdog, device->due, device->renderer.current);
     return watchdog_wanted(&device->watchdog, device->due, device->limits.current);
 }
@@ -208,7 +215,7 @@ static unsigned sync_of(const struct device *device)
     unsigned bits = 0;
     if (!device_is_armed(device) || device->watchdog.ramping)
         return bits;
-    if (!law_is_in_charge(device))
+    if (!device_runs_law(device))
         return device->command_sync;
     if (renderer->phase == LAW_TRIAL)
         bits |= HR_SYNC_TRIAL;
@@ -275,7 +282,7 @@ void device_sample(struct device *device)
     device->count = hal->encoder_count(hal->context);
     step_index(device);
     tick->logged = device->faults.latched == HR_FAULT_NONE;
-    tick->supervised = device_is_armed(device) && law_is_in_charge(device);
+    tick->supervised = device_is_armed(device) && device_runs_law(device);
     tick->sync = device->sync;
     tick->entry.sample_index = device->sample_index;
     tick->entry.count = device->count;
@@ -409,17 +416,16 @@ void device_flush(struct device *device)
     }
 }
 
-/* Pack or send a piece of what waits; false when there is nothing worth a look. */
-static bool send_some(struct device *device)
+bool device_send_some(struct device *device, size_t most)
 {
-    if (batch_pack(&device->batch, HR_BYTES_A_POLL))
+    if (batch_pack(&device->batch, most))
         return true;
     if (device->state_every == 1u && device_is_sending(device))
         device_flush(device); /* no law runs here: the host waits for it */
     else if (device->batch.waiting)
         send_batch(device);
     else if (device->state_left > 0)
-        send_state(device, HR_BYTES_A_POLL);
+        send_state(device, most);
     else if (device->state_wanted)
         make_state(device);
     else
@@ -498,7 +504,7 @@ void device_missed(struct device *device, uint32_t ticks)
     }
 }
 
-/* ------------------------------------------------------------------ the conversation */
+/* ------------------------------------------------------------------ commands */
 
 void device_send(struct device *device, struct packet *packet)
 {
@@ -523,7 +529,7 @@ static void stop(struct device *device)
     device_end_supervision(device);
 }
 
-static void take_command(struct device *device, const uint8_t *raw)
+void device_command(struct device *device, const uint8_t *raw)
 {
     const uint8_t mode = raw[HR_AT_COMMAND_MODE];
     const uint32_t wanted_us = get_u32(raw + HR_AT_COMMAND_LIFETIME_US);
@@ -547,53 +553,4 @@ static void take_command(struct device *device, const uint8_t *raw)
     const int16_t current = device->supervised ? 0 : signed_16(get_u16(raw + HR_AT_COMMAND_CURRENT));
     device->command_sync = device->supervised ? 0 : raw[HR_AT_COMMAND_FLAGS] & COMMANDED_PINS;
     watchdog_feed(&device->watchdog, device->time, current, lifetime_us * HR_TIME_UNITS_PER_US, device->ramp);
-}
-
-static void take_frame(struct device *device, const uint8_t *raw, size_t count)
-{
-    const struct verdict verdict = connection_judge(&device->connection, raw, count);
-    if (verdict.kind == VERDICT_COMMAND)
-        take_command(device, raw);
-    else if (verdict.kind != VERDICT_DROP)
-        answer(device, raw, count, &verdict);
-}
-
-bool device_is_preparing(const struct device *device)
-{
-    return device->renderer.there && !device->renderer.ready;
-}
-
-bool device_is_changing(const struct device *device)
-{
-    return device->live_change.step != LIVE_NOTHING;
-}
-
-static size_t take_bytes(struct device *device)
-{
-    uint8_t bytes[HR_POLL_BYTES];
-    struct connection *connection = &device->connection;
-    const bool running = device_is_armed(device) && law_is_in_charge(device);
-    const size_t most = running ? HR_POLL_BYTES_RUNNING : sizeof bytes;
-    const size_t count = device->hal->link_read(device->hal->context, bytes, most);
-    device->received_at = device->hal->time(device->hal->context);
-    for (size_t i = 0; i < count; i++) {
-        const size_t raw = splitter_take(&connection->splitter, bytes[i], &connection->counters);
-        if (raw > 0)
-            take_frame(device, splitter_raw(&connection->splitter), raw);
-    }
-    return count;
-}
-
-size_t device_poll(struct device *device)
-{
-    size_t count = 0;
-    if (!send_some(device)) {
-        if (device_is_changing(device))
-            live_change_continue(device);
-        else
-            count = take_bytes(device);
-    }
-    if (device_is_preparing(device))
-        renderer_prepare(&device->renderer, HR_POLL_COSINES);
-    return count;
 }

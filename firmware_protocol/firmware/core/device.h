@@ -1,6 +1,6 @@
 /* The device: a rig that speaks the protocol of PROTOCOL.md. One struct, no globals, no heap.
  *
- * A port calls device_start once, then device_tick from its timer and device_poll in between; the two must not
+ * A port calls device_start once, then device_tick from its timer and device_poll (poll.h) in between; the two must not
  * interrupt each other, and both are bounded in time. */
 #ifndef HR_DEVICE_H
 #define HR_DEVICE_H
@@ -22,12 +22,6 @@
 #include "renderer.h"
 #include "thermal.h"
 #include "watchdog.h"
-
-/* What one device_poll does at most: neither a flood of bytes nor an excitation can starve the tick. */
-#define HR_BYTES_A_POLL 16u /* of BATCH, and of STATE beside a law, packed into a frame */
-#define HR_POLL_BYTES_RUNNING 8u /* taken in one while the law runs here */
-#define HR_POLL_BYTES 64u
-#define HR_POLL_COSINES 32u
 
 struct ack {
     uint16_t nonce;
@@ -122,10 +116,6 @@ void device_flush(struct device *device);
 /* Ticks passed that could not be worked on. */
 void device_missed(struct device *device, uint32_t ticks);
 
-/* Send a piece of what waits, or do a piece of a change, or take what the host has sent and answer; and work on an
- * excitation that is not ready. Returns the number of bytes taken. */
-size_t device_poll(struct device *device);
-
 /* Whether device_poll has something to do even when no byte comes: an excitation to work out, parameters to change. */
 bool device_is_preparing(const struct device *device);
 bool device_is_changing(const struct device *device);
@@ -135,5 +125,37 @@ bool device_is_armed(const struct device *device);
 
 /* The port has found a fault (enum hr_fault): zero effort from here on, FAULT latched. */
 void device_fault(struct device *device, uint8_t fault);
+
+/* ------------------------------------------------------------------ for what takes the host's requests */
+
+/* Whether the law on the device computes the current. */
+bool device_runs_law(const struct device *device);
+
+/* Take a COMMAND that connection_judge has let through. */
+void device_command(struct device *device, const uint8_t *raw);
+
+/* Run under other parameters from the next tick on, or return false and go on as before. */
+bool device_apply(struct device *device, const struct candidate *candidate);
+
+/* Take the law that the parameters choose; checks were made. NULL: the host's. */
+void device_take_law(struct device *device, const law_parameters *law, const struct candidate *candidate);
+
+/* Forget what belongs to the last session: a new one begins. */
+void device_begin_session(struct device *device);
+
+/* Zero current now, whatever the slew limit says. */
+void device_cut(struct device *device);
+
+/* Cut, and switch the amplifier off. */
+void device_switch_off(struct device *device);
+
+/* The law on the device runs no longer: what BATCH has not sent yet leaves. */
+void device_end_supervision(struct device *device);
+
+/* Send a frame that connection_begin has begun. */
+void device_send(struct device *device, struct packet *packet);
+
+/* Pack at most so many bytes of what waits, or send a piece of it; false when there is nothing worth a look. */
+bool device_send_some(struct device *device, size_t most);
 
 #endif

@@ -1,6 +1,6 @@
 #include "live_change.h"
 
-#include "device_internal.h"
+#include "frame.h"
 #include "law_settings.h"
 
 /* A piece: what a Cortex-M0+ does in some 1000 cycles. */
@@ -8,25 +8,23 @@ enum { SUM_BYTES = 48, ENTRIES = 2, CRC_VALUES = 6, VALUES = 14 };
 
 static void go_on(struct live_change *change, enum live_step step)
 {
-    change->step = (uint8_t)(change->refusal.status == HR_STATUS_OK ? step : LIVE_ANSWER);
+    change->step = (uint8_t)(change->refusal.status == HR_STATUS_OK ? step : LIVE_DONE);
     change->at = 0;
 }
 
-void live_change_begin(struct device *device, uint16_t nonce, uint8_t session)
+void live_change_begin(struct live_change *change, struct assembler *assembler, uint16_t nonce, uint8_t session)
 {
-    struct live_change *change = &device->live_change;
     change->nonce = nonce;
     change->session = session;
-    change->refusal.status = assembler_close(&device->assembler, nonce);
+    change->refusal.status = assembler_close(assembler, nonce);
     change->refusal.detail = 0;
     change->crc = UINT32_MAX;
     go_on(change, LIVE_SUM);
 }
 
-static void sum_up_block(struct device *device)
+static void sum_up_block(struct live_change *change, const struct live_change_of *of)
 {
-    struct live_change *change = &device->live_change;
-    const struct assembler *assembler = &device->assembler;
+    const struct assembler *assembler = of->assembler;
     const uint16_t left = (uint16_t)(assembler->length - change->at);
     const uint16_t bytes = left < SUM_BYTES ? left : SUM_BYTES;
     change->crc = crc_more(change->crc, assembler->block + change->at, bytes);
@@ -37,14 +35,13 @@ static void sum_up_block(struct device *device)
         change->refusal.status = HR_STATUS_BAD_CRC;
     else if (assembler->length % HR_PARAMETER_BYTES != 0)
         change->refusal.status = HR_STATUS_BAD_LENGTH;
-    configuration_begin(&device->configuration, &change->candidate);
+    configuration_begin(of->configuration, &change->candidate);
     go_on(change, LIVE_ENTRIES);
 }
 
-static void read_entries(struct device *device)
+static void read_entries(struct live_change *change, const struct live_change_of *of)
 {
-    struct live_change *change = &device->live_change;
-    const struct assembler *assembler = &device->assembler;
+    const struct assembler *assembler = of->assembler;
     for (unsigned i = 0; i < ENTRIES && change->at < assembler->length && change->refusal.status == HR_STATUS_OK; i++) {
         change->refusal = configuration_take(&change->candidate, assembler->block + change->at);
         change->at = (uint16_t)(change->at + HR_PARAMETER_BYTES);
@@ -53,11 +50,10 @@ static void read_entries(struct device *device)
         go_on(change, LIVE_CHECK);
 }
 
-static void read_law(struct device *device)
+static void read_law(struct live_change *change, const struct live_change_of *of)
 {
-    struct live_change *change = &device->live_change;
-    if (device->renderer.there) {
-        change->law = device->renderer.parameters;
+    if (of->renderer->there) {
+        change->law = of->renderer->parameters;
         change->refusal = law_settings_read_wall(change->candidate.values, &change->law);
     }
     change->crc = UINT32_MAX;
@@ -79,15 +75,15 @@ static void sum_up(struct live_change *change)
 
 /* A wall changes in free space alone: a jump of stiffness under a pressed hand would be a jump of effort. A bilateral
  * wall leaves no space free. A fault may have come since the request, and then nothing changes any more. */
-static void change_wall(struct device *device)
+static void change_wall(struct live_change *change, const struct live_change_of *of)
 {
-    struct live_change *change = &device->live_change;
-    struct renderer *renderer = &device->renderer;
-    if (!device_is_armed(device)) {
+    struct renderer *renderer = of->renderer;
+    change->sample_index = of->sample_index + 1u;
+    if (!of->armed) {
         change->refusal.status = HR_STATUS_BAD_STATE;
-        change->refusal.detail = device->connection.state;
+        change->refusal.detail = of->state;
     } else if (renderer->there
-               && !(law_is_free(&renderer->parameters, device->count) && law_is_free(&change->law, device->count))) {
+               && !(law_is_free(&renderer->parameters, of->count) && law_is_free(&change->law, of->count))) {
         change->refusal.status = HR_STATUS_INSIDE_WALL;
     } else if (renderer->there) {
         renderer_change(renderer, &change->law);
@@ -95,49 +91,46 @@ static void change_wall(struct device *device)
     go_on(change, LIVE_VALUES);
 }
 
-static void put_values(struct device *device)
+static void put_values(struct live_change *change, const struct live_change_of *of)
 {
-    struct live_change *change = &device->live_change;
     for (unsigned i = 0; i < VALUES && change->at < HR_PARAMETERS; i++)
-        configuration_put(&device->configuration, &change->candidate, change->at++);
+        configuration_put(of->configuration, &change->candidate, change->at++);
     if (change->at == HR_PARAMETERS) {
-        device->configuration.crc = change->crc;
-        go_on(change, LIVE_ANSWER);
+        of->configuration->crc = change->crc;
+        go_on(change, LIVE_DONE);
     }
 }
 
-void live_change_continue(struct device *device)
+bool live_change_continue(struct live_change *change, const struct live_change_of *of)
 {
-    struct live_change *change = &device->live_change;
     switch ((enum live_step)change->step) {
     case LIVE_SUM:
-        sum_up_block(device);
+        sum_up_block(change, of);
         break;
     case LIVE_ENTRIES:
-        read_entries(device);
+        read_entries(change, of);
         break;
     case LIVE_CHECK:
-        change->refusal = configuration_check(&change->candidate, device->board, true);
+        change->refusal = configuration_check(&change->candidate, of->board, true);
         go_on(change, LIVE_LAW);
         break;
     case LIVE_LAW:
-        read_law(device);
+        read_law(change, of);
         break;
     case LIVE_CRC:
         sum_up(change);
         break;
     case LIVE_WALL:
-        change->sample_index = device->sample_index + 1u;
-        change_wall(device);
+        change_wall(change, of);
         break;
     case LIVE_VALUES:
-        put_values(device);
+        put_values(change, of);
         break;
-    case LIVE_ANSWER:
+    case LIVE_DONE:
         change->step = LIVE_NOTHING;
-        answer_live_change(device);
-        break;
+        return true;
     case LIVE_NOTHING:
         break;
     }
+    return false;
 }

@@ -8,7 +8,9 @@
 #include <stdint.h>
 
 #include "../law/law.h"
+#include "assembler.h"
 #include "configuration.h"
+#include "renderer.h"
 
 enum live_step {
     LIVE_NOTHING, /* none is under way */
@@ -19,7 +21,7 @@ enum live_step {
     LIVE_CRC,
     LIVE_WALL,   /* the tick from which on the law has them */
     LIVE_VALUES, /* and then whoever asks */
-    LIVE_ANSWER,
+    LIVE_DONE,
 };
 
 struct live_change {
@@ -34,12 +36,22 @@ struct live_change {
     struct candidate candidate;
 };
 
-struct device;
+/* What a change works on, and the device as it is between two ticks. */
+struct live_change_of {
+    const struct board *board;
+    const struct assembler *assembler; /* with the block */
+    struct configuration *configuration;
+    struct renderer *renderer;
+    uint32_t sample_index;
+    int32_t count;
+    uint8_t state; /* enum hr_state */
+    bool armed;
+};
 
-/* Begin, on the request of a nonce, with the block in the assembler. */
-void live_change_begin(struct device *device, uint16_t nonce, uint8_t session);
+/* Begin, on the request of a nonce, with the block that `assembler` has. */
+void live_change_begin(struct live_change *change, struct assembler *assembler, uint16_t nonce, uint8_t session);
 
-/* Do a piece of it; the last is the answer. */
-void live_change_continue(struct device *device);
+/* Do a piece of it; true with the last, when it is to be answered. */
+bool live_change_continue(struct live_change *change, const struct live_change_of *of);
 
 #endif

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "../core/poll.h"
+
 static struct host *host_of(void *context)
 {
     return context;

@@ -1,7 +1,7 @@
 /* Velocity from counts: each takes the counts moved and the periods elapsed since its last run (at least 1).
  *
  * All but the fixed one answer counts per velocity period in float32. The first sample has no predecessor; it is
- * law.c that answers zero for it, except for FOAW and the filters, which have to see it. */
+ * tick.c that answers zero for it, except for FOAW and the filters, which have to see it. */
 #ifndef LAW_ESTIMATORS_H
 #define LAW_ESTIMATORS_H
 

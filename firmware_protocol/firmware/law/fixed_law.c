@@ -2,6 +2,8 @@
  *
  * Written for a processor with few registers and no product of 64 bits. What is nearly always small is tried in 32 bits
  * first, and what is rare stands in functions of its own. */
+#include "fixed_law.h"
+
 #include "estimators.h"
 #include "excitation.h"
 #include "phases.h"

@@ -1,4 +1,6 @@
 /* A tick in float32: steps 3 to 7. */
+#include "float_law.h"
+
 #include <math.h>
 
 #include "estimators.h"

@@ -1,5 +1,5 @@
 /* What both laws do between the estimate and the effort: when a velocity period is due, homing, settling, trial and
- * release, and the end of a run. law_fixed_tick and law_float_tick are the rest of a tick. */
+ * release, and the end of a run. */
 #ifndef LAW_PHASES_H
 #define LAW_PHASES_H
 
@@ -12,17 +12,6 @@ enum {
     LAW_MOST_ELAPSED = 1 << 30, /* ticks of a gap: a longer one is counted as this */
     LAW_MOST_STEPS = 65535      /* of those, for a product with a step of the set point: it has arrived long before */
 };
-
-void law_fixed_tick(law_state *s, const law_parameters *p, const law_input *in, law_output *out);
-void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, law_output *out);
-
-/* Depth inside the wall: counts * 2^LAW_DEPTH_BITS, or counts. */
-int32_t law_fixed_depth(const law_parameters *p, int32_t travel);
-float law_float_depth(const law_parameters *p, int32_t travel);
-
-/* Distance of the homing set point from the handle (counts * 2^LAW_SETPOINT_BITS), once it has moved by at most one
- * step a tick. */
-int64_t law_home_error(law_state *s, const law_parameters *p, int32_t travel, uint32_t elapsed);
 
 static inline uint32_t law_elapsed(const law_input *in)
 {
@@ -107,6 +96,21 @@ static inline uint32_t law_advance(law_state *s, const law_parameters *p, int32_
         break;
     }
     return 0;
+}
+
+/* Distance of the homing set point from the handle (counts * 2^LAW_SETPOINT_BITS), once it has moved by at most one
+ * step a tick. */
+static inline int64_t law_home_error(law_state *s, const law_parameters *p, int32_t travel, uint32_t elapsed)
+{
+    const int64_t target = p->home_target;
+
+    if (s->setpoint != target) {
+        int64_t step = p->home_step;
+        if (elapsed > 1)
+            step *= elapsed < LAW_MOST_STEPS ? elapsed : LAW_MOST_STEPS;
+        s->setpoint += law_at_most(target - s->setpoint, step);
+    }
+    return s->setpoint - travel * ((int64_t)1 << LAW_SETPOINT_BITS);
 }
 
 static inline int law_is_homing(uint32_t phase)

@@ -18,6 +18,7 @@ from rig.config.device_law.parameters import (
     check_values,
     law_parameters,
     live_parameters,
+    rendered_wall,
 )
 
 __all__ = [
@@ -31,4 +32,5 @@ __all__ = [
     "check_values",
     "law_parameters",
     "live_parameters",
+    "rendered_wall",
 ]

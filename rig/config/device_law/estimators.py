@@ -60,7 +60,7 @@ def velocity_format(prepared: Prepared) -> Format:
 
 def _biquad(own: Floats) -> Values:
     names = ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "state_bits", "word_bits", "rounding")
-    values = {
+    values: Values = {
         f"biquad_{name}": int(value)
         for name, value in zip(names, own[fixed.B0 : fixed.ROUNDING + 1], strict=True)
     }
@@ -71,7 +71,7 @@ def _biquad(own: Floats) -> Values:
             f"its words have {WORD_BITS} bits",
             f"choose {WORD_BITS} or less",
         )
-    return {**values, "float_velocity_lsb": 2.0 ** -values["biquad_state_bits"]}
+    return values
 
 
 def _low_pass(own: Floats) -> Values:

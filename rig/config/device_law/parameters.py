@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config.device_law import walls
@@ -17,7 +16,6 @@ from rig.config.device_law.refusal import ELSE_HOST, refusal
 from rig.config.device_law.walls import Control, Values
 from rig.config.sections import Controller as Rates
 from rig.control.step import Controller
-from rig.control.wall import DAMPING, STIFFNESS
 from rig.core.errors import PlanError
 
 Arithmetic = Literal["fixed", "float32"]
@@ -39,11 +37,8 @@ _KEYS = {
     "slow_multiple": "controller.slow_velocity_rate",
     "float_surface": "wall.position",
     "fixed_surface": "wall.position",
-    "wall_position": "wall.position",
     "float_stiffness": "wall.stiffness",
-    "stiffness": "wall.stiffness",
     "float_damping": "wall.damping",
-    "damping": "wall.damping",
     "float_constant": "trial.effort",
     "float_home_stiffness": "homing.stiffness",
     "float_home_damping": "homing.damping",
@@ -60,7 +55,7 @@ def arithmetic_of(rates: Rates) -> Arithmetic:
 
 
 def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
-    """Values of every parameter of the law but those that say how its samples travel.
+    """Values of the parameters that this law reads, but for those that say how its samples travel.
 
     Parameters
     ----------
@@ -77,28 +72,34 @@ def law_parameters(controller: Controller, arithmetic: Arithmetic) -> Values:
     c, law = _plain(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
     _check_work(c)
-    values: Values = {parameter.name: parameter.default for parameter in LAW_PARAMETERS}
-    values |= {
+    values: Values = {
         "law": ARITHMETICS.index(arithmetic),
+        "velocity_divider": c["velocity_divider"],
         "extrapolate": c["extrapolate"],
         "slow_multiple": c["slow_multiple"],
         "settle_ticks": min(c["settle_ticks"], MOST_TICKS),
         "home_timeout_ticks": min(c["home_timeout_ticks"], MOST_TICKS),
         "trial_ticks": min(c["trial_ticks"], MOST_TICKS),
         "release_ticks": max(1, c["release_ticks"]),
+        "wall_side": int(c["wall_side"]),
         **_places(c),
         **estimator_parameters(controller.estimator),
         **walls.common_parameters(controller.law.law.name, law),
+        "excitation_lines": 0,
         **_excitation(controller),
     }
     if arithmetic == "float32":
         values |= {**walls.float_wall(c, law), **walls.float_guard(c)}
+        if controller.estimator.estimator.name == FIXED_ESTIMATOR:
+            values["float_velocity_lsb"] = velocity_format(controller.estimator).lsb
     else:
         velocity = velocity_format(controller.estimator)
-        added = math.ldexp(MOST_EXCITATION, -int(values["excitation_bits"]))
-        wall = walls.designed_wall(
-            c, controller.law.law.name, law, velocity, added if values["excitation_lines"] else 0.0
+        added = (
+            math.ldexp(MOST_EXCITATION, -int(values["excitation_bits"]))
+            if values["excitation_lines"]
+            else 0.0
         )
+        wall = walls.designed_wall(c, controller.law.law.name, law, velocity, added)
         values |= {**walls.fixed_wall(wall), **walls.fixed_guard(c, velocity)}
     check_values(values)
     return values
@@ -130,17 +131,26 @@ def live_parameters(controller: Controller, arithmetic: Arithmetic, numbers: Seq
             remedy="end the run and start it with the other wall",
         )
     c: Control = {**_plain(controller), "wall_position": position}
-    values: Values = {
-        "stiffness": float(after[STIFFNESS]),
-        "damping": float(after[DAMPING]),
-        "wall_position": position,
-    }
     if arithmetic == "float32":
-        values |= walls.float_wall(c, after)
+        values = walls.float_wall(c, after)
     else:
-        values |= walls.fixed_wall(walls.designed_wall(c, name, after, velocity_format(controller.estimator)))
+        values = walls.fixed_wall(walls.designed_wall(c, name, after, velocity_format(controller.estimator)))
     check_values(values)
     return values
+
+
+def rendered_wall(values: Mapping[str, Value], controller: Controller) -> walls.DeviceWall:
+    """The wall that a device renders, in SI.
+
+    Parameters
+    ----------
+    values
+        Its parameters in force; the law is its own.
+    controller
+        That they were designed from, for its scales.
+    """
+    in_si = {"fixed": walls.fixed_wall_in_si, "float32": walls.float_wall_in_si}
+    return in_si[ARITHMETICS[int(values["law"])]](values, _plain(controller))
 
 
 def check_values(values: Mapping[str, Value]) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from firmware_protocol.parameter import Value
 from rig.config.device_law.refusal import refusal
 from rig.control.estimators.estimator import Floats
 from rig.control.fixed_point import Format
-from rig.control.fixed_wall import GAIN_GREATEST, MOST_SHIFT, FixedWall, design_wall
+from rig.control.fixed_wall import DEPTH, GAIN_GREATEST, MOST_SHIFT, FixedWall, design_wall
 from rig.control.wall import DAMPING, ENTRY_ONLY, MAY_PULL, PARAMETERS, STIFFNESS
 from rig.core.errors import ConfigError, PlanError
 
@@ -22,6 +23,23 @@ MOST_SLEW = 2.0**30  # quanta a tick: beyond any current, so no limit
 
 Values = dict[str, Value]
 Control = Mapping[str, Any]  # `rig.control.step.CONTROL` as plain numbers
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceWall:
+    """The wall that a device renders.
+
+    Attributes
+    ----------
+    stiffness, damping
+        K and B (N·m/rad and N·m·s/rad, or N/m and N·s/m).
+    position
+        Of its surface, from the reference (rad or m).
+    """
+
+    stiffness: float
+    damping: float
+    position: float
 
 
 def common_parameters(name: str, law: Floats) -> Values:
@@ -36,7 +54,12 @@ def common_parameters(name: str, law: Floats) -> Values:
                 remedy='set it to 0, or let the host run the law (controller.loop = "host")',
             )
         raise refusal("wall.law", name, "a device has no such law", f"choose one of: {', '.join(LAWS)}")
-    return {"bilateral": int(name in BILATERAL), "damping_on_entry": int(options(name, law)[1])}
+    may_pull, entry_only = options(name, law)
+    return {
+        "bilateral": int(name in BILATERAL),
+        "wall_pull": int(may_pull),
+        "damping_on_entry": int(entry_only),
+    }
 
 
 def options(name: str, law: Floats) -> tuple[bool, bool]:
@@ -56,6 +79,17 @@ def float_wall(c: Control, law: Floats) -> Values:
         "float_stiffness": float(law[STIFFNESS]) * delta / quantum,
         "float_damping": float(law[DAMPING]) * delta / (period_s * quantum),
     }
+
+
+def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
+    """Inverse of `float_wall`, to float32: 2⁻²⁴ of stiffness and damping, 2⁻²⁵ counts of the position."""
+    delta, quantum, period_s = _scales(c)
+    surface = values["float_surface"] + values["float_surface_fraction"]
+    return DeviceWall(
+        stiffness=values["float_stiffness"] * quantum / delta,
+        damping=values["float_damping"] * quantum * period_s / delta,
+        position=surface * delta,
+    )
 
 
 def float_guard(c: Control) -> Values:
@@ -116,6 +150,21 @@ def fixed_wall(wall: FixedWall) -> Values:
     }
 
 
+def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
+    """Inverse of `fixed_wall`, to the rounding of `rig.control.fixed_wall.design_wall`.
+
+    That is half a 2⁻ˢ of a quantum for an LSB of depth or velocity (s = fixed_shift), and 2⁻⁹ counts of the position.
+    """
+    delta, quantum, period_s = _scales(c)
+    lsb = math.ldexp(1.0, -int(values["fixed_shift"]))
+    velocity_lsb = math.ldexp(1.0, -int(values["biquad_state_bits"]))
+    return DeviceWall(
+        stiffness=values["fixed_stiffness"] * lsb / DEPTH.lsb * quantum / delta,
+        damping=values["fixed_damping"] * lsb / velocity_lsb * quantum * period_s / delta,
+        position=values["wall_side"] * values["fixed_surface"] * DEPTH.lsb * delta,
+    )
+
+
 def fixed_guard(c: Control, velocity: Format) -> Values:
     """Limits and servo in integers.
 
@@ -124,7 +173,7 @@ def fixed_guard(c: Control, velocity: Format) -> Values:
     delta, quantum, period_s = _scales(c)
     lsb = delta * velocity.lsb / period_s  # of the velocity, in SI
     gains = {  # quanta per LSB
-        "stiffness": c["home_stiffness"] * delta / quantum / 2**8,
+        "stiffness": c["home_stiffness"] * delta / quantum * DEPTH.lsb,
         "damping": c["home_damping"] * lsb / quantum,
     }
     shifts = [s for s in range(1, MOST_SHIFT + 1) if round(max(gains.values()) * 2**s) <= GAIN_GREATEST]

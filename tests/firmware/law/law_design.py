@@ -12,7 +12,7 @@ from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
 from rig.config import device_law
 from rig.config.device_law.estimators import ESTIMATORS, estimator_parameters
-from rig.config.device_law.walls import designed_wall, options
+from rig.config.device_law.walls import designed_wall
 from rig.control.estimators import fdm_butterworth_fixed as fixed
 from rig.control.estimators.estimator import PERIOD, RESOLUTION, Floats, Prepared
 from rig.control.fixed_point import Format
@@ -42,9 +42,6 @@ def parameters_of(controller: Controller, arithmetic: int = FLOAT) -> ct.Structu
     c = controller.control[0]
     values = device_law.law_parameters(controller, ARITHMETICS[arithmetic])
     values |= {
-        "velocity_divider": int(c["velocity_divider"]),
-        "wall_side": int(c["wall_side"]),
-        "wall_pull": int(options(controller.law.law.name, controller.law.parameters)[0]),
         "reference_count": int(c["reference_count"]),
         "current_limit": round(c["effort_limit"] / c["effort_quantum"]),
     }
@@ -110,7 +107,10 @@ def set_estimator_values(p: ct.Structure, v: Mapping[str, Any]) -> None:
 
 def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
     """Choose the estimator and set its numbers; PlanError for a variant that the device does not have."""
-    set_estimator_values(p, estimator_parameters(prepared))
+    values = estimator_parameters(prepared)
+    if "biquad_state_bits" in values:
+        values["float_velocity_lsb"] = 2.0 ** -int(values["biquad_state_bits"])
+    set_estimator_values(p, values)
 
 
 def velocity_format(prepared: Prepared) -> Format:

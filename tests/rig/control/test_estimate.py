@@ -174,7 +174,7 @@ def test_what_cannot_be_meant_is_refused_with_a_remedy(case):
 def test_importing_the_family_compiles_nothing():
     script = (
         "import sys, rig.control.estimators\n"
-        "rig.estimators.names()\n"
+        "rig.control.estimators.names()\n"
         "assert 'numba' not in sys.modules and 'scipy' not in sys.modules\n"
         "print(rig.control.estimators.estimate('fdm', [0, 2], 0.5, resolution=1.0).tolist())\n"
     )
@@ -209,6 +209,6 @@ def test_the_guides_own_estimator_keeps_the_promises_of_the_family(tmp_path):
 
 
 def test_files_that_the_guide_names_exist():
-    root = GUIDE.parents[2]
+    root = GUIDE.parents[3]
     for name in re.findall(r"`((?:rig|tests)/[\w/.]+)`", GUIDE.read_text(encoding="utf-8")):
         assert (root / name).exists(), name

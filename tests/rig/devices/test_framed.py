@@ -13,10 +13,11 @@ import rig.devices
 import sim_backend.device
 from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
-from firmware_protocol.connection import RETRY_AFTER_S, State
+from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, type_id_of, unpack
+from firmware_protocol.transaction import RETRY_AFTER_S
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices import framed
 from rig.devices.device import DeviceUrl
@@ -178,7 +179,7 @@ def frame_of(message, major=m.MAJOR):
 
 
 def another_major(request):
-    return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=2)
+    return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=m.MAJOR + 1)
 
 
 def garbage(request):
@@ -202,7 +203,7 @@ def test_a_device_of_another_major_version_is_named_with_both_versions():
     device = FramedDevice(Answering(another_major))
     with pytest.raises(IncompatibleDeviceError) as caught:
         device.identify()
-    assert "speaks protocol 2, this package speaks 1" in str(caught.value)
+    assert f"speaks protocol {m.MAJOR + 1}, this package speaks {m.MAJOR}" in str(caught.value)
     assert "firmware" in caught.value.remedy
     assert caught.value.exit_code == 4
 
@@ -593,7 +594,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
     """After trials, faults, and refused parameters: none of these is a restart."""
     simulated, wire, device = make()
     for stiffness in (100.0, 200.0):
-        device.configure({**RUN_PARAMETERS, "stiffness": stiffness})
+        device.configure({**RUN_PARAMETERS, "float_stiffness": stiffness})
         device.arm()
         device.disarm()
     with pytest.raises(DeviceRefusedError):
@@ -608,7 +609,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
 
 def test_a_lost_answer_to_the_parameters_is_no_restart(real):
     """They may be in force or not: nothing can be told from them then, and nothing is refused."""
-    other = {**RUN_PARAMETERS, "stiffness": 333.0}
+    other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     said = wire.link.line.frames[Direction.TO_HOST]

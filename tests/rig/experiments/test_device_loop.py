@@ -21,7 +21,8 @@ from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments import live, shaking
 from rig.experiments.identify import IdentifyRequest, plan_of
-from rig.experiments.plan import Outcome, device_checks, link_checks, make_plan
+from rig.experiments.plan import device_checks, link_checks, make_plan
+from rig.experiments.planned import Outcome
 from tests.rig.bench.test_doctor_gate import link
 
 RIGID = presets.load("koul-rigid")

@@ -23,7 +23,7 @@ from rig.experiments import identify as identifying
 from rig.experiments import identify_motions as motions
 from rig.experiments.identified_file import file_text
 from rig.experiments.identify import IdentifyRequest, identify, trial_rows
-from rig.experiments.plan import Outcome
+from rig.experiments.planned import Outcome
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware

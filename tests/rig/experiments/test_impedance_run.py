@@ -19,7 +19,8 @@ from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.experiments import impedance as measuring
 from rig.experiments.impedance import Judging, OnDevice, measure_impedance, measure_on_device, write_results
 from rig.experiments.judgement import experiment_of
-from rig.experiments.plan import Outcome, make_plan
+from rig.experiments.plan import make_plan
+from rig.experiments.planned import Outcome
 from rig.experiments.replay import replay
 from rig.experiments.shaking import (
     ShakingBench,

@@ -489,9 +489,9 @@ def wall_values(bundle, *, position: float, stiffness: float) -> list[float]:
 def as_device_parameters(values: Sequence[float]) -> dict[str, float]:
     """Stands for `rig.config.device_law.live_parameters` here: ten parameters, so that the block takes two chunks."""
     return {
-        "stiffness": values[1], "damping": values[2], "wall_position": values[0], "fixed_surface": 1,
-        "fixed_stiffness": 2, "fixed_damping": 3, "fixed_shift": 4, "fixed_constant_high": -5,
-        "fixed_constant_low": 2**32 - 6, "float_stiffness": 7.0,
+        "float_stiffness": values[1], "float_damping": values[2], "float_surface_fraction": values[0],
+        "float_surface": 7, "fixed_surface": 1, "fixed_stiffness": 2, "fixed_damping": 3, "fixed_shift": 4,
+        "fixed_constant_high": -5, "fixed_constant_low": 2**32 - 6,
     }  # fmt: skip
 
 
@@ -562,7 +562,7 @@ def test_the_wall_waits_until_the_handle_is_outside_and_the_newest_one_is_taken(
     run.run()
     ((index, block),) = run.device.commits
     assert index >= 220
-    assert decode_block(block)["stiffness"] == 2.0
+    assert decode_block(block)["float_stiffness"] == 2.0
     assert [one["number"] for one in run.thread.parameter_sets()] == [2]
 
 

@@ -145,7 +145,7 @@ def made(phase: list[int], inside: list[int], told: list[int], **trailer: object
         rows[name] = 0
     rows["tick"] = np.arange(len(phase))
     rows["device_time"] = 1_000_000 * np.arange(1, 1 + len(phase))
-    rows["host_time"] = rows["device_time"] + 7
+    rows["received_at"] = rows["device_time"] + 7
     rows["phase"], rows["flags"], rows["sync_time"] = phase, inside, told
     return Recording(example_header(), rows, dict(trailer))
 
@@ -174,7 +174,7 @@ def test_a_recording_without_the_column_has_all_other_marks() -> None:
     assert [mark.name for mark in marks(older)] == ["trial", "contact", "release", "end"]
     assert marks(replace(recording, rows=recording.rows[:0])) == []
     with pytest.raises(RecordingError, match="phase"):
-        marks(replace(older, rows=older.rows[["tick", "elapsed_ticks", "device_time", "host_time"]].copy()))
+        marks(replace(older, rows=older.rows[["tick", "elapsed_ticks", "device_time", "received_at"]].copy()))
 
 
 # ---------------------------------------------------------------------- 32 bits of the device's clock

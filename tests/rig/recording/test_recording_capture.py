@@ -323,7 +323,7 @@ def test_columns_are_reached_by_name(path: Path) -> None:
 def test_time_comes_from_the_host_where_the_device_has_no_clock(path: Path) -> None:
     rows = example_rows(3)
     rows["device_time"] = 0
-    rows["host_time"] = [7, 1_000_000_007, 2_000_000_007]
+    rows["received_at"] = [7, 1_000_000_007, 2_000_000_007]
     assert read_bytes(path, capture_bytes(rows)).time_s.tolist() == [0.0, 1.0, 2.0]
 
 

@@ -156,7 +156,7 @@ def test_other_programs_find_units_in_the_fields(capture: Path) -> None:
     assert file.schema_arrow.field("effort_wall").metadata[b"unit"].decode() == "N·m"
     assert json.loads(file.metadata.metadata[b"rig.header"])["seed"] == 7
     assert json.loads(file.metadata.metadata[b"rig.trailer"])["reason"] == "finished"
-    column = file.metadata.row_group(0).column(9)
+    column = file.metadata.row_group(0).column(8)
     assert (column.path_in_schema, column.compression) == ("position", "ZSTD")
     assert "BYTE_STREAM_SPLIT" in column.encodings
 

@@ -17,7 +17,7 @@ from rig.config import Experiment
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.hit import HitRequest
-from rig.experiments.plan import Outcome
+from rig.experiments.planned import Outcome
 from rig.session import hits
 from rig.session.arming import arming_checks, refuse_unarmable, walls_of
 from rig.session.bench import Refusal, Wall

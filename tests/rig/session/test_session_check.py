@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from rig.config import override
 from rig.core.errors import ConfigError
-from rig.experiments.plan import Check, Outcome, predict_impact
+from rig.experiments.plan import predict_impact
+from rig.experiments.planned import Check, Outcome
 from rig.session import disk, state
 from rig.session import times as session_times
 from rig.session.check import check

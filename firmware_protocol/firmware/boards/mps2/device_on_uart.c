@@ -6,8 +6,8 @@
 #include <string.h>
 
 #include "board_config.h"
-#include "device.h"
 #include "mps2.h"
+#include "poll.h"
 
 #define CLOCK_HZ 25000000u
 

@@ -1,7 +1,10 @@
+/* A tick in either arithmetic. */
 #include "law.h"
 
 #include "estimators.h"
 #include "excitation.h"
+#include "fixed_law.h"
+#include "float_law.h"
 #include "phases.h"
 
 void law_reset(law_state *s, const law_parameters *p, const int16_t *table)
@@ -11,19 +14,6 @@ void law_reset(law_state *s, const law_parameters *p, const int16_t *table)
     if (p->estimator == LAW_FDM_BUTTERWORTH_FIXED)
         law_biquad_reset(&s->of.biquad, &p->biquad);
     law_excitation_reset(&s->excitation, &p->excitation, table);
-}
-
-int64_t law_home_error(law_state *s, const law_parameters *p, int32_t travel, uint32_t elapsed)
-{
-    const int64_t target = p->home_target;
-
-    if (s->setpoint != target) {
-        int64_t step = p->home_step;
-        if (elapsed > 1)
-            step *= elapsed < LAW_MOST_STEPS ? elapsed : LAW_MOST_STEPS;
-        s->setpoint += law_at_most(target - s->setpoint, step);
-    }
-    return s->setpoint - travel * ((int64_t)1 << LAW_SETPOINT_BITS);
 }
 
 int law_inside(const law_parameters *p, int32_t count)

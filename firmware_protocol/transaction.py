@@ -1,0 +1,82 @@
+"""The host's side of a transaction: what is to be said when, in plain integers.
+
+A transaction is a request and its answer; an update of parameters is SET_BEGIN, its SET_CHUNKs and SET_COMMIT under one
+nonce, each answered before the next is said. `after_time` and `after_answer` are pure: `Connection` calls them, and a
+loop that owns the link compiles the very same functions, so that parameters change in one way before and during a run.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from firmware_protocol.faults import Status
+from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
+from firmware_protocol.packing import data_limit, type_id_of
+
+# How long a host waits for an answer before it says the same again; after the last repeat the last time once more.
+RETRY_AFTER_S = (0.020, 0.040, 0.080)
+MOST_TRIES = 1 + len(RETRY_AFTER_S)
+ENDLESS = 1 << 62  # tries
+CHUNK_BYTES = data_limit(SetChunk)
+
+BEGIN, CHUNK, COMMIT = (type_id_of(cls) for cls in (SetBegin, SetChunk, SetCommit))
+DONE, REFUSED, UNANSWERED = -1, -2, -3  # what the step is afterwards
+
+_OK = int(Status.OK)
+_FIRST_NS, _DOUBLINGS = round(RETRY_AFTER_S[0] * 1e9), len(RETRY_AFTER_S) - 1
+
+
+class Transaction(NamedTuple):
+    """How far a transaction has come.
+
+    Attributes
+    ----------
+    nonce
+        Of all its requests.
+    length
+        Of the block (bytes); 0 without one.
+    step
+        Type id of the request under way, or DONE, REFUSED, UNANSWERED.
+    offset
+        Where the chunk under way begins in the block (bytes).
+    tries
+        Times that the request was said.
+    again_at
+        When it is to be said again (ns).
+    """
+
+    nonce: int
+    length: int
+    step: int
+    offset: int = 0
+    tries: int = 0
+    again_at: int = 0
+
+
+def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
+    """The transaction at a time. Its request is to be said now exactly when it has one try more than before."""
+    if t.step < 0 or (t.tries > 0 and time_ns < t.again_at):
+        return t
+    if t.tries >= most_tries:
+        return Transaction(t.nonce, t.length, UNANSWERED, t.offset, t.tries, t.again_at)
+    again_at = time_ns + (_FIRST_NS << min(t.tries, _DOUBLINGS))
+    return Transaction(t.nonce, t.length, t.step, t.offset, t.tries + 1, again_at)
+
+
+def after_answer(t: Transaction, nonce: int, request: int, status: int, detail: int) -> Transaction:
+    """The transaction after an answer: the same if that is not to its request, else with the next one, or finished.
+
+    `nonce`, `request`, `status` and `detail` are as an ACK has them.
+    """
+    late = (
+        t.step == CHUNK and status == _OK and detail != t.offset
+    )  # to the chunk before, which was said twice
+    if t.step < 0 or nonce != t.nonce or request != t.step or late:
+        return t
+    step, offset = DONE, t.offset
+    if status != _OK:
+        step = REFUSED
+    elif t.step in (BEGIN, CHUNK):
+        offset += CHUNK_BYTES if t.step == CHUNK else 0
+        step = CHUNK if offset < t.length else COMMIT
+    return Transaction(t.nonce, t.length, step, offset, 0, 0)

@@ -1,0 +1,96 @@
+"""What a plan is: steps, checks with their outcome, and the run that it stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from rig.config import Experiment, controller, device_law
+from rig.core.errors import PlanError
+
+ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
+
+
+class Outcome(StrEnum):
+    """What a check says."""
+
+    OK = "ok"
+    WARNING = "warning"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing that will happen, and how long it may take (s)."""
+
+    name: str
+    text: str
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One comparison with a limit; `remedy` says what to do unless it is ok."""
+
+    name: str
+    outcome: Outcome
+    text: str
+    remedy: str = ""
+
+
+def refuse(checks: Iterable[Check]) -> None:
+    """Raise `PlanError` with everything that these checks refuse, and what to do."""
+    refused = [check for check in checks if check.outcome is Outcome.REFUSED]
+    if refused:
+        raise PlanError(
+            "; ".join(f"{check.name}: {check.text}" for check in refused),
+            remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The steps of one trial, how often it runs, and the checks.
+
+    `run` is what is executed; None where several different runs follow each other, as in an identification.
+    """
+
+    rig: str
+    repeats: int
+    steps: tuple[Step, ...]
+    checks: tuple[Check, ...]
+    run: controller.Run | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Longest time that everything may take (s)."""
+        return self.repeats * sum(step.duration_s for step in self.steps)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is refused."""
+        return all(check.outcome != Outcome.REFUSED for check in self.checks)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "rig": self.rig,
+            "repeats": self.repeats,
+            "steps": [asdict(step) for step in self.steps],
+            "checks": [asdict(check) for check in self.checks],
+            "duration_s": self.duration_s,
+            "ok": self.ok,
+        }
+
+
+def where_it_runs(x: Experiment) -> str:
+    """Where the law runs, in words: with the device's arithmetic and what it sends of every tick."""
+    if x.controller.loop == "host":
+        return "the law on this computer"
+    arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]
+    return (
+        f"the law on the device in {arithmetic}, which sends every tick, {device_law.batch_samples(x)} to a frame "
+        f"({device_law.bytes_per_second(x) / 1e3:.1f} kB/s)"
+    )

@@ -1,0 +1,78 @@
+"""No two files of the firmware need each other: neither by what they include nor by what they call."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+from tests.firmware.build import COMPILE_S, FIRMWARE, FLAGS, SOURCES, compiler
+
+Graph = Mapping[str, set[str]]  # file without its ending → those that it needs
+INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
+GENERATED = {"board_config"}
+
+
+def cycle_of(graph: Graph) -> list[str] | None:
+    """A way around, if there is one."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return None
+
+
+def includes() -> Graph:
+    """x.c and x.h are one node: what either includes."""
+    files = [*FIRMWARE.rglob("*.c"), *FIRMWARE.rglob("*.h")]
+    graph: dict[str, set[str]] = {}
+    for path in files:
+        needed = graph.setdefault(node_of(path), set())
+        for name in INCLUDE.findall(path.read_text(encoding="utf-8")):
+            beside = (path.parent / name).resolve()
+            found = [beside] if beside.exists() else [file for file in files if file.name == name]
+            assert len(found) == 1 or Path(name).stem in GENERATED, f"{path.name} includes {name}"
+            needed |= {node_of(file) for file in found} - {node_of(path)}
+    return graph
+
+
+def node_of(path: Path) -> str:
+    return str(path.relative_to(FIRMWARE).with_suffix(""))
+
+
+def calls(directory: Path) -> Graph:
+    """For each object file those that define what it calls or reads."""
+    defined: dict[str, str] = {}
+    wanted: dict[str, set[str]] = {}
+    for source in SOURCES:
+        built, node = directory / f"{source.parent.name}-{source.stem}.o", node_of(source)
+        command = [compiler(), *FLAGS, "-c", "-o", str(built), str(source)]
+        subprocess.run(command, timeout=COMPILE_S, check=True)
+        listed = subprocess.run(["nm", built], capture_output=True, text=True, check=True).stdout
+        wanted[node] = set()
+        for line in listed.splitlines():
+            kind, symbol = line.split()[-2:]
+            if kind == "U":
+                wanted[node].add(symbol)
+            elif kind.isupper():
+                defined[symbol] = node
+    return {node: {defined[name] for name in names if name in defined} for node, names in wanted.items()}
+
+
+def test_no_file_includes_itself_around_others() -> None:
+    assert cycle_of(includes()) is None
+
+
+def test_no_file_calls_itself_around_others(tmp_path: Path) -> None:
+    assert cycle_of(calls(tmp_path)) is None
+
+
+@pytest.mark.parametrize(
+    ("graph", "found"), [({"a": {"b"}, "b": {"a"}}, True), ({"a": {"b"}, "b": set()}, False)]
+)
+def test_a_way_around_is_found(graph: Graph, found: bool) -> None:
+    assert (cycle_of(graph) is not None) is found
