@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numba
@@ -37,31 +36,36 @@ COUNTED: dict[str, Callable[..., Any]] = {
 }
 
 
-@contextmanager
-def counted() -> Iterator[Counter[str]]:
-    """Count the calls of this thread by the code that runs, whatever name it was imported by."""
-    names = {function.__code__: name for name, function in COUNTED.items()}
-    seen: Counter[str] = Counter()
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Counts the calls, by whatever name and from wherever in `rig` they come."""
+    calls: Counter[str] = Counter()
 
-    def look(frame: FrameType, event: str, _: object) -> None:
-        if event == "call" and frame.f_code in names:
-            seen[names[frame.f_code]] += 1
+    def counting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def counted(*given: Any, **options: Any) -> Any:
+            calls[name] += 1
+            return function(*given, **options)
 
-    sys.setprofile(look)
-    try:
-        yield seen
-    finally:
-        sys.setprofile(None)
+        return counted
+
+    modules = [module for name, module in sys.modules.items() if name.split(".")[0] == "rig"]
+    for name, function in COUNTED.items():
+        instead = counting(name, function)
+        for module in modules:
+            for attribute in [key for key, value in vars(module).items() if value is function]:
+                monkeypatch.setattr(module, attribute, instead)
+    return calls
 
 
 @pytest.mark.parametrize("loop", ["host", "device"])
-def test_a_hit_validates_designs_judges_and_reads_back_once(loop: str, tmp_path: Path) -> None:
-    with counted() as seen:
-        experiment = presets.load("koul-rigid")
-        changes = {"controller.loop": loop}
-        (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=tmp_path))
-        assert result.recorded.recording.trailer is not None
-        assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
+def test_a_hit_validates_designs_judges_and_reads_back_once(
+    loop: str, seen: Counter[str], tmp_path: Path
+) -> None:
+    experiment = presets.load("koul-rigid")
+    (result,) = hit(HitRequest(experiment=experiment, changes={"controller.loop": loop}, output=tmp_path))
+    assert result.recorded.recording.trailer is not None
+    assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
     assert result.experiment.controller.loop == loop
     assert seen == {
         "files": 1,
@@ -74,17 +78,16 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(loop: str, tmp_path:
 
 
 def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(
-    tmp_path: Path,
+    seen: Counter[str], tmp_path: Path
 ) -> None:
     protocol = tmp_path / "quick.toml"
     settings = "settings = { turns = 3, most = 5, steps = [2, 1] }"
     text = PROTOCOL.replace("settings = { turns = 2, most = 3, steps = [2, 1] }", settings)
     protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
     person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
-    with counted() as seen:
-        run_session(
-            protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
-        )
+    run_session(
+        protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
+    )
     hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
     trials, levels, conditions, practice = len(hits), 6, 2, 1
     assert trials == 11
