@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -12,9 +13,9 @@ from typing import Any
 import numba
 import pytest
 
-from rig.config import controller, load, presets
+from rig.config import controller, load, override, presets
 from rig.control import judging
-from rig.experiments import judgement
+from rig.experiments import judgement, plan
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
 from rig.session.directory import LOG
@@ -30,6 +31,8 @@ COUNTED: dict[str, Callable[..., Any]] = {
     "files": load.experiment_from_mapping,  # every value of an experiment and every rule
     "rules": load.checked,  # after a file, and after a change of some values
     "designs": controller.for_experiment,
+    "parameters": controller.device_parameters,
+    "plans": plan.plan_of,
     "judgements": judgement.judge,
     "measurings": judging.measured,  # a judgement is one of what was recorded, and in simulation one of the truth
     "openings": reader.open_recording,
@@ -71,10 +74,28 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
         "files": 1,
         "rules": 2,  # of the file, and of the experiment in effect, whoever made it: nothing else is armed
         "designs": 1,
+        "parameters": 1,
+        "plans": 1,
         "judgements": 1,
         "measurings": 2,
         "openings": 2,  # the capture, and the sealed file that has taken its place
     }
+
+
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_what_is_planned_is_what_runs(loop: str, tmp_path: Path) -> None:
+    experiment = override(presets.load("koul-rigid"), {"controller.loop": loop})
+    run = plan.make_plan(experiment).run
+    assert run is not None
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    header = result.recorded.recording.header
+    assert header["initial_state"] == json.loads(json.dumps(run.controller.as_mapping()))
+    told = header["identity"]["parameters"]
+    assert told["verified"] == 1, "a simulation; a plan alone arms nothing"
+    planned = {**run.parameters, "verified": 1}
+    assert {name: told[name] for name in planned} == pytest.approx(
+        planned, rel=2.0**-24
+    )  # float32 on the wire
 
 
 def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(
@@ -97,8 +118,11 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
         "files": 1,  # the preset
         # and each wall that is hit, or that a search may end at; in effect for a condition's device, and for each hit
         "rules": 1 + len(met | ends) + conditions + trials,
-        # each wall that a rule may ask for, as a hit of its own; what of the device each condition needs; each trial
-        "designs": conditions * levels + practice + conditions + trials,
+        # each wall that a rule may ask for, as a hit of its own, and each trial
+        "plans": conditions * levels + practice + trials,
+        # and what of the device each condition needs
+        "designs": conditions * levels + practice + trials + conditions,
+        "parameters": conditions * levels + practice + trials + conditions,
         "judgements": trials,
         "measurings": 2 * trials,
         "openings": 2 * trials,
