@@ -17,7 +17,7 @@ from numba import types
 from firmware_protocol.messages import OLDEST_EDGE
 from rig.control import judging
 from rig.control.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
-from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller
+from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller, ControllerArguments
 from rig.control.verdict import Limits, Measured
 from rig.core.errors import LawError
 from rig.core.model import RigModel
@@ -43,9 +43,7 @@ SIGNALS = 4
     ),
 )  # fmt: skip
 def hit(
-    estimator: Any, law: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any,
-    estimator_parameters: Any, law_state: Any, law_parameters: Any,
-    state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
+    controller: ControllerArguments, state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
     edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
     states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
     sensed: int, handle: int, actuated: int, signals: Any, no_velocity: Any,
@@ -57,11 +55,10 @@ def hit(
     state, room for `SIGNALS` signals, an empty array, and those of `rig.control.measure.measure` for both sides.
     """
     ticks = run_ticks(
-        estimator, law, control, memory, estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
-        state, phi, gamma, plant, external_effort, edge_age, start_units, tick_units, script, again,
+        controller, state, phi, gamma, plant, external_effort, edge_age, start_units, tick_units, script, again,
         states, counts, phases, currents, flags,
     )  # fmt: skip
-    c = control[0]
+    c = controller.control[0]
     # A run that filled the arrays was cut off, in homing or later: nothing of it is measured.
     first = 0 if phases[ticks - 1] == DONE else ticks
     while first < ticks and phases[first] != TRIAL:

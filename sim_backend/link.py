@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import Fault
 from rig.core.errors import ConfigError, LinkLostError
 from rig.core.model import RigModel
-from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.device import DeviceUrl
+from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.channel import DeviceFault, Direction, Faults, Line

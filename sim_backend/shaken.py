@@ -21,13 +21,12 @@ from numba import types
 
 from firmware_protocol.messages import OLDEST_EDGE
 from rig.control.bilateral import ramp
-from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, TRIAL, Controller, step
+from rig.control.step import CONTROLLER_TYPE, TRIAL, Controller, ControllerArguments, step
 from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedShake
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import ESTIMATOR, LAW
 from sim_backend.inner import Vector
 from sim_backend.plant import DiscretePlant, advance
 from sim_backend.safety import UNITS_PER_SECOND
@@ -42,17 +41,13 @@ _FLOATS, _INTS, _MATRIX = types.float64[::1], types.int64[::1], types.float64[:,
 
 @kernel(
     types.int64(
-        ESTIMATOR, LAW, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
-        _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.int64, types.int64, types.int64,
+        CONTROLLER_TYPE, _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.int64, types.int64, types.int64,
         types.int64, types.int64, _FLOATS, types.int64, _INTS, _INTS, _FLOATS, _FLOATS, _FLOATS,
-    ),
-    borrow=True,
+    )
 )  # fmt: skip
 def shake(
-    estimator: Any, law: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any,
-    estimator_parameters: Any, law_state: Any, law_parameters: Any,
-    state: Any, phi: Any, gamma: Any, plant: Any, count: int, edge_age: int, handle: int,
-    ratio: int, every: int, excitation: Any, ramp_steps: int,
+    controller: ControllerArguments, state: Any, phi: Any, gamma: Any, plant: Any, count: int, edge_age: int,
+    handle: int, ratio: int, every: int, excitation: Any, ramp_steps: int,
     bound: Any, counts: Any, positions: Any, velocities: Any, withheld: Any,
 ) -> int:  # fmt: skip
     """Run as many ticks as `withheld` has room for, or until the guard ends the run; returns how many the law ran.
@@ -62,15 +57,12 @@ def shake(
     actuator in each inner step of a period, and the inner steps in which it rises. `bound` counts ticks with a clipped
     effort.
     """
-    m = memory[0]
+    m = controller.memory[0]
     j, row, phase = 0, 0, 0  # inner step, next row, place in the excitation
     for k in range(withheld.shape[0]):
         units = min(state[edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
         edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-        step(
-            estimator, law, count, edge_age_ns * 1e-9, 1, control, memory,
-            estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
-        )  # fmt: skip
+        step(controller, count, edge_age_ns * 1e-9, 1)
         if m["phase"] != TRIAL:
             return k
         effort = m["effort_sent"]
@@ -130,8 +122,7 @@ class Shaker:
         memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1
         bound = np.zeros(1, np.int64)
         arguments: tuple[Any, ...] = (
-            controller.estimator.estimator.update, controller.law.law.function, *controller.arguments(),
-            state, *plant.arrays, plant.count(state), plant.edge_age, plant.handle_position,
+            controller.arguments(), state, *plant.arrays, plant.count(state), plant.edge_age, plant.handle_position,
             self._ratio, self._every, excitation, round(ramp_s * self.inner_rate_hz),
             bound, self._counts, self._positions, self._velocities, self._withheld[:ticks],
         )  # fmt: skip

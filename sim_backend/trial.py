@@ -18,9 +18,8 @@ from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
-from rig.control.step import CONTROL_TYPE, DONE, MEMORY_TYPE, Controller, step
+from rig.control.step import CONTROLLER_TYPE, DONE, Controller, ControllerArguments, step
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import ESTIMATOR, LAW
 from sim_backend.held import want
 from sim_backend.inner import Vector
 from sim_backend.operator import Script
@@ -64,17 +63,14 @@ class Trace:
 
 TRACE_TYPES = (_MATRIX, _INTS, _INTS, _INTS, _INTS)  # states, counts, phases, currents, flags
 RUN_TYPES = (
-    ESTIMATOR, LAW, CONTROL_TYPE, MEMORY_TYPE, _FLOATS, _INTS, _FLOATS, _FLOATS, _FLOATS,
-    _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.float64, types.int64, types.int64, types.int64,
+    CONTROLLER_TYPE, _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.float64, types.int64, types.int64, types.int64,
     _MATRIX, types.int64, *TRACE_TYPES,
 )  # fmt: skip
 
 
-@kernel(types.int64(*RUN_TYPES), borrow=True)
+@kernel(types.int64(*RUN_TYPES))
 def run_ticks(
-    estimator: Any, law: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any,
-    estimator_parameters: Any, law_state: Any, law_parameters: Any,
-    state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
+    controller: ControllerArguments, state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
     edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
     states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
 ) -> int:  # fmt: skip
@@ -84,7 +80,7 @@ def run_ticks(
     `tick_units` are device time of the first sample and length of a tick (1/16 µs). `script` has what the hand
     wants in each tick and goes on at row `again` when it is over; see `sim_backend.operator.Script`.
     """
-    m = memory[0]
+    m = controller.memory[0]
     row = want(state, edge_age, script, 0, again)
     count = advance(state, phi, gamma, plant, 0.0, external_effort)
     for k in range(len(counts)):
@@ -92,10 +88,7 @@ def run_ticks(
             state[edge_age] * UNITS_PER_SECOND, float(start_units + k * tick_units), float(OLDEST_EDGE)
         )
         edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-        current = step(
-            estimator, law, count, edge_age_ns * 1e-9, 1, control, memory,
-            estimator_f, estimator_i, estimator_parameters, law_state, law_parameters,
-        )  # fmt: skip
+        current = step(controller, count, edge_age_ns * 1e-9, 1)
         ends = m["phase"] == DONE
         for i in range(len(state)):  # a slice would be an array to count references to
             states[k, i] = state[i]
@@ -166,9 +159,7 @@ def run_arguments(
 ) -> tuple[Any, ...]:
     """Arguments of `run_ticks` before the arrays of the trace, in its order."""
     return (
-        controller.estimator.estimator.update,
-        controller.law.law.function,
-        *controller.arguments(),
+        controller.arguments(),
         state,
         *plant.arrays,
         external_effort,

@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -37,8 +37,9 @@ from rig.control.estimators.fdm import count_difference
 from rig.control.law import Law, PreparedLaw
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase, RowFlag
+from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import ESTIMATOR, LAW, LAW_CLAMPED
+from rig.realtime.plugs import LAW_CLAMPED, EstimatorPlug, LawPlug
 
 CONTROL = np.dtype(
     [
@@ -114,8 +115,36 @@ MEMORY = np.dtype(
 
 CONTROL_TYPE = types.Array(numba.from_dtype(CONTROL), 1, "C")
 MEMORY_TYPE = types.Array(numba.from_dtype(MEMORY), 1, "C")
-_FLOATS = types.float64[::1]
-_INTS = types.int64[::1]
+
+
+@group
+class ControllerArguments(NamedTuple):
+    """A controller as compiled code takes it; see `step`.
+
+    Attributes
+    ----------
+    estimator, law
+        Plug points (`rig.realtime.plugs`).
+    control, memory
+        Length-1 arrays of `CONTROL` and `MEMORY`; `memory` changes and holds the quantities of the row.
+    estimator_f, estimator_i, estimator_parameters
+        Memory and parameters of the estimator.
+    law_state, law_parameters
+        Memory and parameters of the law.
+    """
+
+    estimator: EstimatorPlug
+    law: LawPlug
+    control: Annotated[NDArray[np.void], CONTROL_TYPE]
+    memory: Annotated[NDArray[np.void], MEMORY_TYPE]
+    estimator_f: Floats
+    estimator_i: Ints
+    estimator_parameters: Floats
+    law_state: Floats
+    law_parameters: Floats
+
+
+CONTROLLER_TYPE = type_of(ControllerArguments)
 
 # Plain integers: numba reads an enum member of another module as a global constant only when it is one.
 WAIT, HOMING, SETTLE = int(Phase.WAIT), int(Phase.HOMING), int(Phase.SETTLE)
@@ -132,8 +161,6 @@ THROWN_OUT = OUT_OF_WINDOW | ENERGY | VIOLENT  # after contact that is what the 
 ENDS_RUN = NONFINITE | HOMING_FAILED | THROWN_OUT
 
 Record = NDArray[np.void]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def new_memory() -> Record:
@@ -153,10 +180,20 @@ class Controller:
     estimator: Prepared
     law: PreparedLaw
 
-    def arguments(self) -> tuple[Any, ...]:
-        """Return control, memory and the arrays of estimator and law, in the order of `step`."""
+    def arguments(self) -> ControllerArguments:
+        """Return what compiled code takes of it: the same arrays, which change."""
         e, w = self.estimator, self.law
-        return (self.control, self.memory, e.state_f, e.state_i, e.parameters, w.state, w.parameters)
+        return ControllerArguments(
+            estimator=e.estimator.update,
+            law=w.law.function,
+            control=self.control,
+            memory=self.memory,
+            estimator_f=e.state_f,
+            estimator_i=e.state_i,
+            estimator_parameters=e.parameters,
+            law_state=w.state,
+            law_parameters=w.parameters,
+        )
 
     def copy(self) -> Controller:
         """Return one that a run may change without changing this one."""
@@ -365,56 +402,20 @@ def _guarded(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> in
     return int(quanta)
 
 
-@kernel(
-    types.int64(
-        ESTIMATOR,
-        LAW,
-        types.int64,
-        types.float64,
-        types.int64,
-        CONTROL_TYPE,
-        MEMORY_TYPE,
-        _FLOATS,
-        _INTS,
-        _FLOATS,
-        _FLOATS,
-        _FLOATS,
-    ),
-    inline=True,
-    borrow=True,
-)
-def step(
-    estimator: Any,
-    law: Any,
-    count: int,
-    edge_age_s: float,
-    elapsed_ticks: int,
-    control: Any,
-    memory: Any,
-    estimator_f: Floats,
-    estimator_i: Ints,
-    estimator_parameters: Floats,
-    law_state: Floats,
-    law_parameters: Floats,
-) -> int:
+@kernel(types.int64(CONTROLLER_TYPE, types.int64, types.float64, types.int64), inline=True)
+def step(controller: ControllerArguments, count: int, edge_age_s: float, elapsed_ticks: int) -> int:
     """Run the law for one fresh sample.
 
     Parameters
     ----------
-    estimator, law
-        Plug points (`rig.realtime.plugs`).
+    controller
+        What is wanted, what is remembered, and the two plugs.
     count
         Encoder count of this sample.
     edge_age_s
         Age of the last encoder edge at the sample (s).
     elapsed_ticks
         Samples since the previous call, 1 when none was lost.
-    control, memory
-        Length-1 arrays of `CONTROL` and `MEMORY`; `memory` changes and holds the quantities of the row.
-    estimator_f, estimator_i, estimator_parameters
-        Memory and parameters of the estimator.
-    law_state, law_parameters
-        Memory and parameters of the law.
 
     Returns
     -------
@@ -423,6 +424,7 @@ def step(
 
     Source: Koul et al., section II and Fig. 2, for the two rates; the order is ours (see above).
     """
+    control, memory = controller.control, controller.memory
     c, m = control[0], memory[0]
     m["flags"] = 0
     m["index"] += elapsed_ticks
@@ -439,13 +441,18 @@ def step(
     if m["index"] >= due_period * c["velocity_divider"]:
         elapsed_periods = m["index"] // c["velocity_divider"] - m["velocity_period"]
         m["velocity_period"] += elapsed_periods
-        sampled = estimator(
-            count, edge_age_s, elapsed_periods, estimator_f, estimator_i, estimator_parameters
+        sampled = controller.estimator(
+            count,
+            edge_age_s,
+            elapsed_periods,
+            controller.estimator_f,
+            controller.estimator_i,
+            controller.estimator_parameters,
         )
         m["velocity_slope"] = (sampled - m["velocity_sampled"]) / m["velocity_ticks"]
         m["velocity_sampled"] = sampled
         m["velocity_ticks"] = 0
-        m["window"] = estimator_i[WINDOW]
+        m["window"] = controller.estimator_i[WINDOW]
         m["flags"] |= VELOCITY_UPDATED
     m["velocity"] = m["velocity_sampled"]
     if c["extrapolate"] != 0:
@@ -454,10 +461,14 @@ def step(
     advance_phase(control, memory, elapsed_ticks)
     m["effort_wall"] = 0.0
     if m["phase"] in (TRIAL, RELEASE):
-        m["effort_wall"] = law(
-            m["penetration"], c["wall_side"] * m["velocity"], elapsed_ticks, law_state, law_parameters
+        m["effort_wall"] = controller.law(
+            m["penetration"],
+            c["wall_side"] * m["velocity"],
+            elapsed_ticks,
+            controller.law_state,
+            controller.law_parameters,
         )
-        if law_state[LAW_CLAMPED] != 0.0:
+        if controller.law_state[LAW_CLAMPED] != 0.0:
             m["flags"] |= CLAMPED
     m["effort_wanted"] = _sources(control, memory, elapsed_ticks)
     return _guarded(control, memory, m["effort_wanted"], elapsed_ticks)

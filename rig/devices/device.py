@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError
+from rig.devices.port import LoopPort
 from rig.realtime.clock import Clock
 
 
@@ -47,27 +48,6 @@ class DeviceUrl:
         if len(options) != len(pairs):
             raise ConfigError(f"device URL {text!r} names an option twice", remedy="keep one of them")
         return cls(parts.scheme, parts.netloc + parts.path, options, text)
-
-
-@dataclass(frozen=True, slots=True)
-class LoopPort:
-    """What the compiled loop needs of a link: plug functions (`rig.realtime.plugs`) and their handles.
-
-    `read`, `write` and `wait` take `handle`; `now` and `sleep` are those of the link's clock and take `clock_handle`.
-    """
-
-    read: Any
-    write: Any
-    wait: Any
-    handle: int
-    now: Any
-    sleep: Any
-    clock_handle: int
-
-    @classmethod
-    def on(cls, clock: Clock, *, read: Any, write: Any, wait: Any, handle: int) -> LoopPort:
-        """Join what moves bytes with a clock."""
-        return cls(read, write, wait, handle, clock.now_plug, clock.sleep_plug, clock.handle)
 
 
 class Link(Protocol):

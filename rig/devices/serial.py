@@ -34,8 +34,9 @@ from serial.tools import list_ports
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.core.model import RigModel
 from rig.devices import tty
-from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.device import DeviceUrl
 from rig.devices.failures import error_number, link_error
+from rig.devices.port import LoopPort
 from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
 from rig.realtime import system
 from rig.realtime.clock import Clock, MonotonicClock

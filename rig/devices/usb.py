@@ -30,8 +30,9 @@ from rig.core.errors import (
     UnpluggedError,
 )
 from rig.core.model import RigModel
-from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.device import DeviceUrl
 from rig.devices.failures import error_number, link_error
+from rig.devices.port import LoopPort
 from rig.devices.usb_handle import Bus, handle_of, unsuitable
 from rig.devices.usb_plain import PlainTransfers
 from rig.devices.usb_queue import QueuedTransfers

@@ -105,7 +105,7 @@ class PlainTransfers:
         return sent
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return read, write, wait and their handle (`rig.devices.device.LoopPort`)."""
+        """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
 
         def native(kind: Any, function: Callable[..., int], signature: Any) -> Any:
             callback = kind(_guarded(function))

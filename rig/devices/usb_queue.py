@@ -112,7 +112,7 @@ class QueuedTransfers:
                 compiled.flush(self._address, time.monotonic_ns() + round(_SLICE_S * 1e9), 0)
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return read, write, wait and their handle (`rig.devices.device.LoopPort`)."""
+        """Return read, write, wait and their handle (`rig.devices.port.LoopPort`)."""
         return compiled.usb_read, compiled.usb_write, compiled.usb_wait, self._address
 
     def close(self) -> None:

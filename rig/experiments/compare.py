@@ -298,5 +298,5 @@ def _rows(law: Controller, plant: Any, trace: Any) -> NDArray[np.void]:
     units = np.rint(np.minimum(trace.states[:, plant.edge_age] * (1e9 / TIME_UNIT_NS), OLDEST_EDGE))
     rows["edge_age"] = units.astype(np.int64) * round(1000 * TIME_UNIT_NS) // 1000
     again = rows.copy()
-    replay_rows(law.estimator.estimator.update, law.law.law.function, rows, again, NO_SETS, *law.arguments())
+    replay_rows(law.arguments(), rows, again, NO_SETS)
     return again

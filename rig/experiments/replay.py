@@ -89,14 +89,7 @@ def replay(
     replayed = recorded.copy()
     bundle = _controller(recording, changes, law)
     try:
-        replay_rows(
-            bundle.estimator.estimator.update,
-            bundle.law.law.function,
-            recorded,
-            replayed,
-            _sets(recording, changes, law),
-            *bundle.arguments(),
-        )
+        replay_rows(bundle.arguments(), recorded, replayed, _sets(recording, changes, law))
     except Exception as error:
         raise LawError(
             f"the law or the estimator raised {error!r}", remedy="mend it: a kernel raises nothing"

@@ -14,7 +14,7 @@ from firmware_protocol.messages import BATCH_LAYOUTS
 from rig.core.sample import Phase
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, next_frame
-from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, SETTINGS_TYPE
+from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, Buffers
 from rig.loop.letters import take_answer
 from rig.loop.receive import WRAP, add, forget_noise
 from rig.loop.rows import behind_grid
@@ -29,8 +29,10 @@ from rig.loop.supervision import (
     RECEIVED,
     SAMPLES_A_READING,
     STATES_KEPT,
+    SUPERVISION_BUFFERS_TYPE,
     SUPERVISION_TYPE,
     TIME,
+    SupervisionBuffers,
 )
 from rig.realtime import codec, ring
 from rig.realtime.codec import BATCH, HEAD, SAMPLE, STATE
@@ -55,25 +57,13 @@ def has_room(supervision: Any) -> bool:
     return bool(v["head"] - v["tail"] <= QUEUE - SAMPLES_A_READING)
 
 
-@kernel(
-    types.int64(
-        INTS,
-        INTS,
-        INT_ROWS,
-        types.int64,
-        INT_ROWS,
-        SUPERVISION_TYPE,
-        SETTINGS_TYPE,
-        PROGRESS_TYPE,
-        types.uintp,
-    )
-)
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.int64, types.uintp))
 def _take_batch(
-    header: Any, batch: Any, decoded: Any, count: int, samples: Any, supervision: Any, settings: Any, progress: Any,
-    words: int,
-) -> int:  # fmt: skip
+    settings: Any, buffers: Buffers, supervised: SupervisionBuffers, count: int, words: int
+) -> int:
     """Put the samples of a BATCH that are new into the queue; return how many."""
-    v, s = supervision[0], settings[0]
+    v, s, progress = supervised.supervision[0], settings[0], buffers.progress
+    header, batch, decoded = buffers.header, supervised.batch, supervised.decoded
     first, time = batch[BATCH.first_index], batch[BATCH.device_time]
     known = 0  # samples of it that came before
     if v["started"] != 0:
@@ -94,7 +84,7 @@ def _take_batch(
     late = behind_grid(settings, progress, last, last - v["index"], progress[0]["read_at"])
     period_ps = s["period_ns"] * 1000
     for i in range(known, count):
-        place = samples[v["head"] % QUEUE]
+        place = supervised.samples[v["head"] % QUEUE]
         place[INDEX] = first + i
         place[TIME] = time + i * period_ps // s["device_tick_ps"]
         place[COUNT] = decoded[i, SAMPLE.count]
@@ -109,12 +99,12 @@ def _take_batch(
     return count - known
 
 
-@kernel(types.void(INTS, INTS, INT_ROWS, INTS, SUPERVISION_TYPE, PROGRESS_TYPE, types.uintp))
-def _take_state(
-    header: Any, candidate: Any, states: Any, newest: Any, supervision: Any, progress: Any, words: int
-) -> None:
+@kernel(types.void(BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
+def _take_state(buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
     """Keep a STATE if it is newer than the last one: as the newest, and until its sample comes."""
-    v, p = supervision[0], progress[0]
+    v, p = supervised.supervision[0], buffers.progress[0]
+    header, candidate = buffers.header, buffers.candidate
+    states, newest = supervised.states, supervised.newest
     contiguous = 1
     if v["heard"] != 0:
         newer = ahead(candidate[STATE.sample_index], newest[STATE.sample_index])
@@ -140,47 +130,35 @@ def _take_state(
     v["states_head"] += 1
 
 
-@kernel(
-    types.int64(
-        BYTES, BYTES, INTS, INTS, INTS, INT_ROWS, INTS, INT_ROWS, INT_ROWS, INT_ROWS, INTS, INTS,
-        SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp,
-    )
-)  # fmt: skip
-def take_frames(
-    received: Any, raw: Any, header: Any, candidate: Any, times: Any, exchanges: Any, batch: Any, decoded: Any,
-    samples: Any, states: Any, newest: Any, ack: Any, supervision: Any, settings: Any, progress: Any, words: int,
-) -> int:  # fmt: skip
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
+def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> int:
     """Take the whole frames out of the receive buffer: samples and STATEs into their queues; return new samples.
 
     Answers to a clock exchange and to the conversation about a new wall go where they belong. The queue must have room
     (`has_room`).
     """
     session = settings[0]["session"]
-    end = progress[0]["filled"]
+    raw, header, ack = buffers.raw, buffers.header, supervised.ack
+    end = buffers.progress[0]["filled"]
     start = 0
     fresh = 0
     while True:
-        length, start = next_frame(received, start, end, raw)
+        length, start = next_frame(buffers.received, start, end, raw)
         if length == NO_FRAME:
             break
         if length < 0:
             add(words, ring.BAD_FRAMES, 1)
             continue
         add(words, ring.FRAMES, 1)
-        count = codec.decode_batch(raw, length, header, batch, decoded)
+        count = codec.decode_batch(raw, length, header, supervised.batch, supervised.decoded)
         ours = header[HEAD.session] == session
         if count > 0 and ours:
-            fresh += _take_batch(
-                header, batch, decoded, count, samples, supervision, settings, progress, words
-            )
-        elif ours and codec.decode_state(raw, length, header, candidate) == 0:
-            _take_state(header, candidate, states, newest, supervision, progress, words)
-        elif codec.decode_ack(raw, length, header, ack) == 0 and take_answer(ack, supervision, progress) == 1:
+            fresh += _take_batch(settings, buffers, supervised, count, words)
+        elif ours and codec.decode_state(raw, length, header, buffers.candidate) == 0:
+            _take_state(buffers, supervised, words)
+        elif codec.decode_ack(raw, length, header, ack) == 0 and take_answer(buffers, supervised) == 1:
             pass
-        elif (
-            take_time(raw, length, header, times, exchanges, progress, settings[0]["device_tick_ps"], words)
-            == 0
-        ):
+        elif take_time(settings, buffers, length, words) == 0:
             add(words, ring.OTHER_FRAMES, 1)
-    forget_noise(received, start, end, progress, words)
+    forget_noise(buffers, start, end, words)
     return fresh

@@ -10,11 +10,11 @@ from numba import types
 from firmware_protocol.messages import Mode, Sync
 from rig.control.step import MEMORY_TYPE
 from rig.core.sample import Phase, RowFlag
-from rig.loop.layout import BYTES, INTS, PROGRESS_TYPE, SETTINGS_TYPE
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, Buffers
 from rig.realtime import codec
 from rig.realtime.codec import COMMAND
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import TRANSFER
 
 MODE_CURRENT, MODE_SUPERVISE, MODE_STOP = int(Mode.CURRENT), int(Mode.SUPERVISE), int(Mode.STOP)
 NO_SYNC = 0
@@ -34,16 +34,11 @@ def sync_of(memory: Any) -> int:
 
 
 @kernel(
-    types.int64(
-        TRANSFER, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, INTS, BYTES, types.int64, types.int64, types.int64
-    )
-)  # fmt: skip
-def send_command(
-    write: Any, link: int, settings: Any, progress: Any, command: Any, transmit: Any, mode: int, current: int,
-    sync: int,
-) -> int:  # fmt: skip
+    types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.int64, types.int64),
+)
+def send_command(port: LoopPort, settings: Any, buffers: Buffers, mode: int, current: int, sync: int) -> int:
     """Send one COMMAND: 1 when the link took it whole, 0 when not, negative errno when the link is broken."""
-    p = progress[0]
+    p, command, transmit = buffers.progress[0], buffers.command, buffers.transmit
     command[COMMAND.state_sequence] = p["answers"]
     command[COMMAND.lifetime_us] = settings[0]["lifetime_us"]
     command[COMMAND.mode] = mode
@@ -53,7 +48,7 @@ def send_command(
     p["sequence"] = (p["sequence"] + 1) % 65536
     if size < 0:  # a value that no field of the wire holds: nothing leaves
         return 0
-    sent = write(link, np.int64(transmit.ctypes.data), size)
+    sent = port.write(port.handle, np.int64(transmit.ctypes.data), size)
     if sent < 0:
         return int(sent)
     return 1 if sent == size else 0

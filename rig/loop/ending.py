@@ -12,11 +12,11 @@ from rig.control.step import HOMING_FAILED as FLAG_HOMING
 from rig.control.step import NONFINITE as FLAG_NONFINITE
 from rig.control.step import OUT_OF_WINDOW as FLAG_WINDOW
 from rig.control.step import VIOLENT as FLAG_VIOLENT
+from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.layout import SETTINGS_TYPE, WORD, EndReason
 from rig.realtime import ring
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import NOW
 from rig.realtime.system import woken_by_signal
 
 # Plain integers, as compiled code takes them.
@@ -27,15 +27,15 @@ _NONFINITE, _WINDOW, _HOMING = (int(EndReason[n]) for n in ("NONFINITE", "OUT_OF
 _ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
 
 
-@kernel(types.int64(NOW, types.int64, SETTINGS_TYPE, types.uintp))
-def told_to_end(now: Any, clock: int, settings: Any, words: int) -> int:
+@kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
+def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
     """Reason to end that came from outside, or 0: the stop word, a signal, a supervisor that fell silent."""
     if woken_by_signal(settings[0]["wake_descriptor"]) != 0:
         store_word(words + WORD * ring.STOP, 1)
     if load_word(words + WORD * ring.STOP) != 0:
         return STOPPED
     alive_until = load_word(words + WORD * ring.HEARTBEAT)
-    if alive_until != 0 and now(clock) > alive_until:
+    if alive_until != 0 and port.now(port.clock_handle) > alive_until:
         return HEARTBEAT
     return 0
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from rig.loop.layout import BYTES, INT_ROWS, INTS, PROGRESS_TYPE, SETTINGS_TYPE, WORD
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, WORD, Buffers
 from rig.realtime import codec, ring
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import GET_TIME, TIME
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import NOW, TRANSFER
 
 EVERY_NS = 91_000_000  # some eleven a second; no multiple of a usual period, so that no beat hides a delay
 
@@ -27,44 +27,35 @@ def device_ns(ticks: int, device_tick_ps: int) -> int:
     return ticks // 1000 * device_tick_ps + ticks % 1000 * device_tick_ps // 1000
 
 
-@kernel(types.int64(TRANSFER, NOW, types.int64, types.int64, SETTINGS_TYPE, PROGRESS_TYPE, INTS, BYTES))
-def ask_time(
-    write: Any, now: Any, link: int, clock: int, settings: Any, progress: Any, question: Any, transmit: Any
-) -> int:
+@kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE))
+def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
     """Send a GET_TIME when it is time for one: 0, or the negative errno of a broken link.
 
     An answer that has not come by the next question is given up.
     """
-    s, p = settings[0], progress[0]
-    asked_at = now(clock)
+    s, p = settings[0], buffers.progress[0]
+    asked_at = port.now(port.clock_handle)
     if s["exchange_every_ns"] == 0 or asked_at - p["asked_at"] < s["exchange_every_ns"]:
         return 0
     p["nonce"] = (p["nonce"] + 1) % 65536
     p["asked_at"] = asked_at
+    question = buffers.question
     question[GET_TIME.nonce] = p["nonce"]
     question[GET_TIME.host_sent] = asked_at
-    size = codec.encode_get_time(s["session"], p["nonce"], question, transmit)
+    size = codec.encode_get_time(s["session"], p["nonce"], question, buffers.transmit)
     if size < 0:
         return 0
-    sent = write(link, np.int64(transmit.ctypes.data), size)
+    sent = port.write(port.handle, np.int64(buffers.transmit.ctypes.data), size)
     p["asking"] = 1 if sent == size else 0
     return int(min(sent, 0))
 
 
-@kernel(types.int64(BYTES, types.int64, INTS, INTS, INT_ROWS, PROGRESS_TYPE, types.int64, types.uintp))
-def take_time(
-    raw: Any,
-    length: int,
-    header: Any,
-    times: Any,
-    exchanges: Any,
-    progress: Any,
-    device_tick_ps: int,
-    words: int,
-) -> int:
-    """Keep a frame if it is the TIME that is awaited; return 1 then, else 0."""
-    p = progress[0]
-    if p["asking"] == 0 or codec.decode_time(raw, length, header, times) != 0:
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
+def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
+    """Keep the frame in `buffers.raw` if it is the TIME that is awaited; return 1 then, else 0."""
+    p, times, exchanges = buffers.progress[0], buffers.times, buffers.exchanges
+    device_tick_ps = settings[0]["device_tick_ps"]
+    if p["asking"] == 0 or codec.decode_time(buffers.raw, length, buffers.header, times) != 0:
         return 0
     if times[TIME.nonce] != p["nonce"]:
         return 0

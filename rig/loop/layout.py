@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rig.core.sample import ROW
 from rig.realtime import codec
 from rig.realtime.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
+from rig.realtime.groups import Address, Bytes, FloatRows, Floats, IntRows, Ints, group, type_of
 from rig.realtime.mailbox import SET_FLOATS
 
 
@@ -94,15 +95,23 @@ EXCHANGES_KEPT = 8192  # twelve minutes; a longer run keeps the newest
 SETS_KEPT = 256  # parameter sets in one run; more are not taken, because a replay would lack them
 WORD = 8
 
-FLOATS, INTS, BYTES = types.float64[::1], types.int64[::1], types.uint8[::1]
-INT_ROWS, FLOAT_ROWS = types.int64[:, ::1], types.float64[:, ::1]
+FLOATS, INTS, INT_ROWS = types.float64[::1], types.int64[::1], types.int64[:, ::1]
 SETTINGS_TYPE = types.Array(numba.from_dtype(SETTINGS), 1, "C")
 PROGRESS_TYPE = types.Array(numba.from_dtype(PROGRESS), 1, "C")
 ROWS_TYPE = types.Array(numba.from_dtype(ROW), 1, "C")
 
 
-@dataclass(frozen=True, slots=True)
-class Buffers:
+@group
+class Shared(NamedTuple):
+    """The ring (`rig.realtime.ring`): control words and mailbox (0: none) by address, and the rows."""
+
+    words: Address
+    mailbox: Address
+    rows: Annotated[NDArray[np.void], ROWS_TYPE]
+
+
+@group
+class Buffers(NamedTuple):
     """Everything the loop writes into besides the ring: allocated once, since the loop allocates nothing.
 
     Attributes
@@ -121,19 +130,19 @@ class Buffers:
         `PROGRESS`.
     """
 
-    received: NDArray[np.uint8]
-    raw: NDArray[np.uint8]
-    transmit: NDArray[np.uint8]
-    header: NDArray[np.int64]
-    candidate: NDArray[np.int64]
-    state: NDArray[np.int64]
-    command: NDArray[np.int64]
-    question: NDArray[np.int64]
-    times: NDArray[np.int64]
-    exchanges: NDArray[np.int64]
-    waiting: NDArray[np.float64]
-    sets: NDArray[np.float64]
-    progress: NDArray[np.void]
+    received: Bytes
+    raw: Bytes
+    transmit: Bytes
+    header: Ints
+    candidate: Ints
+    state: Ints
+    command: Ints
+    question: Ints
+    times: Ints
+    exchanges: IntRows
+    waiting: Floats
+    sets: FloatRows
+    progress: Annotated[NDArray[np.void], PROGRESS_TYPE]
 
     @classmethod
     def allocate(cls) -> Buffers:
@@ -155,3 +164,6 @@ class Buffers:
             sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
             progress=progress,
         )
+
+
+SHARED_TYPE, BUFFERS_TYPE = type_of(Shared), type_of(Buffers)

@@ -23,14 +23,19 @@ from firmware_protocol.parameters import ENTRY_BYTES
 from firmware_protocol.transaction import RETRY_AFTER_S
 from rig.control.step import CONTROL_TYPE
 from rig.core.errors import ConfigError
-from rig.loop.layout import BYTES, FLOAT_ROWS, FLOATS, INTS, PROGRESS_TYPE, SETTINGS_TYPE
+from rig.devices.port import PORT_TYPE, LoopPort
+from rig.loop.layout import BUFFERS_TYPE, FLOATS, SETTINGS_TYPE, Buffers
 from rig.loop.parameters import inside
-from rig.loop.supervision import BLOCK_BYTES, SUPERVISION_TYPE
+from rig.loop.supervision import (
+    BLOCK_BYTES,
+    SUPERVISION_BUFFERS_TYPE,
+    SUPERVISION_TYPE,
+    SupervisionBuffers,
+)
 from rig.realtime import codec
 from rig.realtime.codec import ACK, SET_BEGIN, SET_CHUNK
 from rig.realtime.kernel import kernel
 from rig.realtime.mailbox import SET_FLOATS, take
-from rig.realtime.plugs import NOW, TRANSFER
 
 # Steps of the conversation.
 IDLE = 0
@@ -72,27 +77,27 @@ def letter_of(number: int, block: bytes, values: Sequence[float]) -> NDArray[np.
     return letter
 
 
-@kernel(types.void(types.uintp, FLOATS, BYTES, FLOATS, FLOAT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
-def _open_letter(
-    mailbox: int, letter: Any, block: Any, waiting: Any, sets: Any, supervision: Any, progress: Any
-) -> None:
+@kernel(types.void(types.uintp, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
+def _open_letter(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers) -> None:
     """Take the newest letter, if there is one, unless more sets than a replay can hold were in force already."""
-    v, p = supervision[0], progress[0]
-    if p["sets"] == len(sets) or take(mailbox, letter) == 0:
+    v, p = supervised.supervision[0], buffers.progress[0]
+    letter, block = supervised.letter, supervised.block
+    if p["sets"] == len(buffers.sets) or take(mailbox, letter) == 0:
         return
     p["waiting_set"] = np.int64(letter[NUMBER])
     v["length"] = np.int64(letter[LENGTH])
     for i in range(v["length"]):
         block[i] = (np.int64(letter[ENTRIES + i // ENTRY]) >> (8 * (i % ENTRY))) & 0xFF
     for i in range(len(letter) - VALUES):
-        waiting[i] = letter[VALUES + i]
+        buffers.waiting[i] = letter[VALUES + i]
     v["step"] = WAITING
 
 
-@kernel(types.int64(SETTINGS_TYPE, SUPERVISION_TYPE, INTS, BYTES, BYTES))
-def _encode(settings: Any, supervision: Any, request: Any, block: Any, transmit: Any) -> int:
-    """Frame of the step at which the conversation is."""
-    v, session = supervision[0], settings[0]["session"]
+@kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
+def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers) -> int:
+    """Frame of the step at which the conversation is, in `buffers.transmit`."""
+    v, session = supervised.supervision[0], settings[0]["session"]
+    request, block, transmit = supervised.request, supervised.block, buffers.transmit
     request[SET_BEGIN.nonce] = v["nonce"]
     if v["step"] == BEGUN:
         request[SET_BEGIN.length] = v["length"]
@@ -117,36 +122,31 @@ def _may_begin(control: Any, waiting: Any, supervision: Any, time_ns: int) -> bo
 
 
 @kernel(
-    types.int64(
-        TRANSFER, NOW, types.int64, types.int64, types.uintp, CONTROL_TYPE, SETTINGS_TYPE, SUPERVISION_TYPE,
-        PROGRESS_TYPE, FLOATS, BYTES, FLOATS, FLOAT_ROWS, INTS, BYTES,
-    )
-)  # fmt: skip
+    types.int64(PORT_TYPE, types.uintp, CONTROL_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE)
+)
 def converse(
-    write: Any, now: Any, link: int, clock: int, mailbox: int, control: Any, settings: Any, supervision: Any,
-    progress: Any, letter: Any, block: Any, waiting: Any, sets: Any, request: Any, transmit: Any,
-) -> int:  # fmt: skip
+    port: LoopPort,
+    mailbox: int,
+    control: Any,
+    settings: Any,
+    buffers: Buffers,
+    supervised: SupervisionBuffers,
+) -> int:
     """Say what is due of the conversation: 0, or the negative errno of a broken link.
 
-    Parameters
-    ----------
-    mailbox
-        Address of the mailbox in which letters come, or 0 for a loop without one.
-    control
-        What the host's law has in force.
-    letter, block, waiting, sets, request, transmit
-        Of `rig.loop.layout.Buffers` and `rig.loop.supervision.SupervisionBuffers`.
+    `mailbox` is the address of that in which letters come, or 0 for a loop without one; `control` is what the host's
+    law has in force.
     """
-    v, p = supervision[0], progress[0]
+    v, p = supervised.supervision[0], buffers.progress[0]
     if mailbox == 0:
         return 0
     if v["step"] <= WAITING:
-        _open_letter(mailbox, letter, block, waiting, sets, supervision, progress)
+        _open_letter(mailbox, buffers, supervised)
     if v["step"] == IDLE or v["step"] == GRANTED:
         return 0
-    time_ns = now(clock)
+    time_ns = port.now(port.clock_handle)
     if v["step"] == WAITING:
-        if not _may_begin(control, waiting, supervision, time_ns):
+        if not _may_begin(control, buffers.waiting, supervised.supervision, time_ns):
             return 0
         p["nonce"] = (p["nonce"] + 1) % 65536
         p["asking"] = 0  # a clock exchange that was on its way is given up: its answer has another nonce
@@ -158,18 +158,18 @@ def converse(
         _FIRST_RETRY_NS << min(v["tries"] - 1, 8), _LAST_RETRY_NS
     ):
         return 0
-    size = _encode(settings, supervision, request, block, transmit)
+    size = _encode(settings, buffers, supervised)
     v["sent_at"] = time_ns
     v["tries"] += 1
     if size < 0:
         return 0
-    return int(min(write(link, np.int64(transmit.ctypes.data), size), 0))
+    return int(min(port.write(port.handle, np.int64(buffers.transmit.ctypes.data), size), 0))
 
 
-@kernel(types.int64(INTS, SUPERVISION_TYPE, PROGRESS_TYPE))
-def take_answer(ack: Any, supervision: Any, progress: Any) -> int:
+@kernel(types.int64(BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
+def take_answer(buffers: Buffers, supervised: SupervisionBuffers) -> int:
     """Go on with the conversation if an ACK is the answer to what was said last; return 1 then, else 0."""
-    v, p = supervision[0], progress[0]
+    v, p, ack = supervised.supervision[0], buffers.progress[0], supervised.ack
     step, request, status = v["step"], ack[ACK.request], ack[ACK.status]
     expected = _BEGIN_TYPE if step == BEGUN else _CHUNK_TYPE if step == CHUNKS else _COMMIT_TYPE
     if step < BEGUN or step > COMMITTED or ack[ACK.nonce] != v["nonce"] or request != expected:

@@ -12,10 +12,11 @@ from typing import Any
 from numba import types
 
 from rig.control.estimators.fdm import count_difference
-from rig.control.step import CONTROL_TYPE
-from rig.loop.layout import FLOAT_ROWS, FLOATS, PROGRESS_TYPE, WORD
+from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, ControllerArguments
+from rig.loop.layout import BUFFERS_TYPE, FLOATS, SHARED_TYPE, WORD, Buffers, Shared
 from rig.realtime import ring
 from rig.realtime.atomics import store_word
+from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 from rig.realtime.mailbox import take
 
@@ -28,24 +29,20 @@ def inside(control: Any, wall_position: float, count: int) -> bool:
     return bool(c["wall_side"] * (position - wall_position) > 0.0)
 
 
-@kernel(types.void(CONTROL_TYPE, FLOATS, FLOATS))
-def put_in_force(control: Any, law_parameters: Any, values: Any) -> None:
+@kernel(types.void(CONTROLLER_TYPE, FLOATS))
+def put_in_force(controller: ControllerArguments, values: Any) -> None:
     """Make a parameter set that of the law: `values` are the wall's position and the law's parameters."""
-    control[0]["wall_position"] = values[0]
-    for i in range(len(law_parameters)):
-        law_parameters[i] = values[1 + i]
+    controller.control[0]["wall_position"] = values[0]
+    for i in range(len(controller.law_parameters)):
+        controller.law_parameters[i] = values[1 + i]
 
 
-@kernel(
-    types.void(CONTROL_TYPE, FLOATS, FLOATS, FLOAT_ROWS, PROGRESS_TYPE, types.int64, types.uintp),
-)
-def begin_set(
-    control: Any, law_parameters: Any, waiting: Any, sets: Any, progress: Any, tick: int, words: int
-) -> None:
+@kernel(types.void(CONTROLLER_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
+def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, words: int) -> None:
     """Put the set that waits in force from this tick on, and keep it for a replay."""
-    p = progress[0]
-    put_in_force(control, law_parameters, waiting)
-    row = sets[p["sets"]]
+    p, waiting = buffers.progress[0], buffers.waiting
+    put_in_force(controller, waiting)
+    row = buffers.sets[p["sets"]]
     row[0] = p["waiting_set"]
     row[1] = tick
     for i in range(len(waiting)):
@@ -56,48 +53,18 @@ def begin_set(
     store_word(words + WORD * ring.PARAMETER_SET, p["parameter_set"])
 
 
-@kernel(
-    types.void(
-        types.uintp,
-        CONTROL_TYPE,
-        FLOATS,
-        FLOATS,
-        FLOAT_ROWS,
-        PROGRESS_TYPE,
-        types.int64,
-        types.int64,
-        types.uintp,
-    )
-)
-def renew_parameters(
-    mailbox: int, control: Any, law_parameters: Any, waiting: Any, sets: Any, progress: Any, count: int, tick: int,
-    words: int,
-) -> None:  # fmt: skip
-    """Look into the mailbox, and put what waits in force if the handle is in free space.
-
-    Parameters
-    ----------
-    mailbox
-        Address of a `rig.realtime.mailbox`, or 0 for a loop without one.
-    control, law_parameters
-        What `rig.control.step` reads, changed in place.
-    waiting, sets, progress
-        Of `rig.loop.layout.Buffers`.
-    count
-        Encoder count of this tick.
-    tick
-        Its number.
-    words
-        Address of the ring's control words.
-    """
-    if mailbox == 0:
+@kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, BUFFERS_TYPE, types.int64))
+def renew_parameters(controller: ControllerArguments, shared: Shared, buffers: Buffers, tick: int) -> None:
+    """Look into the mailbox, and put what waits in force, from this tick on, if the handle is in free space."""
+    if shared.mailbox == 0:
         return
-    p = progress[0]
-    number = take(mailbox, waiting)
+    p, waiting, control = buffers.progress[0], buffers.waiting, controller.control
+    number = take(shared.mailbox, waiting)
     if number > 0:
         p["waiting_set"] = number
-    if p["waiting_set"] == 0 or p["sets"] == len(sets):
+    if p["waiting_set"] == 0 or p["sets"] == len(buffers.sets):
         return
+    count = buffers.state[STATE.count]
     if inside(control, control[0]["wall_position"], count) or inside(control, waiting[0], count):
         return
-    begin_set(control, law_parameters, waiting, sets, progress, tick, words)
+    begin_set(controller, buffers, tick, shared.words)

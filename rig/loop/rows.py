@@ -6,10 +6,20 @@ from typing import Any
 
 from numba import types
 
-from rig.control.step import CONTROL_TYPE, MEMORY_TYPE
+from rig.control.step import CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments
 from rig.core.sample import RowFlag
 from rig.loop.exchange import device_ns
-from rig.loop.layout import INTS, PROGRESS_TYPE, ROWS_TYPE, SETTINGS_TYPE, WORD
+from rig.loop.layout import (
+    BUFFERS_TYPE,
+    INTS,
+    PROGRESS_TYPE,
+    ROWS_TYPE,
+    SETTINGS_TYPE,
+    SHARED_TYPE,
+    WORD,
+    Buffers,
+    Shared,
+)
 from rig.loop.receive import WRAP, add
 from rig.realtime import ring
 from rig.realtime.atomics import load_word, store_word
@@ -95,24 +105,35 @@ def show_law(rows: Any, slot: int, memory: Any) -> None:
 
 @kernel(
     types.void(
-        types.uintp, ROWS_TYPE, types.int64, types.int64, types.int64, types.int64, types.int64,
-        INTS, PROGRESS_TYPE, SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE,
+        CONTROLLER_TYPE,
+        SHARED_TYPE,
+        SETTINGS_TYPE,
+        BUFFERS_TYPE,
+        *[types.int64] * 5,
     )
-)  # fmt: skip
+)
 def leave_row(
-    words: int, rows: Any, tick: int, elapsed: int, received_ns: int, computed_ns: int, sent_ns: int,
-    state: Any, progress: Any, settings: Any, control: Any, memory: Any,
-) -> None:  # fmt: skip
+    controller: ControllerArguments,
+    shared: Shared,
+    settings: Any,
+    buffers: Buffers,
+    tick: int,
+    elapsed: int,
+    received_ns: int,
+    computed_ns: int,
+    sent_ns: int,
+) -> None:
     """Put one row of `rig.core.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
 
     The effort in force follows from the current in force.
     """
+    words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
     edge = sync_time(progress, state)  # also in a row that is lost
     slot = room(words, len(rows), settings[0]["wait_for_room"])
     if slot < 0:
         return
     r, p, s = rows[slot], progress[0], settings[0]
-    quantum = control[0]["effort_quantum"]
+    quantum = controller.control[0]["effort_quantum"]
     r["tick"] = tick
     r["sample_index"] = p["sample_index"]
     r["elapsed_ticks"] = elapsed
@@ -134,7 +155,7 @@ def leave_row(
     r["missed_ticks"] = state[STATE.missed_ticks]
     r["sync_time"] = device_ns(edge, s["device_tick_ps"])
     r["execution_time"] = state[STATE.execution_time] * s["device_tick_ps"] // 1000
-    show_law(rows, slot, memory)
+    show_law(rows, slot, controller.memory)
     r["received_at"] = received_ns
     r["computed_at"] = computed_ns
     r["sent_at"] = sent_ns

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rig.control.step import Controller
 from rig.devices.device import Link
 from rig.loop import host
-from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason
+from rig.loop.layout import EXCHANGES_KEPT, SETTINGS, Buffers, EndReason, Shared
 from rig.realtime import ring as words
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import prepare
@@ -103,9 +103,7 @@ def prepare_loop(loop: Any, link: Link, controller: Controller) -> None:
 
     `loop` is the compiled function of the thread: `rig.loop.host.run` or `rig.loop.supervise.run`.
     """
-    port = link.port()
-    far_end = (port.read, port.write, port.wait, port.now, port.sleep)
-    prepare(loop, *far_end, controller.estimator.estimator.update, controller.law.law.function)
+    prepare(loop, *link.port(), *controller.arguments())
 
 
 class LoopThread:
@@ -278,22 +276,21 @@ class LoopThread:
             self._ended.set()
 
     def _run(self) -> None:
-        host.run(*self._arguments())
-
-    def _arguments(self) -> tuple[Any, ...]:
-        port = self._link.port()
-        estimator, law = self._controller.estimator.estimator.update, self._controller.law.law.function
-        return (
-            *(port.read, port.write, port.wait, port.now, port.sleep),
-            *(estimator, law, port.handle, port.clock_handle),
-            *(self._settings.as_array(), *self._controller.arguments()),
-            *(self.ring.words.ctypes.data, self._mailbox(), self.ring.rows),
-            *self._arrays(),
+        host.run(
+            self._link.port(),
+            self._controller.arguments(),
+            self._shared(),
+            self._settings.as_array(),
+            self._buffers,
         )
+
+    def _shared(self) -> Shared:
+        return Shared(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
 
     def _mailbox(self) -> int:
         """Address of the ring's mailbox; 0 for a law with more parameters than a set holds (a recorded excitation)."""
         return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        return tuple(getattr(self._buffers, field.name) for field in fields(Buffers))
+        """Memory that the loop must not wait for."""
+        return tuple(self._buffers)

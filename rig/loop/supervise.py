@@ -17,9 +17,10 @@ from typing import Any
 from numba import types
 
 from firmware_protocol.connection import State
-from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, step
+from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, MEMORY_TYPE, ControllerArguments, step
 from rig.core.sample import Phase
 from rig.devices.framed import STOP_FRAMES
+from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.agreement import compare, settle
 from rig.loop.batches import ahead, has_room, take_frames
 from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, NO_SYNC, send_command
@@ -36,16 +37,16 @@ from rig.loop.ending import (
 )
 from rig.loop.exchange import ask_time
 from rig.loop.layout import (
-    BYTES,
-    FLOAT_ROWS,
-    FLOATS,
+    BUFFERS_TYPE,
     INT_ROWS,
     INTS,
     PROGRESS_TYPE,
     RECEIVE_BYTES,
-    ROWS_TYPE,
     SETTINGS_TYPE,
+    SHARED_TYPE,
     WORD,
+    Buffers,
+    Shared,
 )
 from rig.loop.letters import COMMITTED, GRANTED, IDLE, converse
 from rig.loop.parameters import begin_set
@@ -60,14 +61,15 @@ from rig.loop.supervision import (
     QUEUE,
     RECEIVED,
     STATES_KEPT,
+    SUPERVISION_BUFFERS_TYPE,
     SUPERVISION_TYPE,
     TIME,
+    SupervisionBuffers,
 )
 from rig.realtime import ring
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import ESTIMATOR, LAW, NOW, TRANSFER, WAIT
 
 _FAULT_STATE, _RELEASE = int(State.FAULT), int(Phase.RELEASE)
 READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again
@@ -79,62 +81,54 @@ _ABANDONED = -1
 
 
 @kernel(
-    types.int64(
-        TRANSFER, NOW, types.int64, types.int64, types.uintp, CONTROL_TYPE, SETTINGS_TYPE, SUPERVISION_TYPE,
-        PROGRESS_TYPE, FLOATS, BYTES, FLOATS, FLOAT_ROWS, INTS, INTS, INTS, BYTES, types.uintp,
-    )
-)  # fmt: skip
+    types.int64(PORT_TYPE, CONTROL_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE)
+)
 def _say(
-    write: Any, now: Any, link: int, clock: int, mailbox: int, control: Any, settings: Any, supervision: Any,
-    progress: Any, letter: Any, block: Any, waiting: Any, sets: Any, request: Any, command: Any, question: Any,
-    transmit: Any, words: int,
-) -> int:  # fmt: skip
+    port: LoopPort,
+    control: Any,
+    shared: Shared,
+    settings: Any,
+    buffers: Buffers,
+    supervised: SupervisionBuffers,
+) -> int:
     """Say what is due, to go on before all: 0, or the negative errno of a broken link."""
-    v, s = supervision[0], settings[0]
-    time_ns = now(clock)
+    v, s = supervised.supervision[0], settings[0]
+    time_ns = port.now(port.clock_handle)
     if time_ns >= v["next_command"]:
-        taken = send_command(write, link, settings, progress, command, transmit, MODE_SUPERVISE, 0, NO_SYNC)
-        add(words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
+        taken = send_command(port, settings, buffers, MODE_SUPERVISE, 0, NO_SYNC)
+        add(shared.words, ring.COMMANDS if taken == 1 else ring.UNSENT, 1)
         v["next_command"] = time_ns + s["supervise_every_ns"]
         if taken >= 0:
-            taken = ask_time(write, now, link, clock, settings, progress, question, transmit)
+            taken = ask_time(port, settings, buffers)
         if taken < 0:
             return int(taken)
-    broken = converse(
-        write, now, link, clock, mailbox, control, settings, supervision, progress, letter, block, waiting,
-        sets, request, transmit,
-    )  # fmt: skip
-    return int(broken)
+    return int(converse(port, shared.mailbox, control, settings, buffers, supervised))
 
 
 @kernel(
-    types.int64(
-        TRANSFER, WAIT, NOW, types.int64, types.int64, types.int64,
-        BYTES, BYTES, INTS, INTS, INTS, INT_ROWS, INTS, INT_ROWS, INT_ROWS, INT_ROWS, INTS, INTS,
-        SUPERVISION_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp,
-    )
-)  # fmt: skip
+    types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.int64, types.uintp)
+)
 def _listen(
-    read: Any, wait: Any, now: Any, link: int, clock: int, until_ns: int,
-    received: Any, raw: Any, header: Any, candidate: Any, times: Any, exchanges: Any, batch: Any, decoded: Any,
-    samples: Any, states: Any, newest: Any, ack: Any, supervision: Any, settings: Any, progress: Any, words: int,
-) -> int:  # fmt: skip
+    port: LoopPort,
+    settings: Any,
+    buffers: Buffers,
+    supervised: SupervisionBuffers,
+    until_ns: int,
+    words: int,
+) -> int:
     """Wait for bytes until a moment, and take in all that is there: 0, or the negative errno of a broken link."""
-    p = progress[0]
-    ready = wait(link, until_ns)
-    p["read_at"] = now(clock)
+    p = buffers.progress[0]
+    ready = port.wait(port.handle, until_ns)
+    p["read_at"] = port.now(port.clock_handle)
     if ready <= 0:
         return int(ready)
     for _ in range(READINGS_A_TURN):
-        if not has_room(supervision):
+        if not has_room(supervised.supervision):
             break
-        ready = drain(read, link, received, progress)
+        ready = drain(port, buffers)
         more = p["filled"] == RECEIVE_BYTES
-        p["read_at"] = now(clock)
-        fresh = take_frames(
-            received, raw, header, candidate, times, exchanges, batch, decoded, samples, states, newest, ack,
-            supervision, settings, progress, words,
-        )  # fmt: skip
+        p["read_at"] = port.now(port.clock_handle)
+        fresh = take_frames(settings, buffers, supervised, words)
         if fresh > 0:
             p["last_fresh"] = p["read_at"]
         if ready < 0:
@@ -158,21 +152,20 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
         v["states_tail"] += 1
 
 
-@kernel(
-    types.int64(INTS, INT_ROWS, INTS, SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, PROGRESS_TYPE),
-)
+@kernel(types.int64(CONTROL_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, INTS))
 def _show_sample(
-    sample: Any, states: Any, state: Any, supervision: Any, settings: Any, control: Any, progress: Any
+    control: Any, settings: Any, buffers: Buffers, supervised: SupervisionBuffers, sample: Any
 ) -> int:
-    """Make `state` what a STATE of this very sample would be; return the ticks since the last one."""
-    v, p = supervision[0], progress[0]
+    """Make `buffers.state` what a STATE of this very sample would be; return the ticks since the last one."""
+    supervision, state = supervised.supervision, buffers.state
+    v, p = supervision[0], buffers.progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
     if v["ticks"] == 0:
         elapsed = 1 + v["missed_first"]
     p["sample_index"] = sample[INDEX]
     p["device_time"] = sample[TIME]
     p["late"] = sample[LATE]
-    _take_states(states, state, supervision, sample[INDEX])
+    _take_states(supervised.states, state, supervision, sample[INDEX])
     compare(supervision, settings, control, elapsed, sample[CURRENT])
     state[STATE.sample_index] = sample[INDEX] % WRAP
     state[STATE.device_time] = sample[TIME] % WRAP
@@ -185,36 +178,35 @@ def _show_sample(
 
 @kernel(
     types.int64(
-        ESTIMATOR, LAW, INT_ROWS, INT_ROWS, INTS, FLOATS, FLOAT_ROWS, SUPERVISION_TYPE,
-        SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE, FLOATS, INTS, FLOATS, FLOATS, FLOATS, PROGRESS_TYPE, ROWS_TYPE,
-        types.uintp, types.boolean,
+        CONTROLLER_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.boolean
     ),
-    borrow=True,  # a law that raises leaves without giving back what was counted: arrays would stay for good
-)  # fmt: skip
+)
 def _run_law(
-    estimator: Any, law: Any, samples: Any, states: Any, state: Any, waiting: Any, sets: Any, supervision: Any,
-    settings: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any, estimator_p: Any, law_state: Any,
-    law_parameters: Any, progress: Any, rows: Any, words: int, to_the_end: bool,
-) -> int:  # fmt: skip
+    controller: ControllerArguments,
+    shared: Shared,
+    settings: Any,
+    buffers: Buffers,
+    supervised: SupervisionBuffers,
+    to_the_end: bool,
+) -> int:
     """Run the law on the samples in the queue and leave their rows: a reason to end, `_GO_ON`, or `_ABANDONED`.
 
     While an answer about a new wall is awaited samples wait too, as long as there is room; `to_the_end` none does.
     """
-    v, m = supervision[0], memory[0]
+    v, m = supervised.supervision[0], controller.memory[0]
+    state, words = buffers.state, shared.words
     for _ in range(ROWS_A_TURN):
-        if v["tail"] == v["head"] or (v["step"] == COMMITTED and has_room(supervision) and not to_the_end):
+        held = v["step"] == COMMITTED and has_room(supervised.supervision) and not to_the_end
+        if v["tail"] == v["head"] or held:
             break
-        sample = samples[v["tail"] % QUEUE]
+        sample = supervised.samples[v["tail"] % QUEUE]
         v["tail"] += 1
         tick = v["ticks"]
-        elapsed = _show_sample(sample, states, state, supervision, settings, control, progress)
+        elapsed = _show_sample(controller.control, settings, buffers, supervised, sample)
         if v["step"] == GRANTED and sample[INDEX] >= v["change_at"]:
-            begin_set(control, law_parameters, waiting, sets, progress, tick, words)
+            begin_set(controller, buffers, tick, words)
             v["step"] = IDLE
-        current = step(
-            estimator, law, sample[COUNT], 0.0, elapsed,
-            control, memory, estimator_f, estimator_i, estimator_p, law_state, law_parameters,
-        )  # fmt: skip
+        current = step(controller, sample[COUNT], 0.0, elapsed)
         if load_word(words + WORD * ring.STOP) == ring.ABANDONED:  # nobody waits for us any more
             return _ABANDONED
         v["sent"] = current
@@ -224,13 +216,11 @@ def _run_law(
             add(words, ring.LOST, elapsed - 1)
         reason = FAULT
         if state[STATE.fault] == 0 and state[STATE.state] != _FAULT_STATE:
-            reason = ended_by_law(memory)
+            reason = ended_by_law(controller.memory)
         if reason != 0:
             m["effort_sent"] = 0.0
             m["current_sent"] = 0
-        leave_row(
-            words, rows, tick, elapsed, sample[RECEIVED], 0, 0, state, progress, settings, control, memory
-        )
+        leave_row(controller, shared, settings, buffers, tick, elapsed, sample[RECEIVED], 0, 0)
         v["ticks"] = tick + 1
         store_word(words + WORD * ring.TICKS, tick + 1)
         store_word(words + WORD * ring.PHASE, m["phase"])
@@ -292,64 +282,52 @@ def _shows_stop(newest: Any, supervision: Any) -> int:
 
 @kernel(
     types.int64(
-        TRANSFER, TRANSFER, WAIT, NOW, WAIT, ESTIMATOR, LAW, types.int64, types.int64,
-        SETTINGS_TYPE, CONTROL_TYPE, MEMORY_TYPE, FLOATS, INTS, FLOATS, FLOATS, FLOATS,
-        types.uintp, types.uintp, ROWS_TYPE, BYTES, BYTES, BYTES, INTS, INTS, INTS, INTS, INTS, INTS, INT_ROWS,
-        FLOATS, FLOAT_ROWS, PROGRESS_TYPE,
-        SUPERVISION_TYPE, INTS, INT_ROWS, INT_ROWS, INT_ROWS, INTS, INTS, INTS, FLOATS, BYTES,
+        PORT_TYPE, CONTROLLER_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE
     ),
-    borrow=True,
-)  # fmt: skip
+)
 def run(
-    read: Any, write: Any, wait: Any, now: Any, sleep: Any, estimator: Any, law: Any, link: int, clock: int,
-    settings: Any, control: Any, memory: Any, estimator_f: Any, estimator_i: Any, estimator_p: Any,
-    law_state: Any, law_parameters: Any,
-    words: int, mailbox: int, rows: Any, received: Any, raw: Any, transmit: Any, header: Any, candidate: Any,
-    state: Any, command: Any, question: Any, times: Any, exchanges: Any, waiting: Any, sets: Any, progress: Any,
-    supervision: Any, batch: Any, decoded: Any, samples: Any, states: Any, newest: Any, ack: Any, request: Any,
-    letter: Any, block: Any,
-) -> int:  # fmt: skip
+    port: LoopPort,
+    controller: ControllerArguments,
+    shared: Shared,
+    settings: Any,
+    buffers: Buffers,
+    supervised: SupervisionBuffers,
+) -> int:
     """Supervise until something ends it; then zero first, several times, what was still on the way, and the reason.
 
     Parameters
     ----------
-    read … progress
-        As in `rig.loop.host.run`; but `mailbox` is one of letters (`rig.loop.letters`).
-    supervision … block
-        The fields of `rig.loop.supervision.SupervisionBuffers`.
+    port, controller, shared, settings, buffers
+        As in `rig.loop.host.run`; but the mailbox is one of letters (`rig.loop.letters`).
+    supervised
+        What this loop has besides.
 
     Returns
     -------
     int
         `EndReason`; also stored in the ring. LOOP_DONE is the caller's to set.
     """
-    v, p = supervision[0], progress[0]
-    p["last_fresh"] = now(clock)
+    supervision, newest, words = supervised.supervision, supervised.newest, shared.words
+    v, p = supervision[0], buffers.progress[0]
+    p["last_fresh"] = port.now(port.clock_handle)
     reason = 0
     last_row = False  # whether the row of the end is there
     while reason == 0:
-        reason = told_to_end(now, clock, settings, words)
+        reason = told_to_end(port, settings, words)
         if reason != 0:
             break
-        time_ns = now(clock)
-        ready = _say(
-            write, now, link, clock, mailbox, control, settings, supervision, progress, letter, block, waiting,
-            sets, request, command, question, transmit, words,
-        )  # fmt: skip
+        time_ns = port.now(port.clock_handle)
+        ready = _say(port, controller.control, shared, settings, buffers, supervised)
         if ready >= 0:
             idle = v["tail"] == v["head"] or v["step"] == COMMITTED
-            ready = _listen(
-                read, wait, now, link, clock, v["next_command"] if idle else time_ns,
-                received, raw, header, candidate, times, exchanges, batch, decoded, samples, states, newest,
-                ack, supervision, settings, progress, words,
-            )  # fmt: skip
-        reason = _run_law(
-            estimator, law, samples, states, state, waiting, sets, supervision, settings, control, memory,
-            estimator_f, estimator_i, estimator_p, law_state, law_parameters, progress, rows, words, False,
-        )  # fmt: skip
+            until_ns = v["next_command"] if idle else time_ns
+            ready = _listen(port, settings, buffers, supervised, until_ns, words)
+        reason = _run_law(controller, shared, settings, buffers, supervised, False)
         last_row = reason != _GO_ON
         if not last_row:
-            reason = _ended_by_device(newest, supervision, settings, memory, progress, ready)
+            reason = _ended_by_device(
+                newest, supervision, settings, controller.memory, buffers.progress, ready
+            )
         if reason == CLOSED:
             store_word(words + WORD * ring.END_ERRNO, -ready)
     if reason == _ABANDONED:
@@ -357,31 +335,24 @@ def run(
         return STOPPED
     v["stop_sequence"] = p["sequence"]
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
-        send_command(write, link, settings, progress, command, transmit, MODE_STOP, 0, NO_SYNC)
+        send_command(port, settings, buffers, MODE_STOP, 0, NO_SYNC)
     # What the device had told before it stopped, unless the row of the end is there.
-    until_ns = now(clock) + REST_NS
+    until_ns = port.now(port.clock_handle) + REST_NS
     listening = not last_row and reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
     resting = not last_row
     stopped = 0
     while resting:
         ready = -1
         if listening:
-            ready = _listen(
-                read, wait, now, link, clock, until_ns,
-                received, raw, header, candidate, times, exchanges, batch, decoded, samples, states, newest,
-                ack, supervision, settings, progress, words,
-            )  # fmt: skip
-        ended = _run_law(
-            estimator, law, samples, states, state, waiting, sets, supervision, settings, control, memory,
-            estimator_f, estimator_i, estimator_p, law_state, law_parameters, progress, rows, words, True,
-        )  # fmt: skip
+            ready = _listen(port, settings, buffers, supervised, until_ns, words)
+        ended = _run_law(controller, shared, settings, buffers, supervised, True)
         if stopped == 0 and _shows_stop(newest, supervision) == 1:
             stopped = 1
-            until_ns = min(until_ns, now(clock) + SETTLE_NS)
-        more = ready >= 0 and now(clock) < until_ns
+            until_ns = min(until_ns, port.now(port.clock_handle) + SETTLE_NS)
+        more = ready >= 0 and port.now(port.clock_handle) < until_ns
         resting = ended == _GO_ON and (more or v["tail"] < v["head"])
         if reason == FAULT and ended == _GO_ON and not resting:
-            _queue_fault(states, samples, supervision, progress)
+            _queue_fault(supervised.states, supervised.samples, supervision, buffers.progress)
             resting = v["tail"] < v["head"]
             listening = False
     store_word(words + WORD * ring.END_REASON, reason)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -154,15 +154,21 @@ class SupervisedThread(LoopThread):
         }
 
     def _run(self) -> None:
-        supervise.run(*self._arguments())
+        supervise.run(
+            self._link.port(),
+            self._controller.arguments(),
+            self._shared(),
+            self._settings.as_array(),
+            self._buffers,
+            self._supervision,
+        )
 
     def _mailbox(self) -> int:
         """Address of the mailbox of letters; 0 where the wall does not change."""
         return int(self._letters.ctypes.data) if self._live_parameters and super()._mailbox() else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        own = self._supervision
-        return (*super()._arrays(), *(getattr(own, field.name) for field in fields(SupervisionBuffers)))
+        return (*super()._arrays(), *self._supervision)
 
     def _attend(self) -> None:
         """Turn a posted set into a letter for the loop."""

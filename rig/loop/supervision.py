@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rig.loop.layout import RECEIVE_BYTES
 from rig.realtime import codec
 from rig.realtime.codec import ACK, BATCH, SAMPLE, SET_BEGIN, STATE
+from rig.realtime.groups import Bytes, Floats, IntRows, Ints, group, type_of
 from rig.realtime.mailbox import SET_FLOATS
 
 # One row: how far the streams have come, the conversation about a new wall, and how the two laws agree.
@@ -74,8 +75,8 @@ CONTIGUOUS = len(STATE)  # column behind the fields of a STATE: 1 when none is m
 BLOCK_BYTES = 96  # of a block of live parameters, six bytes each
 
 
-@dataclass(frozen=True, slots=True)
-class SupervisionBuffers:
+@group
+class SupervisionBuffers(NamedTuple):
     """Everything that the loop of a law on the device writes into besides `rig.loop.layout.Buffers` and the ring.
 
     Attributes
@@ -96,16 +97,16 @@ class SupervisionBuffers:
         The newest letter (`rig.loop.letters`), and the block of parameters in it.
     """
 
-    supervision: NDArray[np.void]
-    batch: NDArray[np.int64]
-    decoded: NDArray[np.int64]
-    samples: NDArray[np.int64]
-    states: NDArray[np.int64]
-    newest: NDArray[np.int64]
-    ack: NDArray[np.int64]
-    request: NDArray[np.int64]
-    letter: NDArray[np.float64]
-    block: NDArray[np.uint8]
+    supervision: Annotated[NDArray[np.void], SUPERVISION_TYPE]
+    batch: Ints
+    decoded: IntRows
+    samples: IntRows
+    states: IntRows
+    newest: Ints
+    ack: Ints
+    request: Ints
+    letter: Floats
+    block: Bytes
 
     @classmethod
     def allocate(cls) -> SupervisionBuffers:
@@ -125,3 +126,6 @@ class SupervisionBuffers:
             letter=np.zeros(SET_FLOATS, np.float64),
             block=np.zeros(BLOCK_BYTES, np.uint8),
         )
+
+
+SUPERVISION_BUFFERS_TYPE = type_of(SupervisionBuffers)

@@ -179,24 +179,28 @@ def kernel(
     borrow
         Count no references to array arguments, which the caller holds anyway. numba counts them atomically
         and removes that only from simple control flow; elsewhere it costs some 20 ns a call. Such a kernel
-        cannot make or return an array, `carray` included.
+        cannot make or return an array, `carray` included. A kernel that takes a group (`rig.realtime.groups`)
+        always does so: else it would count all that is in it, and a law that raises would leave without giving
+        back what was counted.
 
     Notes
     -----
     A kernel allocates nothing and raises nothing; a value that is not finite is handled by `rig.control.guard`.
     With ``NUMBA_DISABLE_JIT=1`` the plain function is returned, so that tests and coverage see it.
     """
+    arguments = getattr(signature, "args", ())  # a text names no group
+    takes_group = any(isinstance(argument, numba.types.BaseNamedTuple) for argument in arguments)
     options: dict[str, Any] = {
         "nopython": True,
         "boundscheck": None,
         "nogil": True,
         "error_model": "numpy",
         "fastmath": False,
+        "_nrt": not (borrow or takes_group),  # said, or else it would be that of whoever needs it first
+        "no_cfunc_wrapper": takes_group,  # a plug point takes none
     }
     if inline:
         options["forceinline"] = True
-    if borrow:
-        options["_nrt"] = False
 
     def decorate(function: F) -> F:
         if numba.config.DISABLE_JIT:

@@ -9,7 +9,7 @@ address.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from numba import types
 
@@ -22,6 +22,7 @@ _ints = types.int64[::1]
 # rest belongs to the estimator.
 ESTIMATOR_SIGNATURE = types.float64(types.int64, types.float64, types.int64, _floats, _ints, _floats)
 ESTIMATOR = types.FunctionType(ESTIMATOR_SIGNATURE)
+EstimatorPlug = Annotated[Any, ESTIMATOR]  # of a group (`rig.realtime.groups`)
 
 # Law: (penetration, penetration_velocity, elapsed_ticks, state, parameters) -> reaction effort, positive
 # out of the wall. Called in every tick of trial and release; penetration is negative outside the wall.
@@ -29,18 +30,22 @@ ESTIMATOR = types.FunctionType(ESTIMATOR_SIGNATURE)
 LAW_CLAMPED = 0
 LAW_SIGNATURE = types.float64(types.float64, types.float64, types.int64, _floats, _floats)
 LAW = types.FunctionType(LAW_SIGNATURE)
+LawPlug = Annotated[Any, LAW]
 
 # Link: read and write return bytes moved, 0 for none, negative -errno; wait blocks until something can be
 # read or the deadline (ns, link's clock) and returns 1, 0 at the deadline, negative -errno. First argument:
 # the link's own handle.
 TRANSFER_SIGNATURE = types.int64(types.int64, types.int64, types.int64)
 TRANSFER = types.FunctionType(TRANSFER_SIGNATURE)
+TransferPlug = Annotated[Any, TRANSFER]
 WAIT_SIGNATURE = types.int64(types.int64, types.int64)
 WAIT = types.FunctionType(WAIT_SIGNATURE)
+WaitPlug = Annotated[Any, WAIT]
 
 # Clock: (handle) -> ns.
 NOW_SIGNATURE = types.int64(types.int64)
 NOW = types.FunctionType(NOW_SIGNATURE)
+NowPlug = Annotated[Any, NOW]
 
 
 class NativeFunction(types.WrapperAddressProtocol):

@@ -76,7 +76,7 @@ def sleep_until(deadline_ns: int) -> None:
 
 @kernel(WAIT_SIGNATURE)
 def monotonic_sleep(handle: int, deadline_ns: int) -> int:
-    """`sleep_until` as a plug (`rig.devices.device.LoopPort.sleep`); `handle` is not used."""
+    """`sleep_until` as a plug (`rig.devices.port.LoopPort.sleep`); `handle` is not used."""
     sleep_until(deadline_ns)
     return 0
 

@@ -16,7 +16,7 @@ from firmware_protocol.faults import Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.packing import pack, pack_batch_samples, type_id_of, unpack
 from firmware_protocol.transfer import Assembler
-from rig.devices.device import LoopPort
+from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 

@@ -74,18 +74,13 @@ def test_it_is_the_plant_and_the_law_stepped_by_hand(name, delay):
     other.memory["phase"], other.memory["phase_ticks"] = int(Phase.TRIAL), -1
     for k in range(400):
         assert (run.counts[k], run.position[k]) == (count, state[plant.handle_position])
-        plugs = other.estimator.estimator.update, other.law.law.function
-        _one_step(*plugs, count, *other.arguments())
+        step(other.arguments(), count, 1e-3, 1)
         memory = other.memory[0]
         assert run.withheld[k] == memory["effort_sent"] - memory["effort_wanted"]
         for _ in range(ratio):
             count = advance(state, *plant.arrays, memory["effort_sent"], push[j % 400])
             j += 1
     assert np.abs(run.position).max() > 3 * x.rig.encoder.resolution
-
-
-def _one_step(estimator, law, count, *arguments):
-    return step(estimator, law, count, 1e-3, 1, *arguments)
 
 
 def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well():

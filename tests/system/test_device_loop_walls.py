@@ -110,9 +110,7 @@ def replayed(session: Session, rows: np.ndarray) -> np.ndarray:
         [[s["tick"], s["wall_position"], *s["parameters"]] for s in session.thread.parameter_sets()]
     )
     again = rows.copy()
-    replay_rows(
-        fresh.estimator.estimator.update, fresh.law.law.function, rows, again, sets, *fresh.arguments()
-    )
+    replay_rows(fresh.arguments(), rows, again, sets)
     return again
 
 

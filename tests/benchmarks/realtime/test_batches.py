@@ -26,7 +26,7 @@ from firmware_protocol.packing import pack, pack_batch_samples
 from rig.config import presets
 from rig.config.controller import for_experiment
 from rig.config.sections import Host
-from rig.devices.device import LoopPort
+from rig.devices.port import LoopPort
 from rig.loop.run import LoopSettings
 from rig.loop.supervised import SupervisedThread
 from rig.realtime import system

@@ -37,7 +37,7 @@ from firmware_protocol import messages as m
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import encoded_bytes, unpack
 from rig.devices import open_link
-from rig.devices.device import LoopPort
+from rig.devices.port import LoopPort
 from rig.loop.host import SHORTEST_WAIT_NS
 from rig.realtime import ring as words
 from rig.realtime import system

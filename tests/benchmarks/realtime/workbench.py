@@ -27,7 +27,7 @@ from firmware_protocol.packing import pack, type_id_of
 from rig.config import controller, presets
 from rig.config.sections import Host
 from rig.control.step import TRIAL, Controller
-from rig.devices.device import LoopPort
+from rig.devices.port import LoopPort
 from rig.loop.layout import EndReason
 from rig.loop.run import LoopSettings, LoopThread
 from rig.loop.signals import stop_on_signals

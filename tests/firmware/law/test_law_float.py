@@ -50,11 +50,11 @@ def test_a_tick_equals_the_hosts(law, name, scheme):
     table = inputs(counts[taken], np.diff(taken, prepend=-1))
 
     host = controller_of(experiment)
-    plugs, arguments = (host.estimator.estimator.update, host.law.law.function), host.arguments()
+    arguments = host.arguments()
     names = ("flags", "phase", "limited_effort", "current_sent")
     rows = []
     for sample in table:
-        step(*plugs, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), *arguments)
+        step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]))
         rows.append([host.memory[name][0] for name in names])
     flags, phases, limited, currents = np.array(rows).T
     limited /= host.control["effort_quantum"][0]
@@ -137,9 +137,9 @@ def test_every_option_and_limit_is_the_hosts(law):
         table = inputs(c["reference_count"] + walk.astype(np.int64), random.choice([1, 1, 1, 1, 2, 5], ticks))
         p = parameters_of(host)
         ours = law.run(p, table)
-        plugs, arguments = (host.estimator.estimator.update, host.law.law.function), host.arguments()
+        arguments = host.arguments()
         for sample, tick in zip(table, ours, strict=True):
-            quanta = step(*plugs, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]), *arguments)
+            quanta = step(arguments, int(sample["count"]), 0.0, int(sample["elapsed_ticks"]))
             m = host.memory[0]
             assert tick["phase"] == m["phase"], seed
             assert (int(tick["flags"]) ^ int(m["flags"])) & ~RowFlag.CLAMPED == 0, seed

@@ -22,7 +22,8 @@ from rig import config
 from rig.bench.doctor.round_trip import TIMEOUT_S, WARM_UP, measure_link
 from rig.config import presets
 from rig.core.errors import LinkLostError
-from rig.devices.device import DeviceUrl, LoopPort
+from rig.devices.device import DeviceUrl
+from rig.devices.port import LoopPort
 from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend import pty

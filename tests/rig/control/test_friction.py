@@ -16,12 +16,12 @@ from rig.config import controller, presets
 from rig.control import laws
 from rig.control.friction import DEFAULT_SHARE, Compensation, around, compensated, compensation, dead_band_of
 from rig.control.law import Law
-from rig.control.step import CONTROL_TYPE, MEMORY_TYPE, step
+from rig.control.step import CONTROLLER_TYPE, step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
 from rig.experiments.hit import HitRequest, hit
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import ESTIMATOR, LAW, LAW_SIGNATURE
+from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend.plant import DiscretePlant, advance
 
@@ -100,7 +100,7 @@ def bench(law, external, velocity=0.0, seconds=1.5, changes=None):
     run = stepping()
     count = plant.count(state)
     for tick in range(round(seconds * rate)):
-        run(control.estimator.estimator.update, control.law.law.function, count, *control.arguments())
+        run(control.arguments(), count)
         push = external(tick / rate, state)
         states.append(state[:2].copy())
         efforts.append(float(control.memory["effort_sent"][0]))
@@ -112,14 +112,10 @@ def bench(law, external, velocity=0.0, seconds=1.5, changes=None):
 @cache
 def stepping():
     """`rig.control.step.step` for plain Python: it is made to be inlined into compiled callers."""
-    floats, ints = types.float64[::1], types.int64[::1]
-    signature = types.int64(
-        ESTIMATOR, LAW, types.int64, CONTROL_TYPE, MEMORY_TYPE, floats, ints, floats, floats, floats
-    )
 
-    @kernel(signature, cache=False)
-    def run(estimator, law, count, control, memory, f, i, p, law_state, law_parameters):
-        return step(estimator, law, count, 1.0, 1, control, memory, f, i, p, law_state, law_parameters)
+    @kernel(types.int64(CONTROLLER_TYPE, types.int64), cache=False)
+    def run(controller, count):
+        return step(controller, count, 1.0, 1)
 
     return run
 

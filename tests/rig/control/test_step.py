@@ -69,8 +69,7 @@ class Tick:
             self.controller.memory["phase"] = Phase.TRIAL
 
     def __call__(self, count: int, elapsed: int = 1) -> int:
-        plugs = self.controller.estimator.estimator.update, self.controller.law.law.function
-        return step(*plugs, int(count), 0.0, elapsed, *self.controller.arguments())
+        return step(self.controller.arguments(), int(count), 0.0, elapsed)
 
     def __getattr__(self, name):
         if name not in MEMORY.names:

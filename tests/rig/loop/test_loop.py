@@ -30,8 +30,8 @@ from rig.config import controller, presets
 from rig.control.law import Law
 from rig.control.step import SETTLE
 from rig.core.sample import Phase, RowFlag
-from rig.devices.device import LoopPort
 from rig.devices.framed import STOP_FRAMES
+from rig.devices.port import LoopPort
 from rig.loop import receive
 from rig.loop.host import run
 from rig.loop.layout import PROGRESS, RECEIVE_BYTES, SETTINGS, Buffers, EndReason
@@ -89,7 +89,7 @@ class Receiver:
     """`newest_state` with its memory, fed in pieces."""
 
     def __init__(self) -> None:
-        self.buffers, self.ring = Buffers.allocate(), Ring.allocate(1)
+        self.buffers, self.ring, self.settings = Buffers.allocate(), Ring.allocate(1), settings().as_array()
 
     def feed(self, data: bytes) -> int:
         """Samples passed by these bytes."""
@@ -99,21 +99,7 @@ class Receiver:
         b.received[filled : filled + len(data)] = np.frombuffer(data, np.uint8)
         p[0]["filled"] = filled + len(data)
         words = self.ring.words.ctypes.data
-        return int(
-            receive.newest_state(
-                b.received,
-                b.raw,
-                b.header,
-                b.candidate,
-                b.state,
-                b.times,
-                b.exchanges,
-                p,
-                SESSION,
-                62_500,
-                words,
-            )
-        )
+        return int(receive.newest_state(self.settings, b, words))
 
     @property
     def counters(self) -> dict[str, int]:
@@ -399,6 +385,7 @@ def settings(**changes):
 def ran(link, bundle=None, *, memory=None, **changes):
     """Run the loop to its end."""
     memory = memory or Ring.allocate(4096)
+    run.prepare()
     thread = LoopThread(link, bundle or at_rest(), settings(**changes), memory)
     thread.start()
     thread._thread.join(WAIT_S)  # in a thread of its own: it blocks all signals there

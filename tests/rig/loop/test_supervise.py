@@ -27,6 +27,7 @@ from rig.core.errors import PlanError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import STOP_FRAMES
 from rig.experiments.replay import COMPUTED
+from rig.loop import supervise
 from rig.loop.layout import EndReason
 from rig.loop.replay import NO_SETS, replay_rows
 from rig.loop.run import LoopSettings, LoopThread
@@ -70,6 +71,7 @@ def loop_settings(**changes) -> LoopSettings:
 def ran(device: BatchDevice, bundle=None, *, memory: Ring | None = None, live=None, **changes):
     """Run the loop to its end."""
     memory = memory or Ring.allocate(8192)
+    supervise.run.prepare()
     thread = SupervisedThread(device, bundle or controlled(), loop_settings(**changes), memory, live=live)
     thread.start()
     thread._thread.join(WAIT_S)
@@ -102,9 +104,7 @@ def replayed(rows: np.ndarray, bundle) -> np.ndarray:
     """`rig.control.step` over the samples of rows again."""
     again = rows.copy()
     bundle.memory[0] = new_memory()[0]
-    replay_rows(
-        bundle.estimator.estimator.update, bundle.law.law.function, rows, again, NO_SETS, *bundle.arguments()
-    )
+    replay_rows(bundle.arguments(), rows, again, NO_SETS)
     return again
 
 
@@ -530,8 +530,7 @@ class Changing:
             [[one["tick"], one["wall_position"], *one["parameters"]] for one in self.thread.parameter_sets()]
         )
         again = self.rows.copy()
-        law, estimator = fresh.law.law.function, fresh.estimator.estimator.update
-        replay_rows(estimator, law, self.rows, again, sets.reshape(len(sets), -1), *fresh.arguments())
+        replay_rows(fresh.arguments(), self.rows, again, sets.reshape(len(sets), -1))
         return again
 
 
