@@ -211,7 +211,7 @@ def prepared(
     *,
     current_quantum_a: float | None = None,
     reference_count: int = 0,
-    verified: bool = True,
+    verified: bool = False,
     law: Law | None = None,
 ) -> Run:
     """Prepare a run.

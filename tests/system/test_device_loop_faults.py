@@ -147,7 +147,7 @@ def test_timing_says_where_the_law_ran(
     clean: Clean, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench = Bench(tmp_path).run()
-    sealed = seal(bench.path)
+    sealed = seal(open_recording(bench.path)).path
     recording = open_recording(sealed)
     extra, wall = recording.header["extra"], recording.experiment["wall"]
     assert (extra["loop"], extra["arithmetic"]) == ("device", "fixed")
