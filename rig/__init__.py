@@ -10,9 +10,12 @@ from typing import Any
 
 # Name → module that has it.
 _LAZY: dict[str, str] = {
+    "ESTIMATOR_SIGNATURE": "rig.realtime.plugs",
     "HitRequest": "rig.experiments.hit",
     "HitResult": "rig.experiments.hit",
+    "LAW_SIGNATURE": "rig.realtime.plugs",
     "Law": "rig.control.law",
+    "NativeFunction": "rig.realtime.plugs",
     "Plan": "rig.experiments.planned",
     "Recording": "rig.recording.data",
     "RigError": "rig.core.errors",
@@ -20,6 +23,7 @@ _LAZY: dict[str, str] = {
     "Verdict": "rig.control.verdict",
     "export": "rig.recording.export",
     "hit": "rig.experiments.hit",
+    "kernel": "rig.realtime.kernel",
     "load_experiment": "rig.config",
     "load_preset": "rig.config.presets",
     "make_plan": "rig.experiments.plan",
@@ -35,10 +39,12 @@ _RENAMED = {"load_preset": "load"}
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("importlib.metadata").version("haptic-rig")
+    if name == "theory":
+        return import_module("rig.analysis.theory")
     if name in _LAZY:
         return getattr(import_module(_LAZY[name]), _RENAMED.get(name, name))
     raise AttributeError(f"module 'rig' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY})
+    return sorted({*globals(), *_LAZY, "theory"})

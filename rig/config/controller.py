@@ -15,7 +15,9 @@ import numpy as np
 
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
-from rig.config import Experiment, device_law, motor_push, verdict_limits
+from rig.config import device_law
+from rig.config.derive import motor_push, verdict_limits
+from rig.config.sections import Experiment
 from rig.control import estimators, friction, laws
 from rig.control.law import Law
 from rig.control.step import CONTROL, Controller, new_memory
@@ -209,7 +211,7 @@ def prepared(
     *,
     current_quantum_a: float | None = None,
     reference_count: int = 0,
-    verified: bool = True,
+    verified: bool = False,
     law: Law | None = None,
 ) -> Run:
     """Prepare a run.

@@ -64,14 +64,13 @@ def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "
     Parameters
     ----------
     experiment
-        What to start from; returned as it is when nothing differs.
+        What to start from.
     changes
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source
         What errors call the changes.
     """
-    other = with_values(experiment, changes, source)
-    return experiment if other == experiment else checked(other, source)
+    return checked(with_values(experiment, changes, source), source)
 
 
 def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str) -> Experiment:

@@ -21,8 +21,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-from rig import config
-from rig.config import Experiment
+from rig.config.derive import check_plugins
+from rig.config.load import checked, with_values
+from rig.config.sections import Experiment
 from rig.control import estimators
 from rig.core.errors import ConfigError
 
@@ -142,8 +143,8 @@ class Scheme:
             Rates that do not divide, an unknown estimator or setting.
         """
         source = f"scheme {self.text}"
-        applied = config.checked(self.on(experiment), source)
-        config.check_plugins(applied, source)
+        applied = checked(self.on(experiment), source)
+        check_plugins(applied, source)
         return applied
 
     def on(self, experiment: Experiment) -> Experiment:
@@ -162,7 +163,7 @@ class Scheme:
             key: value for key, value in experiment.realtime.items() if not key.startswith("controller.")
         }
         bare = replace(experiment, controller=replace(experiment.controller, parameters={}), realtime=gentler)
-        return config.with_values(bare, changes, f"scheme {self.text}")
+        return with_values(bare, changes, f"scheme {self.text}")
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
         """Settings of the estimator: the scheme's over the experiment's, a cut-off at its share of the rate."""

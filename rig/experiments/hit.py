@@ -23,7 +23,7 @@ from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
-from rig.experiments.planned import Check, Outcome
+from rig.experiments.planned import refuse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
@@ -232,9 +232,9 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
         reference_count=_reference_count(request, device),
         law=law,
     )
-    _refuse(plan_of(run).checks)
-    _refuse(device_checks(run, device.dictionary))
-    _refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    refuse(plan_of(run).checks)
+    refuse(device_checks(run, device.dictionary))
+    refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
     _check_same_rig(experiment, device)
     _check_verified(request, device)
     _check_person(experiment, device)
@@ -288,22 +288,14 @@ def _opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
         seed=request.experiment.trial.seed,
         realtime=experiment.host.realtime if simulated else "try",
     ) as device:
-        yield device, in_effect(experiment, device, request.changes)
+        as_simulated = simulated and device.link.clock.virtual
+        yield device, experiment if as_simulated else in_effect(experiment, device, request.changes)
 
 
 def _reference_count(request: HitRequest, device: FramedDevice) -> int:
     if device.dictionary.simulated or not request.verified:  # then nothing moves
         return 0
     return device.count() if request.reference_count is None else request.reference_count
-
-
-def _refuse(checks: list[Check] | tuple[Check, ...]) -> None:
-    refused = [check for check in checks if check.outcome == Outcome.REFUSED]
-    if refused:
-        raise PlanError(
-            "; ".join(f"{check.name}: {check.text}" for check in refused),
-            remedy="; ".join(check.remedy for check in refused),
-        )
 
 
 def _check_same_rig(experiment: Experiment, device: FramedDevice) -> None:

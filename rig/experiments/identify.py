@@ -47,7 +47,7 @@ from rig.experiments.identify_motions import (
     strokes_of,
 )
 from rig.experiments.plan import link_checks
-from rig.experiments.planned import Check, Outcome, Plan
+from rig.experiments.planned import Plan, refuse
 from rig.experiments.trial import TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
@@ -167,8 +167,8 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
     url = request.url or "sim://"
     with devices.open_device(url, config.rig_model(still(free))) as device:
         base = _for_device(free, request, device)
-        _refuse(plan_of(base, request).checks)
-        _refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+        refuse(plan_of(base, request).checks)
+        refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
         _check_verified(request, device)
         with plain_errors("make", request.output):
             request.output.mkdir(parents=True, exist_ok=True)
@@ -392,15 +392,6 @@ def _check_signs(signs: SignCheck) -> None:
         raise IdentificationError(
             "; ".join(signs.warnings) or "the pushes tell no inertia",
             remedy="mend rig.amplifier.effort_per_ampere, rig.encoder or rig.mechanics; then identify again",
-        )
-
-
-def _refuse(checks: list[Check] | tuple[Check, ...]) -> None:
-    refused = [check for check in checks if check.outcome == Outcome.REFUSED]
-    if refused:
-        raise PlanError(
-            "; ".join(f"{check.name}: {check.text}" for check in refused),
-            remedy="; ".join(check.remedy for check in refused),
         )
 
 

@@ -34,7 +34,7 @@ from rig.core.sample import Phase, unit_of
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.experiments.judgement import THROWN_OUT
 from rig.experiments.plan import STANDS_FOR_DEVICE
-from rig.experiments.planned import Outcome
+from rig.experiments.planned import refuse
 from rig.experiments.results import write_table
 from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, record_of, shaken_law
 from rig.experiments.shaking_plan import excitation_checks
@@ -206,7 +206,7 @@ def measure_impedance(
         Estimator or law give something that is not finite.
     """
     asked = prepared(experiment, walls, schemes, excitation)
-    refuse([one for group in asked for one in group])
+    refuse_excitations([one for group in asked for one in group])
     total = sum(len(group) for group in asked) * asked[0][0].excitation.realisations
     done, results = 0, []
     for group in asked:
@@ -278,7 +278,7 @@ def measure_on_device(
             "a device has no second actuator that this program could drive",
             remedy='say --channel motor (excitation.channel = "motor")',
         )
-    refuse(asked)
+    refuse_excitations(asked)
     total, done = sum(one.excitation.realisations for one in asked), 0
     with _kept_open(device) as session:
         for one in asked:
@@ -337,15 +337,10 @@ def prepared(
     return groups
 
 
-def refuse(asked: Sequence[Experiment]) -> None:
+def refuse_excitations(asked: Sequence[Experiment]) -> None:
     """Raise `PlanError` for the first experiment whose excitation exceeds a limit."""
     for one in asked:
-        refused = [check for check in excitation_checks(one) if check.outcome == Outcome.REFUSED]
-        if refused:
-            raise PlanError(
-                "; ".join(f"{check.name}: {check.text}" for check in refused),
-                remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
-            )
+        refuse(excitation_checks(one))
 
 
 def concluded(

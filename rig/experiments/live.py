@@ -19,8 +19,8 @@ from rig.bench.doctor.gate import check_change
 from rig.config import Experiment, controller, device_law
 from rig.config.device_law.walls import BILATERAL
 from rig.core.errors import ConfigError, PlanError, RigError
-from rig.experiments.plan import make_plan
-from rig.experiments.planned import Outcome
+from rig.experiments.plan import plan_of
+from rig.experiments.planned import refuse
 from rig.realtime import running
 from rig.realtime.ring import LOOP_DONE, PARAMETER_SET, Ring
 
@@ -117,16 +117,11 @@ def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference
     PlanError
         A plan of this experiment would be refused.
     """
-    plan = make_plan(experiment)
-    if not plan.ok:
-        refused = [check for check in plan.checks if check.outcome == Outcome.REFUSED]
-        raise PlanError(
-            "; ".join(f"{check.name}: {check.text}" for check in refused),
-            remedy="; ".join(check.remedy for check in refused),
-        )
-    made = controller.for_experiment(
+    run = controller.prepared(
         experiment, current_quantum_a=current_quantum_a, reference_count=reference_count
     )
+    refuse(plan_of(run).checks)
+    made = run.controller
     return [float(made.control[0]["wall_position"]), *made.law.parameters.tolist()]
 
 

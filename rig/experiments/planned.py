@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
 from rig.config import Experiment, controller, device_law
+from rig.core.errors import PlanError
 
 ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
 
@@ -36,6 +38,16 @@ class Check:
     outcome: Outcome
     text: str
     remedy: str = ""
+
+
+def refuse(checks: Iterable[Check]) -> None:
+    """Raise `PlanError` with everything that these checks refuse, and what to do."""
+    refused = [check for check in checks if check.outcome is Outcome.REFUSED]
+    if refused:
+        raise PlanError(
+            "; ".join(f"{check.name}: {check.text}" for check in refused),
+            remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,7 @@ def prepared_on(
     device: FramedDevice,
     experiment: Experiment,
     *,
-    verified: bool = True,
+    verified: bool = False,
     reference_count: int = 0,
     law: Law | None = None,
 ) -> Run:

@@ -33,7 +33,7 @@ from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.core.sample import unit_of
 from rig.experiments import sweep
-from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse
+from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
 from rig.experiments.shaking import Run, ShakingBench, Signal
 
 WORK = "rig.experiments.zwidth_frequency:run_column"
@@ -123,7 +123,9 @@ class FrequencyPlan:
     def check(self) -> None:
         """Raise `PlanError` when the excitation is too large for the rig at the softest wall of some scheme."""
         softest = self.stiffnesses[0], self.dampings[0]
-        refuse([_walled(scheme.applied(config.shaken(self.experiment)), *softest) for scheme in self.schemes])
+        refuse_excitations(
+            [_walled(scheme.applied(config.shaken(self.experiment)), *softest) for scheme in self.schemes]
+        )
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:

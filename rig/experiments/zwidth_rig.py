@@ -29,7 +29,7 @@ from rig.experiments import sweep
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.ladder import Outcomes, Search
-from rig.experiments.plan import device_checks, link_checks, make_plan
+from rig.experiments.plan import device_checks, link_checks, plan_of
 from rig.experiments.planned import Outcome
 from rig.experiments.trial import prepared_on
 from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
@@ -195,9 +195,9 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
         climb = next(climb for climb in plan.climbs() if climb.scheme == number)
         under = plan.experiment_of(climb)
         checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
-        checks += device_checks(prepared_on(device, under), device.dictionary)
         for stiffness in (rungs[0], rungs[-1]):
-            checks += make_plan(config.override(under, _changes(under, stiffness), "the map")).checks
+            run = prepared_on(device, config.override(under, _changes(under, stiffness), "the map"))
+            checks += [*device_checks(run, device.dictionary), *plan_of(run).checks]
         refused = {check.name: check for check in checks if check.outcome is Outcome.REFUSED}.values()
         if refused:
             raise PlanError(

@@ -15,8 +15,7 @@ from typing import Any
 
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.errors import PlanError
-from rig.experiments.planned import Outcome
+from rig.experiments.planned import refuse
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
     cap_checks,
@@ -127,12 +126,7 @@ def refuse_walls(study: Walls) -> None:
     """Raise `rig.core.errors.PlanError` when a rule may ask for a wall that must not be hit on this rig."""
     under = [_experiments(study, condition) for condition in study.protocol.condition]
     walls = [*_walls(study.protocol, under), *_practice(study)]
-    refused = [one for one in wall_checks(walls) if one.outcome is Outcome.REFUSED]
-    if refused:
-        raise PlanError(
-            "; ".join(f"{one.name}: {one.text}" for one in refused),
-            remedy="; ".join(one.remedy for one in refused),
-        )
+    refuse(wall_checks(walls))
 
 
 def _experiments(study: Walls, condition: Condition) -> list[Experiment]:

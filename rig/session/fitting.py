@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from rig.config import Experiment
-from rig.core.errors import PlanError
-from rig.experiments.planned import Check, Outcome
+from rig.experiments.planned import Check, refuse
 from rig.session.bench import Bench
 from rig.session.comparisons import SEVERITY
 from rig.session.conditions import Walls, own_rates
@@ -36,12 +35,7 @@ def fit_checks(walls: Walls, bench: Bench) -> list[Check]:
 
 def refuse_misfit(walls: Walls, bench: Bench) -> None:
     """Raise `rig.core.errors.PlanError` when the device of a session cannot run one of its conditions."""
-    refused = [one for one in fit_checks(walls, bench) if one.outcome is Outcome.REFUSED]
-    if refused:
-        raise PlanError(
-            "; ".join(f"{one.name}: {one.text}" for one in refused),
-            remedy="; ".join(dict.fromkeys(one.remedy for one in refused)),
-        )
+    refuse(fit_checks(walls, bench))
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:

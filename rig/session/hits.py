@@ -139,7 +139,11 @@ class RigBench:
         under: dict[tuple[str, float], list[Experiment]] = {}
         for wall in walls:
             request = HitRequest(
-                experiment=wall.experiment, url=self.url, changes=wall.changes, verified=self.verified
+                experiment=wall.experiment,
+                url=self.url,
+                changes=wall.changes,
+                verified=self.verified,
+                reference_count=self._zero,
             )
             x = vetted(request, device, in_effect(wall.experiment, device, wall.changes)).experiment
             under.setdefault((wall.condition, x.wall.damping), []).append(x)
@@ -156,10 +160,12 @@ class RigBench:
         """
         device = self._device(experiment, changes)
         if device is not None:
-            return _fits(experiment, changes, device)
-        url = devices.url_for(self.url or "sim://", experiment.controller.loop)
-        with devices.open_device(url, config.rig_model(config.override(experiment, changes))) as device:
-            return _fits(experiment, changes, device)
+            return _fits(in_effect(experiment, device, changes), device)
+        x = config.override(experiment, changes)
+        with devices.open_device(
+            devices.url_for(self.url or "sim://", x.controller.loop), config.rig_model(x)
+        ) as device:
+            return _fits(x, device)
 
     def hit(
         self,
@@ -253,8 +259,8 @@ def _serial_number(link: Link) -> str | None:
     return getattr(getattr(link, "facts", link), "serial_number", None) or None
 
 
-def _fits(experiment: Experiment, changes: Mapping[str, Any], device: FramedDevice) -> list[Check]:
-    x, dictionary = in_effect(experiment, device, changes), device.dictionary
+def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
+    dictionary = device.dictionary
     return [
         *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
         *device_checks(prepared_on(device, x), dictionary),

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numba
 import pytest
 
-from rig.config import controller, load, presets
+from rig.config import controller, load, override, presets
 from rig.control import judging
-from rig.experiments import judgement
+from rig.experiments import judgement, plan
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
 from rig.session.directory import LOG
@@ -31,61 +31,84 @@ COUNTED: dict[str, Callable[..., Any]] = {
     "files": load.experiment_from_mapping,  # every value of an experiment and every rule
     "rules": load.checked,  # after a file, and after a change of some values
     "designs": controller.for_experiment,
+    "parameters": controller.device_parameters,
+    "plans": plan.plan_of,
     "judgements": judgement.judge,
     "measurings": judging.measured,  # a judgement is one of what was recorded, and in simulation one of the truth
     "openings": reader.open_recording,
 }
 
 
-@contextmanager
-def counted() -> Iterator[Counter[str]]:
-    """Count the calls of this thread by the code that runs, whatever name it was imported by."""
-    names = {function.__code__: name for name, function in COUNTED.items()}
-    seen: Counter[str] = Counter()
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Counts the calls, by whatever name and from wherever in `rig` they come."""
+    calls: Counter[str] = Counter()
 
-    def look(frame: FrameType, event: str, _: object) -> None:
-        if event == "call" and frame.f_code in names:
-            seen[names[frame.f_code]] += 1
+    def counting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def counted(*given: Any, **options: Any) -> Any:
+            calls[name] += 1
+            return function(*given, **options)
 
-    sys.setprofile(look)
-    try:
-        yield seen
-    finally:
-        sys.setprofile(None)
+        return counted
+
+    modules = [module for name, module in sys.modules.items() if name.split(".")[0] == "rig"]
+    for name, function in COUNTED.items():
+        instead = counting(name, function)
+        for module in modules:
+            for attribute in [key for key, value in vars(module).items() if value is function]:
+                monkeypatch.setattr(module, attribute, instead)
+    return calls
 
 
-@pytest.mark.parametrize(("loop", "changed"), [("host", 0), ("device", 1)])
-def test_a_hit_validates_designs_judges_and_reads_back_once(loop: str, changed: int, tmp_path: Path) -> None:
-    """A change on top of the file, as ``--set`` makes it, asks the rules once more, and no value that it leaves."""
-    with counted() as seen:
-        experiment = presets.load("koul-rigid")
-        changes = {"controller.loop": loop} if changed else {}
-        (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=tmp_path))
-        assert result.recorded.recording.trailer is not None
-        assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_a_hit_validates_designs_judges_and_reads_back_once(
+    loop: str, seen: Counter[str], tmp_path: Path
+) -> None:
+    experiment = presets.load("koul-rigid")
+    (result,) = hit(HitRequest(experiment=experiment, changes={"controller.loop": loop}, output=tmp_path))
+    assert result.recorded.recording.trailer is not None
+    assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
     assert result.experiment.controller.loop == loop
     assert seen == {
         "files": 1,
-        "rules": 1 + changed,
+        "rules": 2,  # of the file, and of the experiment in effect, whoever made it: nothing else is armed
         "designs": 1,
+        "parameters": 1,
+        "plans": 1,
         "judgements": 1,
         "measurings": 2,
         "openings": 2,  # the capture, and the sealed file that has taken its place
     }
 
 
+@pytest.mark.parametrize("loop", ["host", "device"])
+def test_what_is_planned_is_what_runs(loop: str, tmp_path: Path) -> None:
+    experiment = override(presets.load("koul-rigid"), {"controller.loop": loop})
+    run = plan.make_plan(experiment).run
+    assert run is not None
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path))
+    header = result.recorded.recording.header
+    assert header["initial_state"] == json.loads(json.dumps(run.controller.as_mapping()))
+    told = header["identity"]["parameters"]
+    assert told["verified"] == 1, "a simulation; a plan alone arms nothing"
+    planned = {**run.parameters, "verified": 1}
+    assert {name: told[name] for name in planned} == pytest.approx(
+        planned, rel=2.0**-24
+    )  # float32 on the wire
+
+
 def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(
-    tmp_path: Path,
+    seen: Counter[str], tmp_path: Path
 ) -> None:
     protocol = tmp_path / "quick.toml"
     settings = "settings = { turns = 3, most = 5, steps = [2, 1] }"
     text = PROTOCOL.replace("settings = { turns = 2, most = 3, steps = [2, 1] }", settings)
     protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
     person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
-    with counted() as seen:
-        run_session(
-            protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
-        )
+    run_session(
+        protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
+    )
     hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
     trials, levels, conditions, practice = len(hits), 6, 2, 1
     assert trials == 11
@@ -93,9 +116,13 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
     ends = {(name, end) for name in ("hidden-dual", "hidden-uniform") for end in (20.0, 120.0)}
     assert seen == {
         "files": 1,  # the preset
-        "rules": 1 + len(met | ends),  # and each wall that is hit, or that a search may end at
-        # each wall that a rule may ask for, as a hit of its own; what of the device each condition needs; each trial
-        "designs": conditions * levels + practice + conditions + trials,
+        # and each wall that is hit, or that a search may end at; in effect for a condition's device, and for each hit
+        "rules": 1 + len(met | ends) + conditions + trials,
+        # each wall that a rule may ask for, as a hit of its own, and each trial
+        "plans": conditions * levels + practice + trials,
+        # and what of the device each condition needs
+        "designs": conditions * levels + practice + trials + conditions,
+        "parameters": conditions * levels + practice + trials + conditions,
         "judgements": trials,
         "measurings": 2 * trials,
         "openings": 2 * trials,

@@ -400,7 +400,10 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
     experiment = config.override(request.experiment, {"controller.loop": "device"})
     before = device.in_force()
     wanted = prepared(
-        experiment, current_quantum_a=device.dictionary.current_quantum_a, reference_count=device.count()
+        experiment,
+        current_quantum_a=device.dictionary.current_quantum_a,
+        reference_count=device.count(),
+        verified=True,
     ).parameters
     device.configure({**wanted, "current_limit": 0, "hold_to_run": 0})
     try:

@@ -9,8 +9,8 @@ from firmware_protocol import messages
 from firmware_protocol.framing import RAW_LIMIT
 from firmware_protocol.messages import BATCH_LAYOUTS
 from firmware_protocol.packing import encoded_bytes
-from rig.config import Experiment
 from rig.config.device_law.refusal import refusal
+from rig.config.sections import Experiment
 
 SUPERVISE_EVERY_S = 0.005  # between two COMMANDs that keep a law on the device going
 STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised

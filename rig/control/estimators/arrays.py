@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 from numpy.typing import ArrayLike, NDArray
 
-from rig.control import estimators
+from rig.control.estimators import family
 from rig.control.estimators.estimator import WINDOW, Floats, Ints, Prepared
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
@@ -126,7 +126,7 @@ def estimate_with_window(
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(f"dt = {dt!r} s is no period", remedy="give the time between two samples in s")
     _check_resolution(resolution)
-    prepared = estimators.get(name).prepare(parameters, resolution, dt)
+    prepared = family.get(name).prepare(parameters, resolution, dt)
     return run(prepared, *inputs(counts, dt, edge_time, elapsed))
 
 

@@ -10,6 +10,7 @@ from scipy.signal import butter, freqz_zpk, lfilter, sosfilt
 
 from rig.analysis.theory import linear
 from rig.control import estimators
+from rig.control.estimators import family
 from rig.control.estimators.estimator import Estimator
 from rig.control.estimators.kalman_model import steady_gain
 from rig.core.errors import ConfigError
@@ -130,9 +131,10 @@ def foreign(monkeypatch):
 
     def add(estimator):
         known = estimators.get
-        monkeypatch.setattr(
-            estimators, "get", lambda name: estimator if name == estimator.name else known(name)
-        )
+        for module in (estimators, family):
+            monkeypatch.setattr(
+                module, "get", lambda name: estimator if name == estimator.name else known(name)
+            )
 
         def run(prepared, counts, ages, elapsed):
             memory = (prepared.state_f, prepared.state_i, prepared.parameters)

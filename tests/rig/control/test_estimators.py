@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from rig.control import estimators
+from rig.control.estimators import family
 from rig.control.estimators.estimator import Prepared, Setting
 from rig.control.estimators.fdm import count_difference
 from rig.core.errors import ConfigError
@@ -81,7 +82,7 @@ def test_a_broken_plug_in_is_named(monkeypatch):
         def load(self):
             raise ImportError("no module named theirs")
 
-    monkeypatch.setattr(estimators, "entry_points", lambda **_: [Broken()])
+    monkeypatch.setattr(family, "entry_points", lambda **_: [Broken()])
     with pytest.raises(ConfigError, match=r"theirs:ESTIMATOR.*does not load.*no module named theirs"):
         estimators.get("theirs")
     assert estimators.names()[-1] == "theirs:ESTIMATOR"

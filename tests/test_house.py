@@ -1,0 +1,110 @@
+"""The rules of the house: rooms with the same sentence everywhere, no cycle of files, no way around the contracts."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from rig.realtime.source_files import source_files
+
+ROOT = Path(__file__).parents[1]
+RIG = ROOT / "rig"
+ROOMS = sorted(path.name for path in RIG.iterdir() if (path / "__init__.py").is_file())
+MODULE_BY_NAME = re.compile(r"(rig|sim_backend|firmware_protocol)(\.\w+)+(:\w+)?")
+# Folders and files that may name any module of ours by string; registries may name those of their own room.
+ANY = ("rig/cli/", "rig/devices/", "rig/__init__.py")
+REGISTRIES = {
+    "rig/control/laws.py": "rig.control.",
+    "rig/control/estimators/family.py": "rig.control.estimators.",
+    "rig/control/estimators/__init__.py": "rig.control.estimators.",
+}
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {module: ast.parse(path.read_text()) for module, path in source_files().items()}
+
+
+def test_rig_holds_rooms_and_nothing_loose():
+    assert {path.name for path in RIG.iterdir() if path.is_file()} == {
+        "__init__.py", "__main__.py", "DESIGN.md", "py.typed",
+    }  # fmt: skip
+    assert len(ROOMS) <= 15
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_says_the_same_of_itself_in_the_readme_and_in_the_design(room):
+    sentence = (RIG / room / "__init__.py").read_text().removeprefix('"""').split("\n")[0].removesuffix('"""')
+    assert f"| `rig/{room}/` | {sentence}" in (ROOT / "README.md").read_text()
+    assert f"* **{room}**: {sentence[0].lower()}{sentence[1:]}\n" in (RIG / "DESIGN.md").read_text()
+
+
+def imported(module: str) -> set[str]:
+    """Modules of ours that a module imports anywhere in it, other than itself."""
+    found: set[str] = set()
+    for node in ast.walk(trees()[module]):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            parts = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {part if part in trees() else node.module for part in parts}
+    return found & set(trees()) - {module}
+
+
+def test_no_file_is_part_of_a_cycle():
+    state: dict[str, int] = {}
+    way: list[str] = []
+
+    def visit(module: str) -> None:
+        state[module] = 1
+        way.append(module)
+        for other in sorted(imported(module)):
+            assert state.get(other) != 1, " -> ".join([*way[way.index(other) :], other])
+            if other not in state:
+                visit(other)
+        way.pop()
+        state[module] = 2
+
+    for module in trees():
+        if module not in state:
+            visit(module)
+
+
+def named_by_string() -> Iterator[tuple[str, str, str]]:
+    """File, its module, and every module of ours that it names in a string."""
+    for module, path in source_files().items():
+        for node in ast.walk(trees()[module]):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                named = node.value.partition(":")[0]
+                if MODULE_BY_NAME.fullmatch(node.value) and named in trees():
+                    yield str(path.relative_to(ROOT)), module, named
+
+
+def test_no_way_around_the_contracts_by_string():
+    """A task of a sweep, a resource and a child process name their own module or the package around it."""
+    around = [
+        f"{file} names {named}"
+        for file, module, named in named_by_string()
+        if not file.startswith(ANY)
+        and not named.startswith(REGISTRIES.get(file, "\0"))
+        and not f"{module}.".startswith(f"{named}.")
+    ]
+    assert around == []
+
+
+def test_imports_stand_at_the_top_of_files():
+    """Only the ring imports inside functions: whoever stops a loop does not wait for the compiler's library."""
+    inside = {
+        module
+        for module, tree in trees().items()
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    }
+    assert inside == {"rig.realtime.ring"}
