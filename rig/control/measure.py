@@ -260,13 +260,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
     return 2.0 * math.sqrt(2.0 * max(1, harmonics)) * frequency_hz * resolution
 
 
-@kernel(
-    types.UniTuple(types.float64, 3)(
-        types.float64, types.float64, types.float64,
-        types.float64, types.float64, types.float64, types.float64, types.float64,
-    ),
-    inline=True,
-)  # fmt: skip
+@kernel(types.UniTuple(types.float64, 3)(*[types.float64] * 8), inline=True)
 def _section(
     x: float, s1: float, s2: float, b0: float, b1: float, b2: float, a1: float, a2: float
 ) -> tuple[float, float, float]:
@@ -435,11 +429,9 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
 
 
 @kernel(
-    types.void(
-        _SIGNAL, _SIGNAL, _SIGNAL, _SIGNAL, _FLAGS, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE
-    ),
+    types.void(*[_SIGNAL] * 4, _FLAGS, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE),
     borrow=True,
-)  # fmt: skip
+)
 def measure(
     position: Floats,
     velocity: Floats,
@@ -565,11 +557,9 @@ class Meter:
         """Return the numbers (one record of `NUMBERS`) of what really happened: no counts, no floor."""
         return self._measured(self._true, (position, velocity, effort, penetration), flags)
 
-    def _measured(self, settings: Records, signals: tuple[Floats, ...], flags: Ints) -> np.void:
-        position, velocity, effort, penetration = signals
-        measure(
-            position, velocity, effort, penetration, flags,
-            settings, self._sections, self._scratch, self._numbers,
-        )  # fmt: skip
+    def _measured(
+        self, settings: Records, signals: tuple[Floats, Floats, Floats, Floats], flags: Ints
+    ) -> np.void:
+        measure(*signals, flags, settings, self._sections, self._scratch, self._numbers)
         record: np.void = self._numbers[0].copy()
         return record
