@@ -15,7 +15,7 @@ from rig.core.sample import Phase
 from rig.loop.exchange import take_time
 from rig.loop.frames import NO_FRAME, next_frame
 from rig.loop.layout import BUFFERS_TYPE, SETTINGS_TYPE, Buffers
-from rig.loop.letters import take_answer
+from rig.loop.parameter_update import take_answer
 from rig.loop.receive import WRAP, add, forget_noise
 from rig.loop.rows import behind_grid
 from rig.loop.supervision import (

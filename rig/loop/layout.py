@@ -14,7 +14,7 @@ from rig.core.sample import ROW
 from rig.realtime import codec
 from rig.realtime.codec import COMMAND, GET_TIME, HEAD, STATE, TIME
 from rig.realtime.groups import Address, Bytes, FloatRows, Floats, IntRows, Ints, group, type_of
-from rig.realtime.mailbox import SET_FLOATS
+from rig.realtime.mailbox import MOST_BYTES, SET_FLOATS
 
 
 class EndReason(IntEnum):
@@ -122,8 +122,8 @@ class Buffers(NamedTuple):
         Values of a frame's header, of a STATE that just came, the newest STATE, COMMAND, GET_TIME and TIME.
     exchanges
         The four stamps of each clock exchange (ns), the newest `EXCHANGES_KEPT` of them.
-    waiting
-        Parameter set that waits to come in force: wall position, then the law's parameters.
+    mail, waiting
+        Parameter set that waits to come in force, its bytes and their numbers: wall position, the law's parameters.
     sets
         Each set that came in force: its number, the tick, its values.
     progress
@@ -140,6 +140,7 @@ class Buffers(NamedTuple):
     question: Ints
     times: Ints
     exchanges: IntRows
+    mail: Bytes
     waiting: Floats
     sets: FloatRows
     progress: Annotated[NDArray[np.void], PROGRESS_TYPE]
@@ -147,7 +148,7 @@ class Buffers(NamedTuple):
     @classmethod
     def allocate(cls) -> Buffers:
         """Make them, zeroed, before the first sample."""
-        progress = np.zeros(1, PROGRESS)
+        progress, mail = np.zeros(1, PROGRESS), np.zeros(MOST_BYTES, np.uint8)
         progress["earliest"] = 1 << 62
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
@@ -160,7 +161,8 @@ class Buffers(NamedTuple):
             question=np.zeros(len(GET_TIME), np.int64),
             times=np.zeros(len(TIME), np.int64),
             exchanges=np.zeros((EXCHANGES_KEPT, 4), np.int64),
-            waiting=np.zeros(SET_FLOATS, np.float64),
+            mail=mail,
+            waiting=mail.view(np.float64),
             sets=np.zeros((SETS_KEPT, 2 + SET_FLOATS), np.float64),
             progress=progress,
         )

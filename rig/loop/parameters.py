@@ -59,7 +59,7 @@ def renew_parameters(controller: ControllerArguments, shared: Shared, buffers: B
     if shared.mailbox == 0:
         return
     p, waiting, control = buffers.progress[0], buffers.waiting, controller.control
-    number = take(shared.mailbox, waiting)
+    number = take(shared.mailbox, buffers.mail)
     if number > 0:
         p["waiting_set"] = number
     if p["waiting_set"] == 0 or p["sets"] == len(buffers.sets):

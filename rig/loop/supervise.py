@@ -48,7 +48,7 @@ from rig.loop.layout import (
     Buffers,
     Shared,
 )
-from rig.loop.letters import COMMITTED, GRANTED, IDLE, converse
+from rig.loop.parameter_update import COMMITTED, GRANTED, IDLE, say_update
 from rig.loop.parameters import begin_set
 from rig.loop.receive import WRAP, add, drain
 from rig.loop.rows import FLAG_GAP, leave_row
@@ -102,7 +102,7 @@ def _say(
             taken = ask_time(port, settings, buffers)
         if taken < 0:
             return int(taken)
-    return int(converse(port, shared.mailbox, control, settings, buffers, supervised))
+    return int(say_update(port, shared.mailbox, control, settings, buffers, supervised))
 
 
 @kernel(
@@ -298,7 +298,7 @@ def run(
     Parameters
     ----------
     port, controller, shared, settings, buffers
-        As in `rig.loop.host.run`; but the mailbox is one of letters (`rig.loop.letters`).
+        As in `rig.loop.host.run`; but the mailbox is one of updates (`rig.loop.parameter_update`).
     supervised
         What this loop has besides.
 

@@ -16,7 +16,7 @@ from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
 from rig.core.errors import RigError
 from rig.loop import supervise
-from rig.loop.letters import letter_of
+from rig.loop.parameter_update import update_of
 from rig.loop.run import LoopThread
 from rig.loop.supervision import SupervisionBuffers
 from rig.realtime import mailbox as mailboxes
@@ -83,10 +83,10 @@ class SupervisedThread(LoopThread):
 
     def __init__(self, *arguments: Any, live: Live | None = None, **keywords: Any) -> None:
         self._supervision = SupervisionBuffers.allocate()
-        self._letters = np.zeros(mailboxes.MAILBOX_BYTES // 8, np.int64)
-        mailboxes.clear(self._letters.ctypes.data)
-        self._writer = mailboxes.Mailbox(self._letters.ctypes.data, keep=self._letters)
-        self._posted = np.zeros(mailboxes.SET_FLOATS)
+        self._updates = np.zeros(mailboxes.MAILBOX_BYTES // 8, np.int64)
+        mailboxes.clear(self._updates.ctypes.data)
+        self._writer = mailboxes.Mailbox(self._updates.ctypes.data, keep=self._updates)
+        self._posted = np.zeros(mailboxes.MOST_BYTES, np.uint8)
         self._live_parameters = live
         self._refused: list[str] = []
         super().__init__(*arguments, **keywords)
@@ -164,22 +164,22 @@ class SupervisedThread(LoopThread):
         )
 
     def _mailbox(self) -> int:
-        """Address of the mailbox of letters; 0 where the wall does not change."""
-        return int(self._letters.ctypes.data) if self._live_parameters and super()._mailbox() else 0
+        """Address of the mailbox of updates; 0 where the wall does not change."""
+        return int(self._updates.ctypes.data) if self._live_parameters and super()._mailbox() else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return (*super()._arrays(), *self._supervision)
 
     def _attend(self) -> None:
-        """Turn a posted set into a letter for the loop."""
+        """Turn a posted set into an update for the loop."""
         if self._live_parameters is None or not super()._mailbox():
             return
         number = mailboxes.take(self.ring.mailbox, self._posted)
         if number == 0:
             return
-        values = self._posted[: self._parameter_count].tolist()
+        values = self._posted.view(np.float64)[: self._parameter_count].tolist()
         try:
             block = encode_block(self._live_parameters(values))
-            self._writer.post(letter_of(number, block, values))
+            self._writer.post(update_of(number, block, values))
         except RigError as error:
             self._refused.append(f"parameter set {number} is not for this device: {error}")

@@ -13,7 +13,7 @@ from rig.loop.layout import RECEIVE_BYTES
 from rig.realtime import codec
 from rig.realtime.codec import ACK, BATCH, SAMPLE, SET_BEGIN, STATE
 from rig.realtime.groups import Bytes, Floats, IntRows, Ints, group, type_of
-from rig.realtime.mailbox import SET_FLOATS
+from rig.realtime.mailbox import MOST_BYTES
 
 # One row: how far the streams have come, the conversation about a new wall, and how the two laws agree.
 SUPERVISION = np.dtype(
@@ -33,13 +33,14 @@ SUPERVISION = np.dtype(
         ("stop_sequence", "<i8"),  # of the first STOP; -1 before it
         ("done_at", "<i8"),  # sample at which the device's law had ended, -1 while it runs
         ("ticks", "<i8"),  # steps of the law so far
-        # a new wall on its way to the device (rig.loop.letters)
+        # a new wall on its way to the device (rig.loop.parameter_update); its transaction is that of firmware_protocol
         ("step", "<i8"),
         ("nonce", "<i8"),
-        ("offset", "<i8"),  # of the chunk that was sent
-        ("length", "<i8"),  # of the block
-        ("sent_at", "<i8"),  # host time of the last frame of it (ns)
-        ("tries", "<i8"),  # of that frame
+        ("length", "<i8"),
+        ("request", "<i8"),
+        ("offset", "<i8"),
+        ("tries", "<i8"),
+        ("again_at", "<i8"),
         ("not_before", "<i8"),  # host time before which it is not tried again (ns)
         ("change_at", "<i8"),  # sample from which the new wall counts
         ("inside", "<i8"),  # times that the device found the handle inside a wall
@@ -72,7 +73,11 @@ SAMPLES_A_READING = RECEIVE_BYTES // 3 + codec.MOST_SAMPLES  # most that one rea
 QUEUE = 4 * SAMPLES_A_READING  # 80 ms at 50 kHz and more: what may wait for an answer
 STATES_KEPT = 16  # 80 ms of them
 CONTIGUOUS = len(STATE)  # column behind the fields of a STATE: 1 when none is missing before it
-BLOCK_BYTES = 96  # of a block of live parameters, six bytes each
+
+# Bytes of an update: head, block, the values of the host's law.
+HEAD_NUMBER, HEAD_LENGTH = 0, 1  # int64: of the set, and of the block (bytes)
+BLOCK_AT, BLOCK_BYTES = 16, 96  # of a block of live parameters, six bytes each
+VALUES_AT = BLOCK_AT + BLOCK_BYTES
 
 
 @group
@@ -93,8 +98,8 @@ class SupervisionBuffers(NamedTuple):
         The newest STATE, whatever sample it belongs to.
     ack, request
         Values of an ACK that just came, and of a request to send.
-    letter, block
-        The newest letter (`rig.loop.letters`), and the block of parameters in it.
+    update, update_head, update_block, update_values
+        The newest update (`rig.loop.parameter_update`), and what stands in its bytes.
     """
 
     supervision: Annotated[NDArray[np.void], SUPERVISION_TYPE]
@@ -105,13 +110,15 @@ class SupervisionBuffers(NamedTuple):
     newest: Ints
     ack: Ints
     request: Ints
-    letter: Floats
-    block: Bytes
+    update: Bytes
+    update_head: Ints
+    update_block: Bytes
+    update_values: Floats
 
     @classmethod
     def allocate(cls) -> SupervisionBuffers:
         """Make them before the first sample."""
-        supervision = np.zeros(1, SUPERVISION)
+        supervision, update = np.zeros(1, SUPERVISION), np.zeros(MOST_BYTES, np.uint8)
         for name in ("stop_sequence", "done_at", "parameters_crc"):
             supervision[name] = -1
         return cls(
@@ -123,8 +130,10 @@ class SupervisionBuffers(NamedTuple):
             newest=np.zeros(len(STATE), np.int64),
             ack=np.zeros(len(ACK), np.int64),
             request=np.zeros(len(SET_BEGIN), np.int64),
-            letter=np.zeros(SET_FLOATS, np.float64),
-            block=np.zeros(BLOCK_BYTES, np.uint8),
+            update=update,
+            update_head=update[:BLOCK_AT].view(np.int64),
+            update_block=update[BLOCK_AT:VALUES_AT],
+            update_values=update[VALUES_AT:].view(np.float64),
         )
 
 

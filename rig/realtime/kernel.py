@@ -196,11 +196,11 @@ def kernel(
         "nogil": True,
         "error_model": "numpy",
         "fastmath": False,
-        "_nrt": not (borrow or takes_group),  # said, or else it would be that of whoever needs it first
+        # Each is said, also where it is the default: else it would be that of the kernel that needs this one first.
+        "_nrt": not (borrow or takes_group),
+        "forceinline": inline,
         "no_cfunc_wrapper": takes_group,  # a plug point takes none
     }
-    if inline:
-        options["forceinline"] = True
 
     def decorate(function: F) -> F:
         if numba.config.DISABLE_JIT:

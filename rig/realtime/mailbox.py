@@ -1,20 +1,21 @@
-"""How parameters reach a running loop: a triple buffer that neither side ever waits for.
+"""How bytes reach a running loop: a triple buffer that neither side ever waits for.
 
-Three slots hold one parameter set each: one is the writer's to fill, one lies in the mail, one is the reader's
+Three slots hold one message each: one is the writer's to fill, one lies in the mail, one is the reader's
 to copy from. Who has which stands in **one** word, and every change of hands is one compare-and-exchange of it::
 
     bits 0–1  the writer's slot       bits 4–5  the reader's slot
     bits 2–3  the slot in the mail    bit  6    FRESH: the mail has not been read
-    bits 8–62 number of the newest set posted
+    bits 8–62 number of the newest message posted
 
 The writer fills its slot and swaps it with the mail; the reader, when the mail is fresh, swaps its own with it. So
-a slot has one owner at any moment, and a set is never torn. Nobody spins: the reader gives up after `ATTEMPTS`
-and keeps what it has (a newer set is on its way), and the writer fails at most once, because the reader only moves
+a slot has one owner at any moment, and a message is never torn. Nobody spins: the reader gives up after `ATTEMPTS`
+and keeps what it has (a newer message is on its way), and the writer fails at most once, because the reader only moves
 fresh mail, and it is the writer who makes mail fresh. A writer that is killed in between leaves its own slot half
 filled, which nobody reads: because the word is all there is, there is nothing to repair.
 
 Layout from the address of the mailbox: that word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number
-and length as int64, `SET_FLOATS` float64, padding. What the numbers in a set mean is between writer and reader.
+and length (bytes) as int64, `MOST_BYTES` bytes, padding. What the bytes mean is between writer and reader; a set of
+parameters is float64s (`set_bytes`).
 """
 
 from __future__ import annotations
@@ -34,10 +35,11 @@ from rig.core.errors import ConfigError, RigError
 from rig.realtime.atomics import compare_exchange_word, load_word, read_word, store_word, write_word
 from rig.realtime.kernel import kernel
 
-SET_FLOATS = 64
+MOST_BYTES = 512
+SET_FLOATS = MOST_BYTES // 8
 SLOTS = 3
 HEAD_BYTES = 64  # a cache line: the word shares it with nothing
-SLOT_BYTES = 576  # two words, the numbers, padding to cache lines
+SLOT_BYTES = 576  # two words, the bytes, padding to cache lines
 MAILBOX_BYTES = HEAD_BYTES + SLOTS * SLOT_BYTES
 ATTEMPTS = 4
 PATIENCE_S = 1.0  # how long a writer waits for another one, who needs microseconds
@@ -47,8 +49,8 @@ NUMBER = 8  # shift
 EMPTY = 0 | 1 << 2 | 2 << 4  # each slot where it begins, nothing posted
 
 _WORD = 8
-_VALUES = 2 * _WORD  # place of the numbers in a slot
-_i64, _address, _floats = types.int64, types.uintp, types.float64[::1]
+_BYTES = 2 * _WORD  # place of the bytes in a slot
+_i64, _address, _bytes = types.int64, types.uintp, types.uint8[::1]
 _writers = threading.Lock()  # a lock on a descriptor does not keep threads of one process apart
 
 
@@ -84,17 +86,17 @@ def claimed(state: int) -> int:
     return state >> NUMBER << NUMBER | mail << 4 | readers_slot(state) << 2 | writers_slot(state)
 
 
-@kernel(_i64(_address, _floats))
-def fill(mailbox: int, values: Any) -> int:
-    """Write a set into the writer's slot; returns the number that it will have."""
+@kernel(_i64(_address, _bytes))
+def fill(mailbox: int, message: Any) -> int:
+    """Write a message of whole words into the writer's slot; returns the number that it will have."""
     state = load_word(mailbox)
     number = (state >> NUMBER) + 1
     slot = slot_address(mailbox, writers_slot(state))
-    source = values.ctypes.data
+    source = message.ctypes.data
     store_word(slot, number)
-    store_word(slot + _WORD, len(values))
-    for i in range(len(values)):
-        store_word(slot + _VALUES + _WORD * i, load_word(source + _WORD * i))
+    store_word(slot + _WORD, len(message))
+    for at in range(0, len(message), _WORD):
+        store_word(slot + _BYTES + at, load_word(source + at))
     return int(number)
 
 
@@ -121,44 +123,60 @@ def claim(mailbox: int) -> int:
     return -1
 
 
-@kernel(_i64(_address, _i64, _floats))
-def copy_set(mailbox: int, slot: int, into: Any) -> int:
-    """Copy the numbers of a slot, as many as there are and fit; returns the number of the set."""
+@kernel(_i64(_address, _i64, _bytes))
+def copy_message(mailbox: int, slot: int, into: Any) -> int:
+    """Copy the bytes of a slot, as many as there are and fit; returns the number of the message."""
     place = slot_address(mailbox, slot)
     target = into.ctypes.data
-    count = min(load_word(place + _WORD), len(into))
-    for i in range(count):
-        store_word(target + _WORD * i, load_word(place + _VALUES + _WORD * i))
+    for at in range(0, min(load_word(place + _WORD), len(into)), _WORD):
+        store_word(target + at, load_word(place + _BYTES + at))
     return int(load_word(place))
 
 
-@kernel(_i64(_address, _floats))
+@kernel(_i64(_address, _bytes))
 def take(mailbox: int, into: Any) -> int:
-    """Take the newest parameter set, if there is one that was not taken before. For the loop: it never waits.
+    """Take the newest message, if there is one that was not taken before. For the loop: it never waits.
 
     Parameters
     ----------
     mailbox
         Address (`rig.realtime.ring.Ring.mailbox`).
     into
-        Where the numbers go; what the set does not fill stays as it is, what does not fit is left out.
+        Where the bytes go, whole words that begin at one; what the message does not fill stays as it is, what does not
+        fit is left out.
 
     Returns
     -------
     int
-        Number of the set, from 1 on; 0 when nothing is new, and `into` is as it was.
+        Number of the message, from 1 on; 0 when nothing is new, and `into` is as it was.
     """
     slot = claim(mailbox)
     if slot < 0:
         return 0
-    return int(copy_set(mailbox, slot, into))
+    return int(copy_message(mailbox, slot, into))
 
 
-@kernel(_i64(_address, _floats))
-def post_set(mailbox: int, values: Any) -> int:
+@kernel(_i64(_address, _bytes))
+def post_message(mailbox: int, message: Any) -> int:
     """`fill` and `publish`: one writer at a time."""
-    fill(mailbox, values)
+    fill(mailbox, message)
     return int(publish(mailbox))
+
+
+def set_bytes(values: ArrayLike) -> bytes:
+    """Bytes of a set of parameters for a loop.
+
+    Raises `ConfigError` for more than `SET_FLOATS` numbers, or one that is NaN.
+    """
+    numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+    if len(numbers) > SET_FLOATS:
+        raise ConfigError(
+            f"{len(numbers)} parameters for a running loop, which takes {SET_FLOATS}",
+            remedy="use a law with fewer parameters",
+        )
+    if np.isnan(numbers).any():
+        raise ConfigError("a parameter for a running loop is not a number", remedy="give finite values")
+    return numbers.tobytes()
 
 
 def clear(mailbox: int) -> None:
@@ -187,38 +205,31 @@ class Mailbox:
 
     @property
     def posted(self) -> int:
-        """Number of the newest set posted by anybody; 0 before the first."""
+        """Number of the newest message posted by anybody; 0 before the first."""
         return int(read_word(self._address)) >> NUMBER
 
-    def post(self, values: ArrayLike) -> int:
-        """Hand a set of parameters to the loop; a newer one replaces one that was not taken yet.
+    def post(self, message: bytes) -> int:
+        """Hand the loop a message, `MOST_BYTES` at most; a newer one replaces one that was not taken yet.
 
         Returns
         -------
         int
-            Its number: 1 for the first set ever posted here, and so on.
+            Its number: 1 for the first message ever posted here, and so on.
 
         Raises
         ------
-        ConfigError
-            More than `SET_FLOATS` numbers, or one that is NaN.
         RigError
             Another process holds the mailbox, stopped in the middle.
         """
         with self.alone():
-            return self.post_alone(values)
+            return self.post_alone(message)
 
-    def post_alone(self, values: ArrayLike) -> int:
+    def post_alone(self, message: bytes) -> int:
         """`post`, for whoever is `alone` already."""
-        numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
-        if len(numbers) > SET_FLOATS:
-            raise ConfigError(
-                f"{len(numbers)} parameters for a running loop, which takes {SET_FLOATS}",
-                remedy="use a law with fewer parameters",
-            )
-        if np.isnan(numbers).any():
-            raise ConfigError("a parameter for a running loop is not a number", remedy="give finite values")
-        return int(post_set(self._address, numbers))
+        words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
+        words[: len(message)] = np.frombuffer(message, np.uint8)
+        assert len(words) <= MOST_BYTES
+        return int(post_message(self._address, words))
 
     @contextmanager
     def alone(self) -> Iterator[None]:

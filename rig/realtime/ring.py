@@ -260,8 +260,10 @@ class Ring:
         return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
 
     def post(self, values: ArrayLike) -> int:
-        """Hand the loop a set of parameters; returns its number (`rig.realtime.mailbox.Mailbox.post`)."""
-        return self.writer().post(values)
+        """Hand the loop a set of parameters; returns its number. Raises as `set_bytes` and `Mailbox.post`."""
+        from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
+
+        return self.writer().post(set_bytes(values))
 
     def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
         """Post a set together with the info that goes with it, unless somebody else has changed the info meanwhile.
@@ -280,13 +282,15 @@ class Ring:
         int
             Number of the set; 0 when the info was changed meanwhile and nothing was posted.
         """
-        writer = self.writer()
+        from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
+
+        writer, message = self.writer(), set_bytes(values)
         with writer.alone():
             if self.get(INFO) != word:
                 return 0
             # The info first: killed in between, the next set makes good what this one did not say.
             _write_info(self, _json_of(info(writer.posted + 1)))
-            return writer.post_alone(values)
+            return writer.post_alone(message)
 
     def _info_text(self, word: int) -> bytes:
         if self._closed or self.peek(VERSION) != LAYOUT_VERSION:

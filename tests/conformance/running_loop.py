@@ -34,7 +34,7 @@ ticks = 0
 while not ended.is_set() and (kind == "deaf" or ring.get(words.STOP) == 0):
     ticks += 1
     ring.put(words.TICKS, ticks)
-    number = take(ring.mailbox, into)
+    number = take(ring.mailbox, into.view(np.uint8))
     if number and not info.get("inside"):
         print(json.dumps({"set": number, "values": into[:8].tolist()}), flush=True)
         ring.put(words.PARAMETER_SET, number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from rig.config import presets
 from rig.core.errors import DeviceFaultError
 from rig.core.sample import COLUMNS
 from rig.devices.framed import FramedDevice
-from rig.experiments.trial import TrialRequest, run_trial
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal
 from sim_backend.channel import Direction, Faults, FrameFault, Happening, Kind
@@ -24,6 +24,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.firmware import need_compiler
+from tests.conformance.trials import trial_on
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 START = -0.015
@@ -61,13 +62,12 @@ def rows_of(directory: Path, loop: str, device_of: Callable[..., Any]) -> Rows:
     happenings = (Happening(700, _happen), Happening(1_300, _throw))
     device = device_of(config.rig_model(experiment), initial_position=START)
     path = directory / f"{loop}-{device_of.__name__}.rigcap"
-    request = TrialRequest(experiment=experiment, recording=path, verified=True, seed=0, sealed=False)
-    try:
-        with FramedDevice(MemoryLink(device, Faults(frames=LINE, device=happenings))) as host:
-            run_trial(host, request)
-    except DeviceFaultError:
-        pass
-    return np.asarray(open_recording(seal(path)).rows)
+    with (
+        suppress(DeviceFaultError),
+        FramedDevice(MemoryLink(device, Faults(frames=LINE, device=happenings))) as host,
+    ):
+        trial_on(host, experiment, path, sealed=False)
+    return np.asarray(seal(open_recording(path)).rows)
 
 
 def equal_pairs(rows: Rows) -> set[tuple[str, str]]:

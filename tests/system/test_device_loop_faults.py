@@ -147,8 +147,7 @@ def test_timing_says_where_the_law_ran(
     clean: Clean, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench = Bench(tmp_path).run()
-    sealed = seal(open_recording(bench.path)).path
-    recording = open_recording(sealed)
+    recording = seal(open_recording(bench.path))
     extra, wall = recording.header["extra"], recording.experiment["wall"]
     assert (extra["loop"], extra["arithmetic"]) == ("device", "fixed")
     assert extra["wall"] == pytest.approx({name: wall[name] for name in extra["wall"]}, rel=1e-6)
@@ -158,7 +157,7 @@ def test_timing_says_where_the_law_ran(
     found = recording.trailer["law_agreement"]  # type: ignore[index]
     assert (found["holds"], found["beyond"]) == (True, 0)
     assert found["compared"] > 0.8 * len(recording.rows)
-    assert run(["timing", str(sealed), "--no-plot"]) == 0
+    assert run(["timing", str(recording.path), "--no-plot"]) == 0
     said = capsys.readouterr().out
     assert "law on the device" in said
     assert "sent to applied" not in said

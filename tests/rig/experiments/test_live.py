@@ -48,7 +48,7 @@ def numbers_of(experiment: Any) -> list[float]:
 
 def taken(ring: Ring) -> tuple[int, list[float]]:
     into = np.full(SET_FLOATS, np.nan)
-    number = take(ring.mailbox, into)
+    number = take(ring.mailbox, into.view(np.uint8))
     return number, into[~np.isnan(into)].tolist()
 
 

@@ -23,12 +23,13 @@ from firmware_protocol.parameters import decode_block
 from rig.config import controller, presets
 from rig.control.law import Law
 from rig.control.step import new_memory
-from rig.core.errors import PlanError
+from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import STOP_FRAMES
 from rig.experiments.replay import COMPUTED
 from rig.loop import supervise
 from rig.loop.layout import EndReason
+from rig.loop.parameter_update import update_of
 from rig.loop.replay import NO_SETS, replay_rows
 from rig.loop.run import LoopSettings, LoopThread
 from rig.loop.supervised import SupervisedThread
@@ -640,11 +641,8 @@ def test_a_device_that_never_answers_a_commit_does_not_hold_up_the_rows_for_ever
     assert run.thread.parameter_sets() == []
 
 
-def test_too_many_parameters_for_a_letter_are_refused():
-    from rig.core.errors import ConfigError  # noqa: PLC0415
-    from rig.loop.letters import letter_of  # noqa: PLC0415
-
+def test_too_many_parameters_for_an_update_are_refused():
     with pytest.raises(ConfigError, match="too much"):
-        letter_of(1, bytes(102), [0.0])
+        update_of(1, bytes(102), [0.0])
     with pytest.raises(ConfigError, match="too much"):
-        letter_of(1, bytes(12), [0.0] * 60)
+        update_of(1, bytes(12), [0.0] * 60)

@@ -18,7 +18,17 @@ from rig.core.errors import ConfigError, RigError
 from rig.realtime import mailbox
 from rig.realtime.atomics import compare_exchange_word, read_word, write_word
 from rig.realtime.kernel import kernel
-from rig.realtime.mailbox import EMPTY, FRESH, MAILBOX_BYTES, NUMBER, SET_FLOATS, Mailbox, take
+from rig.realtime.mailbox import (
+    EMPTY,
+    FRESH,
+    MAILBOX_BYTES,
+    MOST_BYTES,
+    NUMBER,
+    SET_FLOATS,
+    Mailbox,
+    set_bytes,
+    take,
+)
 from rig.realtime.ring import Ring
 from rig.realtime.system import monotonic_now
 
@@ -50,22 +60,27 @@ def expected(number: int, count: int) -> list[float]:
     return [number + i / 128 for i in range(count)]
 
 
+def take_numbers(address: int, into: np.ndarray) -> int:
+    """Take a set of parameters."""
+    return int(take(address, into.view(np.uint8)))
+
+
 # One side at a time -----------------------------------------------------------------------------------
 
 
 def test_sets_are_numbered_from_one_and_each_is_taken_once() -> None:
     box, into = Box(), np.zeros(4)
     writer = Mailbox(box.address)
-    assert take(box.address, into) == 0
+    assert take_numbers(box.address, into) == 0
     assert writer.posted == 0
-    assert writer.post([1.0, 2.0, 3.0, 4.0]) == 1
-    assert take(box.address, into) == 1
+    assert writer.post(set_bytes([1.0, 2.0, 3.0, 4.0])) == 1
+    assert take_numbers(box.address, into) == 1
     assert into.tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert take(box.address, into) == 0
+    assert take_numbers(box.address, into) == 0
     assert into.tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert [writer.post([n]) for n in range(5)] == [2, 3, 4, 5, 6]
+    assert [writer.post(set_bytes([n])) for n in range(5)] == [2, 3, 4, 5, 6]
     assert writer.posted == 6
-    assert take(box.address, into) == 6
+    assert take_numbers(box.address, into) == 6
     assert into.tolist() == [4.0, 2.0, 3.0, 4.0]  # what the set does not fill stays
 
 
@@ -75,19 +90,27 @@ def test_every_float_passes_bit_for_bit_and_nothing_is_written_beyond_either_end
 ) -> None:
     box = Box()
     memory = np.full(room + 2, -7.0)
-    assert Mailbox(box.address).post(values) == 1
-    assert take(box.address, memory[1 : room + 1]) == 1
+    assert Mailbox(box.address).post(set_bytes(values)) == 1
+    assert take_numbers(box.address, memory[1 : room + 1]) == 1
     count = min(len(values), room)
     assert memory[1 : count + 1].tobytes() == np.array(values[:count], np.float64).tobytes()
     assert (memory[[0, *range(count + 1, room + 2)]] == -7.0).all()
 
 
+@given(st.binary(max_size=MOST_BYTES))
+def test_any_bytes_arrive_as_they_are(message: bytes) -> None:
+    box, into = Box(), np.zeros(MOST_BYTES, np.uint8)
+    Mailbox(box.address).post(message)
+    assert take(box.address, into) == 1
+    assert into.tobytes() == message.ljust(MOST_BYTES, b"\0")
+
+
 def test_the_largest_set_fits_its_slot() -> None:
-    assert mailbox.SLOT_BYTES >= 8 * (2 + SET_FLOATS)
+    assert mailbox.SLOT_BYTES >= 16 + MOST_BYTES
     box, into = Box(), np.zeros(SET_FLOATS)
     for number in range(1, 5):
-        Mailbox(box.address).post(expected(number, SET_FLOATS))
-        assert take(box.address, into) == number
+        Mailbox(box.address).post(set_bytes(expected(number, SET_FLOATS)))
+        assert take_numbers(box.address, into) == number
         assert into.tolist() == expected(number, SET_FLOATS)
 
 
@@ -95,7 +118,7 @@ def test_the_largest_set_fits_its_slot() -> None:
 def test_what_no_law_can_work_with_is_refused_before_it_is_posted(values: list[float]) -> None:
     box = Box()
     with pytest.raises(ConfigError):
-        Mailbox(box.address).post(values)
+        Mailbox(box.address).post(set_bytes(values))
     assert box.state == EMPTY
 
 
@@ -232,7 +255,7 @@ def writer_of(box: Box, count: int):  # type: ignore[no-untyped-def]
     number = (seen >> NUMBER) + 1
     slot = mailbox.slot_address(box.address, mailbox.writers_slot(seen))
     yield
-    for i, word in enumerate([number, count, *np.array(expected(number, count)).view(np.int64).tolist()]):
+    for i, word in enumerate([number, 8 * count, *np.array(expected(number, count)).view(np.int64).tolist()]):
         write_word(slot + 8 * i, word)
         yield
     for _ in range(2):
@@ -262,7 +285,7 @@ def reader_of(box: Box, room: int):  # type: ignore[no-untyped-def]
     count = read_word(slot + 8)
     yield
     words = []
-    for i in range(min(count, room)):
+    for i in range(min(count // 8, room)):
         words.append(read_word(slot + 8 * (2 + i)))
         yield
     return read_word(slot), np.array(words, np.int64).view(np.float64).tolist()
@@ -296,7 +319,7 @@ def test_interleaved_steps_of_the_machine_code(actions: list[str], count: int) -
             writer = None
         elif action == "post" and writer is None:  # one writer at a time: that is what the lock is for
             number = posted + 1
-            assert mailbox.fill(box.address, np.array(expected(number, count))) == number
+            assert mailbox.fill(box.address, np.array(expected(number, count)).view(np.uint8)) == number
             assert mailbox.publish(box.address) == number
             posted = number
         elif action == "write":
@@ -309,7 +332,7 @@ def test_interleaved_steps_of_the_machine_code(actions: list[str], count: int) -
                     pytest.fail(f"number {end.value} instead of {posted}")
         elif action == "take" and reader is None:
             at_start = posted
-            arrived(take(box.address, into), into.tolist())
+            arrived(take_numbers(box.address, into), into.tolist())
             assert last == posted  # alone, a take always gets the newest
         elif action == "read":
             if reader is None:
@@ -327,17 +350,17 @@ def test_interleaved_steps_of_the_machine_code(actions: list[str], count: int) -
         except StopIteration as end:
             arrived(*end.value)
             reader = None
-    arrived(take(box.address, into), into.tolist())
+    arrived(take_numbers(box.address, into), into.tolist())
     assert last == posted
 
 
-@kernel(types.int64(types.uintp, types.float64[::1], types.int64, types.uintp), cache=False)
-def read_until(address, into, newest, found):  # type: ignore[no-untyped-def]
+@kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64, types.uintp), cache=False)
+def read_until(address, message, into, newest, found):  # type: ignore[no-untyped-def]
     """A loop that takes until it has the newest; counts sets, torn ones and old ones in the three words at `found`."""
     last, deadline = 0, monotonic_now(0) + PATIENCE_NS
     sets = torn = old = 0
     while last < newest and monotonic_now(0) < deadline:
-        number = take(address, into)
+        number = take(address, message)
         if number == 0:
             continue
         sets += 1
@@ -351,14 +374,14 @@ def read_until(address, into, newest, found):  # type: ignore[no-untyped-def]
     return last
 
 
-@kernel(types.int64(types.uintp, types.float64[::1], types.int64), cache=False)
-def write_many(address, values, times):  # type: ignore[no-untyped-def]
+@kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64), cache=False)
+def write_many(address, message, values, times):  # type: ignore[no-untyped-def]
     """A writer without mercy; returns the number of the last set."""
     number = 0
     for n in range(times):
         for i in range(len(values)):
             values[i] = n + 1 + i / 128
-        number = mailbox.post_set(address, values)
+        number = mailbox.post_message(address, message)
     return number
 
 
@@ -367,10 +390,13 @@ def test_two_threads_hammer_the_mailbox_without_the_gil() -> None:
     into, values, found = np.zeros(SET_FLOATS), np.zeros(SET_FLOATS), np.zeros(3, np.int64)
     results: list[int] = []
     reader = threading.Thread(
-        target=lambda: results.append(read_until(box.address, into, times, found.ctypes.data)), daemon=True
+        target=lambda: results.append(
+            read_until(box.address, into.view(np.uint8), into, times, found.ctypes.data)
+        ),
+        daemon=True,
     )
     reader.start()
-    assert write_many(box.address, values, times) == times
+    assert write_many(box.address, values.view(np.uint8), values, times) == times
     reader.join(JOIN_S)
     sets, torn, old = found.tolist()
     assert results == [times]  # the last one arrived
@@ -385,7 +411,7 @@ def test_many_writers_in_threads_get_numbers_of_their_own() -> None:
 
     def write(mine: list[int], who: int) -> None:
         writer = Mailbox(box.address)
-        mine.extend(writer.post([float(who), float(n)]) for n in range(500))
+        mine.extend(writer.post(set_bytes([float(who), float(n)])) for n in range(500))
 
     threads = [threading.Thread(target=write, args=(mine, who)) for who, mine in enumerate(numbers)]
     for thread in threads:
@@ -394,7 +420,7 @@ def test_many_writers_in_threads_get_numbers_of_their_own() -> None:
         thread.join(JOIN_S)
     assert sorted(itertools.chain(*numbers)) == list(range(1, 2001))
     assert all(mine == sorted(mine) for mine in numbers)
-    assert take(box.address, into) == 2000
+    assert take_numbers(box.address, into) == 2000
     assert into[1] == 499.0
 
 
@@ -413,5 +439,5 @@ def test_a_writer_of_another_process_is_waited_for_but_not_for_ever(monkeypatch:
         assert ring.post([1.0]) == 1
         assert other.post([2.0]) == 2
         into = np.zeros(1)
-        assert take(ring.mailbox, into) == 2
+        assert take_numbers(ring.mailbox, into) == 2
         assert into[0] == 2.0
