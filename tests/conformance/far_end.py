@@ -246,15 +246,16 @@ def _serve(
     witness = np.memmap(witness_path, WITNESS, mode="r+", shape=1)
     options: dict[str, Any] = {"position_rate_default": rate, "keep_truth": False}
     with PORTS[port_name]() as (url, port, unplug):
-        pipe.send(url)
         if firmware:
             made = WatchedFirmware(
                 model, witness, script, position_rate_maximum=pty.FIRMWARE_RATE_MAXIMUM, **options
             )
-            FirmwareTime(made, FaultyPort(port, made, script, unplug, witness), stop).run(None)
+            running = FirmwareTime(made, FaultyPort(port, made, script, unplug, witness), stop)
         else:
             device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
-            RealTime(device, FaultyPort(port, device, script, unplug, witness), stop).run(None)
+            running = RealTime(device, FaultyPort(port, device, script, unplug, witness), stop)
+        pipe.send(url)  # now that it is compiled: a host that knows the URL waits for no compiler
+        running.run(None)
 
 
 # ---------------------------------------------------------------------- in the process of the test

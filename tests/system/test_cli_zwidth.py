@@ -17,8 +17,8 @@ from tests.conformance.started import started
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
+from rig.cli import zwidth as command
 from rig.recording.reader import open_recording
-from rig.views.plots import zwidth as pictures
 
 ROOT = Path(__file__).parents[2]
 BRIEF = [
@@ -95,7 +95,7 @@ def test_a_picture_that_fails_takes_no_map_with_it(run, tmp_path, monkeypatch):
     def fails(*arguments, **options):
         raise RuntimeError("no fonts")
 
-    monkeypatch.setattr(pictures, "draw_zwidth", fails)
+    monkeypatch.setattr(command, "draw_zwidth", fails)
     code, out, err = run("zwidth", *TINY)
     assert code == 0
     assert "rig: no picture: no fonts" in err
