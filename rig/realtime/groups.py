@@ -14,6 +14,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import numpy as np
 from numba import types
 from numba.extending import typeof_impl
+from numba.np.numpy_support import as_dtype
 from numpy.typing import NDArray
 
 T = TypeVar("T", bound=tuple[Any, ...])
@@ -47,17 +48,33 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
     return types.BaseTuple.from_types([hint.__metadata__[0] for hint in hints], cls)
 
 
+@cache
+def _due(cls: type[tuple[Any, ...]]) -> tuple[tuple[Any, tuple[Any, ...] | None], ...]:
+    """For each field its type, and of an array dtype, dimensions, and whether it can be written."""
+    return tuple(
+        (t, (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
+        for t in type_of(cls).types
+    )
+
+
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
     """Type of an instance: what does not fit its field makes it another type, which no kernel takes."""
     cls = type(value)
-    members = zip(value, type_of(cls), strict=True)
-    return types.BaseTuple.from_types([_member(member, due, context) for member, due in members], cls)
+    due = _due(cls)
+    if all(_fits(member, *one) for member, one in zip(value, due, strict=True)):
+        return type_of(cls)
+    return types.BaseTuple.from_types([typeof_impl(member, context) for member in value], cls)
 
 
-def _member(member: Any, due: Any, context: Any) -> Any:
-    number = isinstance(due, types.Integer) and type(member) is int
-    if number or isinstance(
-        due, types.FunctionType
-    ):  # numba checks range and signature when it takes them apart
-        return due
-    return typeof_impl(member, context)
+def _fits(member: Any, due: Any, array: tuple[Any, ...] | None) -> bool:
+    """Whether a member fits its field: numba's own way to the type of a record takes as long as many ticks."""
+    if array is not None:
+        if type(member) is not np.ndarray:
+            return False
+        flags = member.flags
+        found = (member.dtype, member.ndim, flags.writeable or not array[2])
+        return found == (array[0], array[1], True) and flags.c_contiguous and flags.aligned
+    if isinstance(due, types.FunctionType):
+        return True  # numba looks for the signature when it takes the group apart
+    number = (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
+    return isinstance(member, number) and type(member) is not bool  # their range is numba's to check
