@@ -113,6 +113,22 @@ def test_no_way_around_the_contracts_by_string():
     assert around == []
 
 
+def test_modules_are_imported_by_name_in_few_places():
+    """Tables of names, the work of a sweep's task, and libraries that may not be there."""
+    found = {
+        str(path.relative_to(ROOT))
+        for path in source_files().values()
+        if "import_module(" in path.read_text()
+    }
+    assert found == {
+        "rig/__init__.py", "rig/cli/lazy.py", "rig/core/deferred.py",
+        "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/family.py",
+        "rig/devices/__init__.py", "rig/devices/local.py",
+        "rig/experiments/sweep/executors.py", "rig/papers/frame.py",
+        "rig/experiments/sweep/cluster.py", "rig/session/lsl/library.py",
+    }  # fmt: skip
+
+
 def test_imports_stand_at_the_top_of_files():
     """Only the ring imports inside functions: whoever stops a loop does not wait for the compiler's library."""
     inside = {
