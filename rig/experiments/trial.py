@@ -31,13 +31,11 @@ from rig.devices.device import Link
 from rig.devices.framed import Echo, FaultReport, FramedDevice
 from rig.experiments.endings import error_of
 from rig.experiments.judgement import Judgement
-from rig.loop import exchange, host, supervise
+from rig.loop import exchange
 from rig.loop.layout import EndReason
-from rig.loop.run import LoopEnd, LoopSettings, LoopThread, prepare_loop
+from rig.loop.run import LoopEnd, LoopSettings, LoopThread
 from rig.loop.signals import Signals, stop_on_signals
 from rig.loop.supervised import BOUNDS, SupervisedThread
-from rig.realtime.kernel import prepare
-from rig.realtime.mailbox import take
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
 from rig.recording.data import Recording
@@ -255,10 +253,9 @@ def _loop_of(run: Run, link: Link) -> Callable[..., LoopThread]:
     """The thread of the loop, for a law here or on the device, with all that it runs compiled."""
     rates = run.experiment.controller
     if rates.loop == "host":
-        prepare_loop(host.run, link, run.controller)
+        LoopThread.prepare(link, run.controller)
         return LoopThread
-    prepare_loop(supervise.run, link, run.controller)
-    prepare(take)  # what the thread takes from the mailbox becomes a block for the device
+    SupervisedThread.prepare(link, run.controller)
     arithmetic = device_law.arithmetic_of(rates)
     return partial(SupervisedThread, live=partial(device_law.live_parameters, run.controller, arithmetic))
 

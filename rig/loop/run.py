@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,14 +98,6 @@ COUNTERS = {
 }
 
 
-def prepare_loop(loop: Any, link: Link, controller: Controller) -> None:
-    """Compile or load all that a run reaches, before the device is armed: inside a loop nothing compiles.
-
-    `loop` is the compiled function of the thread: `rig.loop.host.run` or `rig.loop.supervise.run`.
-    """
-    prepare(loop, *link.port(), *controller.arguments())
-
-
 class LoopThread:
     """One run of the loop: `start`, `wait`, `finish`, `end`; `stop` from anywhere, any number of times.
 
@@ -121,6 +113,13 @@ class LoopThread:
         Nonce of the last transaction with the device.
     """
 
+    compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call
+
+    @classmethod
+    def prepare(cls, link: Link, controller: Controller) -> None:
+        """Compile or load all that a run reaches, before the device is armed: inside a loop nothing compiles."""
+        prepare(*cls.compiled, *link.port(), *controller.arguments())
+
     def __init__(
         self,
         link: Link,
@@ -132,6 +131,7 @@ class LoopThread:
         heartbeat_s: float = 0.0,
         nonce: int = 0,
     ) -> None:
+        self.prepare(link, controller)
         self.ring = ring
         self._link = link
         self._controller = controller

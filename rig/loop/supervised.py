@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,8 @@ class SupervisedThread(LoopThread):
         Makes the device's parameters of a posted set; None: the wall stays as it is. A `rig.core.errors.RigError` of it
         refuses the set.
     """
+
+    compiled: ClassVar[tuple[Any, ...]] = (supervise.run, mailboxes.take)
 
     def __init__(self, *arguments: Any, live: Live | None = None, **keywords: Any) -> None:
         self._supervision = SupervisionBuffers.allocate()

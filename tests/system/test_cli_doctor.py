@@ -122,7 +122,7 @@ def test_a_device_behind_a_port(run, port, quiet_link):
     code, out, err = run("doctor", "--url", port, "--rig", "koul-compliant", *QUICK)
     assert code == 0  # simulated: told, never refused
     for text in (
-        "koul-compliant (simulated), firmware", "protocol  1.0, ours 1.0", "1000 Hz, up to 4000 Hz", "round trip",
+        "koul-compliant (simulated), firmware", "protocol  2.0, ours 2.0", "1000 Hz, up to 4000 Hz", "round trip",
         "there and back", "loop rate", "kB/s", "uniform 1 kHz", "dual 1/0.1 kHz", "uniform 4 kHz",
         "the device's largest", "B = 0.2", "arming", "spectral radius",
     ):  # fmt: skip

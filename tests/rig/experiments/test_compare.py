@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig import config
+from rig import config, devices
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, DeviceNotFoundError
@@ -331,8 +331,8 @@ def test_without_the_simulation_there_is_a_clear_error(monkeypatch):
             raise ModuleNotFoundError(f"No module named {name!r}")
         return importlib.import_module(name)
 
-    monkeypatch.setattr(comparing, "import_module", missing)
-    with pytest.raises(DeviceNotFoundError, match="simulation does not load"):
+    monkeypatch.setattr(devices, "import_module", missing)
+    with pytest.raises(DeviceNotFoundError, match=r"sim://.*does not load"):
         compare(short("koul-rigid"))
 
 
