@@ -25,6 +25,22 @@ REGISTRIES = {
 }
 
 
+def walks() -> list[list[str]]:
+    """Files of the tables in the design that walk through the code, step by step."""
+    text = (RIG / "DESIGN.md").read_text().partition("## Three walks")[2].partition("\n## ")[0]
+    tables = text.split("| step | file |")[1:]
+    return [re.findall(r"^\| \d+ \| `([^`]+)`", table, re.MULTILINE) for table in tables]
+
+
+def test_the_walks_of_the_design_go_through_files_and_enter_no_room_twice():
+    assert len(walks()) == 4
+    for steps in walks():
+        assert all((ROOT / step).is_file() for step in steps), steps
+        rooms = [step.split("/")[1] if step.startswith("rig/") else step.split("/")[0] for step in steps]
+        entered = [room for room, before in zip(rooms, [None, *rooms], strict=False) if room != before]
+        assert len(entered) == len(set(entered)), entered
+
+
 @cache
 def trees() -> dict[str, ast.Module]:
     return {module: ast.parse(path.read_text()) for module, path in source_files().items()}

@@ -17,10 +17,10 @@ from rig.core.errors import RigError
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
 from rig.experiments.replay import COMPUTED
-from rig.loop import exchange, supervise
+from rig.loop import exchange
 from rig.loop.layout import EndReason
 from rig.loop.replay import replay_rows
-from rig.loop.run import LoopSettings, prepare_loop
+from rig.loop.run import LoopSettings
 from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime import ring
 from rig.realtime.ring import Ring
@@ -93,7 +93,6 @@ class Session:
         self.thread._attend()
 
     def run(self) -> np.ndarray:
-        prepare_loop(supervise.run, self.link, self.bundle)
         self.thread.start()
         self.thread._thread.join(WAIT_S)
         assert self.thread._ended.is_set()

@@ -27,7 +27,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Phase, RowFlag
 from rig.devices.framed import STOP_FRAMES
 from rig.experiments.replay import COMPUTED
-from rig.loop import host, supervise
+from rig.loop import supervise
 from rig.loop.layout import EndReason
 from rig.loop.parameter_update import update_of
 from rig.loop.replay import NO_SETS, replay_rows
@@ -95,7 +95,6 @@ def by_the_host(counts: Sequence[int], bundle) -> np.ndarray:
     memory = Ring.allocate(8192)
     link = Script(*((PERIOD_NS * (k + 1), state_frame(100 + k, count=c)) for k, c in enumerate(counts)))
     changes = {"supervise_every_ns": 0, "lost_after_ns": 10 * PERIOD_NS}
-    host.run.prepare()
     thread = LoopThread(link, bundle, loop_settings(**changes), memory)
     thread.start()
     thread._thread.join(WAIT_S)
@@ -519,7 +518,6 @@ class Changing:
         self.thread = SupervisedThread(
             self.device, self.bundle, loop_settings(**changes), self.memory, live=as_device_parameters
         )
-        supervise.run.prepare()
         self.thread.start()
         self.thread._thread.join(WAIT_S)
         assert self.thread._ended.is_set()
