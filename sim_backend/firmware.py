@@ -99,7 +99,9 @@ class Core:
         """Return what compiled ticks need of it; `words` is the memory that both share."""
         prepare(run_ticks)
         drive, sample = _address(self.library.lockstep_drive), _address(self.library.lockstep_sample)
-        return Lockstep(drive, sample, self.address, words.ctypes.data, words)
+        return Lockstep(
+            drive=drive, sample=sample, device=self.address, address=words.ctypes.data, words=words
+        )
 
     def receive(self, data: bytes) -> bytes:
         """Hand bytes in and return the answers."""

@@ -22,6 +22,8 @@ from sim_backend.lockstep import (
     ROW,
     TRUTH_ROWS,
     Lockstep,
+    Supplies,
+    Wires,
     run_ticks,
 )
 from sim_backend.operator import Script
@@ -139,12 +141,18 @@ class Hardware:
         indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)
         places = np.zeros(PLACES, np.int64)
         places[ROW], places[NOISE_LEFT], places[TRUTH_ROWS] = self._row, noise.left, rows
+        wires = Wires(
+            effort_quantum=self._effort_quantum,
+            ampere_per_effort=self._ampere_per_effort,
+            quantum_a=self._quantum_a,
+            external_effort=self.external_effort,
+            slip=self.slip,
+            leak=self.leak,
+        )
+        supplies = Supplies(noise=noise.drawn, places=places, indices=indices, states=states)
         ticks = run_ticks(
-            software.drive, software.sample, software.device, software.address, words, until, most, enough,
-            self._state, *plant.arrays, plant.edge_age, plant.effort, self.external_effort, self.slip, self.leak,
-            self._effort_quantum, self._ampere_per_effort, self._quantum_a,
-            script.rows, script.again, noise.drawn, places, indices, states,
-        )  # fmt: skip
+            software, plant.arguments(self._state), script, wires, supplies, until, most, enough
+        )
         if ticks:
             self._row, noise.left = places.item(ROW), places.item(NOISE_LEFT)
             self.count, self.measured = words.item(COUNT), words.item(MEASURED)

@@ -16,7 +16,7 @@ from numba import types
 
 from firmware_protocol.messages import OLDEST_EDGE
 from rig.control import judging
-from rig.control.measure import NUMBERS, NUMBERS_TYPE, SECTIONS_TYPE, SETTINGS_TYPE, measure
+from rig.control.measure import METER_TYPE, NUMBERS, NUMBERS_TYPE, MeterArguments, measure
 from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller, ControllerArguments
 from rig.control.verdict import Limits, Measured
 from rig.core.errors import LawError
@@ -25,39 +25,37 @@ from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedHit
 from rig.realtime.kernel import kernel
 from sim_backend.operator import Script
-from sim_backend.plant import DiscretePlant
+from sim_backend.plant import DiscretePlant, PlantArguments
 from sim_backend.trial import RUN_TYPES, Trace, run_arguments, run_ticks
 
 _NONFINITE = int(RowFlag.NONFINITE)
-_FLOATS = types.float64[::1]
 
 # Rows of the derived signals.
 POSITION, PENETRATION, EFFORT, PENETRATION_TRUE = range(4)
 SIGNALS = 4
 
 
-@kernel(
-    types.int64(
-        *RUN_TYPES, types.int64, types.int64, types.int64, types.float64[:, ::1], _FLOATS,
-        SETTINGS_TYPE, SETTINGS_TYPE, SECTIONS_TYPE, _FLOATS, NUMBERS_TYPE, NUMBERS_TYPE,
-    ),
-)  # fmt: skip
+@kernel(types.int64(*RUN_TYPES, types.float64[:, ::1], METER_TYPE, NUMBERS_TYPE, NUMBERS_TYPE))
 def hit(
-    controller: ControllerArguments, state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
-    edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
-    states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
-    sensed: int, handle: int, actuated: int, signals: Any, no_velocity: Any,
-    recorded_settings: Any, true_settings: Any, sections: Any, scratch: Any, recorded: Any, true: Any,
-) -> int:  # fmt: skip
+    controller: ControllerArguments,
+    plant: PlantArguments,
+    script: Script,
+    external_effort: float,
+    start_units: int,
+    tick_units: int,
+    trace: Trace,
+    signals: Any,
+    meter: MeterArguments,
+    recorded: Any,
+    true: Any,
+) -> int:
     """Run one trial and measure its trial phase; returns its number of ticks.
 
-    The arguments of `sim_backend.trial.run_ticks`, then the places of sensed position, handle and motor effort in the
-    state, room for `SIGNALS` signals, an empty array, and those of `rig.control.measure.measure` for both sides.
+    The arguments of `sim_backend.trial.run_ticks`, room for `SIGNALS` signals, the meter, and a record of
+    `rig.control.measure.NUMBERS` for what the rig records and for what is true.
     """
-    ticks = run_ticks(
-        controller, state, phi, gamma, plant, external_effort, edge_age, start_units, tick_units, script, again,
-        states, counts, phases, currents, flags,
-    )  # fmt: skip
+    ticks = run_ticks(controller, plant, script, external_effort, start_units, tick_units, trace)
+    states, counts, phases, flags = trace.states, trace.counts, trace.phases, trace.flags
     c = controller.control[0]
     # A run that filled the arrays was cut off, in homing or later: nothing of it is measured.
     first = 0 if phases[ticks - 1] == DONE else ticks
@@ -68,17 +66,34 @@ def hit(
         position = c["resolution"] * (counts[last] - c["reference_count"])
         signals[POSITION, last] = position
         signals[PENETRATION, last] = c["wall_side"] * (position - c["wall_position"])
-        signals[EFFORT, last] = currents[last] * c["effort_quantum"]
-        signals[PENETRATION_TRUE, last] = c["wall_side"] * (states[last, sensed] - c["wall_position"])
+        signals[EFFORT, last] = trace.currents[last] * c["effort_quantum"]
+        signals[PENETRATION_TRUE, last] = c["wall_side"] * (
+            states[last, plant.sensed_position] - c["wall_position"]
+        )
         last += 1
+    shown, moved = signals[:, first:last], states[first:last]
     measure(
-        signals[POSITION, first:last], no_velocity, signals[EFFORT, first:last], signals[PENETRATION, first:last],
-        flags[first:last], recorded_settings, sections, scratch, recorded,
-    )  # fmt: skip
+        shown[POSITION],
+        shown[POSITION, :0],  # the velocity is that of the counts
+        shown[EFFORT],
+        shown[PENETRATION],
+        flags[first:last],
+        meter.recorded,
+        meter.sections,
+        meter.scratch,
+        recorded,
+    )
     measure(
-        states[first:last, handle], states[first:last, handle + 1], states[first:last, actuated],
-        signals[PENETRATION_TRUE, first:last], flags[first:last], true_settings, sections, scratch, true,
-    )  # fmt: skip
+        moved[:, plant.handle_position],
+        moved[:, plant.handle_position + 1],
+        moved[:, plant.effort],
+        shown[PENETRATION_TRUE],
+        flags[first:last],
+        meter.true,
+        meter.sections,
+        meter.scratch,
+        true,
+    )
     return ticks
 
 
@@ -99,14 +114,9 @@ class SimulatedRig:
         """Run one trial from rest at a position and measure it."""
         plant, meter, trace = self._plant, self._meter, self._trace
         recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
-        arguments: tuple[Any, ...] = (
-            *run_arguments(
-                controller, plant, plant.at_rest(start), 0.0, OLDEST_EDGE, self._script(start)
-            ),
-            *trace.arrays, plant.sensed_position, plant.handle_position, plant.effort, self._signals, _NOTHING,
-            *meter.arrays, recorded, true,
-        )  # fmt: skip
-        ticks = hit(*arguments)
+        state, script = plant.at_rest(start), self._script(start)
+        arguments = run_arguments(controller, plant, state, 0.0, OLDEST_EDGE, script)
+        ticks = hit(*arguments, trace, self._signals, meter.arguments(), recorded, true)
         ended = int(trace.flags[ticks - 1])
         if ended & _NONFINITE:
             raise LawError(
@@ -131,6 +141,3 @@ class SimulatedRig:
 # matrix also wakes the threads of a linear algebra library, which then spin for a while on cores that others want.)
 _plant = lru_cache(maxsize=64)(DiscretePlant.build)
 _script = lru_cache(maxsize=8)(Script.of)  # 2 MB each
-
-
-_NOTHING = np.zeros(0)

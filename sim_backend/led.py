@@ -81,7 +81,7 @@ class Led:
         """The next ticks; to be asked for when the last ones are over. `hand` is where the hand is (rad or m)."""
         if not self._leads:
             self._leads = True
-            return Script(self._along())
+            return Script(rows=self._along())
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
@@ -99,7 +99,7 @@ class Led:
         rows[:, 0] = at + share * self._tremor[0, places]
         rows[:, 1] = rate + share * self._tremor[1, places]
         rows[:, 2] = self._side * self._radius * pressed * swell
-        return Script(rows)
+        return Script(rows=rows)
 
     def _along(self) -> Rows:
         """Along with homing, then still until the trial has surely begun."""

@@ -13,12 +13,13 @@ whose frequencies are multiples of half a hertz. So it lasts for ever and stays 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.model import Operator, Reach, RigModel
+from rig.realtime.groups import FloatRows, Int, group
 from sim_backend.held import INTENTIONS
 
 Rows = NDArray[np.float64]
@@ -28,21 +29,21 @@ TREMOR_HZ = np.arange(8.0, 12.25, 0.5)  # physiological tremor of the hand, 8 to
 REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Script:
+@group
+class Script(NamedTuple):
     """For each tick intended position, intended velocity and press on the hand, at the link.
 
     After the last row it goes on at row `again`. No rows mean that nobody wants anything: the hand, if there is one,
     holds still.
     """
 
-    rows: Rows
-    again: int = 0
+    rows: FloatRows
+    again: Int = 0
 
     @classmethod
     def silent(cls) -> Script:
         """Without any row."""
-        return cls(np.zeros((0, INTENTIONS)))
+        return cls(rows=np.zeros((0, INTENTIONS)))
 
     @classmethod
     def of(cls, model: RigModel, tick_s: float, position: float, session: int = 0) -> Script:
@@ -85,7 +86,7 @@ def _written(
     rows[:, 0] = reach.start + homing + travel * part + shake * part
     rows[:, 1] = homing_rate + travel * part_rate + shake_rate * part + shake * part_rate
     rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
-    return Script(rows, again=lead)
+    return Script(rows=rows, again=lead)
 
 
 def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:

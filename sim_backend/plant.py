@@ -25,12 +25,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from rig.core.deferred import linalg
 from rig.core.errors import ConfigError
 from rig.core.model import Matrix, RigModel, StateSpace, state_space
+from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.held import INTENTIONS, advance_held
 from sim_backend.inner import (
@@ -54,6 +56,23 @@ from sim_backend.inner import (
 from sim_backend.sensors import cell, encoder_count
 
 RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig that nobody holds
+
+
+@group
+class PlantArguments(NamedTuple):
+    """A plant in motion: its state, the arrays of `advance`, and the places of `DiscretePlant` in the state."""
+
+    state: Floats
+    phi: FloatRows
+    gamma: FloatRows
+    parameters: Floats
+    sensed_position: Int
+    handle_position: Int
+    effort: Int
+    edge_age: Int
+
+
+PLANT_TYPE = type_of(PlantArguments)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +138,19 @@ class DiscretePlant:
     def arrays(self) -> tuple[Matrix, Matrix, Vector]:
         """The plant's part of the arguments of `advance`."""
         return self.phi, self.gamma, self.parameters
+
+    def arguments(self, state: Vector) -> PlantArguments:
+        """Return what compiled code takes of this plant in a state, which it changes."""
+        return PlantArguments(
+            state=state,
+            phi=self.phi,
+            gamma=self.gamma,
+            parameters=self.parameters,
+            sensed_position=self.sensed_position,
+            handle_position=self.handle_position,
+            effort=self.effort,
+            edge_age=self.edge_age,
+        )
 
     @property
     def intentions(self) -> slice:

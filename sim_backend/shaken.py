@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -26,9 +26,10 @@ from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
 from rig.devices.simulated import SimulatedShake
+from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.inner import Vector
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 from sim_backend.safety import UNITS_PER_SECOND
 from sim_backend.trial import NS_DENOMINATOR, NS_NUMERATOR
 
@@ -36,31 +37,45 @@ SLOWEST_INNER_HZ = 16_000.0  # an excitation of some 100 Hz is well sampled
 
 _BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
 _NONFINITE = int(RowFlag.NONFINITE)
-_FLOATS, _INTS, _MATRIX = types.float64[::1], types.int64[::1], types.float64[:, ::1]
+
+
+@group
+class Kept(NamedTuple):
+    """What is kept of a run: ticks with a clipped effort; counts, positions, velocities; what the guard withheld."""
+
+    bound: Ints
+    counts: Ints
+    positions: Floats
+    velocities: Floats
+    withheld: Floats
 
 
 @kernel(
     types.int64(
-        CONTROLLER_TYPE, _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.int64, types.int64, types.int64,
-        types.int64, types.int64, _FLOATS, types.int64, _INTS, _INTS, _FLOATS, _FLOATS, _FLOATS,
+        *(CONTROLLER_TYPE, PLANT_TYPE, type_of(Kept), types.int64, types.int64, types.int64),
+        *(types.float64[::1], types.int64),
     )
-)  # fmt: skip
+)
 def shake(
-    controller: ControllerArguments, state: Any, phi: Any, gamma: Any, plant: Any, count: int, edge_age: int,
-    handle: int, ratio: int, every: int, excitation: Any, ramp_steps: int,
-    bound: Any, counts: Any, positions: Any, velocities: Any, withheld: Any,
-) -> int:  # fmt: skip
-    """Run as many ticks as `withheld` has room for, or until the guard ends the run; returns how many the law ran.
+    controller: ControllerArguments,
+    plant: PlantArguments,
+    kept: Kept,
+    count: int,
+    ratio: int,
+    every: int,
+    excitation: Any,
+    ramp_steps: int,
+) -> int:
+    """Run as many ticks as `kept.withheld` has room for, or until the guard ends the run; returns how many the law ran.
 
-    The arguments of `step`; state and arrays of the plant, discretised at the inner step; the count, and the places of
-    edge age and handle position in the state; inner steps in a tick, and between two positions; effort of the second
-    actuator in each inner step of a period, and the inner steps in which it rises. `bound` counts ticks with a clipped
-    effort.
+    The plant is discretised at the inner step; `count` is its count now. Then inner steps in a tick, and between two
+    positions; effort of the second actuator in each inner step of a period, and the inner steps in which it rises.
     """
+    state, withheld = plant.state, kept.withheld
     m = controller.memory[0]
     j, row, phase = 0, 0, 0  # inner step, next row, place in the excitation
     for k in range(withheld.shape[0]):
-        units = min(state[edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
+        units = min(state[plant.edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
         edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
         step(controller, count, edge_age_ns * 1e-9, 1)
         if m["phase"] != TRIAL:
@@ -68,17 +83,17 @@ def shake(
         effort = m["effort_sent"]
         withheld[k] = effort - m["effort_wanted"]
         if m["flags"] & _BOUND != 0:
-            bound[0] += 1
+            kept.bound[0] += 1
         for _ in range(ratio):
             if row * every == j:
-                counts[row] = count
-                positions[row] = state[handle]
-                velocities[row] = state[handle + 1]
+                kept.counts[row] = count
+                kept.positions[row] = state[plant.handle_position]
+                kept.velocities[row] = state[plant.handle_position + 1]
                 row += 1
             push = excitation[phase]
             if j < ramp_steps:
                 push *= ramp(j, ramp_steps)
-            count = advance(state, phi, gamma, plant, effort, push)
+            count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, push)
             j += 1
             phase += 1
             if phase == excitation.shape[0]:
@@ -121,12 +136,23 @@ class Shaker:
         memory = controller.memory
         memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1
         bound = np.zeros(1, np.int64)
-        arguments: tuple[Any, ...] = (
-            controller.arguments(), state, *plant.arrays, plant.count(state), plant.edge_age, plant.handle_position,
-            self._ratio, self._every, excitation, round(ramp_s * self.inner_rate_hz),
-            bound, self._counts, self._positions, self._velocities, self._withheld[:ticks],
-        )  # fmt: skip
-        ran = shake(*arguments)
+        kept = Kept(
+            bound=bound,
+            counts=self._counts,
+            positions=self._positions,
+            velocities=self._velocities,
+            withheld=self._withheld[:ticks],
+        )
+        ran = shake(
+            controller.arguments(),
+            plant.arguments(state),
+            kept,
+            plant.count(state),
+            self._ratio,
+            self._every,
+            excitation,
+            round(ramp_s * self.inner_rate_hz),
+        )
         if int(memory["flags"][0]) & _NONFINITE:
             raise LawError(
                 f"estimator {controller.estimator.estimator.name} or law {controller.law.law.name} gave a value that "

@@ -10,80 +10,70 @@ here as it is there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.control.step import CONTROLLER_TYPE, DONE, Controller, ControllerArguments, step
+from rig.realtime.groups import FloatRows, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.held import want
 from sim_backend.inner import Vector
 from sim_backend.operator import Script
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 from sim_backend.safety import UNITS_PER_SECOND
 
 NS_NUMERATOR, NS_DENOMINATOR = TIME_UNIT_NS.as_integer_ratio()
 
-_FLOATS, _INTS = types.float64[::1], types.int64[::1]
-_MATRIX = types.float64[:, ::1]
 
-
-@dataclass(frozen=True, slots=True)
-class Trace:
+@group
+class Trace(NamedTuple):
     """What happened in each tick: plant state at the sample, count, phase, current commanded in answer, row flags."""
 
-    states: NDArray[np.float64]
-    counts: NDArray[np.int64]
-    phases: NDArray[np.int64]
-    currents: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    states: FloatRows
+    counts: Ints
+    phases: Ints
+    currents: Ints
+    flags: Ints
 
     @classmethod
     def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
         """Room for as many ticks of a plant."""
-        counts, phases, currents, flags = (np.zeros(ticks, np.int64) for _ in range(4))
-        return cls(np.zeros((ticks, len(plant.at_rest(0.0)))), counts, phases, currents, flags)
-
-    @property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        """The trace's part of the arguments of `run_ticks`."""
-        return self.states, self.counts, self.phases, self.currents, self.flags
+        states = np.zeros((ticks, len(plant.at_rest(0.0))))
+        return cls(states=states, **{name: np.zeros(ticks, np.int64) for name in cls._fields[1:]})
 
     def first(self, ticks: int) -> Trace:
         """Return its first ticks."""
-        return Trace(*(array[:ticks] for array in self.arrays))
-
-    def __len__(self) -> int:
-        return len(self.counts)
+        return Trace._make(array[:ticks] for array in self)
 
 
-TRACE_TYPES = (_MATRIX, _INTS, _INTS, _INTS, _INTS)  # states, counts, phases, currents, flags
 RUN_TYPES = (
-    CONTROLLER_TYPE, _FLOATS, _MATRIX, _MATRIX, _FLOATS, types.float64, types.int64, types.int64, types.int64,
-    _MATRIX, types.int64, *TRACE_TYPES,
-)  # fmt: skip
+    *(CONTROLLER_TYPE, PLANT_TYPE, type_of(Script)),
+    *(types.float64, types.int64, types.int64, type_of(Trace)),
+)
 
 
 @kernel(types.int64(*RUN_TYPES))
 def run_ticks(
-    controller: ControllerArguments, state: Any, phi: Any, gamma: Any, plant: Any, external_effort: float,
-    edge_age: int, start_units: int, tick_units: int, script: Any, again: int,
-    states: Any, counts: Any, phases: Any, currents: Any, flags: Any,
-) -> int:  # fmt: skip
-    """Run until the law is done or the arrays are full; returns the number of ticks.
+    controller: ControllerArguments,
+    plant: PlantArguments,
+    script: Script,
+    external_effort: float,
+    start_units: int,
+    tick_units: int,
+    trace: Trace,
+) -> int:
+    """Run until the law is done or the trace is full; returns the number of ticks.
 
-    `external_effort` acts on the link all along; `edge_age` is the index of that state; `start_units` and
-    `tick_units` are device time of the first sample and length of a tick (1/16 µs). `script` has what the hand
-    wants in each tick and goes on at row `again` when it is over; see `sim_backend.operator.Script`.
+    `script` has what the hand wants; `external_effort` acts on the link all along; `start_units` and `tick_units` are
+    device time of the first sample and length of a tick (1/16 µs).
     """
-    m = controller.memory[0]
-    row = want(state, edge_age, script, 0, again)
-    count = advance(state, phi, gamma, plant, 0.0, external_effort)
-    for k in range(len(counts)):
+    m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
+    row = want(state, edge_age, script.rows, 0, script.again)
+    count = advance(state, plant.phi, plant.gamma, plant.parameters, 0.0, external_effort)
+    for k in range(len(trace.counts)):
         units = min(
             state[edge_age] * UNITS_PER_SECOND, float(start_units + k * tick_units), float(OLDEST_EDGE)
         )
@@ -91,16 +81,16 @@ def run_ticks(
         current = step(controller, count, edge_age_ns * 1e-9, 1)
         ends = m["phase"] == DONE
         for i in range(len(state)):  # a slice would be an array to count references to
-            states[k, i] = state[i]
-        counts[k] = count
-        phases[k] = m["phase"]
-        currents[k] = 0 if ends else current
-        flags[k] = m["flags"]
+            trace.states[k, i] = state[i]
+        trace.counts[k] = count
+        trace.phases[k] = m["phase"]
+        trace.currents[k] = 0 if ends else current
+        trace.flags[k] = m["flags"]
         if ends:
             return k + 1
-        row = want(state, edge_age, script, row, again)
-        count = advance(state, phi, gamma, plant, m["effort_sent"], external_effort)
-    return len(counts)
+        row = want(state, edge_age, script.rows, row, script.again)
+        count = advance(state, plant.phi, plant.gamma, plant.parameters, m["effort_sent"], external_effort)
+    return len(trace.counts)
 
 
 def run_trial(
@@ -143,9 +133,8 @@ def run_trial(
     for position in (plant.sensed_position, plant.handle_position, plant.hand_position):
         if position is not None:
             state[position + 1] = initial_velocity
-    ticks = run_ticks(
-        *run_arguments(controller, plant, state, external_effort, start_units, script), *trace.arrays
-    )
+    arguments = run_arguments(controller, plant, state, external_effort, start_units, script)
+    ticks = run_ticks(*arguments, trace)
     return trace.first(ticks)
 
 
@@ -156,16 +145,14 @@ def run_arguments(
     external_effort: float,
     start_units: int,
     script: Script,
-) -> tuple[Any, ...]:
-    """Arguments of `run_ticks` before the arrays of the trace, in its order."""
+) -> tuple[ControllerArguments, PlantArguments, Script, float, int, int]:
+    """Arguments of `run_ticks` before the trace, in its order."""
+    tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (
         controller.arguments(),
-        state,
-        *plant.arrays,
+        plant.arguments(state),
+        script,
         external_effort,
-        plant.edge_age,
         start_units,
-        round(plant.tick_s * UNITS_PER_SECOND),
-        script.rows,
-        script.again,
+        tick_units,
     )

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from rig.control.median import median
 from rig.core.deferred import signal
 from rig.core.sample import RowFlag
+from rig.realtime.groups import group, type_of
 from rig.realtime.kernel import kernel
 
 NUMBERS = np.dtype(
@@ -259,13 +260,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
     return 2.0 * math.sqrt(2.0 * max(1, harmonics)) * frequency_hz * resolution
 
 
-@kernel(
-    types.UniTuple(types.float64, 3)(
-        types.float64, types.float64, types.float64,
-        types.float64, types.float64, types.float64, types.float64, types.float64,
-    ),
-    inline=True,
-)  # fmt: skip
+@kernel(types.UniTuple(types.float64, 3)(*[types.float64] * 8), inline=True)
 def _section(
     x: float, s1: float, s2: float, b0: float, b1: float, b2: float, a1: float, a2: float
 ) -> tuple[float, float, float]:
@@ -434,11 +429,9 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
 
 
 @kernel(
-    types.void(
-        _SIGNAL, _SIGNAL, _SIGNAL, _SIGNAL, _FLAGS, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE
-    ),
+    types.void(*[_SIGNAL] * 4, _FLAGS, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE),
     borrow=True,
-)  # fmt: skip
+)
 def measure(
     position: Floats,
     velocity: Floats,
@@ -480,6 +473,19 @@ def measure(
     if n["felt_floor"] <= s["felt_velocity"]:
         n["felt"] = _felt(position, velocity, settings, sections, scratch)
     _rest_and_impact(position, velocity, penetration, settings, scratch, numbers)
+
+
+@group
+class MeterArguments(NamedTuple):
+    """A meter as compiled code takes it: settings of recorded and of true trials, and what `measure` takes besides."""
+
+    recorded: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
+    true: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
+    sections: Annotated[Floats, SECTIONS_TYPE]
+    scratch: Annotated[Floats, _SCRATCH_TYPE]
+
+
+METER_TYPE = type_of(MeterArguments)
 
 
 class Meter:
@@ -527,10 +533,11 @@ class Meter:
         self._numbers = np.zeros(1, NUMBERS)
         self._no_velocity = np.zeros(0)
 
-    @property
-    def arrays(self) -> tuple[Any, ...]:
-        """Settings of recorded and of true trials, sections and scratch, for a kernel that calls `measure` itself."""
-        return self._recorded, self._true, self._sections, self._scratch
+    def arguments(self) -> MeterArguments:
+        """Return what a kernel takes that calls `measure` itself."""
+        return MeterArguments(
+            recorded=self._recorded, true=self._true, sections=self._sections, scratch=self._scratch
+        )
 
     def recorded(
         self,
@@ -550,11 +557,9 @@ class Meter:
         """Return the numbers (one record of `NUMBERS`) of what really happened: no counts, no floor."""
         return self._measured(self._true, (position, velocity, effort, penetration), flags)
 
-    def _measured(self, settings: Records, signals: tuple[Floats, ...], flags: Ints) -> np.void:
-        position, velocity, effort, penetration = signals
-        measure(
-            position, velocity, effort, penetration, flags,
-            settings, self._sections, self._scratch, self._numbers,
-        )  # fmt: skip
+    def _measured(
+        self, settings: Records, signals: tuple[Floats, Floats, Floats, Floats], flags: Ints
+    ) -> np.void:
+        measure(*signals, flags, settings, self._sections, self._scratch, self._numbers)
         record: np.void = self._numbers[0].copy()
         return record

@@ -292,7 +292,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
 
 def _rows(law: Controller, plant: Any, trace: Any) -> NDArray[np.void]:
     """Rows of `rig.core.sample.ROW` as the law filled them: `step` again over the counts, which gives the same bits."""
-    rows = np.zeros(len(trace), ROW)
+    rows = np.zeros(len(trace.counts), ROW)
     rows["elapsed_ticks"] = 1
     rows["count"] = trace.counts
     units = np.rint(np.minimum(trace.states[:, plant.edge_age] * (1e9 / TIME_UNIT_NS), OLDEST_EDGE))

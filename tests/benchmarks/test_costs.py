@@ -71,7 +71,7 @@ def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link():
         law = controller.for_experiment(experiment, current_quantum_a=0.001)
         return trial.run_trial(law, plant, 0.0, most_ticks=40_000)
 
-    ticks = len(bare())
+    ticks = len(bare().counts)
     per_tick = per_call(bare, 1) / ticks
     link = open_link(DeviceUrl.parse("sim://"), model)
     device = link.device

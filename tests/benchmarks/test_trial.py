@@ -82,8 +82,8 @@ def build_c(directory, *options):
         inputs = law.control, law.estimator.parameters, law.law.parameters, *plant.arrays, plant.at_rest(0.0)
         return function(
             *(ctypes.c_void_p(array.ctypes.data) for array in inputs),
-            ctypes.c_int64(len(trace)),
-            *(ctypes.c_void_p(array.ctypes.data) for array in trace.arrays),
+            ctypes.c_int64(len(trace.counts)),
+            *(ctypes.c_void_p(array.ctypes.data) for array in trace),
         )
 
     return run
@@ -92,7 +92,7 @@ def build_c(directory, *options):
 def in_numba(law, plant, trace):
     """One trial without bytes from rest; returns its number of ticks."""
     arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, Script.silent())
-    return run_ticks(*arguments, *trace.arrays)
+    return run_ticks(*arguments, trace)
 
 
 def the_rig(name, **changes):
@@ -118,7 +118,7 @@ def test_a_trial_costs_about_what_it_costs_in_c(tmp_path):
     assert trace.phases[ticks - 1] == step.DONE
     for in_c in runs[1:]:
         assert in_c(fresh(), plant, other) == ticks
-        for mine, theirs in zip(trace.first(ticks).arrays, other.first(ticks).arrays, strict=True):
+        for mine, theirs in zip(trace.first(ticks), other.first(ticks), strict=True):
             assert mine.tobytes() == theirs.tobytes(), "not the same trial"
     times = [[cpu_ns(run, fresh(), plant, other) for run in runs] for _ in range(PAIRS)]
     here, plain, native = (min(column) / ticks for column in zip(*times, strict=True))

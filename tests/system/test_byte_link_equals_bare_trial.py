@@ -54,7 +54,7 @@ def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(name
     start = int(rows["device_time"][0] * 16 // 1000)
     trace = bare.run_trial(law, plant, 0.0, most_ticks=len(rows) + 10, start_units=start, script=script)
 
-    assert len(trace) == len(rows)
+    assert len(trace.counts) == len(rows)
     assert set(trace.phases) >= {Phase.TRIAL, Phase.RELEASE, Phase.DONE}
     if experiment.trial.kind == "human":
         assert trace.states[:, plant.handle_position].max() > experiment.wall.position, "the hand must hit"

@@ -7,16 +7,17 @@ is what the loop will meet: the same system calls, the same scheduling, the STAT
 from __future__ import annotations
 
 from collections import namedtuple
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
 
+from rig.devices.port import PORT_TYPE, LoopPort
 from rig.loop.frames import NO_FRAME, keep_rest, next_frame
 from rig.realtime import codec
 from rig.realtime.codec import GET_TIME, HEAD, STATE, TIME
+from rig.realtime.groups import Bytes, Ints, group, type_of
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import NOW, TRANSFER, WAIT
 
 RECEIVE_BYTES = 4096
 RETRY_FULL_NS = 1_000_000  # pause when the line takes no more bytes
@@ -47,14 +48,41 @@ EXCHANGE: Any = namedtuple(
     "ExchangeFields", ("host_sent", "device_received", "device_sent", "host_received")
 )(*range(4))
 
-_INTS, _BYTES = types.int64[::1], types.uint8[::1]
-_TABLE = types.int64[:, ::1]
+_INTS = types.int64[::1]
 _NONCES = 1 << 16
 
 
-@kernel(types.int64(_BYTES, types.int64, _INTS, _INTS, _INTS))
-def _take(raw: Any, length: int, header: Any, values: Any, tally: Any) -> int:
-    """Look at one frame: 1 when it is the answer to the newest question, whose fields are then in `values`."""
+@group
+class PingBuffers(NamedTuple):
+    """Bytes from the link, a decoded frame, a frame to send; fields of a header, of what came, of the last answer."""
+
+    received: Bytes
+    raw: Bytes
+    transmit: Bytes
+    header: Ints
+    values: Ints
+    answer: Ints
+
+    @classmethod
+    def allocate(cls) -> PingBuffers:
+        """Make them, zeroed."""
+        return cls(
+            received=np.zeros(RECEIVE_BYTES, np.uint8),
+            raw=np.zeros(codec.RAW_BYTES, np.uint8),
+            transmit=np.zeros(codec.FRAME_BYTES, np.uint8),
+            header=np.zeros(len(HEAD), np.int64),
+            values=np.zeros(len(STATE), np.int64),  # the largest message that is read
+            answer=np.zeros(len(TIME), np.int64),
+        )
+
+
+_BUFFERS_TYPE = type_of(PingBuffers)
+
+
+@kernel(types.int64(_BUFFERS_TYPE, types.int64, _INTS))
+def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
+    """Look at one frame: 1 for the answer to the newest question, whose fields are then in `buffers.values`."""
+    raw, header, values = buffers.raw, buffers.header, buffers.values
     if codec.decode_time(raw, length, header, values) == 0:
         if values[TIME.nonce] == tally[TALLY.nonce] and values[TIME.host_sent] == tally[TALLY.last_sent]:
             return 1
@@ -65,33 +93,33 @@ def _take(raw: Any, length: int, header: Any, values: Any, tally: Any) -> int:
     return 0
 
 
-@kernel(types.int64(TRANSFER, types.int64, _BYTES, _BYTES, _INTS, _INTS, _INTS, _INTS))
-def _gather(
-    read: Any, link: int, received: Any, raw: Any, header: Any, values: Any, answer: Any, tally: Any
-) -> int:
-    """Read what is there and look at its frames: 1 when the answer came (into `answer`), 0, or negative errno."""
+@kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS))
+def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
+    """Read what is there and look at its frames: 1 when the answer came (into `buffers`), 0, or negative errno."""
+    received, answer = buffers.received, buffers.answer
     came = 0
     got = np.int64(1)
     for _ in range(MOST_READS):  # a far end that never pauses must not keep us here
         if got <= 0:
             break
         filled = tally[TALLY.filled]
-        got = read(link, np.int64(received.ctypes.data) + filled, np.int64(RECEIVE_BYTES - filled))
+        start = np.int64(received.ctypes.data) + filled
+        got = port.read(port.handle, start, np.int64(RECEIVE_BYTES - filled))
         if got < 0:
             return int(got)
         tally[TALLY.bytes_in] += got
         end = filled + got
         start = 0
         while True:
-            length, start = next_frame(received, start, end, raw)
+            length, start = next_frame(received, start, end, buffers.raw)
             if length == NO_FRAME:
                 break
             if length < 0:
                 tally[TALLY.bad_frames] += 1
-            elif _take(raw, length, header, values, tally) == 1:
+            elif _take(buffers, length, tally) == 1:
                 came = 1
                 for i in range(len(answer)):
-                    answer[i] = values[i]
+                    answer[i] = buffers.values[i]
         rest = keep_rest(received, start, end)
         if rest < 0:
             tally[TALLY.bad_frames] += 1
@@ -99,21 +127,13 @@ def _gather(
     return came
 
 
-@kernel(
-    types.int64(
-        TRANSFER, WAIT, NOW, types.int64, types.int64, types.int64, types.int64,
-        _BYTES, _BYTES, _INTS, _INTS, _INTS, _INTS,
-    )
-)  # fmt: skip
-def _listen(
-    read: Any, wait: Any, now: Any, link: int, clock: int, until_ns: int, for_answer: int,
-    received: Any, raw: Any, header: Any, values: Any, answer: Any, tally: Any,
-) -> int:  # fmt: skip
+@kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS, types.int64, types.int64))
+def _listen(port: LoopPort, buffers: PingBuffers, tally: Any, until_ns: int, for_answer: int) -> int:
     """Take what comes until a moment, or until the answer is there if one is waited for: 1 if it came, 0, or -errno."""
-    while now(clock) < until_ns:
-        ready = wait(link, until_ns)
+    while port.now(port.clock_handle) < until_ns:
+        ready = port.wait(port.handle, until_ns)
         if ready > 0:
-            ready = _gather(read, link, received, raw, header, values, answer, tally)
+            ready = _gather(port, buffers, tally)
         if ready < 0:
             return int(ready)
         if ready == 1 and for_answer == 1:
@@ -123,47 +143,50 @@ def _listen(
 
 @kernel(
     types.int64(
-        TRANSFER, TRANSFER, WAIT, NOW, types.int64, types.int64, types.int64, types.int64, types.int64,
-        _TABLE, _INTS, _BYTES, _BYTES, _BYTES, _INTS, _INTS, _INTS,
+        *(PORT_TYPE, _BUFFERS_TYPE, types.int64[:, ::1], _INTS, types.int64, types.int64, types.int64)
     )
-)  # fmt: skip
+)
 def ping(
-    read: Any, write: Any, wait: Any, now: Any, link: int, clock: int, until_ns: int, period_ns: int,
-    timeout_ns: int, exchanges: Any, tally: Any, received: Any, raw: Any, transmit: Any, header: Any,
-    values: Any, answer: Any,
-) -> int:  # fmt: skip
+    port: LoopPort,
+    buffers: PingBuffers,
+    exchanges: Any,
+    tally: Any,
+    until_ns: int,
+    period_ns: int,
+    timeout_ns: int,
+) -> int:
     """Ask for the time again and again, until a moment or until the table is full.
 
     Parameters
     ----------
-    read, write, wait, now, link, clock
-        Plug points of the link and its clock with their handles (`rig.devices.device.LoopPort`).
+    port
+        The link and its clock.
+    buffers
+        What it writes into besides.
+    exchanges
+        Table of `EXCHANGE`, filled from ``tally[TALLY.answered]`` on.
+    tally
+        Counters and what is remembered from call to call (`TALLY`).
     until_ns
         When to begin no other exchange (ns, link's clock); a call ends one time-out later at most.
     period_ns
         Least time from one question to the next; the next one waits for the answer, too.
     timeout_ns
         How long to wait for an answer.
-    exchanges
-        Table of `EXCHANGE`, filled from ``tally[TALLY.answered]`` on.
-    tally
-        Counters and what is remembered from call to call (`TALLY`).
-    received, raw, transmit, header, values, answer
-        Buffers of `RECEIVE_BYTES`, `codec.RAW_BYTES` and `codec.FRAME_BYTES`, and of the fields of a header, of a STATE
-        and of a TIME.
 
     Returns
     -------
     int
         Exchanges in the table, or the negative errno of a broken link.
     """
-    time_ns = now(clock)
+    values, transmit, answer = buffers.values, buffers.transmit, buffers.answer
+    time_ns = port.now(port.clock_handle)
     while tally[TALLY.answered] < len(exchanges) and time_ns < until_ns:
         due_ns = min(tally[TALLY.last_sent] + period_ns, until_ns)
-        came = _listen(read, wait, now, link, clock, due_ns, 0, received, raw, header, values, answer, tally)
+        came = _listen(port, buffers, tally, due_ns, 0)
         if came < 0:
             return int(came)
-        time_ns = now(clock)
+        time_ns = port.now(port.clock_handle)
         if time_ns >= until_ns:
             break
         tally[TALLY.last_sent] = time_ns
@@ -171,7 +194,7 @@ def ping(
         values[GET_TIME.host_sent] = time_ns
         size = codec.encode_get_time(tally[TALLY.session], tally[TALLY.sequence], values[:2], transmit)
         tally[TALLY.sequence] = (tally[TALLY.sequence] + 1) % 65536
-        taken = write(link, np.int64(transmit.ctypes.data), size)
+        taken = port.write(port.handle, np.int64(transmit.ctypes.data), size)
         if taken < 0:
             return int(taken)
         tally[TALLY.bytes_out] += taken
@@ -181,11 +204,8 @@ def ping(
         else:
             tally[TALLY.unsent] += 1
             patience_ns = RETRY_FULL_NS
-        came = _listen(
-            read, wait, now, link, clock, time_ns + patience_ns, 1,
-            received, raw, header, values, answer, tally,
-        )  # fmt: skip
-        received_ns = now(clock)
+        came = _listen(port, buffers, tally, time_ns + patience_ns, 1)
+        received_ns = port.now(port.clock_handle)
         if came < 0:
             return int(came)
         if came == 1:
@@ -200,7 +220,3 @@ def ping(
         tally[TALLY.nonce] = (tally[TALLY.nonce] + 1) % _NONCES  # what comes now answers nothing any more
         time_ns = received_ns
     return int(tally[TALLY.answered])
-
-
-VALUES = len(STATE)
-"""Room for the fields of the largest message that is read."""

@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import messages
-from rig.bench.doctor.ping import EXCHANGE, RECEIVE_BYTES, TALLY, VALUES, ping
+from rig.bench.doctor.ping import EXCHANGE, TALLY, PingBuffers, ping
 from rig.bench.doctor.quantiles import Distribution, values_needed
 from rig.core.errors import LinkLostError
 from rig.devices.framed import FramedDevice
-from rig.realtime import codec
-from rig.realtime.codec import HEAD, TIME
 from rig.realtime.scheduling import Realtime
 
 ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
@@ -187,14 +185,7 @@ class _Run:
         self._tally = np.zeros(len(TALLY), np.int64)
         self._tally[TALLY.session] = device.connection.session
         self._tally[TALLY.state_sequence] = -1
-        self._buffers = (
-            np.zeros(RECEIVE_BYTES, np.uint8),
-            np.zeros(codec.RAW_BYTES, np.uint8),
-            np.zeros(codec.FRAME_BYTES, np.uint8),
-            np.zeros(len(HEAD), np.int64),
-            np.zeros(VALUES, np.int64),
-            np.zeros(len(TIME), np.int64),
-        )
+        self._buffers = PingBuffers.allocate()
         self._begun_ns = self._ended_ns = 0
         self._stop = threading.Event()
         self._done = threading.Event()
@@ -253,12 +244,10 @@ class _Run:
             self._done.set()
 
     def _ping(self, exchanges: NDArray[np.int64], until_ns: int) -> None:
-        port = self._port
-        arguments: tuple[Any, ...] = (
-            *(port.read, port.write, port.wait, port.now, port.handle, port.clock_handle),
-            *(until_ns, self._period_ns, round(TIMEOUT_S * 1e9), exchanges, self._tally, *self._buffers),
+        timeout_ns = round(TIMEOUT_S * 1e9)
+        result = ping(
+            self._port, self._buffers, exchanges, self._tally, until_ns, self._period_ns, timeout_ns
         )
-        result = ping(*arguments)
         if result < 0:
             failure = self._device.link.failure()
             raise LinkLostError(

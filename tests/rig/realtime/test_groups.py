@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from typing import NamedTuple
 
 import numba
@@ -18,6 +19,7 @@ from rig.loop.layout import SETTINGS, Buffers, Shared
 from rig.realtime.groups import Address, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE, LawPlug
+from rig.realtime.source_files import source_files
 from sim_backend.device import SimulatedDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
@@ -139,3 +141,35 @@ def test_a_group_is_made_by_keyword_alone_and_whole():
     with pytest.raises(TypeError, match="place"):
         Wanted(values=np.zeros(1))
     assert wanted()._replace(place=0).place == 0
+
+
+# --- the whole project ------------------------------------------------------------------------------------
+
+MOST = 12  # parameters of a kernel
+
+
+def kernels():
+    """Every function with the decorator: its name, its parameters, and its lines."""
+    for module, path in source_files().items():
+        text = path.read_text(encoding="utf-8")
+        lines = text.splitlines()
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and any(
+                isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "kernel"
+                for mark in node.decorator_list
+            ):
+                parameters = [*node.args.posonlyargs, *node.args.args]
+                yield (
+                    f"{module}.{node.name}",
+                    parameters,
+                    lines[node.decorator_list[0].lineno - 1 : node.end_lineno],
+                )
+
+
+def test_no_kernel_has_more_than_a_dozen_parameters_or_a_wall_of_them():
+    """A wall is what the formatter was told to leave alone: a signature or a call."""
+    found = list(kernels())
+    assert len(found) > 100
+    wide = [name for name, parameters, _ in found if len(parameters) > MOST]
+    walls = [name for name, _, lines in found if any("fmt:" in line for line in lines)]
+    assert (wide, walls) == ([], [])
