@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
+from rig.core.deferred import linalg
 from rig.core.errors import ConfigError
 from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
@@ -208,7 +208,7 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     order, inputs = continuous.b.shape
     both = np.zeros((order + inputs, order + inputs))
     both[:order] = np.hstack([continuous.a, continuous.b])
-    whole = expm(both * step_s)
+    whole = linalg.expm(both * step_s)
     # What a hand wants is an input that stays until somebody changes it: a state.
     wanted = order + continuous.operator_inputs.start
     states = [*range(order), *range(wanted, order + inputs)]

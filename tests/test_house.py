@@ -25,6 +25,22 @@ REGISTRIES = {
 }
 
 
+def walks() -> list[list[str]]:
+    """Files of the tables in the design that walk through the code, step by step."""
+    text = (RIG / "DESIGN.md").read_text().partition("## Three walks")[2].partition("\n## ")[0]
+    tables = text.split("| step | file |")[1:]
+    return [re.findall(r"^\| \d+ \| `([^`]+)`", table, re.MULTILINE) for table in tables]
+
+
+def test_the_walks_of_the_design_go_through_files_and_enter_no_room_twice():
+    assert len(walks()) == 4
+    for steps in walks():
+        assert all((ROOT / step).is_file() for step in steps), steps
+        rooms = [step.split("/")[1] if step.startswith("rig/") else step.split("/")[0] for step in steps]
+        entered = [room for room, before in zip(rooms, [None, *rooms], strict=False) if room != before]
+        assert len(entered) == len(set(entered)), entered
+
+
 @cache
 def trees() -> dict[str, ast.Module]:
     return {module: ast.parse(path.read_text()) for module, path in source_files().items()}
@@ -95,6 +111,22 @@ def test_no_way_around_the_contracts_by_string():
         and not f"{module}.".startswith(f"{named}.")
     ]
     assert around == []
+
+
+def test_modules_are_imported_by_name_in_few_places():
+    """Tables of names, the work of a sweep's task, and libraries that may not be there."""
+    found = {
+        str(path.relative_to(ROOT))
+        for path in source_files().values()
+        if "import_module(" in path.read_text()
+    }
+    assert found == {
+        "rig/__init__.py", "rig/cli/lazy.py", "rig/core/deferred.py",
+        "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/family.py",
+        "rig/devices/__init__.py", "rig/devices/local.py",
+        "rig/experiments/sweep/executors.py", "rig/papers/frame.py",
+        "rig/experiments/sweep/cluster.py", "rig/session/lsl/library.py",
+    }  # fmt: skip
 
 
 def test_imports_stand_at_the_top_of_files():

@@ -86,7 +86,8 @@ def rig() -> None:
 def main() -> None:
     """Entry point of the console command; SIGTERM ends it like Ctrl-C."""
     # Matrices here are small: threads of a linear algebra library cost more than they give, and a loop its quiet.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for library in ("OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)
     compiling.listen(CompilingNotice())
     sys.exit(run(sys.argv[1:]))

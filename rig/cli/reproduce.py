@@ -2,26 +2,46 @@
 
 from __future__ import annotations
 
-import os
-from importlib import import_module
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
 from rig.cli import options, output
 from rig.cli.progress import SweepBar
+from rig.papers.chawda import rigs as chawda_rigs
+from rig.papers.chawda.pictures import draw_chawda
+from rig.papers.chawda.reproduction import reproduce_chawda
 from rig.papers.frame import Reproduction
+from rig.papers.koul import rigs as koul_rigs
+from rig.papers.koul.pictures import draw_koul
+from rig.papers.koul.reproduction import reproduce_koul
 from rig.papers.page import check_installed, write_report
 from rig.recording.files import plain_errors
 
-PAPERS = ("koul", "chawda")
 WIDEST = 56  # characters of a cell
-# Small matrices in several threads: a linear algebra library with threads of its own only gets in their way.
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True, slots=True)
+class _Paper:
+    """How much there is to compute, what computes it, and what draws it."""
+
+    quick: Any
+    full: Any
+    reproduce: Callable[..., Reproduction]
+    draw: Callable[[Any], Mapping[str, bytes]]
+
+
+PAPERS = {
+    "koul": _Paper(koul_rigs.QUICK, koul_rigs.FULL, reproduce_koul, draw_koul),
+    "chawda": _Paper(chawda_rigs.QUICK, chawda_rigs.FULL, reproduce_chawda, draw_chawda),
+}
 
 
 @click.command()
-@click.argument("paper", type=click.Choice(PAPERS))
+@click.argument("paper", type=click.Choice(tuple(PAPERS)))
 @click.option(
     "--quick", is_flag=True, help="Coarse grids: every section and claim, in a fraction of the time."
 )
@@ -43,20 +63,16 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     passivity and fidelity (Chawda et al.), in about three. One that was stopped goes on when the same command is given
     again.
     """
-    for name in _ONE_THREAD:
-        os.environ.setdefault(name, "1")  # before numpy is imported
     check_installed()
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
-    study, rigs = (import_module(f"rig.reproduce.{paper}.{part}") for part in ("reproduction", "rigs"))
-    plots = import_module(f"rig.plots.{paper}")
-
-    scale = rigs.QUICK if quick else rigs.FULL
+    known = PAPERS[paper]
+    scale = known.quick if quick else known.full
     with SweepBar(f"reproducing {paper}", unit="parts", plain=as_json) as bar:
-        found: Reproduction = getattr(study, f"reproduce_{paper}")(
+        found: Reproduction = known.reproduce(
             scale, journal=directory / f"{paper}-{scale.name}.journal", workers=workers, watch=bar.watch
         )
-    page, numbers = write_report(found, getattr(plots, f"draw_{paper}")(found.results), directory)
+    page, numbers = write_report(found, known.draw(found.results), directory)
     if as_json:
         output.print_json({**found.as_mapping(), "report": str(page), "json": str(numbers)})
         return

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 import numba
@@ -207,13 +207,7 @@ class Controller:
 
     def fresh(self, wall: Mapping[str, Any]) -> Controller:
         """Return a copy that has seen nothing more than this one, for another wall (settings by name)."""
-        e = self.estimator
-        return Controller(
-            control=self.control,
-            memory=self.memory.copy(),
-            estimator=Prepared(e.estimator, e.parameters, e.state_f.copy(), e.state_i.copy()),
-            law=self.law.law.prepare(wall),
-        )
+        return replace(self.copy(), law=self.law.law.prepare(wall))
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain numbers and names from which `from_mapping` makes the same controller, bit for bit."""

@@ -22,7 +22,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from rig import config, devices
 from rig.analysis.impedance.signals import Complexes, Floats, Shaken, hold
@@ -31,6 +30,7 @@ from rig.control import bilateral, laws
 from rig.control.excitation import Multisine
 from rig.control.excitation_table import ExcitationTable, Phases
 from rig.control.law import Law
+from rig.core.deferred import linalg
 from rig.core.errors import RecordingError
 from rig.core.model import RigModel, state_space
 from rig.core.sample import Phase, RowFlag
@@ -335,7 +335,7 @@ def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Compl
     """
     space = state_space(model.mechanics, model.amplifier)
     a, b, n = space.a, space.b[:, :1], space.order
-    both = expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
+    both = linalg.expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     sampled = _answer(both[:n, :n], both[:n, n:], np.exp(s * tick_s), space.sensed_position)
     true = _answer(a, b, s, space.sensed_position) * hold(frequency_hz, tick_s)

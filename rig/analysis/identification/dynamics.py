@@ -25,12 +25,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from rig.analysis.identification.interval import Interval, from_scatter
 from rig.analysis.identification.quality import IdentificationError, check_explained, check_shaken
 from rig.analysis.identification.sliding import Sliding
 from rig.analysis.impedance.signals import Complexes, Floats, Shaken, hold
+from rig.core.deferred import optimize
 
 IMAGES = (-2, -1, 0, 1, 2)
 NEIGHBOURS = 5  # lines over which a variance is averaged
@@ -241,7 +241,7 @@ class _Problem:
             e = (self.error(parameters(x), ticks, which) / weights).ravel()
             return np.concatenate([e.real, e.imag])
 
-        found = least_squares(weighted, (start / size)[list(free)], x_scale="jac", max_nfev=200)
+        found = optimize.least_squares(weighted, (start / size)[list(free)], x_scale="jac", max_nfev=200)
         return parameters(found.x)
 
     def fit(self, start: Floats, free: Sequence[int], ticks: int) -> _Fit:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t
+
+from rig.core.deferred import stats
 
 CONFIDENCE = 0.95
 
@@ -53,7 +54,7 @@ def quantile(degrees_of_freedom: float) -> float:
     """Two-sided 95 % quantile of Student's distribution; infinite without a degree of freedom."""
     if degrees_of_freedom < 1:
         return math.inf
-    return float(t.ppf(0.5 + 0.5 * CONFIDENCE, degrees_of_freedom))
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, degrees_of_freedom))
 
 
 def from_scatter(value: float, samples: ArrayLike) -> Interval:

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import LogNorm
 
 from rig.analysis.impedance.ideal import ideal_wall
+from rig.core.deferred import colors
 from rig.experiments.boundary_search import connected
 from rig.papers.chawda import text_more as chawda_text_more
 from rig.papers.chawda.claims_table import floors
@@ -152,7 +152,7 @@ def _figure_7(chawda: Chawda, path: Path) -> None:
     figure, panels = _panels()
     errors = chawda.map.fidelity[:, MAIN]
     seen = errors[np.isfinite(errors) & chawda.map.passive[:, MAIN]]
-    norm = LogNorm(float(seen.min()), float(seen.max())) if len(seen) else LogNorm(1.0, 10.0)
+    norm = colors.LogNorm(float(seen.min()), float(seen.max())) if len(seen) else colors.LogNorm(1.0, 10.0)
     k, b = _places(chawda)
     mesh = None
     for axes, name in zip(panels, SCHEMES, strict=True):

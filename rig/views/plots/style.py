@@ -5,10 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
+from rig.core.deferred import agg, figures, matplotlib
 from rig.core.errors import RecordingError
 
 MEASURED = "#0072b2"
@@ -35,10 +32,10 @@ DPI = 120
 RECORDINGS = (".parquet", ".rigcap")  # suffixes
 
 
-def new_figure(width: float = 9.0, height: float = 7.0) -> Figure:
+def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
     """Make a figure that belongs to no window."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = figures.Figure(figsize=(width, height), layout="constrained")
+    agg.FigureCanvasAgg(figure)
     return figure
 
 
@@ -54,7 +51,7 @@ def lighten(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save(figure: Any, path: Path) -> Path:
     """Write a PNG, or an SVG where the name ends so; the same picture gives the same bytes.
 
     `RecordingError` when it cannot be written, or has the name of a recording: those are never overwritten.
@@ -63,7 +60,7 @@ def save(figure: Figure, path: Path) -> Path:
         raise RecordingError(f"{path} is no name for a picture: recordings have it", remedy="say .png")
     try:
         if path.suffix == ".svg":
-            with rc_context({"svg.hashsalt": "haptic-rig", "svg.fonttype": "none"}):
+            with matplotlib.rc_context({"svg.hashsalt": "haptic-rig", "svg.fonttype": "none"}):
                 figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
         else:
             figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})

@@ -15,9 +15,9 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import ListedColormap
 
 from rig.analysis.impedance.signals import Floats
+from rig.core.deferred import colors
 from rig.core.sample import unit_of
 from rig.experiments.boundary_search import trace_grid
 from rig.experiments.frequency_widths import FrequencyWidth
@@ -105,7 +105,7 @@ def _draw_cells(
     edges = _edges(dampings), _edges(stiffnesses)
     axes.set_facecolor(ACTIVE)
     ended = np.where(np.isnan(fidelity), 0.0, math.nan)
-    axes.pcolormesh(*edges, ended.T, cmap=ListedColormap([ENDED]), linewidth=0, rasterized=True)
+    axes.pcolormesh(*edges, ended.T, cmap=colors.ListedColormap([ENDED]), linewidth=0, rasterized=True)
     shown = np.where(passive, fidelity, math.nan)
     mesh = axes.pcolormesh(*edges, shown.T, cmap=COLOURS, vmin=low, vmax=high, linewidth=0, rasterized=True)
     for island in FrequencyWidth.of(passive, fidelity, stiffnesses, dampings).islands:

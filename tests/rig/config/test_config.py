@@ -8,8 +8,9 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,42 @@ def test_a_file_says_only_what_differs_from_its_preset(tmp_path: Path) -> None:
 def test_a_complete_file_needs_no_preset(tmp_path: Path) -> None:
     path = written(tmp_path, presets.text("chawda-linear"))
     assert load_experiment(str(path)) == CHAWDA
+
+
+def said_of(make: Callable[[], Experiment]) -> Experiment | str:
+    """The experiment, or everything that is said to be wrong with it."""
+    try:
+        return make()
+    except ConfigError as error:
+        return str(error)
+
+
+VALUES = (None, -1, 2.0, math.nan, True, "x", "firm", [1.0, 2], {"a": 1})
+
+
+@pytest.mark.parametrize("name", ["koul-compliant", "chawda-linear"])
+def test_a_change_means_and_is_refused_as_if_a_file_on_that_preset_had_said_it(name: str) -> None:
+    """One sets fields of what is checked, the other is checked as a whole."""
+    base, source = presets.load(name), f"hit.toml (on preset {name})"
+    keys = [*parameters(), "realtime.wall.stiffness", "realtime.nonsense", "rig.limits", "wall.nonsense", ""]
+    for key, value in itertools.product(keys, VALUES):
+        file = {"preset": name, **nest({key: value})}
+        said = said_of(partial(experiment_from_mapping, file, "hit.toml"))
+        assert said_of(partial(override, base, {key: value}, source)) == said, (key, value)
+
+
+def test_a_change_leaves_alone_what_it_does_not_name() -> None:
+    changed = override(KOUL, {"wall.stiffness": 150, "rig.limits.speed": 9.0})
+    assert (changed.wall.stiffness, changed.rig.limits.speed) == (150.0, 9.0)
+    assert changed.rig.mechanics is KOUL.rig.mechanics
+    assert changed.trial is KOUL.trial
+
+
+def test_the_rules_are_asked_also_where_nothing_changes() -> None:
+    """Of what was put together by hand: nothing is armed without them."""
+    limits = replace(KOUL.rig.limits, effort=100.0)
+    with pytest.raises(ConfigError, match=r"rig\.limits\.effort = 100\.0 N·m: must be at most"):
+        override(replace(KOUL, rig=replace(KOUL.rig, limits=limits)), {})
 
 
 def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
