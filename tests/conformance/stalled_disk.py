@@ -23,7 +23,7 @@ import numpy as np
 from numba import types
 
 from rig.core.sample import ROW
-from rig.loop.host import ROWS_TYPE
+from rig.loop.layout import ROWS_TYPE
 from rig.realtime import ring as words
 from rig.realtime.atomics import load_word, store_word
 from rig.realtime.kernel import kernel

@@ -39,7 +39,7 @@ def machine(monkeypatch):
     )
     monkeypatch.setattr(examining, "machine_checks", lambda host: [finding])
     monkeypatch.setattr(ports, "available_ports", lambda: [])
-    monkeypatch.setattr("rig.devices.usb.available_devices", lambda: [])
+    monkeypatch.setattr("rig.bench.doctor.ports.available_devices", lambda: [])
 
 
 @pytest.fixture

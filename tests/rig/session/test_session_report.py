@@ -13,7 +13,7 @@ import matplotlib.image
 import pytest
 from click.testing import CliRunner
 
-from rig.cli import rig
+from rig.cli import rig, session_report
 from rig.core.swings import SWINGS
 from rig.session.analysis import Options, analyse
 from rig.session.analysis.tables import tables
@@ -500,9 +500,7 @@ def test_the_command_writes_the_page_or_says_what_it_needs(tmp_path, monkeypatch
         one.run()
     png = tmp_path / "zwidth.png"
     png.write_bytes(b"made up")
-    monkeypatch.setattr(
-        "rig.views.plots.session.draw_session", lambda *_, **__: {png.name: png}
-    )  # told above
+    monkeypatch.setattr(session_report, "draw_session", lambda *_, **__: {png.name: png})  # told above
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "jinja2", None)
         told = CliRunner().invoke(rig, ["session", "analyse", str(tmp_path)])

@@ -30,7 +30,7 @@ from rig.core.errors import (
 )
 from rig.devices import open_link
 from rig.devices.usb import UsbLink, available_devices
-from rig.realtime.kernel import kernel
+from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import TRANSFER, WAIT
 from rig.realtime.system import monotonic_now
 from rig.recording.reader import open_recording
@@ -367,6 +367,7 @@ def packets_come_while_python_is_locked(bench: Bench) -> int:
     link = bench.open()
     Host(link).identify()
     port = link.port()
+    prepare(count_reads, port.read, port.wait)
     into = np.zeros(4096, np.uint8)
     counts: list[int] = []
     begun = threading.Event()
