@@ -67,8 +67,7 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
             prepared = controller.for_experiment(wall, **told)
             numbers = [wall.wall.position, *prepared.law.parameters]
             live = device_law.live_parameters(prepared, device_law.arithmetic_of(wall.controller), numbers)
-            for message in set_parameters(encode_block(live), device._next_nonce()):
-                device._command(message)
+            device._command(*set_parameters(encode_block(live), device._next_nonce()))
         rig.tick()
     assert rig.state == State.RUNNING
     assert len(rig.trace) - first >= ticks
