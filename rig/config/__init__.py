@@ -8,7 +8,7 @@
 * `load`: the way to an `Experiment`;
 * `derive`: what others make of it.
 
-pydantic is imported by the functions that validate, not by this import.
+pydantic is loaded when something is validated, not by this import.
 """
 
 from rig.config.derive import (
