@@ -31,7 +31,7 @@ from rig.views.report.session_events import Deviation, deviations, notes, useles
 from rig.views.report.session_methods import MEASURES, Paragraph, analysed_with, finite, methods
 from rig.views.report.template import data_uris, fill, provenance_lines
 
-TEMPLATE = "session.html.j2"
+TEMPLATE = "views/report/session.html.j2"
 PAGE, NUMBERS = "report.html", "report.json"
 CAPTIONS: Mapping[str, str] = {
     "zwidth": "The Z-width. Thin lines are participants, thick ones their mean with an interval of 95 % (of one "
@@ -96,10 +96,6 @@ def render(found: Analysis, pictures: Mapping[str, bytes]) -> str:
     pictures
         PNGs by name (`rig.views.plots.session.pictures`); one that is not there is told of instead of shown.
 
-    Raises
-    ------
-    ConfigError
-        jinja2 is not installed.
     """
     return fill(
         TEMPLATE,
@@ -124,8 +120,6 @@ def write_session_report(
 
     Raises
     ------
-    ConfigError
-        jinja2 is not installed.
     RecordingError
         The disk refuses.
     """
