@@ -10,7 +10,7 @@ from rig.papers.frame import Reproduction, Status
 from rig.recording.files import whole_file
 from rig.views.report.template import data_uris, fill, provenance_lines
 
-TEMPLATE = "views/report/reproduction.html.j2"
+TEMPLATE = "reproduction.html.j2"
 MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet
 
 

@@ -31,7 +31,7 @@ from rig.views.report.session_events import Deviation, deviations, notes, useles
 from rig.views.report.session_methods import MEASURES, Paragraph, analysed_with, finite, methods
 from rig.views.report.template import data_uris, fill, provenance_lines
 
-TEMPLATE = "views/report/session.html.j2"
+TEMPLATE = "session.html.j2"
 PAGE, NUMBERS = "report.html", "report.json"
 CAPTIONS: Mapping[str, str] = {
     "zwidth": "The Z-width. Thin lines are participants, thick ones their mean with an interval of 95 % (of one "
