@@ -13,6 +13,7 @@ from typing import Any
 
 from rig.core.deferred import jinja2, markupsafe
 from rig.core.errors import ConfigError
+from rig.views.report.writing import FILTERS, FUNCTIONS
 
 STYLE_SHEET = "page.css"
 
@@ -33,7 +34,7 @@ def fill(template: str, **values: Any) -> str:
     Parameters
     ----------
     template
-        Name of a file of this package.
+        Name of a file of this package; it may import macros of others.
     values
         What the template calls for; `css` is there already.
 
@@ -43,12 +44,29 @@ def fill(template: str, **values: Any) -> str:
         jinja2 is not installed.
     """
     check_installed()
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
     css = markupsafe.Markup(_text(STYLE_SHEET))
-    page: str = environment.from_string(_text(template)).render(css=css, **values)
+    page: str = _environment(html=True).get_template(template).render(css=css, **values)
     return page
+
+
+def fill_text(template: str, **values: Any) -> str:
+    """Return plain text; as `fill`, but nothing is escaped."""
+    check_installed()
+    text: str = _environment(html=False).get_template(template).render(**values)
+    return text
+
+
+def _environment(*, html: bool) -> Any:
+    environment = jinja2.Environment(
+        autoescape=html,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(_text),
+    )
+    environment.filters |= FILTERS
+    environment.globals |= FUNCTIONS
+    return environment
 
 
 def data_uris(pngs: Mapping[str, bytes]) -> dict[str, str]:
