@@ -18,7 +18,7 @@ from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
-from rig.devices.simulated import OpenRig, OpenShaker
+from rig.devices.simulated import OpenExcitedSimulation, OpenRig
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
@@ -27,7 +27,7 @@ BUILT_IN = {
 }
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 # What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
-HITS, EXCITED = "sim_backend.hits:SimulatedRig", "sim_backend.shaken:Shaker"
+HITS, EXCITED = "sim_backend.hits:SimulatedRig", "sim_backend.excited:ExcitedPlant"
 PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"
 SERVER = "sim_backend.pty:serve"
 DISTRIBUTION = "haptic-rig"
@@ -121,9 +121,9 @@ def simulated_rig() -> OpenRig:
     return cast("OpenRig", loaded(HITS))
 
 
-def simulated_shaker() -> OpenShaker:
+def excited_simulation() -> OpenExcitedSimulation:
     """Return what makes rigs to excite without bytes; errors as `simulated_rig`."""
-    return cast("OpenShaker", loaded(EXCITED))
+    return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
