@@ -18,7 +18,7 @@ from rig.papers.frame import Reproduction
 from rig.papers.koul import rigs as koul_rigs
 from rig.papers.koul.pictures import draw_koul
 from rig.papers.koul.reproduction import reproduce_koul
-from rig.papers.page import check_installed, write_report
+from rig.papers.page import write_report
 from rig.recording.files import plain_errors
 
 WIDEST = 56  # characters of a cell
@@ -63,7 +63,6 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     passivity and fidelity (Chawda et al.), in about three. One that was stopped goes on when the same command is given
     again.
     """
-    check_installed()
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
     known = PAPERS[paper]

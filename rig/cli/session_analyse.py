@@ -61,7 +61,7 @@ def analyse(
         found = found_in(places, options, watch=steps.watch)
         directory = beside(places, found) if out is None else out
         written = write_tables(found, directory)
-        drawn, page, missing = write_report(found, directory, steps.watch) if report else ({}, None, "")
+        drawn, page = write_report(found, directory, steps.watch) if report else ({}, None)
     if as_json:
         output.print_json(
             {
@@ -74,8 +74,8 @@ def analyse(
         return
     show(found)
     output.print_pairs([("tables", f"{directory} ({len(written)} files, columns explained in tables.json)")])
-    if report:
-        output.print_pairs([("report", str(page) if page is not None else missing)])
+    if page is not None:
+        output.print_pairs([("report", str(page))])
 
 
 def beside(places: tuple[Path, ...], found: Analysis) -> Path:

@@ -36,7 +36,7 @@ FREQUENCY_ONLY = (
     "band", "judged_band", "realisations", "periods", "amplitude", "z_score", "residual_threshold"
 )  # fmt: skip
 TIME_ONLY = {
-    "operator": "nobody holds a rig that is shaken: drop --operator",
+    "operator": "nobody holds a rig that is excited: drop --operator",
     "effort": "nothing pushes: --amplitude is the size of the excitation",
     "way": "the grid is exhaustive, and the paper's search is shown beside it: drop --search",
     "ratio": "give the stiffnesses as first:last:count",
@@ -113,10 +113,10 @@ def map_frequency(
     as_json: bool,
     workers: int | None,
     scheduler: str | None,
-    **shaking: Any,
+    **options: Any,
 ) -> None:
     """Map a simulated rig and print what came of it."""
-    experiment = _chosen(file, preset, **shaking)
+    experiment = _chosen(file, preset, **options)
     signal = None if judged is None else "truth" if judged == "true" else "count"
     judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
     plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)

@@ -264,7 +264,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Excitation:
-    """What shakes the handle when an impedance is measured: a multisine, whole periods of it.
+    """What excites the handle when an impedance is measured: a multisine, whole periods of it.
 
     Its lines are all multiples of 1/period_s in the band. The wall is bilateral meanwhile, about wall.position.
     """
@@ -303,7 +303,7 @@ class Excitation:
     channel: Annotated[
         Literal["external", "motor"],
         Quantity(
-            "", "who shakes: a second actuator (in simulation), or the rig's own motor on top of the wall"
+            "", "who excites: a second actuator (in simulation), or the rig's own motor on top of the wall"
         ),
     ] = "external"
     seed: Annotated[int, Ge(0), Le(2**63 - 1), Quantity("", "seed of random phases")] = 0

@@ -18,7 +18,7 @@ from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl, Link
 from rig.devices.framed import FramedDevice
-from rig.devices.simulated import OpenRig, OpenShaker
+from rig.devices.simulated import OpenExcitedSimulation, OpenRig
 
 BUILT_IN = {
     "sim": "sim_backend.link:open_link",
@@ -27,7 +27,7 @@ BUILT_IN = {
 }
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
 SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
-SHAKERS = {"sim": "sim_backend.shaken:Shaker"}  # and shaken
+EXCITED_SIMULATIONS = {"sim": "sim_backend.excited:ExcitedPlant"}  # and excited
 PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"  # and traced tick by tick
 
 
@@ -125,13 +125,13 @@ def simulated_rig(scheme: str = "sim") -> OpenRig:
     return cast("OpenRig", _loaded(SIMULATIONS[scheme], scheme, "haptic-rig"))
 
 
-def simulated_shaker(scheme: str = "sim") -> OpenShaker:
-    """Return what makes rigs to shake without bytes (`rig.devices.simulated`); errors as `simulated_rig`."""
-    if scheme not in SHAKERS:
+def excited_simulation(scheme: str = "sim") -> OpenExcitedSimulation:
+    """Return what makes rigs to excite without bytes (`rig.devices.simulated`); errors as `simulated_rig`."""
+    if scheme not in EXCITED_SIMULATIONS:
         raise ConfigError(
-            f"{scheme}:// cannot be shaken without bytes", remedy=f"known: {', '.join(SHAKERS)}"
+            f"{scheme}:// cannot be excited without bytes", remedy=f"known: {', '.join(EXCITED_SIMULATIONS)}"
         )
-    return cast("OpenShaker", _loaded(SHAKERS[scheme], scheme, "haptic-rig"))
+    return cast("OpenExcitedSimulation", _loaded(EXCITED_SIMULATIONS[scheme], scheme, "haptic-rig"))
 
 
 def simulated_trial() -> tuple[Any, Any]:

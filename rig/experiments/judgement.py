@@ -69,7 +69,7 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     if early is None and experiment.trial.kind == "excitation":
         overruling = (
             Kind.INVALID,
-            "the rig was shaken about its wall, not driven into it: see rig impedance",
+            "the rig was excited about its wall, not driven into it: see rig impedance",
         )
     return Judgement(
         verdict=_overruled(measured, overruling),

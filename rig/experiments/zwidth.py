@@ -30,7 +30,7 @@ from rig.control.measure import NUMBERS
 from rig.control.verdict import CRITERIA, INVALID, Finding, Measured, findings
 from rig.core.errors import PlanError
 from rig.experiments import sweep
-from rig.experiments.bench import Bench
+from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.ladder import Limit, Outcomes, Search, limit_of
 from rig.experiments.plan import STANDS_FOR_DEVICE
 
@@ -149,11 +149,11 @@ def _check_values(
 def run_climb(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Run one climb in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
     experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
-    bench = Bench(experiment)
+    simulator = HitSimulator(experiment)
     rows: list[dict[str, Any]] = []
 
     def hit(stiffness: float) -> Outcomes:
-        done = bench.hit(stiffness, experiment.wall.damping)
+        done = simulator.hit(stiffness, experiment.wall.damping)
         rows.append({"stiffness": stiffness} | row_of(done.recorded, "") | row_of(done.true, TRUE))
         return outcomes_of(rows[-1], payload["judged"])
 

@@ -8,9 +8,7 @@ from pathlib import Path
 
 from rig.papers.frame import Reproduction, Status
 from rig.recording.files import whole_file
-from rig.views.report.template import check_installed, data_uris, fill, provenance_lines
-
-__all__ = ["check_installed", "render", "write_report"]
+from rig.views.report.template import data_uris, fill, provenance_lines
 
 TEMPLATE = "reproduction.html.j2"
 MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet
@@ -25,11 +23,6 @@ def render(reproduction: Reproduction, pictures: Mapping[str, bytes]) -> str:
         What it tells.
     pictures
         PNGs by name; one that a section names and that is not there is told of instead of shown.
-
-    Raises
-    ------
-    ConfigError
-        jinja2 is not installed.
     """
     return fill(
         TEMPLATE,
@@ -48,8 +41,6 @@ def write_report(
 
     Raises
     ------
-    ConfigError
-        jinja2 is not installed.
     RecordingError
         The disk refuses.
     """

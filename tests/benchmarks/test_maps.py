@@ -12,7 +12,7 @@ import pytest
 from rig import config
 from rig.analysis import theory
 from rig.config import presets
-from rig.experiments import bench, ranges
+from rig.experiments import hit_simulator, ranges
 from rig.experiments.ladder import Search
 from rig.experiments.zwidth import MapPlan, run_climb, zwidth
 from sim_backend import hits
@@ -66,7 +66,7 @@ def test_python_takes_a_small_share_of_a_climb(figure_6, monkeypatch):
 
 def test_memory_does_not_grow_with_the_number_of_hits():
     short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
-    rig = bench.Bench(short)
+    rig = hit_simulator.HitSimulator(short)
 
     def peak(number):
         tracemalloc.start()

@@ -6,7 +6,6 @@ import pytest
 
 import rig.cli
 
-pytest.importorskip("jinja2")
 SECTIONS = (
     "figure-5", "figure-6-koul-compliant", "figure-6-koul-rigid", "hands", "ways", "figure-7", "figure-8", "theory",
     "effects", "plants", "ideas",

@@ -32,7 +32,7 @@ from sim_backend.link import MemoryLink
 RATE = 10_000
 WAIT_S = 20.0
 WALL = 0.004  # rad beyond the start: the handle begins outside
-SHAKEN = {
+EXCITED = {
     "controller.loop": "device",
     "controller.position_rate": RATE,
     "controller.velocity_rate": 1000,
@@ -56,7 +56,7 @@ class Session:
 
     def __init__(self, estimator: str, posts: dict[int, float], faults: tuple[FrameFault, ...] = ()) -> None:
         self.experiment = config.override(
-            presets.load("koul-compliant"), {**SHAKEN, "controller.estimator": estimator}
+            presets.load("koul-compliant"), {**EXCITED, "controller.estimator": estimator}
         )
         x = self.experiment
         happenings = tuple(

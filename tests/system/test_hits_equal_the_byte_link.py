@@ -10,7 +10,7 @@ from rig.config import presets
 from rig.control.judging import meter, recorded_signals, true_signals
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
-from rig.experiments.bench import Bench
+from rig.experiments.hit_simulator import HitSimulator
 from rig.recording.reader import open_recording
 from sim_backend.link import open_link
 from tests.conformance.trials import trial_on
@@ -31,10 +31,10 @@ HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
 )
 def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(name, changes, tmp_path):
     experiment = config.override(presets.load(name), {**SHORT, **changes, "trial.seed": 5})
-    bench = Bench(experiment)
-    without_bytes = bench.hit(experiment.wall.stiffness, experiment.wall.damping)
+    simulator = HitSimulator(experiment)
+    without_bytes = simulator.hit(experiment.wall.stiffness, experiment.wall.damping)
 
-    placed = config.override(experiment, {"rig.simulation.initial_position": bench.start})
+    placed = config.override(experiment, {"rig.simulation.initial_position": simulator.start})
     with FramedDevice(open_link(DeviceUrl.parse("sim://"), config.rig_model(placed))) as device:
         request = partial(
             trial_on,
@@ -46,7 +46,7 @@ def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(name, chan
         rows = open_recording(request(device).recording).rows
 
     tick_s, resolution = 1.0 / placed.controller.position_rate, placed.rig.encoder.resolution
-    measuring = meter(bench.limits, tick_s, resolution)
+    measuring = meter(simulator.limits, tick_s, resolution)
     for signals, measured in (
         (recorded_signals(rows, tick_s, resolution), without_bytes.recorded),
         (true_signals(rows, tick_s, placed.wall.position, placed.wall.side), without_bytes.true),

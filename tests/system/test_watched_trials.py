@@ -11,8 +11,8 @@ from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, GuardError, PlanError
 from rig.core.sample import Phase, RowFlag
 from rig.experiments.baseline import baseline
-from rig.experiments.bench import Bench
 from rig.experiments.hit import HitRequest, hit
+from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.judgement import judge
 from rig.experiments.plan import make_plan
 from rig.experiments.replay import replay
@@ -66,11 +66,11 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag
     assert judge(recording, experiment).verdict.kind is Kind.UNSTABLE
     assert trailer["watched"]["swings" if reason == "violent" else "energy"] > 0.0
     assert replay(recording).exact
-    watched = Bench(experiment).hit(1200.0, 0.5)
+    watched = HitSimulator(experiment).hit(1200.0, 0.5)
     assert watched.true.kind is Kind.UNSTABLE
     assert watched.true.thrown_out
     assert watched.true.passes("any") is False
-    freely = Bench(override(experiment, dict.fromkeys(limit, None))).hit(1200.0, 0.5)
+    freely = HitSimulator(override(experiment, dict.fromkeys(limit, None))).hit(1200.0, 0.5)
     assert freely.ticks > watched.ticks
     assert freely.true.kind is Kind.UNSTABLE
     assert not freely.true.thrown_out
@@ -78,10 +78,10 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag
 
 def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path):
     experiment = override(PLACED, {**VIOLENT, "rig.limits.swings": 10})
-    bench = Bench(experiment)
-    placed = override(experiment, {"rig.simulation.initial_position": bench.start})
+    simulator = HitSimulator(experiment)
+    placed = override(experiment, {"rig.simulation.initial_position": simulator.start})
     _, recording = ended(placed, tmp_path)
-    assert bench.hit(1200.0, 0.5).ticks == len(recording.rows)
+    assert simulator.hit(1200.0, 0.5).ticks == len(recording.rows)
 
 
 def test_a_law_on_the_device_is_ended_by_the_host(tmp_path):
@@ -111,8 +111,10 @@ def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
 @pytest.mark.parametrize("grip", ["relaxed", "firm"])
 def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip):
     held = override(PLACED, {"operator.grip": grip, **HELD})
-    freely = Bench(held).hit(300.0, 0.5)
-    watched = Bench(override(held, {"rig.limits.swings": 10, "rig.limits.energy": 0.02})).hit(300.0, 0.5)
+    freely = HitSimulator(held).hit(300.0, 0.5)
+    watched = HitSimulator(override(held, {"rig.limits.swings": 10, "rig.limits.energy": 0.02})).hit(
+        300.0, 0.5
+    )
     assert freely.true.kind is Kind.STABLE
     assert freely.true.numbers.tobytes() == watched.true.numbers.tobytes()
     assert freely.ticks == watched.ticks

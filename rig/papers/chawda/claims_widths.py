@@ -76,7 +76,7 @@ def akf_ratios(chawda: Chawda) -> dict[str, list[float]]:
 
 
 def claim_akf_over_fdm(chawda: Chawda) -> Claim:
-    """AKF's against that of the filtered difference: theory, hits, shaken."""
+    """AKF's against that of the filtered difference: theory, hits, excited."""
     widths = _stiffnesses(chawda)
     told = [k for k in widths if k[AKF] != k[FDM]]
     above = sum(k[AKF] > k[FDM] for k in told)
@@ -84,10 +84,10 @@ def claim_akf_over_fdm(chawda: Chawda) -> Claim:
     ratios = akf_ratios(chawda)
     steps = dict(zip(ratios, (1.0, chawda.scale.hit_ratio**0.5), strict=True))
     cases = {name: rules.mostly_stiffer(values, steps[name]) for name, values in ratios.items()}
-    cases["shaken"] = bool(told) and share >= rules.MOST
+    cases["excited"] = bool(told) and share >= rules.MOST
     ours = (
         "; ".join(f"{name} {rules.times_of(values)}" for name, values in ratios.items())
-        + f" from B = {rules.LEAST_DAMPING:g} to {chawda.linear_dampings[-1]:g}; shaken: stiffer in {above} of "
+        + f" from B = {rules.LEAST_DAMPING:g} to {chawda.linear_dampings[-1]:g}; excited: stiffer in {above} of "
         f"{len(told)} readings that tell them apart ({len(widths) - len(told)} do not)"
     )
     return Claim(
@@ -97,7 +97,7 @@ def claim_akf_over_fdm(chawda: Chawda) -> Claim:
         finding=verdict_over(cases, ours),
         needs="damping: it is the smaller delay of its velocity",
         rule=f"at none of these dampings softer, in the median at least {rules.STIFFER:g} times as stiff (rungs of the "
-        "hits allowed for); shaken: in at least "
+        "hits allowed for); excited: in at least "
         f"{100 * rules.MOST:.0f} % of the readings that tell them apart",
     )
 

@@ -1,6 +1,6 @@
 """Chawda, Celik and O'Malley's comparison of velocity estimators, reproduced: its figures, Table I, and every claim.
 
-`reproduce_chawda` shakes some ten thousand walls and hits some thousand more, as one sweep, and lets rules turn the
+`reproduce_chawda` excites some ten thousand walls and hits some thousand more, as one sweep, and lets rules turn the
 numbers into verdicts (`rig.papers.chawda.claims`) and sentences (`rig.papers.chawda.text`). The paper
 leaves band and tolerance of its passivity test open, and both decide everything: so each wall is read in many ways
 (`rig.papers.chawda.readings`), and claims are counted over readings. Nothing is tuned to Table I.
@@ -55,9 +55,9 @@ from rig.papers.chawda.rigs import (
     Scale,
     dual_rig,
     dual_schemes,
+    excited_rig,
     levant,
     pushed_rig,
-    shaken_rig,
 )
 from rig.papers.chawda.text import sections, summary
 from rig.papers.frame import Part, Parts, Reproduction, part, run_parts
@@ -123,7 +123,7 @@ class _Plan:
         for stiffness, damping in WALLS:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
             parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
-        rig = config.shaken(shaken_rig(self._scale))
+        rig = config.excited(excited_rig(self._scale))
         for name in (FDM, AKF):
             payload = {
                 "experiment": config.as_mapping(rig),
@@ -187,7 +187,7 @@ class _Plan:
         soft = tuple(b for b in scale.dampings if b <= 200.0)
         grids = {
             "map": Grid(
-                experiment=shaken_rig(scale),
+                experiment=excited_rig(scale),
                 schemes=tuple(SCHEMES.values()),
                 stiffnesses=scale.stiffnesses,
                 dampings=scale.dampings,
@@ -195,7 +195,7 @@ class _Plan:
                 measurements=scale.measurements,
             ),
             "frictionless": Grid(
-                experiment=shaken_rig(replace(scale, measurements=2), FRICTIONLESS),
+                experiment=excited_rig(replace(scale, measurements=2), FRICTIONLESS),
                 schemes=(SCHEMES[FDM], SCHEMES[FOAW]),
                 stiffnesses=scale.stiffnesses,
                 dampings=soft,
@@ -203,7 +203,7 @@ class _Plan:
                 measurements=2,
             ),
             "variants": Grid(
-                experiment=shaken_rig(replace(scale, measurements=1)),
+                experiment=excited_rig(replace(scale, measurements=1)),
                 schemes=tuple(self._variants.values()),
                 stiffnesses=scale.stiffnesses[:: scale.coarse],
                 dampings=VARIANT_DAMPINGS,
@@ -246,6 +246,6 @@ def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
 
 def _impedances(scale: Scale) -> tuple[Any, ...]:
     """The bare rig, and one wall under each estimator."""
-    rig = shaken_rig(replace(scale, measurements=1))
+    rig = excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[SCHEMES[FDM]])
     return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(SCHEMES.values())))

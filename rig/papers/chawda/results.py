@@ -18,7 +18,7 @@ from rig.experiments.impedance import ImpedanceResult
 from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import ZWidth
 from rig.papers.chawda.readings import Readings
-from rig.papers.chawda.rigs import KOUL, MAIN, PUSH, READINGS, RIG, SCHEMES, SEED, Scale, shaken_rig
+from rig.papers.chawda.rigs import KOUL, MAIN, PUSH, READINGS, RIG, SCHEMES, SEED, Scale, excited_rig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class Chawda:
     read
         Widths of the four estimators by every reading of every measurement, measurement after measurement.
     map, frictionless
-        Figs. 5 and 7 and Table I: shaken walls under every reading; the same without friction (FDM+filter and FOAW).
+        Figs. 5 and 7 and Table I: excited walls under every reading; the same without friction (FDM+filter and FOAW).
     variants, variant_names
         Levant's differentiator in other discretisations, outputs and C, on coarser walls.
     linear
@@ -82,7 +82,7 @@ class Chawda:
 
     @property
     def runs(self) -> int:
-        """How many times a rig was shaken."""
+        """How many times a rig was excited."""
         grids = (self.map, self.frictionless, self.variants, *self.dual.values())
         return sum(found.grid.runs for found in grids)
 
@@ -196,7 +196,7 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
     """What the numbers come from, the same on every machine."""
-    x = shaken_rig(chawda.scale)
+    x = excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),
         "scale": asdict(chawda.scale),

@@ -224,7 +224,7 @@ QUICK = Scale(
 )
 
 
-def shaken_rig(scale: Scale, changes: Mapping[str, Any] | None = None) -> Experiment:
+def excited_rig(scale: Scale, changes: Mapping[str, Any] | None = None) -> Experiment:
     """The paper's rig with an excitation that holds the bands of every reading."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
@@ -244,7 +244,7 @@ def pushed_rig(rate: int) -> Experiment:
 
 
 def dual_rig(preset: str, scale: Scale) -> Experiment:
-    """One of Koul's rigs, shaken for a shorter time: it is light, so that it settles sooner."""
+    """One of Koul's rigs, excited for a shorter time: it is light, so that it settles sooner."""
     changes = {
         "excitation.low_hz": 2.0,
         "excitation.high_hz": 250.0,

@@ -24,7 +24,7 @@ def summary(chawda: Chawda, claims: Sequence[Claim]) -> tuple[str, ...]:
         f"Of {len(claims)} claims {count[Status.REPRODUCED]} are reproduced, {count[Status.ONLY_WITH]} only under a "
         f"condition, {count[Status.NOT]} are not. Every verdict is computed from the numbers of this run by the rule "
         "beside it.",
-        f"{chawda.runs} shaken runs and {chawda.hits.hits + chawda.slow_hits.hits} wall hits, all simulated: the "
+        f"{chawda.runs} excited runs and {chawda.hits.hits + chawda.slow_hits.hits} wall hits, all simulated: the "
         "paper's rigid mass with viscous and Coulomb friction and a 1 µm encoder, nothing fitted. The paper does not "
         "say over which band, with which tolerance and from which record its passivity test was made; so each "
         f"measured wall is read in {len(chawda.map.grid.readings)} ways, and claims are counted over "

@@ -22,8 +22,8 @@ from rig.control.verdict import CRITERIA
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.operators import GRIPS
-from rig.experiments.bench import Bench
 from rig.experiments.compare import simulate
+from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.ladder import Outcomes, Search, limit_of
 from rig.experiments.sweep import Task
 from rig.experiments.zwidth import TRUE, hit_all, run_climb
@@ -81,11 +81,11 @@ def range_tasks(
 
 def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Largest damping at one stiffness, by criterion: the same search as through stiffnesses, through dampings."""
-    bench = Bench(config.experiment_from_mapping(payload["experiment"], "a range"))
+    simulator = HitSimulator(config.experiment_from_mapping(payload["experiment"], "a range"))
     tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
 
     def hit(damping: float) -> Outcomes:
-        true = bench.hit(payload["stiffness"], damping).true
+        true = simulator.hit(payload["stiffness"], damping).true
         outcomes = {criterion: true.passes(criterion) for criterion in CRITERIA}
         for criterion, passes in outcomes.items():
             tried[criterion][damping] = passes

@@ -96,10 +96,6 @@ def render(found: Analysis, pictures: Mapping[str, bytes]) -> str:
     pictures
         PNGs by name (`rig.views.plots.session.pictures`); one that is not there is told of instead of shown.
 
-    Raises
-    ------
-    ConfigError
-        jinja2 is not installed.
     """
     return fill(
         TEMPLATE,
@@ -124,8 +120,6 @@ def write_session_report(
 
     Raises
     ------
-    ConfigError
-        jinja2 is not installed.
     RecordingError
         The disk refuses.
     """

@@ -1,6 +1,7 @@
-"""Filling a page's template: jinja2 escapes all text, one style sheet for all pages, nothing fetched from anywhere.
+"""Filling templates: jinja2, one style sheet for all pages, nothing fetched from anywhere.
 
-jinja2 comes with the extra ``haptic-rig[report]`` and is imported on use.
+A template has the words, the result that it is given has the numbers, and the filters of `rig.views.report.writing`
+write them: a text is edited without touching Python. A name that a template calls for and does not get is an error.
 """
 
 from __future__ import annotations
@@ -8,47 +9,50 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from rig.core.deferred import jinja2, markupsafe
-from rig.core.errors import ConfigError
+from rig.views.report.writing import FILTERS, FUNCTIONS
 
+HERE = "views/report"
 STYLE_SHEET = "page.css"
 
 
-def check_installed() -> None:
-    """Raise `ConfigError` when jinja2 is missing: better before the work than after it."""
-    try:
-        bool(jinja2.Environment)
-    except ImportError:
-        raise ConfigError(
-            "a report needs jinja2, which is not installed", remedy="pip install 'haptic-rig[report]'"
-        ) from None
-
-
 def fill(template: str, **values: Any) -> str:
-    """Return a page.
+    """Return a page; text that it is given is escaped.
 
     Parameters
     ----------
     template
-        Name of a file of this package.
+        Name of a file of this folder, or a path below `rig` (``papers/koul/page.html.j2``); it may extend others and
+        import their macros.
     values
         What the template calls for; `css` is there already.
-
-    Raises
-    ------
-    ConfigError
-        jinja2 is not installed.
     """
-    check_installed()
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    css = markupsafe.Markup(_text(STYLE_SHEET))
-    page: str = environment.from_string(_text(template)).render(css=css, **values)
+    page: str = _environment(html=True).get_template(template).render(**values)
     return page
+
+
+def fill_text(template: str, **values: Any) -> str:
+    """Return plain text; as `fill`, but nothing is escaped."""
+    text: str = _environment(html=False).get_template(template).render(**values)
+    return text
+
+
+@cache
+def _environment(*, html: bool) -> Any:
+    environment = jinja2.Environment(
+        autoescape=html,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(_text),
+    )
+    environment.filters |= FILTERS
+    environment.globals |= {**FUNCTIONS, "css": markupsafe.Markup(_text(STYLE_SHEET))}
+    return environment
 
 
 def data_uris(pngs: Mapping[str, bytes]) -> dict[str, str]:
@@ -67,4 +71,5 @@ def provenance_lines(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _text(name: str) -> str:
-    return files("rig.views.report").joinpath(name).read_text(encoding="utf-8")
+    path = name if "/" in name else f"{HERE}/{name}"
+    return files("rig").joinpath(path).read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.experiments import zwidth as maps
-from rig.experiments.bench import Bench
+from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.ladder import Search
 from rig.experiments.zwidth import MapPlan, ZWidth, zwidth
 
@@ -219,7 +219,7 @@ def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes, te
 def test_a_handle_that_never_comes_home_says_nothing_and_is_told():
     """Gravity on the end mass drags it off its start for ever: there is no trial to judge."""
     changes = {"rig.mechanics.gravity": 9.81, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
-    bench = Bench(config.override(presets.load("koul-compliant"), changes))
-    hit = bench.hit(300.0, 0.5)
+    simulator = HitSimulator(config.override(presets.load("koul-compliant"), changes))
+    hit = simulator.hit(300.0, 0.5)
     assert hit.true.numbers["ticks"] == 0
     assert [hit.true.passes(criterion) for criterion in ("felt", "heard", "any")] == [None] * 3

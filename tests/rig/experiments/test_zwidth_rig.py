@@ -14,7 +14,7 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError, LinkLostError, PlanError, RigError, StoppedError
 from rig.experiments import zwidth_rig
-from rig.experiments.bench import Bench
+from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.ladder import Search
 from rig.experiments.zwidth import TRUE, MapPlan, zwidth
 from rig.experiments.zwidth_rig import Session, cooling_s, zwidth_on_rig
@@ -69,7 +69,7 @@ def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path):
     # Within homing's tolerance a hit without bytes starts where its seed says; the device starts where it is.
     plan = planned(search=Search(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
     person = Person()
-    start = Bench(plan.experiment).start
+    start = HitSimulator(plan.experiment).start
     found = zwidth_on_rig(plan, person.session(tmp_path, f"sim://?initial_position={start!r}"))
     without_bytes = zwidth(plan)
     assert kinds(found) == kinds(without_bytes)

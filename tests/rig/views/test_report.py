@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
-from rig.core.errors import ConfigError
 from rig.papers.frame import Claim, Finding, Picture, Reproduction, Section, Status, Table
-from rig.papers.page import check_installed, render, write_report
+from rig.papers.page import render, write_report
 
-pytest.importorskip("jinja2")
 NASTY = "</script><script>alert('K < B & \"C\"')</script>"
 PNG = b"\x89PNG\r\n\x1a\nnot a picture"
 
@@ -122,13 +119,6 @@ def test_numbers_are_attached_as_json_that_any_reader_takes(tmp_path: Path) -> N
 
 def test_the_same_reproduction_gives_the_same_bytes() -> None:
     assert render(made_up(), {"drawn": PNG}) == render(made_up(), {"drawn": PNG})
-
-
-def test_without_jinja2_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    for attempt in (check_installed, lambda: render(made_up(), {})):
-        with pytest.raises(ConfigError, match=r"pip install 'haptic-rig\[report\]'"):
-            attempt()
 
 
 def test_claims_are_found_by_key() -> None:

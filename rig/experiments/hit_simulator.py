@@ -17,7 +17,7 @@ from rig.devices.simulated import SimulatedHit
 HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start
 
 
-class Bench:
+class HitSimulator:
     """A simulated rig, ready to be hit at any wall.
 
     Parameters
