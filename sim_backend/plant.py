@@ -249,7 +249,7 @@ def _parameters(model: RigModel, continuous: StateSpace, step_s: float, steps: i
     return parameters
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def _advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
@@ -272,7 +272,7 @@ def _advance_rigid(
     return count
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
@@ -308,7 +308,7 @@ def _advance_two_mass(
     return count
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def advance(
     state: Vector,
     phi: Matrix,

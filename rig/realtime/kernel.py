@@ -163,7 +163,7 @@ def prepare(*functions: Any) -> None:
 
 
 def kernel(
-    signature: Any, *, cache: bool = True, inline: bool = False, borrow: bool = False
+    signature: Any, *, cache: bool = True, inline: bool = False, no_refcount: bool = False
 ) -> Callable[[F], F]:
     """Declare a plain function as compiled: no GIL, cached on disk, one signature, numpy's error model.
 
@@ -176,7 +176,7 @@ def kernel(
         their sources are not part of the key.
     inline
         Ask LLVM to inline small helpers always.
-    borrow
+    no_refcount
         Count no references to array arguments, which the caller holds anyway. numba counts them atomically
         and removes that only from simple control flow; elsewhere it costs some 20 ns a call. Such a kernel
         cannot make or return an array, `carray` included. A kernel that takes a group (`rig.realtime.groups`)
@@ -197,7 +197,7 @@ def kernel(
         "error_model": "numpy",
         "fastmath": False,
         # Each is said, also where it is the default: else it would be that of the kernel that needs this one first.
-        "_nrt": not (borrow or takes_group),
+        "_nrt": not (no_refcount or takes_group),
         "forceinline": inline,
         "no_cfunc_wrapper": takes_group,  # a plug point takes none
     }
