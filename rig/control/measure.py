@@ -270,7 +270,7 @@ def _section(
 
 
 @kernel(types.void(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, NUMBERS_TYPE), no_refcount=True)
-def _ripple_and_swing(
+def _ripple_and_travel(
     position: Floats, effort: Floats, settings: Records, sections: Floats, numbers: Records
 ) -> None:
     """Effort and position above the high pass: heard, growth and moved."""
@@ -289,15 +289,15 @@ def _ripple_and_swing(
     lowest = highest = 0.0
     for k in range(first, ticks):
         ripple, e1, e2 = _section(effort[k] - effort[first], e1, e2, b0, b1, b2, a1, a2)
-        swing, p1, p2 = _section(position[k] - position[first], p1, p2, b0, b1, b2, a1, a2)
+        travelled, p1, p2 = _section(position[k] - position[first], p1, p2, b0, b1, b2, a1, a2)
         if k < begin:
             continue
         if k == begin:
-            lowest = highest = swing
+            lowest = highest = travelled
         if k == half:
             power_of_half, power = power, 0.0
         power += ripple * ripple
-        lowest, highest = min(lowest, swing), max(highest, swing)
+        lowest, highest = min(lowest, travelled), max(highest, travelled)
         if k == calm - 1:
             n["heard_in_stay"] = math.sqrt((power_of_half + power) / (calm - begin))
             n["moved_in_stay"] = max(0.0, highest - lowest - s["resolution"])
@@ -464,7 +464,7 @@ def measure(
         return
     _contact(effort, penetration, settings, numbers)
     _marks(flags, settings, numbers)
-    _ripple_and_swing(position, effort, settings, sections, numbers)
+    _ripple_and_travel(position, effort, settings, sections, numbers)
     s = settings[0]
     n["felt_floor"], n["felt"] = 0.0, math.nan
     if s["resolution"] > 0.0:

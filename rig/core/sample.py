@@ -74,7 +74,7 @@ class RowFlag(IntFlag):
     OUT_OF_WINDOW = 256  # position left the window or speed exceeded its limit: effort zero, run ended
     HOMING_FAILED = 512  # the start was not reached in time: effort zero, run ended
     ENERGY = 1024  # the motor gave more energy than it may: effort zero, run ended
-    VIOLENT = 2048  # the effort swung to and fro between nothing and its limit: effort zero, run ended
+    VIOLENT = 2048  # the effort oscillated between zero and its limit: effort zero, run ended
 
 
 COLUMNS: tuple[Column, ...] = (

@@ -83,9 +83,9 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     ),
     EndReason.VIOLENT: (
         GuardError,
-        "the wall beat the handle: {swings} swings in a row between no effort and its limit, each within {swing_s} s, "
-        "and rig.limits.swings allows fewer; the effort went to zero",
-        "take a softer or more damped wall; rig.limits.swings = 0 never stops one",
+        "the effort oscillated {oscillations} times in a row between zero and its limit, each within {oscillation_s} s "
+        "of the one before, and rig.limits.oscillations allows fewer; the effort went to zero",
+        "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off",
     ),
     EndReason.HOMING_FAILED: (
         GuardError,

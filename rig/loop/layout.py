@@ -35,7 +35,7 @@ class EndReason(IntEnum):
     STUCK = 12  # told to stop, it did not return: law or estimator never came back (set by the caller)
     DEVICE_ENDED = 13  # the law on the device ended the run, the host's, in other arithmetic, did not
     ENERGY = 14  # the motor gave more energy to the handle than it may
-    VIOLENT = 15  # the effort swung to and fro between nothing and its limit
+    VIOLENT = 15  # the effort oscillated between zero and its limit
 
 
 SETTINGS = np.dtype(

@@ -18,7 +18,7 @@ from typing import Any
 from rig.config import Experiment, experiment_from_mapping
 from rig.config.table import parameters
 from rig.core.errors import RigError
-from rig.core.swings import SWINGS
+from rig.core.oscillation import OSCILLATIONS
 from rig.recording.header import checkout
 from rig.session.analysis.agreement import LEAST_PEOPLE
 from rig.session.analysis.analyse import Analysis
@@ -298,14 +298,13 @@ class _Told:
             f"The effort went to zero at once when the handle left its window, went faster than {limits.speed:g} "
             f"{self.unit('velocity')}, or when the operator stopped it."
         ]
-        swings = limits.swings
-        if swings is None and limits.human and self.protocol.trial.kind == "human":
-            swings = SWINGS
-        if swings:
+        oscillations = limits.oscillations
+        if oscillations is None and limits.human and self.protocol.trial.kind == "human":
+            oscillations = OSCILLATIONS
+        if oscillations:
             told.append(
-                f"It also did so after {swings} swings of the effort in a row between nothing and its limit, "
-                "each within "
-                f"{1000 * limits.swing_s:g} ms of the one before."
+                f"It also did so after {oscillations} oscillations of the effort in a row between zero and its limit, "
+                f"each within {1000 * limits.oscillation_s:g} ms of the one before."
             )
         if limits.energy is not None:
             told.append(f"A motor that had given the hand more than {limits.energy:g} J in a trial ended it.")

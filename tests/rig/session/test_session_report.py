@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import rig, session_report
-from rig.core.swings import SWINGS
+from rig.core.oscillation import OSCILLATIONS
 from rig.session.analysis import Options, analyse
 from rig.session.analysis.tables import tables
 from rig.session.state import State
@@ -295,7 +295,7 @@ def test_methods_say_rules_thresholds_order_blinding_seeds_and_versions(found):
     assert found.study.protocol.trial.say in told["Task"]
     assert "faster than 10 rad/s" in told["Safety and rests"]
     assert (
-        f"{SWINGS} swings of the effort in a row" in told["Safety and rests"]
+        f"{OSCILLATIONS} oscillations of the effort in a row" in told["Safety and rests"]
     )  # since a person holds the handle
     assert "up to 0.286 N·m" in told["Apparatus"]  # what the motor gives for hours: no more against a person
     assert not re.search(r"\bnan\b|None|\{|\}|  |\.\.", whole)
