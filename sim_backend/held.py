@@ -154,7 +154,7 @@ def _advance_two_mass(
 def advance_held(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a held plant by one tick under an effort in force; see `sim_backend.plant.advance`."""
+    """Move a held plant by one tick under an active effort; see `sim_backend.plant.advance`."""
     if phi.shape[0] == RIGID_HELD_ORDER:
         return _advance_rigid(state, phi, gamma, parameters, command, external)
     return _advance_two_mass(state, phi, gamma, parameters, command, external)

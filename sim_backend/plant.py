@@ -215,7 +215,7 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     phi = np.ascontiguousarray(whole[np.ix_(states, states)])
     gamma = np.ascontiguousarray(whole[np.ix_(states, range(order, wanted))])
     without_lag = not continuous.a[continuous.effort].any()
-    if without_lag:  # the effort state shows the command in force
+    if without_lag:  # the effort state shows the active command
         phi[continuous.effort, continuous.effort] = 0.0
         gamma[continuous.effort, 0] = 1.0
     return phi, gamma
@@ -341,19 +341,19 @@ def advance(
     Inlined into compiled callers: counting references to its arrays would cost more than a step.
     """
     order = phi.shape[0]
-    in_force = command_effort
+    active = command_effort
     last = state.shape[0] - 1
     if last > order:
-        in_force = state[order + 1]
+        active = state[order + 1]
         for i in range(order + 1, last):
             state[i] = state[i + 1]
         state[last] = command_effort
-    in_force = clip(in_force, parameters[EFFORT_LIMIT])
+    active = clip(active, parameters[EFFORT_LIMIT])
     external = external_effort + parameters[GRAVITY_EFFORT]
     if order == RIGID_ORDER:
-        count = _advance_rigid(state, phi, gamma, parameters, in_force, external)
+        count = _advance_rigid(state, phi, gamma, parameters, active, external)
     elif order == TWO_MASS_ORDER:
-        count = _advance_two_mass(state, phi, gamma, parameters, in_force, external)
+        count = _advance_two_mass(state, phi, gamma, parameters, active, external)
     else:
-        count = advance_held(state, phi, gamma, parameters, in_force, external)
+        count = advance_held(state, phi, gamma, parameters, active, external)
     return int(parameters[SIGN]) * count

@@ -113,7 +113,7 @@ def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
         []
         if summary.loop == "device"
         else [
-            ("commands never seen in force", str(summary.never_in_force)),
+            ("commands never seen active", str(summary.never_active)),
             ("commands sent at the end, unanswered", str(summary.unanswered)),
         ]
     )

@@ -64,7 +64,7 @@ class Limits:
         Quantity(
             "",
             "number of oscillations of the effort in a row, from zero to its limit with the handle moving, "
-            f"that end the run; 0: never; left out: {OSCILLATIONS} in a person's trial (human = true, trial.kind), else never",
+            f"that end the run; 0: never; left out: {OSCILLATIONS} in a person's trial (human = true), else never",
         ),
     ] = None
     oscillation_s: Annotated[

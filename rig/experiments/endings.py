@@ -62,7 +62,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         GuardError,
         "the law on the device ended the run, at position {position} with velocity {velocity}, and the host's, in "
         "other arithmetic, did not: window, speed limit or start; the effort is zero",
-        "check the wall, rig.limits and [homing]; see law_agreement in the recording's trailer",
+        "check the wall, rig.limits and [homing]; see device_host_agreement in the recording's trailer",
     ),
     EndReason.OVERRUN: (
         OverrunError,

@@ -234,7 +234,7 @@ class LoopThread:
         return self._buffers.exchanges[kept]
 
     def parameter_sets(self) -> list[dict[str, Any]]:
-        """Parameter sets that came in force during the run: number, first tick, wall position, the law's parameters."""
+        """Parameter sets that became active during the run: number, first tick, wall position, the law's parameters."""
         count = len(self._controller.law.parameters)
         return [
             {

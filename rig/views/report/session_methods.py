@@ -503,7 +503,7 @@ def analysed_with() -> dict[str, str]:
 
 
 def _rule_text(chosen: Rule) -> str:
-    """What a rule does, with the settings in force."""
+    """What a rule does, with the settings active."""
     match chosen:
         case Ascending():
             return (

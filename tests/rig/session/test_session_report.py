@@ -323,7 +323,7 @@ def test_methods_say_rules_thresholds_order_blinding_seeds_and_versions(found):
         ("grid", {"repeats": 1}, "every one of them 1 time,"),
     ],
 )
-def test_each_rule_is_told_with_the_settings_in_force(rule, settings, words, tmp_path):
+def test_each_rule_is_told_with_the_settings_active(rule, settings, words, tmp_path):
     mapping = protocol(
         search={
             "rule": rule,
