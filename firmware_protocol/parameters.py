@@ -162,7 +162,7 @@ BLOCK_LIMIT = 1024  # a longer block is refused at BEGIN; above one entry for ev
 def check(values: Mapping[str, Value]) -> None:
     """Check names, ranges and rules between parameters; raises `ParameterError`.
 
-    Give all values active for the rules between them: a missing one is taken at its default.
+    Give all active values for the rules between them: a missing one is taken at its default.
     """
     for name, value in values.items():
         _check_one(_by_name(name), value)

@@ -51,7 +51,7 @@ def _packed(dictionary: dictionaries.Dictionary) -> bytes:
 
 
 class Configuration:
-    """Parameters active, and how they change: all of a block between two ticks, or nothing.
+    """Active parameters, and how they change: all of a block between two ticks, or nothing.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Configuration:
     Attributes
     ----------
     values
-        Name → value active.
+        Name → active value.
     crc
         CRC-32 of the active block.
     homed
@@ -103,7 +103,7 @@ class Configuration:
         return self._assembler.chunk(request)
 
     def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:
-        """Put the active block: status, and the parameter that it is about. An armed device takes live ones alone."""
+        """Activate the block: status, and the parameter that it is about. An armed device takes live ones alone."""
         status, block = self._assembler.commit(request)
         if status is not Status.OK:
             return status, 0

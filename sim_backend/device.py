@@ -170,7 +170,7 @@ class SimulatedDevice:
 
     @property
     def current(self) -> int:
-        """Current active, after all limits (quanta)."""
+        """Active current, after all limits (quanta)."""
         return self._limits.current
 
     def _time_of(self, index: int) -> int:

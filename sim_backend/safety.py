@@ -155,7 +155,7 @@ class Limits:
     Attributes
     ----------
     current
-        Current active (quanta).
+        Active current (quanta).
     flags
         `LimitFlag` bits that acted since they were last cleared.
     """

@@ -18,6 +18,7 @@ from rig.bench.doctor.udev import udev_rules
 from rig.bench.doctor.walls import Supported
 from rig.cli import hit_output, options, output
 from rig.core.errors import PlanError
+from rig.core.present import Table
 from rig.core.sample import unit_of
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "problem": ("no", "red")}
@@ -198,7 +199,7 @@ def _print_walls(found: Examination) -> None:
     )
     dampings = next(([b for b, _ in row.k_max] for row in found.walls if row.k_max), [])
     head = ["scheme", "delay", *(f"B = {b:g}" for b in dampings), "because"]
-    output.print_table([head, *(_wall_row(row, len(dampings)) for row in found.walls)])
+    output.print_table(Table(head, [_wall_row(row, len(dampings)) for row in found.walls]))
     for reason in dict.fromkeys(row.reason for row in found.walls if row.reason):
         click.echo(f"  {reason}")
 

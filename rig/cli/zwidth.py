@@ -16,6 +16,7 @@ from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import map_files
 from rig.experiments.plan import STANDS_FOR_DEVICE
@@ -172,7 +173,7 @@ def _print(found: ZWidth) -> None:
             width = found.width(number, criterion)
             label = scheme.label(experiment) if criterion == CRITERIA[0] else ""
             rows.append((label, criterion, *_cells(width)))
-    output.print_table(rows)
+    output.print_table(Table(rows[0], rows[1:]))
     for note in _notes(found):
         click.echo(f"  {note}")
 

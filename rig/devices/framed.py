@@ -137,7 +137,7 @@ class FramedDevice:
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
-        """Put active parameters, all of them or none, and say what is active now.
+        """Activate parameters, all of them or none, and say what is active now.
 
         The device's answer has the CRC of every active parameter. Where it is the one of the values that must be in
         force now, they are known; otherwise (another host was there, or the device holds values of its own) they are
@@ -222,7 +222,7 @@ class FramedDevice:
         raise DeviceRefusedError("the device does not show its encoder count", remedy="update its firmware")
 
     def active_parameters(self) -> dict[str, Value]:
-        """Parameters active, read from the device; nothing changes."""
+        """Active parameters, read from the device; nothing changes."""
         self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
         block = self._read_parameters()
         with self._understood():

@@ -169,8 +169,6 @@ class ExcitedRig:
         latter is where the second actuator pushes: a port, whose phase says whether it is passive.
     acquisition_hz
         Rate at which positions are kept, at least.
-    backend
-        Scheme of the URL of a backend that simulates.
 
     Attributes
     ----------
@@ -184,7 +182,6 @@ class ExcitedRig:
         *,
         signal: Signal = "count",
         acquisition_hz: float = ACQUISITION_HZ,
-        backend: str = "sim",
     ) -> None:
         self.experiment = config.excited(experiment)
         self._signal = signal
@@ -196,7 +193,7 @@ class ExcitedRig:
             current_quantum_a=self._model.amplifier.current_quantum_a,
             law=laws.get("bilateral"),
         )
-        self._excited_plant = devices.excited_simulation(backend)(
+        self._excited_plant = devices.excited_simulation()(
             self._model, 1.0 / rate, acquisition_hz, self._ticks
         )
         self._excitations: dict[int, _Excitation] = {}

@@ -1,4 +1,4 @@
-"""Does the device's current follow the host's law? What is active at a sample beside what the law gave one before.
+"""Device–host agreement: the current active at a sample beside the one that the law gave a sample before.
 
 The two compute in different arithmetic, so they may differ by a little; where a limit, a ramp or a gap acts the device
 is right to differ, and nothing is compared; nor for a while after a gap, until the estimators have forgotten it. STATE

@@ -137,7 +137,7 @@ def say_update(
     """Say what is due of an update: 0, or the negative errno of a broken link.
 
     `mailbox` is the address of that in which updates come, or 0 for a loop without one; `control` is what the host's
-    law has active.
+    law uses.
     """
     v, p = supervised.supervision[0], buffers.progress[0]
     if mailbox == 0:

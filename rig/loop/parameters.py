@@ -39,7 +39,7 @@ def activate(controller: ControllerArguments, values: Any) -> None:
 
 @kernel(types.void(CONTROLLER_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, words: int) -> None:
-    """Put the set that waits active from this tick on, and keep it for a replay."""
+    """Activate the waiting set from this tick on, and keep it for a replay."""
     p, waiting = buffers.progress[0], buffers.waiting
     activate(controller, waiting)
     row = buffers.sets[p["sets"]]
@@ -55,7 +55,7 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
 
 @kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, BUFFERS_TYPE, types.int64))
 def renew_parameters(controller: ControllerArguments, shared: Shared, buffers: Buffers, tick: int) -> None:
-    """Look into the mailbox, and put what waits active, from this tick on, if the handle is in free space."""
+    """Look into the mailbox, and activate what waits, from this tick on, if the handle is in free space."""
     if shared.mailbox == 0:
         return
     p, waiting, control = buffers.progress[0], buffers.waiting, controller.control

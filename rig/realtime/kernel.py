@@ -1,7 +1,7 @@
 """The one decorator of every compiled function of this project, and the key of its disk cache.
 
 numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
-another file leaves the caller's old machine code active, which for a control law is silently wrong. So
+another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
 the cache directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of
 numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
 a month are removed. Whoever edits a command or an experiment does not wait for the compiler.

@@ -316,7 +316,7 @@ def _unanswered(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
 def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
     """Place of the first row that shows each row's active command, −1 for none; commands passed over; unanswered.
 
-    A active command was sent before the row that shows it, at most half a round of the sequence numbers before.
+    An active command was sent before the row that shows it, at most half a round of the sequence numbers before.
     """
     shown_at = np.full(len(rows), -1, np.int64)
     if not len(rows):

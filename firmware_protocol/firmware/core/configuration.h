@@ -48,7 +48,7 @@ struct refusal configuration_check(struct candidate *candidate, const struct boa
 /* Write the entry of a parameter, by its index. */
 void configuration_entry(const uint32_t *values, size_t index, uint8_t *entry);
 
-/* Put one active parameter; the CRC is left to the caller. */
+/* Activate one parameter; the CRC is left to the caller. */
 void configuration_put(struct configuration *configuration, const struct candidate *candidate, size_t index);
 
 void configuration_activate(struct configuration *configuration, const struct candidate *candidate);

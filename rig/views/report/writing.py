@@ -68,6 +68,16 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
+def shortest(value: float) -> str:
+    """A number that somebody chose, in its shortest form."""
+    return f"{value:g}"
+
+
+def numbers(values: Iterable[float]) -> list[str]:
+    """Numbers in their shortest form."""
+    return [shortest(value) for value in values]
+
+
 def listed(words: Iterable[Any], last: str = "and") -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     *first, end = [str(word) for word in words] or [""]
@@ -83,7 +93,8 @@ def _minus(text: str) -> str:
     return text.replace("-", MINUS)
 
 
-FILTERS: Mapping[str, Callable[..., str]] = {
+FILTERS: Mapping[str, Callable[..., Any]] = {
+    "g": shortest,
     "number": number,
     "signed": signed,
     "percent": percent,
@@ -93,6 +104,7 @@ FILTERS: Mapping[str, Callable[..., str]] = {
     "length": length,
     "counted": counted,
     "listed": listed,
+    "numbers": numbers,
     "sentence": sentence,
 }
 FUNCTIONS: Mapping[str, Callable[..., str]] = {"interval": interval}
