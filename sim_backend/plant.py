@@ -7,7 +7,7 @@ same arrays and so to the same bits.
 
 **State.** Everything that changes lives in one flat array, so that copying it copies the plant: the states of
 `rig.core.model.state_space`, what a person who holds the handle wants (position, velocity, press; see
-`sim_backend.held`), then the age of the last encoder edge (s), then the commands still on their way, oldest
+`sim_backend.coupled_hand`), then the age of the last encoder edge (s), then the commands still on their way, oldest
 first.
 
 **Friction.** In each inner step a friction effort is held, like the inputs, at the value that brings its mass
@@ -34,7 +34,7 @@ from rig.core.errors import ConfigError
 from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
-from sim_backend.held import INTENTIONS, advance_held
+from sim_backend.coupled_hand import INTENTIONS, advance_coupled
 from sim_backend.inner import (
     ADVANCE,
     COULOMB,
@@ -355,5 +355,5 @@ def advance(
     elif order == TWO_MASS_ORDER:
         count = _advance_two_mass(state, phi, gamma, parameters, active, external)
     else:
-        count = advance_held(state, phi, gamma, parameters, active, external)
+        count = advance_coupled(state, phi, gamma, parameters, active, external)
     return int(parameters[SIGN]) * count

@@ -57,7 +57,7 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
         if drawn is not None:
             click.echo(f"picture\n  {drawn}")
     if failure is not None:
-        failure.told = as_json
+        failure.reported = as_json
         raise failure
 
 

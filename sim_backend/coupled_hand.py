@@ -33,7 +33,7 @@ from sim_backend.inner import (
 from sim_backend.sensors import cell
 
 INTENTIONS = 3  # intended position, intended velocity, press
-RIGID_HELD_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
+RIGID_COUPLED_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
 
 _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
@@ -151,10 +151,10 @@ def _advance_two_mass(
 
 
 @kernel(ADVANCE, no_refcount=True)
-def advance_held(
+def advance_coupled(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
     """Move a held plant by one tick under an active effort; see `sim_backend.plant.advance`."""
-    if phi.shape[0] == RIGID_HELD_ORDER:
+    if phi.shape[0] == RIGID_COUPLED_ORDER:
         return _advance_rigid(state, phi, gamma, parameters, command, external)
     return _advance_two_mass(state, phi, gamma, parameters, command, external)
