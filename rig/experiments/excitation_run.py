@@ -320,7 +320,7 @@ def bound_share(recording: Recording) -> float:
 def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
     """Ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
 
-    A command that answers sample k is in force at sample k + 1 when nothing is late.
+    A command that answers sample k is active at sample k + 1 when nothing is late.
     """
     count = min(LONGEST_DELAY, len(sent) - 2)
     same = [np.mean(sent[: len(sent) - 1 - d] == applied[1 + d :]) for d in range(max(1, count))]
