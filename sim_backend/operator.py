@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rig.core.model import Operator, Reach, RigModel
 from rig.realtime.groups import FloatRows, Int, group
-from sim_backend.held import INTENTIONS
+from sim_backend.coupled_hand import INTENTIONS
 
 Rows = NDArray[np.float64]
 
@@ -78,13 +78,13 @@ def _written(
     homing_rate = np.where(left > 0.0, math.copysign(reach.pace, reach.start - position), 0.0)
     part, part_rate = _raised_cosine((t - begin_s) / operator.reach_s)
     part_rate = part_rate / operator.reach_s
-    shake, shake_rate = tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
+    tremble, tremble_rate = tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
     swell = 1.0 + operator.press_modulation * np.sin(2.0 * math.pi * PRESS_HZ * (t - begin_s))
 
     travel = reach.target - reach.start
     rows = np.empty((len(t), INTENTIONS))
-    rows[:, 0] = reach.start + homing + travel * part + shake * part
-    rows[:, 1] = homing_rate + travel * part_rate + shake_rate * part + shake * part_rate
+    rows[:, 0] = reach.start + homing + travel * part + tremble * part
+    rows[:, 1] = homing_rate + travel * part_rate + tremble_rate * part + tremble * part_rate
     rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
     return Script(rows=rows, again=lead)
 

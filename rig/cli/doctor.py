@@ -12,13 +12,14 @@ from rig import config
 from rig.bench.doctor.examine import Examination, Question, examine
 from rig.bench.doctor.finding import Finding
 from rig.bench.doctor.gate import Gate
-from rig.bench.doctor.quantiles import Distribution, Quantile
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.bench.doctor.udev import udev_rules
 from rig.bench.doctor.walls import Supported
 from rig.cli import hit_output, options, output
 from rig.core.errors import PlanError
+from rig.core.present import Table
 from rig.core.sample import unit_of
+from rig.recording.quantiles import Distribution, Quantile
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "problem": ("no", "red")}
 
@@ -71,11 +72,11 @@ def doctor(
     else:
         _print(found)
     if found.error is not None:
-        found.error.told = as_json
+        found.error.reported = as_json
         raise found.error
     if not found.armable and found.gate is not None:
         refused = PlanError("the wall of this experiment must not be armed here", remedy=found.gate.remedy)
-        refused.told = as_json
+        refused.reported = as_json
         raise refused
 
 
@@ -198,7 +199,7 @@ def _print_walls(found: Examination) -> None:
     )
     dampings = next(([b for b, _ in row.k_max] for row in found.walls if row.k_max), [])
     head = ["scheme", "delay", *(f"B = {b:g}" for b in dampings), "because"]
-    output.print_table([head, *(_wall_row(row, len(dampings)) for row in found.walls)])
+    output.print_table(Table(head, [_wall_row(row, len(dampings)) for row in found.walls]))
     for reason in dict.fromkeys(row.reason for row in found.walls if row.reason):
         click.echo(f"  {reason}")
 

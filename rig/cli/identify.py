@@ -23,16 +23,20 @@ from rig.views.plots.identify import draw_identification
 @click.argument("file", required=False, type=click.Path(path_type=Path))
 @click.option("--rig", "preset", metavar="NAME", help="Built-in rig, when no FILE is given.")
 @click.option(
-    "--rate", metavar="HZ", help="Rate of the loop while shaking: 20k. It bounds the band to 0.15 of it."
+    "--rate",
+    metavar="HZ",
+    help="Rate of the loop while it is excited: 20k. It bounds the band to 0.15 of it.",
 )
 @click.option(
     "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Any other key: --set rig.limits.speed=5."
 )
 @click.option("--url", help="Device: serial:///dev/ttyACM0, sim://. [simulates the rig in this process]")
 @click.option("--verified", is_flag=True, help="On a real rig: a push of the wrong sign can hurt nothing.")
-@click.option("--realisations", type=int, default=6, show_default=True, help="How often the rig is shaken.")
-@click.option("--period", "period_s", type=float, default=0.5, show_default=True, help="Of the shaking (s).")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the phases of the shaking.")
+@click.option("--realisations", type=int, default=6, show_default=True, help="How often the rig is excited.")
+@click.option(
+    "--period", "period_s", type=float, default=0.5, show_default=True, help="Of the excitation (s)."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the phases of the excitation.")
 @click.option(
     "-o", "--output", "file_out", type=click.Path(path_type=Path), help="Experiment file to write (TOML)."
 )
@@ -67,8 +71,8 @@ def identify(
     """Identify a rig: signs, friction, inertia, damping, delay, and the first structural mode.
 
     Moves the free handle, without its end mass: small pushes that stop after a few counts whatever the signs are, slow
-    strokes at constant speeds, and shaking by random-phase multisines. FILE or --rig describes the rig as far as it is
-    known; limits of effort, speed and window in it are kept, and checked before anything moves. Every motion is
+    strokes at constant speeds, and excitation by random-phase multisines. FILE or --rig describes the rig as far as it
+    is known; limits of effort, speed and window in it are kept, and checked before anything moves. Every motion is
     recorded. Keep hands off the handle.
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))

@@ -41,7 +41,7 @@ DEFAULT_PRESET = "chawda-linear"
     help="uniform:1k,estimator=kalman, dual:20k/2k …; repeat it. [the experiment's]",
 )  # fmt: skip
 @click.option(
-    "--channel", type=click.Choice(["external", "motor"]), help="Who shakes. [external; with --url motor]"
+    "--channel", type=click.Choice(["external", "motor"]), help="Who excites. [external; with --url motor]"
 )
 @click.option("--kind", type=click.Choice(["schroeder", "random"]), help="Phases of the multisine. [random]")
 @click.option("--band", metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]")
@@ -62,7 +62,7 @@ DEFAULT_PRESET = "chawda-linear"
 @click.option("--realtime", is_flag=True, help="With --url sim://: as a process, in real time.")
 @click.option("--verified", is_flag=True, help="Encoder and motor signs of this real rig were checked.")
 @options.arm_anyway_option
-@click.option("--yes", is_flag=True, help="Do not ask before a real device is shaken.")
+@click.option("--yes", is_flag=True, help="Do not ask before a real device is excited.")
 @click.option(
     "-o", "--output", "directory", type=click.Path(path_type=Path), default=Path("impedances"), show_default=True
 )  # fmt: skip
@@ -86,16 +86,16 @@ def impedance(
     directory: Path,
     plot: bool,
     as_json: bool,
-    **shaking: Any,
+    **excitation: Any,
 ) -> None:
-    """Measure the impedance that a rig renders: shake it about a wall, and judge passivity and fidelity line by line.
+    """Measure the impedance that a rig renders: excite it about a wall, and judge passivity and fidelity line by line.
 
     Without arguments: the bare rig chawda-linear and its wall, simulated, as in Fig. 4 and Fig. 6 of Chawda et al.
-    With --url the rig's own motor shakes, and every run is recorded.
+    With --url the rig's own motor excites, and every run is recorded.
     """
     preset = preset or options.preset_of(url, file) or (None if file else DEFAULT_PRESET)
     experiment = options.chosen_experiment(file, preset)
-    experiment = config.override(experiment, _changes(url, **shaking))
+    experiment = config.override(experiment, _changes(url, **excitation))
     walls = _walls(experiment, stiffness, damping, bare)
     judging = measuring.Judging(band_hz=None if judged is None else _band(judged, "--judged"))
     parsed = tuple(Scheme.parse(text) for text in schemes)
@@ -131,20 +131,20 @@ def impedance(
             f"the guard ended every run: {results[0].ended}",
             remedy="take a softer wall or a smaller excitation",
         )
-        error.told = as_json
+        error.reported = as_json
         raise error
 
 
-def _changes(url: str | None, **shaking: Any) -> dict[str, Any]:
+def _changes(url: str | None, **excitation: Any) -> dict[str, Any]:
     """What the options say, by dotted key."""
-    sets, band, kind = shaking.pop("sets"), shaking.pop("band"), shaking["kind"]
+    sets, band, kind = excitation.pop("sets"), excitation.pop("band"), excitation["kind"]
     changed = options.changes(None, sets)
-    if shaking["channel"] is None and url is not None:
-        shaking["channel"] = "motor"
-    if kind == "schroeder" and shaking["realisations"] is None:
-        shaking["realisations"] = 1
-    shaking["rms"] = shaking.pop("amplitude")
-    changed |= {f"excitation.{key}": value for key, value in shaking.items() if value is not None}
+    if excitation["channel"] is None and url is not None:
+        excitation["channel"] = "motor"
+    if kind == "schroeder" and excitation["realisations"] is None:
+        excitation["realisations"] = 1
+    excitation["rms"] = excitation.pop("amplitude")
+    changed |= {f"excitation.{key}": value for key, value in excitation.items() if value is not None}
     if band is not None:
         changed["excitation.low_hz"], changed["excitation.high_hz"] = _band(band, "--band")
     return changed
@@ -204,7 +204,7 @@ def _progress(quiet: bool) -> Any:
         return None
 
     def told(done: int, total: int) -> None:
-        click.echo(f"\rshaken {done} of {total} times ", nl=done == total, err=True)
+        click.echo(f"\rexcited {done} of {total} times ", nl=done == total, err=True)
 
     return told
 
@@ -213,7 +213,7 @@ def _agrees(experiment: Experiment) -> bool:
     motion, wall = experiment.rig.motion, experiment.wall
     stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)
     return click.confirm(
-        f"Shake {experiment.rig.name} about a wall of {wall.stiffness:g} {stiffness}, {wall.damping:g} {damping}?",
+        f"Excite {experiment.rig.name} about a wall of {wall.stiffness:g} {stiffness}, {wall.damping:g} {damping}?",
         err=True,
     )
 

@@ -10,6 +10,7 @@ import click
 
 from rig.cli import hit_output, maps, output
 from rig.cli.progress import SweepBar
+from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import map_files
 from rig.experiments.kmax import KMax, kmax_plan
@@ -82,7 +83,7 @@ def _print(found: KMax) -> None:
         rows.append(
             (f"{rate}", *(f"{'≥ ' if b.capped else ''}{b.stiffness:.4g} ± {b.deviation:.2g}" for b in row))
         )
-    output.print_table(rows)
+    output.print_table(Table(rows[0], rows[1:]))
     for name in curves:
         ratio = found.saturation(name)
         if ratio is not None:

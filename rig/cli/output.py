@@ -3,49 +3,81 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from typing import Any, cast
 
 import click
 
+from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
+from rig.core.present import Item, Row, Table, plain
 
 _COLOURS = {"stable": "green", "limit cycle": "yellow", "unstable": "red", "invalid": "magenta"}
+_MARKS = {
+    Outcome.OK: ("ok", "green"),
+    Outcome.WARNING: ("!!", "yellow"),
+    Outcome.REFUSED: ("no", "red"),
+    Outcome.SKIPPED: ("--", "cyan"),
+}
 
 
-def print_json(value: Any) -> None:
-    """One JSON document on standard output; what is not finite becomes null."""
-    click.echo(json.dumps(_finite(value), ensure_ascii=False, indent=2))
+def print_json(result: Any) -> None:
+    """One JSON document on standard output, by `rig.core.present.plain`."""
+    click.echo(json.dumps(plain(result), ensure_ascii=False, indent=2))
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return value
+def show(items: Iterable[Item]) -> None:
+    """Print headings, rows, tables and checks; rows that follow each other are aligned."""
+    for kind, some in groupby(items, type):
+        if kind is Row:
+            print_rows(cast("list[Row]", list(some)))
+            continue
+        for item in some:
+            match item:
+                case Table():
+                    print_table(item)
+                case Check():
+                    print_check(item)
+                case _:
+                    click.echo(item)
 
 
-def print_pairs(pairs: list[tuple[str, str]]) -> None:
+def print_rows(rows: Sequence[Row]) -> None:
+    """Label and text, one row a line, aligned."""
+    print_pairs([(row.label, row.text) for row in rows])
+
+
+def print_pairs(pairs: Sequence[tuple[str, str]]) -> None:
     """Name and value, one pair a line, aligned."""
     width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
         click.echo(f"  {name:<{width}}  {value}")
 
 
-def print_table(rows: Sequence[Sequence[str]]) -> None:
-    """Rows of texts in aligned columns, the first of them left, the others right; the first row is the head."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        first, *others = (
-            cell.ljust(w) if i == 0 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+def print_table(table: Table) -> None:
+    """Aligned columns: words left, numbers right; the caption stands above as a heading."""
+    lines = [list(table.head), *table.cells]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.head))]
+    if table.caption:
+        click.echo(table.caption)
+    for line in lines:
+        aligned = (
+            cell.ljust(w) if i < table.words else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(line, widths, strict=True))
         )
-        click.echo("  " + "  ".join([first, *others]).rstrip())
+        click.echo("  " + "  ".join(aligned).rstrip())
+
+
+def print_check(check: Check) -> None:
+    """Mark, name, text; why it matters and what to do unless it is ok."""
+    mark, colour = _MARKS[check.outcome]
+    click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {check.text}")
+    if check.outcome is not Outcome.OK:
+        for line in (check.why, check.remedy):
+            if line:
+                click.echo(f"       {line}")
 
 
 def duration(value_ns: float) -> str:

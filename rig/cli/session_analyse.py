@@ -12,6 +12,7 @@ import click
 
 from rig.cli import output
 from rig.cli.session_report import write_report
+from rig.core.present import Table
 from rig.session.analysis import Analysis, Options, write_tables
 from rig.session.analysis import analyse as found_in
 
@@ -126,9 +127,9 @@ def show(found: Analysis) -> None:
             "Person and automatic verdict (Cohen's κ; walls near the limit are asked most, so it reads low):"
         )
         output.print_table(
-            [
+            Table(
                 ("", "κ", "95 %", "over", "same", "trials"),
-                *(
+                [
                     (
                         one.name + (", weighted" if one.weights == "quadratic" else ""),
                         _share(one.kappa),
@@ -138,8 +139,8 @@ def show(found: Analysis) -> None:
                         str(one.trials),
                     )
                     for one in kappas
-                ),
-            ]
+                ],
+            )
         )
         for problem in dict.fromkeys(one.problem for one in kappas if one.problem):
             click.echo(f"  no interval: {problem}")
@@ -147,9 +148,9 @@ def show(found: Analysis) -> None:
     if slopes:
         click.echo("Along the session, exploratory:")
         output.print_table(
-            [
+            Table(
                 ("", "slope", "95 %", "p (Holm)"),
-                *(
+                [
                     (
                         f"{one.of} for each {_WORDS[one.along]}",
                         f"{one.slope:.3g}",
@@ -157,8 +158,8 @@ def show(found: Analysis) -> None:
                         _p(one.holm),
                     )
                     for one in slopes
-                ),
-            ]
+                ],
+            )
         )
 
 
@@ -184,15 +185,15 @@ def _show_limits(found: Analysis) -> None:
         click.echo(f"No complete run has a limit by {measure}.")
         return
     click.echo(f"K_max by {measure} ({unit}), over participants:")
-    output.print_table([("", "mean", "95 %", "SD", "people", "runs"), *rows])
+    output.print_table(Table(("", "mean", "95 %", "SD", "people", "runs"), rows))
     people = [one for one in found.of_participants if one.measure == measure]
     if len(found.study.sessions) > _FEW:
         return
     click.echo(f"K_max by {measure} ({unit}), each participant:")
     output.print_table(
-        [
+        Table(
             ("", "mean", "95 %", "of", "bootstrap", "runs"),
-            *(
+            [
                 (
                     f"{one.participant}, {one.condition}, B = {one.damping:g}",
                     f"{_bound(one.above, one.below)}{one.mean:.4g}",
@@ -202,8 +203,8 @@ def _show_limits(found: Analysis) -> None:
                     str(one.repeats),
                 )
                 for one in people
-            ),
-        ]
+            ],
+        )
     )
 
 
@@ -229,7 +230,7 @@ def _show_differences(found: Analysis) -> None:
             )
             for one in contrasts
         ]
-        output.print_table([("", "mean", "95 %", "p (Holm)", "beyond the levels"), *rows])
+        output.print_table(Table(("", "mean", "95 %", "p (Holm)", "beyond the levels"), rows))
     for note in () if model is None else model.notes:
         click.echo(f"  {note}")
 

@@ -8,8 +8,10 @@ import click
 
 from rig.cli import options, output
 from rig.core.errors import RigError
+from rig.core.present import Table
 from rig.experiments.timing import timing_of
-from rig.recording.timing import LATENESS, STAGES, Quantile, TimingSummary
+from rig.recording.quantiles import Quantile
+from rig.recording.timing import LATENESS, STAGES, TimingSummary
 from rig.views.plots.timing import draw_timing
 
 _COUNTS = {
@@ -56,14 +58,15 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
         if drawn is not None:
             click.echo(f"picture\n  {drawn}")
     if failure is not None:
-        failure.told = as_json
+        failure.reported = as_json
         raise failure
 
 
 def _print(recording: Path, summary: TimingSummary) -> None:
     rate = f"one every {output.duration(summary.period_ns)}"
     click.echo(f"{recording}: {summary.ticks} ticks in {summary.duration_s:.4g} s, {rate}")
-    output.print_table([("stage", "ticks", "least", "p50", "p99", "p99.9", "longest"), *_stages(summary)])
+    head = ("stage", "ticks", "least", "p50", "p99", "p99.9", "longest")
+    output.print_table(Table(head, _stages(summary)))
     if summary.loop == "device":
         click.echo("law on the device")
         output.print_pairs(_on_device(summary))
@@ -113,7 +116,7 @@ def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
         []
         if summary.loop == "device"
         else [
-            ("commands never seen in force", str(summary.never_in_force)),
+            ("commands never seen active", str(summary.never_active)),
             ("commands sent at the end, unanswered", str(summary.unanswered)),
         ]
     )
@@ -151,11 +154,11 @@ def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
     return pairs
 
 
-def _worst(summary: TimingSummary) -> list[tuple[str, ...]]:
+def _worst(summary: TimingSummary) -> Table:
     names = ("transport_in", "law", "send", "transport_out", "whole", LATENESS)
-    rows: list[tuple[str, ...]] = [("tick", "at", "in", "law", "send", "out", "whole", "late")]
+    rows = []
     for bad in summary.worst:
         lengths = (bad.stages[name] for name in names)
         shown = ("?" if length is None else output.duration(length) for length in lengths)
         rows.append((str(bad.tick), f"{bad.time_s:.4f} s", *shown))
-    return rows
+    return Table(("tick", "at", "in", "law", "send", "out", "whole", "late"), rows)

@@ -16,6 +16,7 @@ from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import map_files
 from rig.experiments.plan import STANDS_FOR_DEVICE
@@ -77,7 +78,7 @@ def zwidth(
     domain: str,
     **push: Any,
 ) -> None:
-    """Map the walls (K, B) that a rig renders stably, by hitting them; or passively, by shaking it.
+    """Map the walls (K, B) that a rig renders stably, by hitting them; or passively, by exciting it.
 
     Without arguments: Fig. 6 of Koul et al. on the simulated rig koul-compliant in a simulated hand. A map that was
     stopped goes on when the same command is given again.
@@ -86,15 +87,15 @@ def zwidth(
     into the wall, the motor cools. Every hit is recorded.
 
     With --domain frequency: Figs. 5 to 8 and Table I of Chawda et al. on the simulated rig chawda-linear. Every wall of
-    a grid (-K and -B as first:last:count) is shaken; where its impedance is passive, its fidelity is the colour.
+    a grid (-K and -B as first:last:count) is excited; where its impedance is passive, its fidelity is the colour.
     """
     refuse_of_the_other(domain)
-    shaking = {name: push.pop(name) for name in FREQUENCY_ONLY}
+    excitation = {name: push.pop(name) for name in FREQUENCY_ONLY}
     if domain == "frequency":
         map_frequency(
             file=file, preset=preset, schemes=schemes, stiffness=stiffness, damping=damping, judged=judged,
             directory=directory, plot=plot, as_json=as_json, workers=workers, scheduler=scheduler,
-            sets=push["sets"], seed=push["seed"], **shaking,
+            sets=push["sets"], seed=push["seed"], **excitation,
         )  # fmt: skip
         return
     device = url is not None or realtime
@@ -172,7 +173,7 @@ def _print(found: ZWidth) -> None:
             width = found.width(number, criterion)
             label = scheme.label(experiment) if criterion == CRITERIA[0] else ""
             rows.append((label, criterion, *_cells(width)))
-    output.print_table(rows)
+    output.print_table(Table(rows[0], rows[1:]))
     for note in _notes(found):
         click.echo(f"  {note}")
 

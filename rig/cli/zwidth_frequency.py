@@ -16,6 +16,7 @@ from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.core.present import Table
 from rig.core.sample import unit_of
 from rig.experiments import frequency_files as files
 from rig.experiments.boundary_search import Comparison
@@ -35,7 +36,7 @@ FREQUENCY_ONLY = (
     "band", "judged_band", "realisations", "periods", "amplitude", "z_score", "residual_threshold"
 )  # fmt: skip
 TIME_ONLY = {
-    "operator": "nobody holds a rig that is shaken: drop --operator",
+    "operator": "nobody holds a rig that is excited: drop --operator",
     "effort": "nothing pushes: --amplitude is the size of the excitation",
     "way": "the grid is exhaustive, and the paper's search is shown beside it: drop --search",
     "ratio": "give the stiffnesses as first:last:count",
@@ -112,10 +113,10 @@ def map_frequency(
     as_json: bool,
     workers: int | None,
     scheduler: str | None,
-    **shaking: Any,
+    **options: Any,
 ) -> None:
     """Map a simulated rig and print what came of it."""
-    experiment = _chosen(file, preset, **shaking)
+    experiment = _chosen(file, preset, **options)
     signal = None if judged is None else "truth" if judged == "true" else "count"
     judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
     plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
@@ -197,11 +198,11 @@ def _print(found: FrequencyMap, table: TableOne) -> None:
     ]
     for number, row in enumerate(table.rows):
         rows += _scheme_lines(_short(number, row), row, table.realisations)
-    output.print_table(rows)
+    output.print_table(Table(rows[0], rows[1:]))
     _print_common(table)
     rows = [("boundary search", "walls", "of", "K", "above", "below", "unseen", "ended by")]
     rows += [_search_line(_short(number, row), row.search, found) for number, row in enumerate(table.rows)]
-    output.print_table(rows)
+    output.print_table(Table(rows[0], rows[1:]))
     for note in _notes(table):
         click.echo(f"  {note}")
 
@@ -257,7 +258,7 @@ def _print_common(table: TableOne) -> None:
     for number in table.comparable:
         row = table.rows[number]
         rows.append((_short(number, row), *map(_spread, row.common), _spread(row.common_mean)))
-    output.print_table(rows)
+    output.print_table(Table(rows[0], rows[1:]))
 
 
 def _notes(table: TableOne) -> list[str]:

@@ -15,10 +15,10 @@ from rig.config.derive import (
     check_plugins,
     excitation_s,
     excitation_size,
+    excited,
     motor_push,
     push_at_rest,
     rig_model,
-    shaken,
     verdict_limits,
 )
 from rig.config.load import (
@@ -63,6 +63,7 @@ __all__ = [
     "describe",
     "excitation_s",
     "excitation_size",
+    "excited",
     "experiment_from_mapping",
     "json_schema",
     "load_experiment",
@@ -71,7 +72,6 @@ __all__ = [
     "push_at_rest",
     "realtime_changes",
     "rig_model",
-    "shaken",
     "verdict_limits",
     "with_realtime",
     "with_values",

@@ -53,7 +53,7 @@ def _reach(x: Experiment) -> Reach:
 
 
 def motor_push(experiment: Experiment) -> float:
-    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation shakes."""
+    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation excites."""
     return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
 
 
@@ -93,13 +93,13 @@ def excitation_size(experiment: Experiment) -> Size:
 
 
 def excitation_s(experiment: Experiment) -> tuple[float, float]:
-    """Length of a shaken run, and of the part before the analysed periods (s)."""
+    """Length of an excited run, and of the part before the analysed periods (s)."""
     given = experiment.excitation
     return (given.settle_periods + given.periods) * given.period_s, given.settle_periods * given.period_s
 
 
-def shaken(experiment: Experiment) -> Experiment:
-    """Return the experiment as a shaken run: it starts at the wall, nothing pushes, and it lasts as long as it must."""
+def excited(experiment: Experiment) -> Experiment:
+    """Return the experiment as an excited run: it begins at the wall, nothing pushes, it lasts as long as it must."""
     trial = replace(
         experiment.trial,
         kind="excitation",

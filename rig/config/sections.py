@@ -18,9 +18,9 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 
 from rig.core.model import Amplifier, Encoder, Mechanics, Operator, Simulation
 from rig.core.operators import GRIPS
+from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.quantity import STRICT, Quantity
 from rig.core.sample import Motion
-from rig.core.swings import SWING_S, SWINGS
 
 Setting = bool | int | float | str
 
@@ -57,19 +57,22 @@ class Limits:
             "J", "a motor that has given the handle more than this in a trial ends it; left out: no limit"
         ),
     ] = None
-    swings: Annotated[
+    oscillations: Annotated[
         int | None,
         Ge(0),
         Le(1000),
         Quantity(
             "",
-            "so many swings of the effort in a row, from nothing to its limit with the handle moving, end the run; 0: "
-            f"never; left out: {SWINGS} in a person's trial (human = true, trial.kind), else never",
+            "number of oscillations of the effort in a row, from zero to its limit with the handle moving, "
+            f"that end the run; 0: never; left out: {OSCILLATIONS} in a person's trial (human = true), else never",
         ),
     ] = None
-    swing_s: Annotated[
-        float, Gt(0), Le(1), Quantity("s", "a swing no later than this after the one before is in a row")
-    ] = SWING_S
+    oscillation_s: Annotated[
+        float,
+        Gt(0),
+        Le(1),
+        Quantity("s", "longest time between two oscillations in a row"),
+    ] = OSCILLATION_S
     human: Annotated[
         bool, Quantity("", "a person holds the handle, so effort may not exceed nominal_effort")
     ] = True
@@ -264,7 +267,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Excitation:
-    """What shakes the handle when an impedance is measured: a multisine, whole periods of it.
+    """What excites the handle when an impedance is measured: a multisine, whole periods of it.
 
     Its lines are all multiples of 1/period_s in the band. The wall is bilateral meanwhile, about wall.position.
     """
@@ -303,7 +306,7 @@ class Excitation:
     channel: Annotated[
         Literal["external", "motor"],
         Quantity(
-            "", "who shakes: a second actuator (in simulation), or the rig's own motor on top of the wall"
+            "", "who excites: a second actuator (in simulation), or the rig's own motor on top of the wall"
         ),
     ] = "external"
     seed: Annotated[int, Ge(0), Le(2**63 - 1), Quantity("", "seed of random phases")] = 0

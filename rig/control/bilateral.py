@@ -1,4 +1,4 @@
-"""Laws for measuring an impedance: a spring and a damper on both sides of a point, and the same while it is shaken.
+"""Laws for measuring an impedance: a spring and a damper on both sides of a point, and the same while it is excited.
 
 A wall with a free side is not linear, so a measurement is made about a point inside a wall that also pulls. The rig's
 own motor may play an excitation on top: one period of efforts in the law's parameters, played by elapsed ticks and
@@ -26,9 +26,9 @@ STIFFNESS, DAMPING = range(2)  # parameters of both laws
 RAMP_TICKS, TABLE = (
     2,
     3,
-)  # further ones of the shaken wall: length of its beginning, then one period of reactions
-PLAYED = 1  # state of the shaken wall: tick of the excitation, plus one; 0 before the first
-SHAKEN_STATE = 2
+)  # further ones of the excited wall: length of its beginning, then one period of reactions
+PLAYED = 1  # state of the excited wall: tick of the excitation, plus one; 0 before the first
+EXCITED_STATE = 2
 
 
 @kernel(types.float64(types.int64, types.int64), inline=True)
@@ -49,7 +49,7 @@ def bilateral(
 
 
 @kernel(LAW_SIGNATURE)
-def shaken(
+def excited(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
     """Reaction of the bilateral wall plus that of the table, for the ticks since the law began (N·m or N).
@@ -71,7 +71,7 @@ def bilateral_law() -> Law:
     return Law("bilateral", "spring and damper on both sides", bilateral, 1, design)
 
 
-def shaken_law(
+def excited_law(
     efforts: ArrayLike = (0.0,), ramp_ticks: int = 0, device: Mapping[str, int] | None = None
 ) -> Law:
     """Return the bilateral wall with an excitation that the rig's own motor plays.
@@ -88,10 +88,10 @@ def shaken_law(
     table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
 
     def designed(wall: Mapping[str, Any]) -> list[float]:
-        return design_shaken(wall, table, ramp_ticks)
+        return design_excited(wall, table, ramp_ticks)
 
-    summary = "bilateral, and shaken by the rig's own motor"
-    return Law("shaken", summary, shaken, SHAKEN_STATE, designed, dict(device or {}))
+    summary = "bilateral, and excited by the rig's own motor"
+    return Law("excited", summary, excited, EXCITED_STATE, designed, dict(device or {}))
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
@@ -99,14 +99,14 @@ def design(wall: Mapping[str, Any]) -> list[float]:
     return [wall["stiffness"], wall["damping"]]
 
 
-def design_shaken(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
-    """Parameters of the shaken wall; see `shaken_law`."""
+def design_excited(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
+    """Parameters of the excited wall; see `excited_law`."""
     reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
     return [*design(wall), float(ramp_ticks), *reactions]
 
 
 def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
-    """Excitation that the shaken law with these parameters plays in its first ticks (N·m or N), along the position."""
+    """Excitation that the excited law with these parameters plays in its first ticks (N·m or N), along the position."""
     tick, table = np.arange(ticks), parameters[TABLE:]
     rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
     return np.asarray(-side * table[tick % len(table)] * rising)

@@ -1,8 +1,8 @@
-"""Multisines: the efforts that shake a rig to see its impedance, as sums of cosines on whole lines of one period.
+"""Multisines: the efforts that excite a rig to measure its impedance, as sums of cosines on whole lines of one period.
 
-    shake = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0)
-    shake.crest_factor, shake.peak
-    effort = shake.period(16_000, offset=0.5)  # one period, at the middle of each step
+    multisine = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0)
+    multisine.crest_factor, multisine.peak
+    effort = multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
 
 A multisine repeats exactly, so whole periods of it need no window: every line of the answer stands in one bin of a
 discrete Fourier transform, and what stands between the lines is not the answer (`rig.analysis.impedance`). Schroeder's

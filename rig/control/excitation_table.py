@@ -1,6 +1,6 @@
 """The multisine that a device plays out of a table: what the firmware works out, to the bit, and what it is.
 
-The rig's own motor is shaken at the device's rate, so nothing is streamed: the device is told a few numbers, works out
+The rig's own motor is excited at the device's rate, so nothing is streamed: the device is told a few numbers, works out
 one period as 16-bit numbers (quanta · 2^−bits) before anything moves, and looks one up in each tick. Its arithmetic is
 in integers (firmware/law/excitation.c), so the host knows the table exactly, and `multisine` says which
 `rig.control.excitation.Multisine` it is an approximation of: lines first, first + step, …, equal amplitudes, own
@@ -261,7 +261,7 @@ class ExcitationTable:
         return 0.5 * 2.0**-self.bits + self.amplitude * 0.5**LINE_BITS * (self.lines * _COSINE_ERROR + phase)
 
     def multisine(self, rate_hz: float, effort_quantum: float) -> Multisine:
-        """Return what shakes the rig (N·m or N for one current quantum), at so many ticks a second (Hz)."""
+        """Return what excites the rig (N·m or N for one current quantum), at so many ticks a second (Hz)."""
         amplitude = self.amplitude * 0.5**LINE_BITS * effort_quantum
         turns = np.asarray(self.line_phases.astype(np.int32), np.float64)  # from -1/2 to 1/2
         return Multisine(
@@ -272,7 +272,7 @@ class ExcitationTable:
         )
 
     def efforts(self, effort_quantum: float) -> Floats:
-        """One period of the table (N·m or N), for a law that plays it (`rig.control.bilateral.shaken_law`)."""
+        """One period of the table (N·m or N), for a law that plays it (`rig.control.bilateral.excited_law`)."""
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:

@@ -19,7 +19,7 @@ from rig.core.errors import ConfigError
 BUILT_IN = {
     "spring-damper": "rig.control.wall:spring_damper_law",
     "bilateral": "rig.control.bilateral:bilateral_law",
-    "shaken": "rig.control.bilateral:shaken_law",
+    "excited": "rig.control.bilateral:excited_law",
 }
 # Laws whose numbers come from an experiment, by the names that recordings give them: with the recorded parameters
 # they replay.

@@ -42,8 +42,8 @@ class OpenRig(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedShake:
-    """What came of shaking a rig: positions, velocities and counts, and what the guard took off the effort.
+class ExcitedMotion:
+    """What came of the excitation a rig: positions, velocities and counts, and what the guard took off the effort.
 
     Attributes
     ----------
@@ -69,21 +69,21 @@ class SimulatedShake:
     acquisition_s: float
 
 
-class SimulatedShaker(Protocol):
-    """A rig that a second actuator shakes about a point, run after run. One for each thread."""
+class ExcitedSimulation(Protocol):
+    """A rig that a second actuator excites about a point, run after run. One for each thread."""
 
-    def shake(
+    def excite(
         self,
         controller: Controller,
         position: float,
         excitation: NDArray[np.float64],
         ramp_s: float,
         ticks: int,
-    ) -> SimulatedShake:
+    ) -> ExcitedMotion:
         """Run the law for so many ticks, from rest at a position (rad or m).
 
         The controller is fresh, and used up. `excitation` is one period of the second actuator's effort on the link
-        (N·m or N), a value for each inner step, in force during that step; it rises in `ramp_s` from zero.
+        (N·m or N), a value for each inner step, active during that step; it rises in `ramp_s` from zero.
 
         Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
         """
@@ -95,12 +95,12 @@ class SimulatedShaker(Protocol):
         ...
 
 
-class OpenShaker(Protocol):
-    """The function behind a backend's name: makes a rig to shake."""
+class OpenExcitedSimulation(Protocol):
+    """The function behind a backend's name: makes a rig to excite."""
 
     def __call__(
         self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int
-    ) -> SimulatedShaker:
+    ) -> ExcitedSimulation:
         """Prepare a rig whose law runs every `tick_s`, for runs of at most so many ticks.
 
         Positions are kept `acquisition_hz` times a second, or as near above that as the inner step allows. Raises

@@ -17,8 +17,8 @@ from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.experiments.excitation_run import Signal
 from rig.experiments.impedance import Judging
-from rig.experiments.shaking import Signal
 from rig.experiments.zwidth_frequency import FrequencyPlan
 
 SHARE = 0.4  # of what the linear theory calls stable: beyond that a measured map is speckle
@@ -86,7 +86,7 @@ def frequency_plan(
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the rates in force."""
+    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the rates at hand."""
     rates = experiment.controller.position_rate, experiment.controller.velocity_rate
     if set(rates) == {PAPERS_RATE}:
         return tuple(Scheme.parse(text) for text in PAPERS_SCHEMES)
@@ -103,14 +103,14 @@ def default_grid(
     Stiffness of its largest stable stiffness over all dampings, damping of the largest at the lowest stiffness, both of
     the rates that hold most, and rounded to two digits. The lowest stiffness is a step, not zero.
     """
-    shaken = config.shaken(experiment)
+    excited = config.excited(experiment)
     stiffness = damping = 0.0
     for scheme in {(s.position_rate, s.velocity_rate): s for s in schemes}.values():
         reference = replace(
             scheme, estimator=_REFERENCE, parameters={}, slow_velocity_rate=None, slow_below=None
         )
-        widest = theory.b_max(shaken, reference).damping
-        limits = theory.k_max_curve(shaken, reference, np.linspace(0.0, widest, CURVE_POINTS))
+        widest = theory.b_max(excited, reference).damping
+        limits = theory.k_max_curve(excited, reference, np.linspace(0.0, widest, CURVE_POINTS))
         damping = max(damping, widest)
         stiffness = max(stiffness, *(limit.stiffness for limit in limits))
     top, last = _two_digits(SHARE * stiffness), _two_digits(SHARE * damping)
@@ -133,12 +133,12 @@ def linear_curves(
     frequencies) does not. Friction and quantum are left out.
     """
     dampings = np.linspace(plan.dampings[0], plan.dampings[-1], points)
-    shaken, curves = config.shaken(plan.experiment), {}
+    excited, curves = config.excited(plan.experiment), {}
     lines = _lines(plan)
     for number, scheme in enumerate(plan.schemes):
         with suppress(ConfigError):  # not linear
-            loop = linear_loop(shaken, scheme)
-            stable = [limit.stiffness for limit in theory.k_max_curve(shaken, scheme, dampings)]
+            loop = linear_loop(excited, scheme)
+            stable = [limit.stiffness for limit in theory.k_max_curve(excited, scheme, dampings)]
             passive = [passive_limit(loop, float(b), k, lines) for b, k in zip(dampings, stable, strict=True)]
             curves[number] = (dampings.tolist(), stable, passive)
     return curves

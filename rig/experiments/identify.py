@@ -1,7 +1,7 @@
-"""Identify a rig: small pushes, slow strokes, shaking, each a recorded trial; then `rig.analysis.identification`.
+"""Identify a rig: small pushes, slow strokes, excitation, each a recorded trial; then `rig.analysis.identification`.
 
 The order is one of trust. Pushes need no sign to be known: they end by themselves after a few counts. Strokes need the
-sign, and tell the friction that shaking has to be harder than. The same code runs on the simulated rig behind its byte
+sign, and show the friction that the excitation has to exceed. The same code runs on the simulated rig behind its byte
 link and on a real one.
 """
 
@@ -22,7 +22,7 @@ from rig.analysis.identification.dynamics import Dynamics, fit_dynamics
 from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import SignCheck, check_signs, stiction_warning
 from rig.analysis.identification.sliding import Sliding, fit_sliding
-from rig.analysis.impedance.signals import Shaken
+from rig.analysis.impedance.signals import ExcitedRun
 from rig.config import Experiment, controller
 from rig.control.excitation import Multisine
 from rig.core.errors import ConfigError, PlanError
@@ -35,13 +35,13 @@ from rig.experiments.identify_motions import (
     REST_S,
     Motion,
     excitation,
+    excitation_motion,
+    excited_s,
     identification_plan,
     inertia_of,
     most_push,
     pushes_motion,
     settle_periods,
-    shaken_s,
-    shaking_motion,
     still,
     strokes_motion,
     strokes_of,
@@ -72,7 +72,7 @@ class IdentifyRequest:
     verified
         As in `rig.experiments.hit.HitRequest`: a real device does not arm without.
     realisations, period_s
-        Of the shaking: how many draws of phases, and the period of each (s).
+        Of the multisine: how many draws of phases, and the period of each (s).
     seed
         Of the phases.
     output
@@ -92,7 +92,7 @@ class IdentifyRequest:
         if self.realisations < 2:
             raise ConfigError(
                 f"{self.realisations} realisations tell no interval",
-                remedy="shake with 2 or more; 6 are usual",
+                remedy="use 2 or more; 6 are usual",
             )
         if not 0.1 <= self.period_s <= 10.0:
             raise ConfigError(f"a period of {self.period_s:g} s", remedy="choose 0.1 to 10 s")
@@ -178,7 +178,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identificati
         _check_signs(signs)
         say("friction: strokes at constant speeds")
         sliding = session.sliding(base)
-        say(f"dynamics: shaken {request.realisations} times for {shaken_s(request.period_s):.3g} s")
+        say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
         dynamics = session.dynamics(base, signs, sliding)
         simulated = device.dictionary.simulated
     return _identified(request, base, signs, sliding, dynamics, session.recordings, simulated=simulated)
@@ -257,10 +257,10 @@ class _Session:
         inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
         runs = []
         for number in range(request.realisations):
-            shaking = excitation(x, request.seed, request.period_s, inertia, number)
-            rows, rate = self._run(shaking_motion(x, shaking, inertia), "dynamics", number)
+            multisine = excitation(x, request.seed, request.period_s, inertia, number)
+            rows, rate = self._run(excitation_motion(x, multisine, inertia), "dynamics", number)
             _check_undisturbed(rows)
-            runs.append(shaken_of(rows, rate, shaking))
+            runs.append(excited_run_of(rows, rate, multisine))
         return fit_dynamics(
             runs,
             resolution=x.rig.encoder.resolution,
@@ -323,22 +323,22 @@ def trial_rows(recording: Recording) -> NDArray[np.void]:
     return rows
 
 
-def shaken_of(rows: NDArray[np.void], rate: float, shaking: Multisine) -> Shaken:
+def excited_run_of(rows: NDArray[np.void], rate: float, multisine: Multisine) -> ExcitedRun:
     """The whole periods of one realisation, the settling ones cut.
 
     The effort of a row is held from its sample to the next; whatever comes later is a delay to be identified.
     """
-    n = round(rate * shaking.period_s)
-    settled = settle_periods(shaking.period_s)
+    n = round(rate * multisine.period_s)
+    settled = settle_periods(multisine.period_s)
     kept = slice(settled * n, (settled + PERIODS) * n)
-    return Shaken(
+    return ExcitedRun(
         rate_hz=rate,
         period_samples=n,
         periods=PERIODS,
-        excitation=np.tile(shaking.period(rate), PERIODS),
+        excitation=np.tile(multisine.period(rate), PERIODS),
         effort=rows["effort_sent"][kept],
         position=rows["position"][kept],
-        lines_hz=shaking.lines_hz,
+        lines_hz=multisine.lines_hz,
         effort_hold_s=1.0 / rate,
     )
 
@@ -347,7 +347,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
     bound = (rows["flags"] & (RowFlag.SATURATED | RowFlag.SLEW_BOUND)) != 0
     if bound.any():
         raise IdentificationError(
-            f"the guard changed the effort in {int(bound.sum())} of {len(rows)} ticks of the shaking",
+            f"the guard changed the effort in {int(bound.sum())} of {len(rows)} ticks of the excitation",
             remedy="raise rig.limits.slew or rig.limits.effort",
         )
 

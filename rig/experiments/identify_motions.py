@@ -43,19 +43,19 @@ CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
 FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
 SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
 
-# Shaking: its band, and where it ends as a share of the rate; before the kept periods a time, and periods at least.
+# Excitation: its band, and where it ends as a share of the rate; before the kept periods a time, and periods at least.
 LOWEST_HZ, HIGHEST_HZ, HIGHEST_SHARE = 4.0, 1000.0, 0.15
-SHAKE_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
+EXCITATION_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
 LINES_PER_OCTAVE = 16
 EVEN_FROM_HZ = 25.0  # below it amplitudes fall with the frequency: the motion would grow
-CENTRING_HZ = 2.5  # of the soft spring that keeps a shaken handle near the middle
+CENTRING_HZ = 2.5  # of the soft spring that keeps an excited handle near the middle
 EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = (
     0.6,
     0.9,
     0.5,
     0.5,
-)  # of the limits, that shaking may use
-HARD = 5.0  # rms effort of shaking over Coulomb friction from which the bias of friction is below half a per cent
+)  # of the limits, that the excitation may use
+HARD = 5.0  # rms effort of the excitation over Coulomb friction from which friction biases by below half a per cent
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,33 +70,34 @@ def identification_plan(x: Experiment, *, realisations: int, period_s: float, se
     """List and check what will be done, from the described rig; no device is touched."""
     limits = x.rig.limits
     effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
-    shaking = excitation(x, seed, period_s, inertia_of(x))
+    multisine = excitation(x, seed, period_s, inertia_of(x))
     impedance = _free_impedance(x, inertia_of(x))
-    fastest = shaking.velocity(impedance).peak
+    fastest = multisine.velocity(impedance).peak
     half = 0.5 * (limits.position_maximum - limits.position_minimum)
     coulomb = coulomb_of(x)
-    rms_load = shaking.rms / limits.nominal_effort
+    rms_load = multisine.rms / limits.nominal_effort
     travel, top_speed = TRAVEL_SHARE * 2.0 * half, max(abs(s.velocity) for s in strokes_of(x)[1])
     settings = (
         Step("pushes", f"{PUSHES} pushes of at most {most_push(x):.3g} {effort}, each until the handle has "
              f"moved {push_way(x):.3g} {position}", pushes_s()),
         Step("strokes", f"± {travel:.3g} {position} about the middle of the window at up to {top_speed:.3g} {speed}",
              strokes_of(x)[0][-1][0]),
-        Step("shaking", f"{realisations} × {shaken_s(period_s):.3g} s, {shaking.lines_hz[0]:g} to "
-             f"{shaking.lines_hz[-1]:g} Hz, {shaking.rms:.3g} {effort} rms",
-             realisations * shaken_s(period_s)),
+        Step("excitation", f"{realisations} × {excited_s(period_s):.3g} s, {multisine.lines_hz[0]:g} to "
+             f"{multisine.lines_hz[-1]:g} Hz, {multisine.rms:.3g} {effort} rms",
+             realisations * excited_s(period_s)),
     )  # fmt: skip
     checks = (
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
-        _check("peak effort of shaking", shaking.peak, limits.effort, effort, "raise rig.limits.effort"),
-        _check("peak position of shaking", shaking.position(impedance).peak, half, position, "widen the window"),
-        _check("peak speed of shaking", fastest, limits.speed, speed, "raise rig.limits.speed"),
+        _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
+        _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
+               "widen the window"),
+        _check("peak speed of the excitation", fastest, limits.speed, speed, "raise rig.limits.speed"),
         _check("motor heat", rms_load, 1.0, "of the nominal effort, rms", "lower rig.limits.effort"),
         Check(
-            "shaking over friction",
-            Outcome.OK if shaking.rms >= HARD * coulomb else Outcome.WARNING,
-            f"{shaking.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
+            "excitation over friction",
+            Outcome.OK if multisine.rms >= HARD * coulomb else Outcome.WARNING,
+            f"{multisine.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
             "the inertia will be some per cent too large: allow more effort, speed or way",
         ),
     )  # fmt: skip
@@ -140,13 +141,13 @@ def strokes_motion(x: Experiment) -> Motion:
     return Motion(_moved(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
 
 
-def shaking_motion(x: Experiment, shaking: Multisine, inertia: float) -> Motion:
+def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Motion:
     """One realisation of a multisine about the middle of the window, kept there by a soft spring."""
     rate = x.controller.position_rate
-    periods = settle_periods(shaking.period_s) + PERIODS
-    law = bilateral.shaken_law(shaking.period(rate), round(shaking.period_s * rate))
+    periods = settle_periods(multisine.period_s) + PERIODS
+    law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
     changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
-    return Motion(_moved(x, _middle(x), periods * shaking.period_s, rate, changes), law)
+    return Motion(_moved(x, _middle(x), periods * multisine.period_s, rate, changes), law)
 
 
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
@@ -191,7 +192,7 @@ def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realis
     top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
     if top < 2.0 * LOWEST_HZ:
         raise ConfigError(
-            f"a loop of {x.controller.position_rate} Hz shakes up to {top:.3g} Hz: too low to tell an inertia",
+            f"a loop of {x.controller.position_rate} Hz excites up to {top:.3g} Hz: too low to tell an inertia",
             remedy=f"choose a rate of {math.ceil(2.0 * LOWEST_HZ / HIGHEST_SHARE)} Hz or more",
         )
     count = max(2, round(LINES_PER_OCTAVE * math.log2(top / LOWEST_HZ)))
@@ -212,7 +213,7 @@ def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realis
 
 
 def centring(inertia: float) -> float:
-    """Stiffness of the spring that centres a shaken handle (N·m/rad or N/m)."""
+    """Stiffness of the spring that centres an excited handle (N·m/rad or N/m)."""
     return inertia * (2.0 * math.pi * CENTRING_HZ) ** 2
 
 
@@ -271,7 +272,7 @@ _NO_WALL: dict[str, Any] = {
     "trial.repeats": 1,
     "trial.baseline_s": 0.0,
     "trial.minimum_rest_counts": 0.0,
-    "rig.limits.swings": 0,  # a motion is the motor's own: neither its efforts nor its work are a wall's
+    "rig.limits.oscillations": 0,  # a motion is the motor's own: neither its efforts nor its work are a wall's
     "rig.limits.energy": None,
     "wall.stiffness": 0.0,
     "wall.damping": 0.0,
@@ -306,10 +307,10 @@ def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
 
 def settle_periods(period_s: float) -> int:
     """Periods that are played before those that are kept."""
-    return max(LEAST_SETTLE, math.ceil(SHAKE_SETTLE_S / period_s - 1e-9))
+    return max(LEAST_SETTLE, math.ceil(EXCITATION_SETTLE_S / period_s - 1e-9))
 
 
-def shaken_s(period_s: float) -> float:
+def excited_s(period_s: float) -> float:
     """Length of one realisation (s)."""
     return (settle_periods(period_s) + PERIODS) * period_s
 

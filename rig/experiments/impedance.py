@@ -4,7 +4,7 @@
     results[1].judgement.passive, results[1].fidelity.rms
 
 One wall under one scheme is one `ImpedanceResult`: what was measured, whether it is passive, how faithful it is, and
-what stopped it if something did. Runs without bytes are independent of each other and hold no GIL while they shake.
+what stopped it if something did. Runs without bytes are independent of each other and hold no GIL.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
 from rig.core.sample import Phase, unit_of
+from rig.experiments.excitation_plan import excitation_checks
+from rig.experiments.excitation_run import ExcitedRig, Run, Signal, bound_share, excited_law, record_of
 from rig.experiments.hit import HitRequest, hit, left_by
 from rig.experiments.judgement import THROWN_OUT
 from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.experiments.planned import refuse
 from rig.experiments.results import write_table
-from rig.experiments.shaking import Run, ShakingBench, Signal, bound_share, record_of, shaken_law
-from rig.experiments.shaking_plan import excitation_checks
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors, whole_file
 
@@ -190,7 +190,7 @@ def measure_impedance(
     method
         ``"periodic"``: the ratio of lines. ``"welch"``: as tfestimate does.
     signal
-        Encoder counts, or the simulation's true position of the handle (see `ShakingBench`).
+        Encoder counts, or the simulation's true position of the handle (see `ExcitedRig`).
     judging
         Band and thresholds of the verdict.
     watch
@@ -210,11 +210,11 @@ def measure_impedance(
     total = sum(len(group) for group in asked) * asked[0][0].excitation.realisations
     done, results = 0, []
     for group in asked:
-        bench = ShakingBench(group[0], signal=signal)
+        bench = ExcitedRig(group[0], signal=signal)
         for one in group:
             runs: list[Run] = []
             for realisation in range(one.excitation.realisations):
-                runs.append(bench.shake(one.wall.stiffness, one.wall.damping, realisation))
+                runs.append(bench.excite(one.wall.stiffness, one.wall.damping, realisation))
                 done += 1
                 if watch is not None:
                     watch(done, total)
@@ -239,7 +239,7 @@ class OnDevice:
     agrees
         Asked before each wall; False ends the session. None asks nobody.
     arm_anyway
-        Shake about a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`).
+        Excite about a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`).
     """
 
     url: str
@@ -316,10 +316,10 @@ def prepared(
     schemes: Sequence[Scheme],
     excitation: Excitation | None,
 ) -> list[list[Experiment]]:
-    """Shaken experiments to run, checked: the walls of each scheme."""
+    """ExcitedRun experiments to run, checked: the walls of each scheme."""
     if excitation is not None:
         experiment = replace(experiment, excitation=excitation)
-    base = config.shaken(experiment)
+    base = config.excited(experiment)
     groups = []
     for scheme in schemes or (Scheme.of(base),):
         ruled = scheme.applied(base)
@@ -432,7 +432,7 @@ def _recorded(
         realtime=device.realtime,
         arm_anyway=device.arm_anyway,
         output=device.recordings,
-        law=partial(shaken_law, experiment, realisation),
+        law=partial(excited_law, experiment, realisation),
         **session,
     )
     try:
@@ -467,10 +467,10 @@ def _kept(experiment: Experiment) -> Mapping[str, Any]:
     plain = config.as_mapping(experiment)
     keys = ("controller.position_rate", "controller.velocity_rate", "wall.stiffness", "wall.damping")
     sections = {key: plain[key.partition(".")[0]][key.partition(".")[2]] for key in keys}
-    return {**sections, "trial.repeats": 1, **{f"trial.{k}": plain["trial"][k] for k in _SHAKEN_TRIAL}}
+    return {**sections, "trial.repeats": 1, **{f"trial.{k}": plain["trial"][k] for k in _EXCITED_TRIAL}}
 
 
-_SHAKEN_TRIAL = ("kind", "effort", "start", "duration_s")
+_EXCITED_TRIAL = ("kind", "effort", "start", "duration_s")
 
 
 def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:

@@ -16,7 +16,7 @@ FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
     "energy": "the wall gave the hand more energy than rig.limits.energy",
-    "violent": "the wall beat: the effort swung between nothing and its limit",
+    "violent": "the wall was violent: the effort oscillated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 
@@ -69,7 +69,7 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
     if early is None and experiment.trial.kind == "excitation":
         overruling = (
             Kind.INVALID,
-            "the rig was shaken about its wall, not driven into it: see rig impedance",
+            "the rig was excited about its wall, not driven into it: see rig impedance",
         )
     return Judgement(
         verdict=_overruled(measured, overruling),

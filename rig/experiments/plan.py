@@ -15,8 +15,8 @@ from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
 from rig.core.sample import unit_of
+from rig.experiments.excitation_plan import excitation_plan
 from rig.experiments.planned import ARITHMETIC_WORDS, Check, Outcome, Plan, Step, where_it_runs
-from rig.experiments.shaking_plan import shaking_plan
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
@@ -37,7 +37,7 @@ def plan_of(run: controller.Run) -> Plan:
     """List and check a prepared run."""
     experiment = run.experiment
     if experiment.trial.kind == "excitation":
-        return replace(shaking_plan(experiment), run=run)
+        return replace(excitation_plan(experiment), run=run)
     checks = (*_wall_checks(experiment), *_watch_checks(experiment), *_heat_checks(experiment))
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
@@ -220,7 +220,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 def _watch_checks(x: Experiment) -> list[Check]:
     """What ends a trial for what the motor does to the handle (`rig.control.watch`)."""
-    energy, swings = controller.energy_limit(x), controller.swing_limit(x)
+    energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
         hit = predict_impact(x)
@@ -234,11 +234,13 @@ def _watch_checks(x: Experiment) -> list[Check]:
                 "raise rig.limits.energy, push less or start closer",
             )
         )
-    if swings > 0:
-        within = f"each within {x.rig.limits.swing_s:g} s"
+    if oscillations > 0:
+        within = f"each within {x.rig.limits.oscillation_s:g} s"
         checks.append(
             Check(
-                "violence", Outcome.OK, f"{swings} full swings of the effort in a row, {within}, end the run"
+                "violence",
+                Outcome.OK,
+                f"{oscillations} full oscillations of the effort in a row, {within}, end the run",
             )
         )
     return checks

@@ -3,7 +3,7 @@
     found = zwidth_frequency(frequency_plan(presets.load("chawda-linear")))
     table_one(found)  # rig.experiments.table_one
 
-A map is an exhaustive grid. Each wall is shaken by several realisations of the excitation, and every one of them is
+A map is an exhaustive grid. Each wall is excited by several realisations of the excitation, and every one of them is
 judged by itself (its variance is then that between its periods, which does not see what friction does alike in each
 of them) and all together (variance between realisations). The spread of the first is how far a single measurement
 may be believed; the second is the map. A wall that throws the handle out, or to its speed limit, is not passive.
@@ -33,8 +33,8 @@ from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.core.sample import unit_of
 from rig.experiments import sweep
+from rig.experiments.excitation_run import ExcitedRig, Run, Signal
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
-from rig.experiments.shaking import Run, ShakingBench, Signal
 
 WORK = "rig.experiments.zwidth_frequency:run_column"
 TOGETHER = -1  # number that stands for all realisations
@@ -67,7 +67,7 @@ class FrequencyPlan:
     judging
         Band and thresholds of the verdict.
     signal
-        Which position is measured; see `rig.experiments.shaking.ShakingBench`.
+        Which position is measured; see `rig.experiments.excitation_run.ExcitedRig`.
     """
 
     experiment: Experiment
@@ -90,7 +90,7 @@ class FrequencyPlan:
 
     @property
     def realisations(self) -> int:
-        """How many times each wall is shaken."""
+        """How many times each wall is excited."""
         return self.experiment.excitation.realisations
 
     @property
@@ -105,7 +105,7 @@ class FrequencyPlan:
 
     def tasks(self) -> list[sweep.Task]:
         """The columns as they are sent to whoever runs them."""
-        applied = [scheme.applied(config.shaken(self.experiment)) for scheme in self.schemes]
+        applied = [scheme.applied(config.excited(self.experiment)) for scheme in self.schemes]
         return [
             sweep.Task(
                 f"{number}/{damping!r}",
@@ -124,15 +124,15 @@ class FrequencyPlan:
         """Raise `PlanError` when the excitation is too large for the rig at the softest wall of some scheme."""
         softest = self.stiffnesses[0], self.dampings[0]
         refuse_excitations(
-            [_walled(scheme.applied(config.shaken(self.experiment)), *softest) for scheme in self.schemes]
+            [_walled(scheme.applied(config.excited(self.experiment)), *softest) for scheme in self.schemes]
         )
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Shake every wall of one column; payload and result are JSON: a row for each wall and realisation, and for all."""
+    """Excite every wall of one column; payload and result are JSON: a row per wall and realisation, and for all."""
     experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
     judging = _judging(payload["judging"])
-    bench = ShakingBench(experiment, signal=payload["signal"])
+    bench = ExcitedRig(experiment, signal=payload["signal"])
     rows: list[dict[str, Any]] = []
     for stiffness in payload["stiffnesses"]:
         walled = _walled(bench.experiment, stiffness, experiment.wall.damping)
@@ -141,13 +141,13 @@ def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def wall_rows(
-    bench: ShakingBench, walled: Experiment, judging: Judging, signal: Signal
+    bench: ExcitedRig, walled: Experiment, judging: Judging, signal: Signal
 ) -> Iterator[dict[str, Any]]:
-    """Shake one wall: a row for each realisation, and one for all of them together."""
+    """Excite one wall: a row for each realisation, and one for all of them together."""
     wall = walled.wall
     runs: list[Run] = []
     for realisation in range(walled.excitation.realisations):
-        runs.append(bench.shake(wall.stiffness, wall.damping, realisation))
+        runs.append(bench.excite(wall.stiffness, wall.damping, realisation))
         yield _row(concluded(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
     yield _row(concluded(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
 

@@ -22,9 +22,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from configparser import ConfigParser
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
+from rig.core.present import reported
 from rig.papers.rules import Ruling, Status
 from rig.views.report.template import fill_text
 
@@ -42,14 +43,10 @@ class Claim:
     needs: str
     rule: str
 
-    @property
+    @reported
     def verdict(self) -> str:
         """The status with its condition."""
         return f"{self.status} {self.condition}".rstrip()
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {**asdict(self), "verdict": self.verdict}
 
 
 def read_claims(

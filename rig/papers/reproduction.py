@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
-from rig.analysis.impedance.estimate import plain
+from rig.core.present import plain
 from rig.experiments.sweep import Progress
 from rig.papers.claims import Claim, read_claims
 from rig.papers.parts import Part, Parts, run_parts
@@ -101,7 +101,7 @@ class Reproduction:
         mapping = {
             "name": self.paper.name,
             "title": self.title,
-            "claims": [claim.as_mapping() for claim in self.claims],
+            "claims": self.claims,
             "numbers": self.numbers,
             "provenance": self.provenance,
             "seconds": self.seconds,

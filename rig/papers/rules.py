@@ -64,9 +64,13 @@ class Ruling:
         """The status with its condition."""
         return f"{self.status} {self.condition}".rstrip()
 
+    def having(self, **numbers: Any) -> Ruling:
+        """The same ruling with more numbers."""
+        return replace(self, numbers={**self.numbers, **numbers})
+
     def only(self, **numbers: Any) -> Ruling:
         """The same claim, reproduced only under a condition."""
-        return replace(self, status=Status.ONLY_WITH, numbers={**self.numbers, **numbers})
+        return replace(self.having(**numbers), status=Status.ONLY_WITH)
 
 
 def judge(cases: Mapping[str, bool], *, decisive: Sequence[str] = (), **numbers: Any) -> Ruling:

@@ -20,7 +20,7 @@ import numpy as np
 
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS, Column, Motion, unit_of
-from rig.recording.canonical import plain
+from rig.recording.canonical import lossless
 
 FORMAT = "haptic-rig recording"
 VOLATILE = ("created", "host", "git")
@@ -107,7 +107,7 @@ def make_header(
     columns
         Columns of the rows to come.
     """
-    header = plain(
+    header = lossless(
         {
             "format": FORMAT,
             "rig": rig,

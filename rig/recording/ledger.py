@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError, RigError
-from rig.recording.canonical import plain
+from rig.recording.canonical import lossless
 from rig.recording.data import Recording
 from rig.recording.timing import NEEDED, Ledger, ledger, summarise
 
@@ -37,7 +37,7 @@ def with_ledger(recording: Recording) -> Recording:
         return recording
     rows = recording.rows.copy()
     rows["sampled_at"], rows["applied_at"] = found.sampled, found.applied
-    timing = plain(summarise(found, trailer.get("counters")).as_mapping())
+    timing = lossless(summarise(found, trailer.get("counters")).as_mapping())
     return replace(recording, rows=rows, trailer={**trailer, TIMING_KEY: timing})
 
 

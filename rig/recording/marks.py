@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import Input
 from rig.core.errors import RecordingError, RigError
 from rig.core.sample import Phase, RowFlag
-from rig.recording.canonical import plain
+from rig.recording.canonical import lossless
 from rig.recording.data import Recording
 from rig.recording.ledger import CLOCK_KEY, clock_of, period_ns_of
 from rig.recording.timing import device_times
@@ -111,7 +111,7 @@ def with_sync_edges(recording: Recording) -> Recording:
         _log.warning("%s: no edges of the sync input: %s", recording.path, error)
         return recording
     listed = [{key: value for key, value in edge.as_mapping().items() if key != "name"} for edge in edges]
-    return replace(recording, trailer={**trailer, EDGES_KEY: plain(listed)})
+    return replace(recording, trailer={**trailer, EDGES_KEY: lossless(listed)})
 
 
 _Found = tuple[str, int, int]  # name, device time, tick
@@ -146,7 +146,7 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """A pin that a sample shows rose with the current that was in force up to it: a tick before."""
+    """A pin that a sample shows rose with the current that was active up to it: a tick before."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     if loop != "host" or "inputs" not in recording.names:
         return

@@ -32,7 +32,7 @@ from rig.realtime.codec import crc32
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.ring import DROPPED, HEAD, LOOP_DONE, RECORDED, RECORDER_ERROR, TAIL, TICKS, Ring
 from rig.realtime.system import EIO, descriptor_write, last_error, monotonic_now, sleep_until
-from rig.recording.canonical import plain
+from rig.recording.canonical import lossless
 from rig.recording.capture import BLOCK_ROWS, CRC_BYTES, HEAD_BYTES, ROWS_MAGIC, pack_end, pack_header
 from rig.recording.files import disk_error, plain_errors, sync_directory
 
@@ -287,7 +287,7 @@ class Recorder:
             )
         counts = {"rows": self.rows, "blocks": self._blocks}
         counts |= {"ticks": self._ring.get(TICKS), "dropped": self._ring.get(DROPPED)}
-        self._trailer = {**plain(trailer or {"reason": "finished"}), "recorder": counts}
+        self._trailer = {**lossless(trailer or {"reason": "finished"}), "recorder": counts}
         with plain_errors("write", self.path):
             try:
                 if self.error:

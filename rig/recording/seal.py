@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import RecordingError
 from rig.core.sample import TRUTH_COLUMNS
-from rig.recording.canonical import plain
+from rig.recording.canonical import lossless
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.files import whole_file
@@ -75,7 +75,7 @@ def seal(
     timed = with_sync_edges(with_ledger(recording))
     sealed = timed if truth is None else with_truth(timed, truth)
     if judge is not None:
-        sealed = replace(sealed, trailer={**(sealed.trailer or {}), **plain(judge(sealed))})
+        sealed = replace(sealed, trailer={**(sealed.trailer or {}), **lossless(judge(sealed))})
     read_back = _ReadBack(sealed)
     if not has_pyarrow():
         _log.warning("pyarrow is not installed: %s stays a capture", capture)

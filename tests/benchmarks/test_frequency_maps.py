@@ -14,9 +14,9 @@ import pytest
 
 from rig import config
 from rig.config import presets
+from rig.experiments.excitation_run import ExcitedRig
 from rig.experiments.frequency_ranges import frequency_plan
 from rig.experiments.impedance import Judging
-from rig.experiments.shaking import ShakingBench
 from rig.experiments.zwidth_frequency import run_column, wall_rows
 
 GOAL_S = 30.0
@@ -43,26 +43,28 @@ def test_the_papers_map_with_one_realisation(capsys):
 
 
 @pytest.mark.parametrize("scheme", range(4))
-def test_judging_costs_less_than_shaking(scheme, capsys):
+def test_judging_costs_less_than_exciting(scheme, capsys):
     plan = frequency_plan(ONCE)
-    experiment = plan.schemes[scheme].applied(config.shaken(ONCE))
-    bench = ShakingBench(experiment)
+    experiment = plan.schemes[scheme].applied(config.excited(ONCE))
+    bench = ExcitedRig(experiment)
     walls = [
         replace(experiment, wall=replace(experiment.wall, stiffness=k, damping=60.0))
         for k in plan.stiffnesses[:12]
     ]
-    bench.shake(1e3, 10.0)
+    bench.excite(1e3, 10.0)
     shares = []
     for walled in walls:
         began = time.thread_time()
-        bench.shake(walled.wall.stiffness, walled.wall.damping)
-        shaken = time.thread_time() - began
+        bench.excite(walled.wall.stiffness, walled.wall.damping)
+        excited = time.thread_time() - began
         began = time.thread_time()
         list(wall_rows(bench, walled, Judging(), "count"))
-        shares.append((time.thread_time() - began) / shaken)
+        shares.append((time.thread_time() - began) / excited)
     share = sorted(shares)[len(shares) // 2]
     with capsys.disabled():
-        print(f"\n{plan.schemes[scheme].text.split(',')[1]}: a judged wall costs {share:.2f} of a shaken one")
+        print(
+            f"\n{plan.schemes[scheme].text.split(',')[1]}: a judged wall costs {share:.2f} of an excited one"
+        )
     assert share < 3.0
 
 

@@ -21,13 +21,13 @@ from rig.analysis.impedance.estimate import periodic
 from rig.config import controller, presets
 from rig.config.schemes import Scheme
 from rig.control import laws
-from rig.experiments.shaking import ShakingBench, multisine_of, ramp_s
+from rig.experiments.excitation_run import ExcitedRig, multisine_of, ramp_s
+from sim_backend.excited import ExcitedPlant
 from sim_backend.plant import DiscretePlant
-from sim_backend.shaken import Shaker
 from tests.benchmarks.test_trial import FAST_MUJOCO, OPTIONS, STEPS, cpu_ns, header, in_mujoco
 
 SOURCES = Path(__file__).parent
-CHAWDA = config.shaken(presets.load("chawda-linear"))
+CHAWDA = config.excited(presets.load("chawda-linear"))
 ESTIMATORS = ("fdm", "fdm-butterworth", "kalman", "foaw-best", "levant")
 RATIO, EVERY = 20, 5  # inner steps in a tick of 1 ms, and between two positions
 SECONDS = 5
@@ -35,24 +35,24 @@ PAIRS = 15
 
 
 def build_c(directory, *options):
-    """Compile shaken.c and return its function."""
+    """Compile excited.c and return its function."""
     compiler = shutil.which("gcc")
     if compiler is None:
         pytest.skip("no gcc")
     (directory / "records.h").write_text(header())
-    library = directory / f"shaken{'-'.join(options)}.so"
+    library = directory / f"excited{'-'.join(options)}.so"
     flags = [*OPTIONS, *options, f"-I{directory}", f"-I{SOURCES}"]
-    subprocess.run([compiler, *flags, str(SOURCES / "shaken.c"), "-o", str(library), "-lm"], check=True)
-    function = ctypes.CDLL(str(library)).shake
+    subprocess.run([compiler, *flags, str(SOURCES / "excited.c"), "-o", str(library), "-lm"], check=True)
+    function = ctypes.CDLL(str(library)).excite
     function.restype = ctypes.c_int64
     return function
 
 
-def test_a_shaken_run_costs_about_what_it_costs_in_c(tmp_path):
+def test_a_excited_run_costs_about_what_it_costs_in_c(tmp_path):
     ticks = 1000 * SECONDS
     model = config.rig_model(CHAWDA)
-    shaker = Shaker(model, 1e-3, 4000.0, ticks)
-    assert shaker.inner_rate_hz == pytest.approx(1000 * RATIO)
+    excited_plant = ExcitedPlant(model, 1e-3, 4000.0, ticks)
+    assert excited_plant.inner_rate_hz == pytest.approx(1000 * RATIO)
     template = controller.for_experiment(
         CHAWDA, current_quantum_a=model.amplifier.current_quantum_a, law=laws.get("bilateral")
     )
@@ -64,7 +64,7 @@ def test_a_shaken_run_costs_about_what_it_costs_in_c(tmp_path):
     whole = len(push), round(ramp_s(CHAWDA) * 1000 * RATIO), ticks, RATIO, EVERY
 
     def here():
-        return shaker.shake(template.fresh(wall), 0.0, push, ramp_s(CHAWDA), ticks)
+        return excited_plant.excite(template.fresh(wall), 0.0, push, ramp_s(CHAWDA), ticks)
 
     def there(function):
         law = template.fresh(wall)
@@ -101,7 +101,7 @@ def test_an_inner_step_is_far_quicker_than_one_of_mujoco():
     mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
     rigid = presets.load("koul-rigid")  # the hinge that test_trial.py builds
     fast = in_mujoco(mujoco, config.rig_model(rigid), FAST_MUJOCO)
-    bench = ShakingBench(CHAWDA)
+    bench = ExcitedRig(CHAWDA)
     inner_steps = round(CHAWDA.trial.duration_s * 1000) * RATIO
 
     def steps():
@@ -109,8 +109,8 @@ def test_an_inner_step_is_far_quicker_than_one_of_mujoco():
         fast[1].qfrc_applied[0] = 0.04
         mujoco.mj_step(*fast, nstep=STEPS)
 
-    bench.shake(10e3, 20.0)
-    times = [(cpu_ns(steps) / STEPS, cpu_ns(bench.shake, 10e3, 20.0) / inner_steps) for _ in range(PAIRS)]
+    bench.excite(10e3, 20.0)
+    times = [(cpu_ns(steps) / STEPS, cpu_ns(bench.excite, 10e3, 20.0) / inner_steps) for _ in range(PAIRS)]
     theirs, ours = (min(column) for column in zip(*times, strict=True))
     ratio = statistics.median(a / b for a, b in times)
     print(
@@ -122,12 +122,12 @@ def test_an_inner_step_is_far_quicker_than_one_of_mujoco():
 def test_what_each_estimator_costs_and_what_the_estimate_adds():
     """Printed, not asserted: CPU of one realisation of 6 s, of its estimate, and the goal for 5 s."""
     for name in ESTIMATORS:
-        bench = ShakingBench(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))
-        records = [bench.shake(10e3, 40.0, n).record for n in range(4)]
-        shaking = min(cpu_ns(bench.shake, 10e3, 40.0) for _ in range(PAIRS)) * 1e-6
+        bench = ExcitedRig(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))
+        records = [bench.excite(10e3, 40.0, n).record for n in range(4)]
+        multisine = min(cpu_ns(bench.excite, 10e3, 40.0) for _ in range(PAIRS)) * 1e-6
         estimating = min(cpu_ns(periodic, records) for _ in range(PAIRS)) * 1e-6 / len(records)
         print(
-            f"\n{name}: a realisation of 6 s {shaking:.2f} ms, {shaking * SECONDS / 6:.2f} ms for {SECONDS} s; "
+            f"\n{name}: a realisation of 6 s {multisine:.2f} ms, {multisine * SECONDS / 6:.2f} ms for {SECONDS} s; "
             f"its estimate {estimating:.2f} ms",
             end="",
         )

@@ -68,7 +68,7 @@ def expected(law: LawLibrary, p: ctypes.Structure, samples: list[Sample]) -> lis
 
 
 def driven(samples: list[Sample]) -> list[int]:
-    """What the device drove after each sample but the last: what was in force at the next one."""
+    """What the device drove after each sample but the last: what was active at the next one."""
     return [sample.commanded for sample in samples[1:]]
 
 
@@ -216,7 +216,7 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
 # ---------------------------------------------------------------------- excitation
 
 
-def shaking() -> ctypes.Structure:
+def multisine() -> ctypes.Structure:
     """A law whose motor plays 20 lines over 700 ticks, some 200 quanta at most."""
     p = push(fixed_wall__constant=0)
     for name, value in {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}.items():
@@ -229,7 +229,7 @@ def shaking() -> ctypes.Structure:
 def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
     library: ctypes.CDLL, law: LawLibrary, phases: int
 ) -> None:
-    p = shaking()
+    p = multisine()
     p.excitation.phases = phases
     board = Board(library)
     board.prepare(**told_to_run(p))
@@ -246,17 +246,17 @@ def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
 
 def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL) -> None:
     board = Board(library)
-    board.prepare(**told_to_run(shaking()))
+    board.prepare(**told_to_run(multisine()))
     refused = 0
     while board.arm().status == Status.NOT_READY:
         refused += 1
         library.host_poll(board.core.address, b"", 0)
     assert 700 * 20 / 32 / 4 < refused < 700 * 20 / 32
     board.disarm()
-    board.prepare(**told_to_run(shaking(), ramp_us=5_000))
+    board.prepare(**told_to_run(multisine(), ramp_us=5_000))
     assert board.arm().status == Status.OK  # the same table, and it is still there
     board.disarm()
-    other = shaking()
+    other = multisine()
     other.excitation.seed += 1
     board.prepare(**told_to_run(other))
     assert board.arm().status == Status.NOT_READY
@@ -267,7 +267,7 @@ def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL)
 @pytest.mark.parametrize("name", [name for name, _ in Parameters().excitation._fields_])
 def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.CDLL, name: str) -> None:
     board = Board(library)
-    p = shaking()
+    p = multisine()
     board.prepare(**told_to_run(p))
     while board.arm().status == Status.NOT_READY:
         board.tick()
@@ -281,17 +281,17 @@ def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CD
     board = Board(library)
     library.host_set_excitation(board.core.address, 699)
     board.identify()
-    ack = board.configure(**told_to_run(shaking()))
+    ack = board.configure(**told_to_run(multisine()))
     assert (ack.status, ack.detail) == (Status.INCONSISTENT, BY_NAME["excitation_period"].id)
     library.host_set_excitation(board.core.address, 700)
-    assert board.configure(**told_to_run(shaking())).status == Status.OK
+    assert board.configure(**told_to_run(multisine())).status == Status.OK
 
 
 # ---------------------------------------------------------------------- when it runs
 
 
 def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: LawLibrary) -> None:
-    """Sampled, computed, driven: what was in force at a sample is the answer to the one before."""
+    """Sampled, computed, driven: what was active at a sample is the answer to the one before."""
     p = push()
     board = Board(library).begin(**told_to_run(p))
     board.run([*range(90, 130)])

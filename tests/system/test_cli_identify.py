@@ -49,7 +49,7 @@ def test_the_file_can_be_hit_and_identified_again(run, tmp_path):
 def test_the_plan_touches_nothing(run, tmp_path):
     code, out, _ = run("identify", "--rig", "koul-rigid", "--plan")
     assert code == 0
-    for text in ("pushes", "strokes", "shaking", "peak effort of shaking", "N·m, limit 1.3"):
+    for text in ("pushes", "strokes", "excitation", "peak effort of the excitation", "N·m, limit 1.3"):
         assert text in out
     assert not list(tmp_path.iterdir())
     assert json.loads(run("identify", "--plan", "--json")[1])["ok"]

@@ -56,7 +56,7 @@ def test_welch_and_schroeder_by_the_papers_way(run):
     assert only["fitted"]["values"]["inertia"] == pytest.approx(0.52, rel=0.05)
 
 
-def test_over_the_link_the_own_motor_shakes_and_every_run_is_recorded(run, tmp_path):
+def test_over_the_link_the_own_motor_excites_and_every_run_is_recorded(run, tmp_path):
     code, out, _ = run("impedance", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
     assert code == 0
     assert "K = 10000 N/m" in out
@@ -76,7 +76,7 @@ def test_a_wall_that_ends_every_run_is_told_with_the_guards_exit_code(run):
     assert "softer wall" in err
 
 
-def test_plan_lists_a_shaken_run(run, tmp_path):
+def test_plan_lists_a_excited_run(run, tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text(
         'preset = "chawda-linear"\n[trial]\nkind = "excitation"\n[excitation]\nchannel = "motor"\n'

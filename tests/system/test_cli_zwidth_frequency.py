@@ -92,7 +92,7 @@ def test_dual_rate_on_another_rig(run):
         (("-K", "10:100"), "--stiffness '10:100'", "first:last:count"),
         (("-K", "100,10"), "not in rising order", "lowest first"),
         (("--damping=-3",), "below zero", "from 0 up"),
-        (("--amplitude", "90"), "peak position", "shake less"),
+        (("--amplitude", "90"), "peak position", "reduce the excitation"),
         (("--amplitude", "500"), "rig.limits.effort, 100 N", "lower excitation.rms"),
         (("--realisations", "0"), "realisations", "1"),
         (("--scheme", "uniform:1k,estimator=levan"), "levan", "levant"),
@@ -109,7 +109,7 @@ def test_what_cannot_be_is_one_line_with_a_remedy(run, arguments, message, remed
     assert err.strip().splitlines()[-1].startswith("rig: ")
 
 
-def test_options_of_shaking_are_refused_for_hits(run):
+def test_options_of_frequency_are_refused_for_hits(run):
     for option in (("--band", "1:100"), ("--realisations", "3"), ("--amplitude", "1")):
         code, _, err = run("zwidth", *option)
         assert code != 0

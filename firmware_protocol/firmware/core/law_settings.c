@@ -187,8 +187,8 @@ struct refusal law_settings_read_wall(const uint32_t *values, law_parameters *la
 
 struct refusal law_settings_read(const uint32_t *values, const struct board *board, law_parameters *law)
 {
-    const bool shakes = values[HR_PARAMETER_EXCITATION_LINES] > 0;
-    if (shakes && values[HR_PARAMETER_EXCITATION_PERIOD] > board->excitation_length)
+    const bool excites = values[HR_PARAMETER_EXCITATION_LINES] > 0;
+    if (excites && values[HR_PARAMETER_EXCITATION_PERIOD] > board->excitation_length)
         return inconsistent(HR_PARAMETER_EXCITATION_PERIOD);
     *law = (law_parameters){0};
     law->arithmetic = values[HR_PARAMETER_LAW] == LAW_IN_FLOAT ? LAW_FLOAT : LAW_FIXED;

@@ -1,4 +1,4 @@
-"""Inertia, delay and the first structural mode, from shaken motion: least squares in the frequency domain.
+"""Inertia, delay and the first structural mode, from excited motion: least squares in the frequency domain.
 
 The motor's effort F is known, the position X is measured with an encoder's noise, so the error is counted in X
 (output error: noise in X then biases nothing) and weighted by its own variance at each line, over the realisations:
@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 
 from rig.analysis.identification.interval import Interval, from_scatter
-from rig.analysis.identification.quality import IdentificationError, check_explained, check_shaken
+from rig.analysis.identification.quality import IdentificationError, check_excited, check_explained
 from rig.analysis.identification.sliding import Sliding
-from rig.analysis.impedance.signals import Complexes, Floats, Shaken, hold
+from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
 from rig.core.deferred import optimize
 
 IMAGES = (-2, -1, 0, 1, 2)
@@ -71,7 +71,7 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """What shaking told.
+    """Result of the excitation.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Dynamics:
 
 
 def fit_dynamics(
-    runs: Sequence[Shaken],
+    runs: Sequence[ExcitedRun],
     *,
     resolution: float,
     inertia: float,
@@ -157,7 +157,7 @@ def fit_dynamics(
     IdentificationError
         Data without coherence, or that no model of one or two masses explains.
     """
-    found = check_shaken(runs, resolution)
+    found = check_excited(runs, resolution)
     problem = _Problem.of(runs, resolution, sliding)
     start = np.array([inertia, 0.0 if damping is None else damping.value, 0.0])
     free = [M, LAG] if damping is not None else [M, B, LAG]
@@ -196,7 +196,7 @@ class _Problem:
     floor: float  # the encoder's noise in a line of the position
 
     @classmethod
-    def of(cls, runs: Sequence[Shaken], resolution: float, sliding: Sliding | None) -> _Problem:
+    def of(cls, runs: Sequence[ExcitedRun], resolution: float, sliding: Sliding | None) -> _Problem:
         spectra = [_spectra(run, sliding) for run in runs]
         first = runs[0]
         samples = first.period_samples * first.periods
@@ -301,15 +301,15 @@ def _late(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes
     return np.asarray(np.exp(-s * delay_s) / (1.0 + s * parameters[LAG]))
 
 
-def _spectra(run: Shaken, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
+def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
     """Position, effort (its samples, at time 0 of a sample) and Coulomb friction at the lines."""
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)
-    shaken = frequency <= run.lines_hz[-1] * (
+    excited = frequency <= run.lines_hz[-1] * (
         1.0 + 1e-9
     )  # above it there is noise, which would turn friction round
-    velocity = np.fft.irfft(np.where(shaken, run.velocity_gain(frequency) * whole, 0.0), n)
+    velocity = np.fft.irfft(np.where(excited, run.velocity_gain(frequency) * whole, 0.0), n)
     effort = np.fft.rfft(run.effort.reshape(run.periods, n).mean(axis=0))
     rubbing = np.zeros(n)
     if sliding is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.analysis.impedance.estimate import periodic
-from rig.analysis.impedance.signals import Shaken
+from rig.analysis.impedance.signals import ExcitedRun
 from rig.core.errors import RigError
 
 Floats = NDArray[np.float64]
@@ -25,13 +25,13 @@ class IdentificationError(RigError):
     exit_code = 12
 
 
-def coherence(runs: Sequence[Shaken]) -> Floats:
+def coherence(runs: Sequence[ExcitedRun]) -> Floats:
     """γ² of motion and excitation at each line, over all periods of all realisations (`impedance.estimate`)."""
     return periodic(runs).coherence_motion
 
 
-def check_shaken(runs: Sequence[Shaken], resolution: float) -> Floats:
-    """Refuse shaken motion that is too small, drifts or does not follow the excitation; return its coherence.
+def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> Floats:
+    """Refuse excited motion that is too small, drifts or does not follow the excitation; return its coherence.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def check_shaken(runs: Sequence[Shaken], resolution: float) -> Floats:
     """
     if len(runs) < 2:
         raise IdentificationError(
-            "one realisation has no coherence and no interval", remedy="shake with two or more, six are usual"
+            "one realisation has no coherence and no interval", remedy="use two or more, six are usual"
         )
     for run in runs:
         _check_motion(run, resolution)
@@ -51,7 +51,7 @@ def check_shaken(runs: Sequence[Shaken], resolution: float) -> Floats:
         raise IdentificationError(
             f"the motion does not follow the excitation: the coherence of the median line is {median:.2f}, "
             f"{LEAST_COHERENCE:g} is the least (worst at {worst:.4g} Hz)",
-            remedy="shake harder against friction, keep hands off the handle, and look for what else moves it",
+            remedy="increase the excitation, keep hands off the handle, and look for what else moves it",
         )
     return found
 
@@ -66,13 +66,13 @@ def check_explained(unexplained: float) -> None:
         )
 
 
-def _check_motion(run: Shaken, resolution: float) -> None:
+def _check_motion(run: ExcitedRun, resolution: float) -> None:
     motion = run.level_position()
     rms = float(motion.std())
     if rms < LEAST_MOTION_COUNTS * resolution:
         raise IdentificationError(
             f"the handle moved {rms / resolution:.1f} counts rms, {LEAST_MOTION_COUNTS:g} are the least",
-            remedy="shake harder: friction holds the handle, or the motor is not connected",
+            remedy="increase the excitation: friction holds the handle, or the motor is not connected",
         )
     if run.periods > 1:
         by_period = motion.reshape(run.periods, run.period_samples)

@@ -1,6 +1,6 @@
 """Impedance from whole periods of a multisine: a ratio of two lines, and how far it can be trusted.
 
-    impedance = periodic(runs)  # of rig.analysis.impedance.signals.Shaken, one for each realisation
+    impedance = periodic(runs)  # of rig.analysis.impedance.signals.ExcitedRun, one for each realisation
     impedance.z, impedance.deviation, impedance.residual
 
 The excitation r is the instrument: Ẑ = S_rF/S_rV with V = jω·X. Noise of effort and position that has nothing to do
@@ -28,7 +28,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.analysis.impedance.signals import Complexes, Floats, Shaken
+from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats
 from rig.core.deferred import stats
 from rig.core.errors import ConfigError
 
@@ -137,7 +137,7 @@ class Impedance:
         }
 
 
-def periodic(runs: Sequence[Shaken], *, residual_band_hz: tuple[float, float] | None = None) -> Impedance:
+def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float] | None = None) -> Impedance:
     """Impedance by the ratio of lines, with the excitation as instrument.
 
     Parameters
@@ -185,7 +185,7 @@ def periodic(runs: Sequence[Shaken], *, residual_band_hz: tuple[float, float] | 
     )
 
 
-def residual_share(runs: Sequence[Shaken], band: tuple[float, float]) -> float:
+def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> float:
     """Share of the velocity's power off the excited lines, between the ends of a band (Hz), over all runs.
 
     A transform of the whole record has bins between the lines: P periods put P − 1 of them between neighbours. What
@@ -226,7 +226,7 @@ class _Lines:
     velocity: Complexes
 
     @classmethod
-    def of(cls, run: Shaken) -> _Lines:
+    def of(cls, run: ExcitedRun) -> _Lines:
         return cls(
             _transform(run, run.excitation),
             _transform(run, run.effort) * run.effort_gain(run.lines_hz),
@@ -234,7 +234,7 @@ class _Lines:
         )
 
 
-def _transform(run: Shaken, channel: Floats) -> Complexes:
+def _transform(run: ExcitedRun, channel: Floats) -> Complexes:
     spectra = np.fft.rfft(channel.reshape(run.periods, run.period_samples), axis=1)
     return np.asarray(spectra[:, run.bins] * (2.0 / run.period_samples))
 
@@ -257,10 +257,10 @@ def _coherence(lines: Sequence[_Lines], channel: Literal["effort", "velocity"]) 
     return np.asarray(np.divide(cross, powers, out=np.zeros_like(powers), where=powers > 0.0))
 
 
-def same_lines(runs: Sequence[Shaken]) -> Shaken:
+def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
     """Return the first of runs that have rate, period and lines in common; `ConfigError` if they have not."""
     if not runs:
-        raise ConfigError("no runs to estimate an impedance from", remedy="shake the rig at least once")
+        raise ConfigError("no runs to estimate an impedance from", remedy="excite the rig at least once")
     first = runs[0]
     for run in runs[1:]:
         if (

@@ -1,4 +1,4 @@
-"""What a shaken rig leaves behind: one realisation of an excitation and its answer, in whole periods.
+"""What an excited rig leaves behind: one realisation of an excitation and its answer, in whole periods.
 
 Channels need not be taken at the same instant, nor stand still between samples. Each says how late it is, and an
 effort that was held says for how long; both are undone in the frequency domain, exactly, because the record is
@@ -22,7 +22,7 @@ ON_GRID = 1e-6  # of a line spacing
 
 
 @dataclass(frozen=True, eq=False)
-class Shaken:
+class ExcitedRun:
     """One realisation: whole periods of excitation and answer, transients cut.
 
     Attributes
@@ -65,7 +65,9 @@ class Shaken:
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
         samples = self.period_samples * self.periods
         if samples < 1 or not self.rate_hz > 0.0:
-            raise ConfigError("a record without samples, or without a rate", remedy="shake for whole periods")
+            raise ConfigError(
+                "a record without samples, or without a rate", remedy="excite for whole periods"
+            )
         for name in ("excitation", "effort", "position"):
             channel = getattr(self, name)
             if channel.shape != (samples,):
@@ -75,7 +77,7 @@ class Shaken:
                     remedy="cut the record to whole periods",
                 )
             if not np.isfinite(channel).all():
-                raise ConfigError(f"{name} has a value that is no number", remedy="shake again")
+                raise ConfigError(f"{name} has a value that is no number", remedy="measure again")
         off = np.abs(self.lines_hz * self.period_samples / self.rate_hz - self.bins)
         inside = len(self.bins) and self.bins[0] >= 1 and 2 * self.bins[-1] < self.period_samples
         if not inside or (np.diff(self.bins) < 1).any() or off.max() > ON_GRID:
@@ -102,7 +104,7 @@ class Shaken:
     def level_position(self) -> Floats:
         """Position less its mean and, with two periods or more, its steady drift.
 
-        A free rig wanders while it shakes. The drift is the mean change from a sample to the one a period later,
+        A free rig wanders while it excites. The drift is the mean change from a sample to the one a period later,
         which is zero for whatever is periodic. Left in, the jump from the record's end to its start adds drift to
         every line of the velocity.
         """

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from rig.analysis.impedance.estimate import Impedance, residual_share, same_lines
-from rig.analysis.impedance.signals import Complexes, Floats, Shaken
+from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats
 from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 
@@ -67,7 +67,7 @@ TFESTIMATE = WelchSettings()
 
 
 def welch(
-    runs: Sequence[Shaken],
+    runs: Sequence[ExcitedRun],
     settings: WelchSettings = TFESTIMATE,
     *,
     residual_band_hz: tuple[float, float] | None = None,
@@ -139,7 +139,7 @@ def welch(
     )
 
 
-def aligned(run: Shaken) -> tuple[Floats, Floats, Floats]:
+def aligned(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
     """Excitation, effort and velocity of a run as signals of time, all at the instants of its samples.
 
     Delays, hold and derivative act on the transform of the whole record, which is exact because it is periodic.
@@ -174,7 +174,7 @@ class _Spectra:
     independent: float
 
     @classmethod
-    def of(cls, run: Shaken, settings: WelchSettings) -> _Spectra:
+    def of(cls, run: ExcitedRun, settings: WelchSettings) -> _Spectra:
         r, f, v = aligned(run)
         length = settings.segment(len(r), run.rate_hz)
         overlap = int(settings.overlap * length)

@@ -24,7 +24,7 @@ from rig.core.operators import GRIPS
 
 LARGEST_DELAY = 40  # ticks: whatever is later than that has lost its command's lifetime long before
 STAND_IN = "fdm-butterworth"
-SPRING_AND_DAMPER = ("spring-damper", "bilateral", "shaken")  # laws whose wall is K and B, excitation aside
+SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall is K and B, excitation aside
 
 
 def hands_of(experiment: Experiment) -> dict[str, str | Operator]:

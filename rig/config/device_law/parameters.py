@@ -145,7 +145,7 @@ def rendered_wall(values: Mapping[str, Value], controller: Controller) -> walls.
     Parameters
     ----------
     values
-        Its parameters in force; the law is its own.
+        Its active parameters; the law is its own.
     controller
         That they were designed from, for its scales.
     """
@@ -235,9 +235,9 @@ def _first(passes: Callable[[int], bool], near: float) -> int:
 
 def _excitation(controller: Controller) -> Values:
     law = controller.law.law
-    if law.name == "shaken" and not law.device:
+    if law.name == "excited" and not law.device:
         raise PlanError(
-            'wall.law = "shaken" with controller.loop = "device": a table of the host cannot be sent',
+            'wall.law = "excited" with controller.loop = "device": a table of the host cannot be sent',
             remedy=f"measure with rig impedance, whose excitation the device makes itself, or {ELSE_HOST}",
         )
     return dict(law.device)

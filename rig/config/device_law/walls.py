@@ -15,7 +15,7 @@ from rig.control.fixed_wall import DEPTH, GAIN_GREATEST, MOST_SHIFT, FixedWall, 
 from rig.control.wall import DAMPING, ENTRY_ONLY, MAY_PULL, PARAMETERS, STIFFNESS
 from rig.core.errors import ConfigError, PlanError
 
-LAWS = ("spring-damper", "bilateral", "shaken")
+LAWS = ("spring-damper", "bilateral", "excited")
 BILATERAL = LAWS[1:]  # spring and damper on both sides, without options
 SLEW_BITS = 15  # of the slew limits in integers
 I32_GREATEST = 2**31 - 1

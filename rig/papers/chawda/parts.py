@@ -1,6 +1,6 @@
-"""Pieces of the reproduction of Chawda et al. that are neither a shaken wall nor a hit: theory, C from a hit, controls.
+"""Parts of the reproduction of Chawda et al. neither excited wall nor hit: theory, C from a hit, controls.
 
-Each function is the work of a task of `rig.papers.frame`: plain data in, plain data out, nothing else decides.
+Each function is the work of a task of `rig.papers.parts`: plain data in, plain data out, nothing else decides.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.estimators.lipschitz import identify_lipschitz
 from rig.experiments.compare import Start, simulate
+from rig.experiments.excitation_run import ExcitedRig
 from rig.experiments.frequency_ranges import passive_limit
 from rig.experiments.ladder import Search
 from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
-from rig.experiments.shaking import ShakingBench
 from rig.papers.chawda.readings import read
 from rig.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
 
@@ -115,10 +115,10 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
     """
     experiment = _ideal(config.experiment_from_mapping(payload["experiment"], "a control"))
     reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
-    bench = ShakingBench(experiment)
+    bench = ExcitedRig(experiment)
 
-    def shaken(stiffness: float) -> tuple[bool, float]:
-        run = bench.shake(stiffness, 0.0)
+    def excited(stiffness: float) -> tuple[bool, float]:
+        run = bench.excite(stiffness, 0.0)
         if run.record is None:
             return False, math.nan
         passes, errors = read(periodic([run.record]), stiffness, 0.0, reading)
@@ -128,13 +128,13 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
     low, high = -1, len(rungs)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if shaken(rungs[middle])[0] else (low, middle)
-    return {"stiffness": rungs[low] if low >= 0 else 0.0, "fidelity": shaken(0.0)[1]}
+        low, high = (middle, high) if excited(rungs[middle])[0] else (low, middle)
+    return {"stiffness": rungs[low] if low >= 0 else 0.0, "fidelity": excited(0.0)[1]}
 
 
 def control_payload(experiment: Experiment, scheme: Scheme, search: Search, band: tuple[float, float]) -> Any:
     """Payload of `control`."""
-    applied = scheme.applied(config.shaken(experiment))
+    applied = scheme.applied(config.excited(experiment))
     return {
         "experiment": config.as_mapping(applied),
         "search": asdict(search),

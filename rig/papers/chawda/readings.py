@@ -1,4 +1,4 @@
-"""Walls shaken once and read in many ways: the second paper's passivity test with everything it leaves open.
+"""Walls excited once and read in many ways: the second paper's passivity test with everything it leaves open.
 
 A wall's impedance is measured a few times, each time by some realisations of the excitation. Each measurement is judged
 by every reading (`rig.papers.chawda.rigs.Reading`: a band, a tolerance), so that what a result owes to the
@@ -21,11 +21,11 @@ from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.experiments.boundary_search import connected
+from rig.experiments.excitation_run import ExcitedRig, Run, Signal
 from rig.experiments.frequency_widths import FrequencyWidth, Spread
-from rig.experiments.shaking import Run, ShakingBench, Signal
 from rig.experiments.sweep import Task
 from rig.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading
-from rig.papers.frame import Part
+from rig.papers.parts import Part
 
 COLUMN = "rig.papers.chawda.readings:column"
 
@@ -34,7 +34,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """Walls to shake under some schemes, and how to read what comes of it."""
+    """Walls to excite under some schemes, and how to read what comes of it."""
 
     experiment: Experiment  # its excitation has the realisations of all measurements
     schemes: tuple[Scheme, ...]
@@ -46,7 +46,7 @@ class Grid:
 
     @property
     def runs(self) -> int:
-        """How many times a rig is shaken, if no guard ends a measurement early."""
+        """How many times a rig is excited, if no guard ends a measurement early."""
         walls = len(self.schemes) * len(self.stiffnesses) * len(self.dampings)
         return walls * self.experiment.excitation.realisations
 
@@ -54,7 +54,7 @@ class Grid:
         """A task for each scheme and damping; weight is that of one run."""
         tasks = []
         for number, scheme in enumerate(self.schemes):
-            applied = scheme.applied(config.shaken(self.experiment))
+            applied = scheme.applied(config.excited(self.experiment))
             for damping in self.dampings:
                 payload = {
                     "experiment": config.as_mapping(
@@ -71,7 +71,7 @@ class Grid:
 
 
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """Shake the walls of one scheme and damping: for each stiffness and measurement what every reading says.
+    """Excite the walls of one scheme and damping: for each stiffness and measurement what every reading says.
 
     ``passive`` is a string of a digit for each reading, ``fidelity`` the rms of |Z| − |K/(jω) + B| in each of `bands`;
     a measurement that the guard ended is passive in none and has no fidelity.
@@ -80,14 +80,14 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     readings = [
         Reading(low_hz=low, high_hz=high, tolerance=t, kind=k) for low, high, t, k in payload["readings"]
     ]
-    bench = ShakingBench(experiment, signal=payload["signal"])
+    bench = ExcitedRig(experiment, signal=payload["signal"])
     each = experiment.excitation.realisations // payload["measurements"]
     damping = experiment.wall.damping
     rows = []
     for stiffness in payload["stiffnesses"]:
         row: list[dict[str, Any]] = []
         for measurement in range(payload["measurements"]):
-            runs = _shaken(bench, stiffness, damping, range(measurement * each, (measurement + 1) * each))
+            runs = _excited(bench, stiffness, damping, range(measurement * each, (measurement + 1) * each))
             records = [run.record for run in runs if run.record is not None]
             if len(records) < len(runs):
                 row.append({"passive": "0" * len(readings), "fidelity": None, "residual": None})
@@ -105,11 +105,11 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     return rows
 
 
-def _shaken(bench: ShakingBench, stiffness: float, damping: float, numbers: range) -> list[Run]:
+def _excited(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[Run]:
     """Realisations of one wall, up to the first that the guard ends."""
     runs: list[Run] = []
     for number in numbers:
-        runs.append(bench.shake(stiffness, damping, number))
+        runs.append(bench.excite(stiffness, damping, number))
         if runs[-1].record is None:
             break
     return runs

@@ -18,7 +18,40 @@ from rig.experiments.impedance import ImpedanceResult
 from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import ZWidth
 from rig.papers.chawda.readings import Readings
-from rig.papers.chawda.rigs import KOUL, MAIN, PUSH, READINGS, RIG, SCHEMES, SEED, Scale, shaken_rig
+from rig.papers.chawda.rigs import (
+    FILTERED,
+    HBA_SC,
+    KOUL,
+    LFBA,
+    MAIN,
+    PUSH,
+    READINGS,
+    RIG,
+    SCHEMES,
+    SEED,
+    Scale,
+    excited_rig,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """The boundary search in the map of one estimator and measurement.
+
+    Attributes
+    ----------
+    found, width
+        The stiffest wall that it finds (N/m; None for none), and the K-width of the grid.
+    wrong
+        At how many dampings it ends elsewhere than the edge of the connected region.
+    """
+
+    name: str
+    measurement: int
+    search: Comparison
+    found: float | None
+    width: float
+    wrong: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +73,7 @@ class Chawda:
     read
         Widths of the four estimators by every reading of every measurement, measurement after measurement.
     map, frictionless
-        Figs. 5 and 7 and Table I: shaken walls under every reading; the same without friction (FDM+filter and FOAW).
+        Figs. 5 and 7 and Table I: excited walls under every reading; the same without friction (FDM+filter and FOAW).
     variants, variant_names
         Levant's differentiator in other discretisations, outputs and C, on coarser walls.
     linear
@@ -81,8 +114,33 @@ class Chawda:
         return trace_grid(self.map.passive[measurement, MAIN, list(SCHEMES).index(name)])
 
     @property
+    def figure_3(self) -> list[str]:
+        """The schemes that the paper has in Fig. 3."""
+        return list(dict.fromkeys((FILTERED, HBA_SC, LFBA, self.adjusted)))
+
+    def searches(self) -> list[Search]:
+        """The boundary search in every map of the four estimators."""
+        stiffnesses = self.map.grid.stiffnesses
+        return [
+            Search(
+                name=name,
+                measurement=m + 1,
+                search=(search := self.search(name, m)),
+                found=stiffnesses[search.highest] if search.highest >= 0 else None,
+                width=width.stiffness,
+                wrong=search.above + search.below + search.unseen,
+            )
+            for name in SCHEMES
+            for m, width in enumerate(self.widths(name))
+        ]
+
+    def islands(self, name: str) -> list[int]:
+        """How many islands the map of an estimator has, by measurement."""
+        return [len(width.islands) for width in self.widths(name)]
+
+    @property
     def runs(self) -> int:
-        """How many times a rig was shaken."""
+        """How many times a rig was excited."""
         grids = (self.map, self.frictionless, self.variants, *self.dual.values())
         return sum(found.grid.runs for found in grids)
 
@@ -196,7 +254,7 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
     """What the numbers come from, the same on every machine."""
-    x = shaken_rig(chawda.scale)
+    x = excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),
         "scale": asdict(chawda.scale),

@@ -1,4 +1,4 @@
-"""An identification as one picture: pushes, friction over velocity, the shaken rig's response, each with its fit."""
+"""An identification as one picture: pushes, friction over velocity, the excited rig's response, each with its fit."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _draw_response(response: Any, phase: Any, residual: Any, found: Identificati
         elinewidth=0.7,
     )
     style.tidy(response, f"acceleration over effort ({acceleration})")
-    response.set_title("shaken, friction removed (bars: 2 deviations of one realisation)", fontsize=11)
+    response.set_title("excited, friction removed (bars: 2 deviations of one realisation)", fontsize=11)
     phase.semilogx(lines, _degrees(-fit.fitted), color=style.SENT, linewidth=1.2)
     phase.semilogx(lines, _degrees(-fit.measured), "o", color=style.MEASURED, markersize=3)
     style.tidy(phase, "phase (°)")

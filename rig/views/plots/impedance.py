@@ -51,8 +51,8 @@ def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> P
     excitation, count = first.experiment.excitation, first.impedance.realisations if first.impedance else 0
     who = "own motor" if excitation.channel == "motor" else "second actuator"
     figure.suptitle(
-        f"{first.experiment.rig.name}, shaken by its {who}" if excitation.channel == "motor"
-        else f"{first.experiment.rig.name}, shaken by a {who}",
+        f"{first.experiment.rig.name}, excited by its {who}" if excitation.channel == "motor"
+        else f"{first.experiment.rig.name}, excited by a {who}",
         fontsize=11,
     )  # fmt: skip
     size.set_title(

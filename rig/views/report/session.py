@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rig import config
-from rig.core.errors import RigError
+from rig.config import Experiment
 from rig.recording.files import whole_file
 from rig.session.analysis.analyse import Analysis
 from rig.session.analysis.kmax import Beyond, Bound, Paired
@@ -23,12 +23,10 @@ from rig.session.analysis.mixed import Contrast
 from rig.session.analysis.rows import Measure
 from rig.session.analysis.study import LOG, VOIDED, Session
 from rig.session.analysis.tables import SLIPS_BEFORE
-from rig.session.conduct import walls_in
-from rig.session.schedule import levels_of
-from rig.session.state import END, State
+from rig.session.state import END
 from rig.views.plots.session import tracks_name
 from rig.views.report.session_events import Deviation, deviations, notes, useless_trials
-from rig.views.report.session_methods import MEASURES, Paragraph, analysed_with, finite, methods
+from rig.views.report.session_methods import MEASURES, Paragraph, analysed_with, effective, methods
 from rig.views.report.template import data_uris, fill, provenance_lines
 
 TEMPLATE = "session.html.j2"
@@ -132,6 +130,17 @@ def write_session_report(
     return paths
 
 
+def finite(value: Any) -> Any:
+    """Plain values for JSON: what is not finite is None."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return value
+
+
 def as_mapping(found: Analysis) -> dict[str, Any]:
     """Everything that the page tells, as plain values; what is not finite is None."""
     told: dict[str, Any] = finite(
@@ -168,23 +177,11 @@ def provenance(found: Analysis) -> dict[str, Any]:
         "seed of the bootstraps": found.options.seed,
         "protocol": sessions[0].began.get("protocol"),
         "experiment that the study changes": sessions[0].began.get("experiment"),
-        "experiments": effective(sessions[0].state),
+        "experiments": {
+            name: config.as_mapping(x) if isinstance(x, Experiment) else {"not available here": x.message}
+            for name, x in effective(found).items()
+        },
     }
-
-
-def effective(state: State) -> dict[str, Any]:
-    """Experiment of each condition, its changes and the study's in it, at its first damping and its softest wall."""
-    walls = walls_in(state)
-    found: dict[str, Any] = {}
-    for condition in state.protocol.condition:
-        softest = levels_of(state.protocol.search_of(condition))[0]
-        try:
-            x = walls.at(condition, condition.damping[0], softest)
-        except RigError as error:  # an estimator that is not installed here
-            found[condition.name] = {"unknown here": error.message}
-        else:
-            found[condition.name] = config.as_mapping(x)
-    return found
 
 
 # ---------------------------------------------------------------------------------------------------- the sections

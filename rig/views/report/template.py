@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from rig.core.deferred import jinja2, markupsafe
-from rig.views.report.writing import FILTERS, FUNCTIONS
+from rig.views.report.writing import FILTERS, FUNCTIONS, TESTS
 
 HERE = "views/report"
 STYLE_SHEET = "page.css"
@@ -49,10 +49,17 @@ def _environment(*, html: bool) -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
         loader=jinja2.FunctionLoader(_text),
+        finalize=None if html else _in_a_line,
     )
     environment.filters |= FILTERS
+    environment.tests |= TESTS
     environment.globals |= {**FUNCTIONS, "css": markupsafe.Markup(_text(STYLE_SHEET))}
     return environment
+
+
+def _in_a_line(value: Any) -> Any:
+    """A text of the user's without line ends: in a plain text they part the lines of the template."""
+    return value.replace("\n", " ") if isinstance(value, str) else value
 
 
 def data_uris(pngs: Mapping[str, bytes]) -> dict[str, str]:

@@ -24,11 +24,6 @@ def three(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}g}"
 
 
-def plainly(value: float, digits: int = 6) -> str:
-    """A number that somebody chose, without zeros at its end."""
-    return f"{value:.{digits}g}"
-
-
 def limit(value: float, capped: object) -> str:
     """A limit; ``≥`` when the search ended before the wall did."""
     return f"{'≥ ' if capped else ''}{three(value)}"
@@ -45,8 +40,8 @@ def step(ratio: float) -> str:
 
 
 def change(ratio: float) -> str:
-    """A ratio as a change: ``-12 %``."""
-    return f"{100 * (ratio - 1):+.0f} %" if math.isfinite(ratio) else "from nothing"
+    """A ratio as a change: ``−12 %``."""
+    return _minus(f"{100 * (ratio - 1):+.0f} %") if math.isfinite(ratio) else "from nothing"
 
 
 def khz(rate_hz: float) -> str:
@@ -62,6 +57,11 @@ def cell(value: Any) -> Any:
 def prefixed(names: Iterable[str], text: str) -> list[str]:
     """Names with a text before each."""
     return [text + name for name in names]
+
+
+def suffixed(names: Iterable[str], text: str) -> list[str]:
+    """Names with a text after each."""
+    return [name + text for name in names]
 
 
 def each(items: Iterable[Any], between: str = "; ", *, caller: Callable[..., str]) -> str:
@@ -131,6 +131,16 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
+def shortest(value: float, digits: int = 6) -> str:
+    """A number that somebody chose, in its shortest form."""
+    return f"{value:.{digits}g}"
+
+
+def numbers(values: Iterable[float]) -> list[str]:
+    """Numbers in their shortest form."""
+    return [shortest(value) for value in values]
+
+
 def listed(words: Iterable[Any], last: str = "and") -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     *first, end = [str(word) for word in words] or [""]
@@ -146,10 +156,11 @@ def _minus(text: str) -> str:
     return text.replace("-", MINUS)
 
 
+TESTS: Mapping[str, Callable[..., bool]] = {"finite": math.isfinite}
 FILTERS: Mapping[str, Callable[..., Any]] = {
+    "g": shortest,
     "number": number,
     "n": three,
-    "g": plainly,
     "limit": limit,
     "times": times,
     "step": step,
@@ -157,6 +168,7 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "khz": khz,
     "cell": cell,
     "prefixed": prefixed,
+    "suffixed": suffixed,
     "signed": signed,
     "percent": percent,
     "p": p,
@@ -165,6 +177,7 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "length": length,
     "counted": counted,
     "listed": listed,
+    "numbers": numbers,
     "sentence": sentence,
 }
 FUNCTIONS: Mapping[str, Callable[..., str]] = {"interval": interval, "each": each, "gathered": gathered}

@@ -34,7 +34,7 @@ def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
     return p
 
 
-def shaken(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
+def excited(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
     """Parameters without a wall that play an excitation, in their trial; constant effort 0."""
     p = golden_parameters(golden_vectors(1))
     p.arithmetic, p.bilateral, p.current_limit = arithmetic, 1, 32767
@@ -142,7 +142,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
     good += [of_estimator("fdm-butterworth-fixed", **settings) for settings in others]
     for arithmetic, phases in ((FIXED, "schroeder"), (FLOAT, "hashed")):
         table = ExcitationTable(2, 1, 498, 1000, 2**30, ramp=9, phases=phases, bits=arithmetic)
-        p = shaken(arithmetic, table)
+        p = excited(arithmetic, table)
         p.release_ticks, p.trial_ticks = 50, 100
         good.append(p)
     bound = golden_parameters(golden_vectors(2))
@@ -158,7 +158,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         ("first", 500), ("first", 0), ("step", 0), ("period", 2**16 + 1), ("period", 0), ("amplitude", 2**31),
         ("bits", 16), ("phases", 2), ("ramp", 2**24 + 1), ("lines", 2**31),
     ):  # fmt: skip
-        p = shaken(FIXED, ExcitationTable(400, 1, 1, 1000, 2**16))
+        p = excited(FIXED, ExcitationTable(400, 1, 1, 1000, 2**16))
         setattr(p.excitation, field, value)
         yield p, wild(3)
     third_order = of_estimator("fdm-butterworth")

@@ -7,7 +7,7 @@ import pytest
 
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.sample import Phase
-from tests.firmware.law.law_cases import shaken
+from tests.firmware.law.law_cases import excited
 from tests.firmware.law.law_cortex import CORES, PARAMETERS, TABLE, WORK, Simulator, build
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import Parameters, inputs
@@ -99,7 +99,7 @@ def test_an_excitation_is_ready_in_seconds(image):
     for phases in PHASES:
         excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
         simulator = Simulator(image)
-        simulator.uc.mem_write(PARAMETERS, bytes(shaken(FIXED, excitation)))
+        simulator.uc.mem_write(PARAMETERS, bytes(excited(FIXED, excitation)))
         simulator.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
         cosines = 2 * excitation.lines
         simulator.call("law_excitation_continue", WORK, cosines)

@@ -15,8 +15,8 @@ from rig.config import controller, device_law, presets
 from rig.control import bilateral, laws
 from rig.control.law import Law
 from rig.core.errors import ConfigError, PlanError
+from rig.experiments.excitation_run import excited_law
 from rig.experiments.live import parameter_set
-from rig.experiments.shaking import shaken_law
 from tests.firmware.law.law_design import structure_of
 
 PRESETS = {name: presets.load(name) for name in presets.names()}
@@ -230,7 +230,7 @@ def test_a_foreign_law_and_a_table_of_the_host_are_refused():
     with pytest.raises(PlanError, match=r'wall.law = "mine".*no such law'):
         values_of(x, foreign)
     with pytest.raises(PlanError, match="a table of the host cannot be sent"):
-        values_of(x, bilateral.shaken_law([0.1, -0.1]))
+        values_of(x, bilateral.excited_law([0.1, -0.1]))
 
 
 def test_values_beyond_the_wire_name_what_is_behind_them():
@@ -263,8 +263,8 @@ def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(la
         "excitation.period_s": 0.05,
         "excitation.low_hz": 20.0,
     }
-    x = config.shaken(config.override(PRESETS["koul-rigid"], {**changes, "trial.minimum_rest_counts": 0.0}))
-    excitation = shaken_law(x, 3, QUANTUM)
+    x = config.excited(config.override(PRESETS["koul-rigid"], {**changes, "trial.minimum_rest_counts": 0.0}))
+    excitation = excited_law(x, 3, QUANTUM)
     struct = structure_of(values_of(x, excitation), 1)
     assert law.check(struct) == 0
     made = law.excitation(struct) * 2.0**-struct.excitation.bits * controller.effort_quantum(x, QUANTUM)

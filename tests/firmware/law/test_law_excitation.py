@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rig.control.excitation_table import PHASES, ExcitationTable, cosine, hashed_phases
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
-from tests.firmware.law.law_cases import shaken
+from tests.firmware.law.law_cases import excited
 from tests.firmware.law.law_design import FIXED, FLOAT
 from tests.firmware.law.law_library import inputs
 
@@ -52,7 +52,7 @@ def test_cosine_and_phases_are_pythons(law, number, line):
 
 @given(tables(), st.integers(1, 5000))
 def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law, excitation, cosines):
-    p = shaken(FIXED, excitation)
+    p = excited(FIXED, excitation)
     assert law.check(p) == 0
     assert (law.excitation(p, cosines) == excitation.table).all()
 
@@ -68,14 +68,14 @@ def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law, excitation, cos
     ids=["usual", "longest", "most", "fastest"],
 )
 def test_large_tables_are_pythons_too(law, excitation):
-    assert (law.excitation(shaken(FIXED, excitation)) == excitation.table).all()
+    assert (law.excitation(excited(FIXED, excitation)) == excitation.table).all()
 
 
 @given(tables(), st.data())
 @settings(max_examples=50)
 def test_currents_are_pythons_to_the_bit(law, excitation, data):
     elapsed = data.draw(st.lists(st.sampled_from([1, 1, 1, 2, 9, 100_000]), min_size=1, max_size=40))
-    p = shaken(FIXED, excitation)
+    p = excited(FIXED, excitation)
     shift = p.fixed_wall.shift
     values = excitation.played(np.cumsum(elapsed) - elapsed[0]).tolist()
     scaled = [v << shift - 16 if shift > 16 else v >> 16 - shift for v in values]
@@ -87,7 +87,7 @@ def test_currents_are_pythons_to_the_bit(law, excitation, data):
 def test_it_repeats_and_is_the_multisine_that_the_host_names(law, arithmetic):
     excitation = ExcitationTable(11, 1, 3, 2000, 90 << 16, phases="hashed", seed=77).with_most_bits()
     wanted = excitation.multisine(20_000, 1.0).period(20_000)
-    currents = run(law, shaken(arithmetic, excitation), [1] * 4000)["current"]
+    currents = run(law, excited(arithmetic, excitation), [1] * 4000)["current"]
     assert np.abs(currents - np.tile(wanted, 2)).max() <= 0.5 + excitation.error
     assert (currents[:2000] == currents[2000:]).all()
 
@@ -101,7 +101,7 @@ def test_a_device_refuses_what_the_host_refuses(law):
         ("amplitude", 2**31),
         ("period", 65_537),
     ):
-        p = shaken(FIXED, table)
+        p = excited(FIXED, table)
         setattr(p.excitation, field, value)
         assert law.check(p) != 0
         with pytest.raises(ConfigError):
@@ -113,7 +113,7 @@ def vars_of(table):
 
 
 def test_nothing_is_worked_out_without_lines(law):
-    p = shaken(FIXED, ExcitationTable(1, 1, 1, 100, 1))
+    p = excited(FIXED, ExcitationTable(1, 1, 1, 100, 1))
     p.excitation.lines = 0
     work = ct.create_string_buffer(law.so.driver_size(5))
     law.so.law_excitation_begin(work, ct.byref(p.excitation), None)

@@ -16,7 +16,7 @@ from rig.control.excitation_table import ExcitationTable
 from rig.core.sample import Phase
 from tests.conformance.fixed_law import golden_vectors
 from tests.firmware import cross
-from tests.firmware.law.law_cases import golden_parameters, shaken
+from tests.firmware.law.law_cases import excited, golden_parameters
 from tests.firmware.law.law_design import FIXED, FLOAT, parameters_of
 from tests.firmware.law.law_library import INPUTS, TICKS, LawLibrary, Parameters, compile_law, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of, on_the_host
@@ -47,7 +47,7 @@ def law(tmp_path_factory: pytest.TempPathFactory) -> LawLibrary:
 @pytest.fixture(scope="module")
 def vectors(law: LawLibrary) -> bytes:
     """All cases as a file (`boards/mps2/law_vectors.c`)."""
-    cases = [*golden(law), *hits(law), shaking(law)]
+    cases = [*golden(law), *hits(law), multisine(law)]
     return b"HRGOLD01" + struct.pack("<II", len(cases), ct.sizeof(Parameters)) + b"".join(cases)
 
 
@@ -91,10 +91,10 @@ def hits(law: LawLibrary) -> Iterator[bytes]:
                 yield case(parameters, phase, piece, by_this_computer(law, parameters, phase, piece))
 
 
-def shaking(law: LawLibrary) -> bytes:
+def multisine(law: LawLibrary) -> bytes:
     """An excitation of the rig's own motor, whose table Python knows to the bit."""
     excitation = ExcitationTable(12, 3, 7, 500, 40 << 16, ramp=60, phases="hashed", seed=5).with_most_bits()
-    parameters, table = shaken(FIXED, excitation), inputs(np.zeros(600, np.int64))
+    parameters, table = excited(FIXED, excitation), inputs(np.zeros(600, np.int64))
     return case(parameters, Phase.TRIAL, table, by_this_computer(law, parameters, Phase.TRIAL, table))
 
 

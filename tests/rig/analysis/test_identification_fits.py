@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 
 from rig.analysis.identification.dynamics import fit_dynamics
 from rig.analysis.identification.interval import Interval, from_scatter
-from rig.analysis.identification.quality import IdentificationError, check_explained, check_shaken
+from rig.analysis.identification.quality import IdentificationError, check_excited, check_explained
 from rig.analysis.identification.signs import check_signs, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
-from rig.analysis.impedance.signals import Shaken
+from rig.analysis.impedance.signals import ExcitedRun
 from rig.control.excitation import Multisine
 
 MASS, DAMPING, UP, DOWN = 0.5, 8.0, 0.3, 0.2  # kg, N·s/m, N
@@ -220,7 +220,7 @@ def test_what_did_not_slide_is_refused(slid):
         fit_sliding(time_s, effort + noise, position, strokes, resolution=QUANTUM)
 
 
-# ---------------------------------------------------------------------- shaking
+# ---------------------------------------------------------------------- multisine
 
 
 def multisine(realisation, top=150.0):
@@ -231,14 +231,14 @@ def multisine(realisation, top=150.0):
 
 def record(derivative, state, realisation, *, late=0, periods=1, settle=2):
     """One realisation, `late` ticks after it was sent, the settling periods cut."""
-    shaking = multisine(realisation)
-    n = round(RATE * shaking.period_s)
-    sent = np.tile(shaking.period(RATE), settle + periods)
+    played = multisine(realisation)
+    n = round(RATE * played.period_s)
+    sent = np.tile(played.period(RATE), settle + periods)
     acting = np.concatenate([np.zeros(late), sent])[: len(sent)]
     position = counted(integrate(acting, derivative, state)[:, 0])
     kept = slice(settle * n, None)
-    return Shaken(
-        RATE, n, periods, sent[kept], sent[kept], position[kept], shaking.lines_hz, effort_hold_s=1.0 / RATE
+    return ExcitedRun(
+        RATE, n, periods, sent[kept], sent[kept], position[kept], played.lines_hz, effort_hold_s=1.0 / RATE
     )
 
 
@@ -256,11 +256,13 @@ def rubbing():
     for realisation in range(3):
         run = record(derivative, (0.0, 0.0), realisation, late=2, settle=3)
         effort = run.effort - centring * np.roll(run.position, -2)
-        runs.append(Shaken(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, "effort": effort}))
+        runs.append(
+            ExcitedRun(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, "effort": effort})
+        )
     return runs
 
 
-def test_shaking_recovers_mass_damping_and_delay_in_spite_of_friction(rubbing):
+def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubbing):
     found = fit_dynamics(rubbing, resolution=QUANTUM, inertia=2.0 * MASS, sliding=known_sliding())
     assert found.inertia.value == pytest.approx(MASS, rel=0.005)
     assert found.damping.value == pytest.approx(DAMPING, rel=0.03)
@@ -313,7 +315,7 @@ def test_two_masses_show_their_mode_and_how_the_inertia_splits():
 
 
 def changed(run, **changes):
-    return Shaken(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, **changes})
+    return ExcitedRun(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, **changes})
 
 
 def test_one_realisation_is_refused(rubbing):
@@ -325,13 +327,13 @@ def test_motion_that_does_not_follow_the_excitation_is_refused(rubbing):
     rng = np.random.default_rng(3)
     noisy = [changed(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in rubbing]
     with pytest.raises(IdentificationError, match="coherence of the median line"):
-        check_shaken(noisy, QUANTUM)
+        check_excited(noisy, QUANTUM)
 
 
 def test_a_held_handle_is_refused(rubbing):
     held = [changed(run, position=np.zeros(len(run.position))) for run in rubbing]
     with pytest.raises(IdentificationError, match=r"moved 0\.0 counts"):
-        check_shaken(held, QUANTUM)
+        check_excited(held, QUANTUM)
 
 
 def test_motion_that_has_not_settled_is_refused(rubbing):
@@ -339,7 +341,7 @@ def test_motion_that_has_not_settled_is_refused(rubbing):
     twice = {name: np.tile(getattr(run, name), 2) for name in ("excitation", "effort", "position")}
     twice["position"][: run.period_samples] *= 0.5
     with pytest.raises(IdentificationError, match="from one period to the next"):
-        check_shaken([changed(run, periods=2, **twice)] * 2, QUANTUM)
+        check_excited([changed(run, periods=2, **twice)] * 2, QUANTUM)
 
 
 def test_a_motion_that_no_model_explains_is_refused(rubbing):

@@ -12,7 +12,7 @@ from scipy.signal import csd, get_window
 
 from rig.analysis.impedance.estimate import Impedance, periodic, residual_share
 from rig.analysis.impedance.fitting import fit
-from rig.analysis.impedance.signals import Shaken, hold
+from rig.analysis.impedance.signals import ExcitedRun, hold
 from rig.analysis.impedance.welch import TFESTIMATE, WelchSettings, aligned, welch
 from rig.control.excitation import Multisine
 from rig.core.errors import ConfigError
@@ -25,12 +25,12 @@ def mass_damper(f):
     return 2j * np.pi * f * M + B
 
 
-def shaken(shake: Multisine, model=mass_damper, *, periods=1, rate=RATE, **noise) -> Shaken:
+def excited(multisine: Multisine, model=mass_damper, *, periods=1, rate=RATE, **noise) -> ExcitedRun:
     """What a linear rig answers in the steady state, with white noise of the given rms on effort and position."""
     random = np.random.default_rng(noise.get("seed", 1))
-    effort, position = shake.period(rate), shake.position(model).period(rate)
+    effort, position = multisine.period(rate), multisine.position(model).period(rate)
     n = len(effort)
-    return Shaken(
+    return ExcitedRun(
         rate_hz=rate,
         period_samples=n,
         periods=periods,
@@ -38,17 +38,17 @@ def shaken(shake: Multisine, model=mass_damper, *, periods=1, rate=RATE, **noise
         effort=np.tile(effort, periods) + noise.get("effort", 0.0) * random.standard_normal(n * periods),
         position=np.tile(position, periods)
         + noise.get("position", 0.0) * random.standard_normal(n * periods),
-        lines_hz=shake.lines_hz,
+        lines_hz=multisine.lines_hz,
     )
 
 
 def test_phase_of_a_mass_damper_from_an_independent_integrator():
     """90° − atan(b/(m·ω)) within 0.1° (here: 0.001°) from 5 to 500 Hz, on data of scipy's DOP853."""
     lines = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
-    shake = Multisine(0.2, lines, np.full(7, 2.0), np.linspace(0.0, 5.0, 7))
+    multisine = Multisine(0.2, lines, np.full(7, 2.0), np.linspace(0.0, 5.0, 7))
     t = np.arange(800) / RATE
     solution = solve_ivp(
-        lambda time, y: [y[1], (float(shake.at(time)) - B * y[1]) / M],
+        lambda time, y: [y[1], (float(multisine.at(time)) - B * y[1]) / M],
         (0.0, 1.2),
         [0.0, 0.0],
         method="DOP853",
@@ -57,7 +57,7 @@ def test_phase_of_a_mass_damper_from_an_independent_integrator():
         atol=1e-15,
         max_step=5e-4,
     )
-    run = Shaken(RATE, 800, 1, shake.at(t), shake.at(t), solution.y[0], lines)
+    run = ExcitedRun(RATE, 800, 1, multisine.at(t), multisine.at(t), solution.y[0], lines)
     found = periodic([run])
     expected = 90.0 - np.degrees(np.arctan(B / (M * 2 * np.pi * lines)))
     assert found.phase_deg == pytest.approx(expected, abs=1e-3)
@@ -68,7 +68,7 @@ def test_phase_of_a_mass_damper_from_an_independent_integrator():
 
 
 def test_a_linear_rig_without_noise_is_found_exactly():
-    runs = [shaken(Multisine.random((1.0, 300.0), seed=s, rms=3.0), periods=2) for s in range(3)]
+    runs = [excited(Multisine.random((1.0, 300.0), seed=s, rms=3.0), periods=2) for s in range(3)]
     found = periodic(runs)
     assert found.z == pytest.approx(mass_damper(found.lines_hz), rel=1e-9)
     assert found.deviation.max() < 1e-9 * found.magnitude.min()
@@ -80,7 +80,7 @@ def test_a_linear_rig_without_noise_is_found_exactly():
 
 def test_scipys_cross_spectra_agree_with_the_ratio_of_lines():
     """One boxcar segment for each period is the same arithmetic, in other hands."""
-    run = shaken(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=5, effort=0.3, position=2e-6)
+    run = excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=5, effort=0.3, position=2e-6)
     settings = {"window": "boxcar", "nperseg": 4000, "noverlap": 0, "detrend": False, "fs": RATE}
     f, rf = csd(run.excitation, run.effort, **settings)
     _, rx = csd(run.excitation, run.position, **settings)
@@ -97,11 +97,11 @@ def test_scipys_cross_spectra_agree_with_the_ratio_of_lines():
 
 def test_the_stated_variance_is_the_scatter_of_repeated_measurements():
     """Noise in both channels; the chi-square of 400 estimates of 20 lines has its expected mean."""
-    shakes = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(4)]
+    excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(4)]
     score, parts = [], []
     for trial in range(400):
         runs = [
-            shaken(s, rate=500.0, effort=0.5, position=2e-6, seed=(trial, i)) for i, s in enumerate(shakes)
+            excited(s, rate=500.0, effort=0.5, position=2e-6, seed=(trial, i)) for i, s in enumerate(excites)
         ]
         found = periodic(runs)
         error = found.z - mass_damper(found.lines_hz)
@@ -114,10 +114,10 @@ def test_the_stated_variance_is_the_scatter_of_repeated_measurements():
 
 
 def test_student_keeps_the_promise_of_a_z_score_with_few_realisations():
-    shakes = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(3)]
+    excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(3)]
     beyond = []
     for trial in range(400):
-        runs = [shaken(s, rate=500.0, effort=0.5, seed=(trial, i)) for i, s in enumerate(shakes)]
+        runs = [excited(s, rate=500.0, effort=0.5, seed=(trial, i)) for i, s in enumerate(excites)]
         found = periodic(runs)
         beyond.append((found.z - mass_damper(found.lines_hz)).real < -found.spread(2.0))
     assert np.mean(beyond) == pytest.approx(0.0228, abs=0.006)  # the one-sided 2σ share of a normal variable
@@ -127,7 +127,7 @@ def test_periods_of_one_realisation_do_not_see_a_distortion_that_repeats():
     """Coulomb friction is frozen for one set of phases: only realisations show how wrong a line is."""
 
     def rubbed(seed):
-        run = shaken(Multisine.random((2.0, 60.0), seed=seed, rms=2.0), rate=1000.0, periods=3)
+        run = excited(Multisine.random((2.0, 60.0), seed=seed, rms=2.0), rate=1000.0, periods=3)
         speed = aligned(run)[2]
         return replace(run, effort=run.effort + 0.4 * np.sign(speed))
 
@@ -143,7 +143,7 @@ def test_periods_of_one_realisation_do_not_see_a_distortion_that_repeats():
 
 
 def test_one_period_of_one_realisation_says_that_it_knows_no_variance():
-    found = periodic([shaken(Multisine.schroeder((1.0, 50.0), rms=1.0))])
+    found = periodic([excited(Multisine.schroeder((1.0, 50.0), rms=1.0))])
     assert np.isnan(found.variance).all()
     assert np.isnan(found.coherence_motion).all()
     assert np.isnan(found.residual)  # all bins of the band are lines
@@ -152,13 +152,13 @@ def test_one_period_of_one_realisation_says_that_it_knows_no_variance():
 
 @pytest.mark.parametrize("late", [0.25e-3, -0.1e-3])
 def test_channels_are_aligned_by_the_delays_that_they_declare(late):
-    shake = Multisine.schroeder((1.0, 400.0), rms=1.0)
-    plain = shaken(shake)
+    multisine = Multisine.schroeder((1.0, 400.0), rms=1.0)
+    plain = excited(multisine)
     t = np.arange(4000) / RATE
     skewed = replace(
         plain,
-        effort=shake.at(t - late),
-        position=shake.position(mass_damper).at(t - 3 * late),
+        effort=multisine.at(t - late),
+        position=multisine.position(mass_damper).at(t - 3 * late),
         effort_delay_s=late,
         position_delay_s=3 * late,
     )
@@ -168,30 +168,32 @@ def test_channels_are_aligned_by_the_delays_that_they_declare(late):
     assert turned[99] == pytest.approx(360.0 * 100.0 * 3 * late, abs=1e-6)
     f, v = aligned(skewed)[1:]
     assert f == pytest.approx(plain.effort, abs=1e-9)
-    assert v == pytest.approx(shake.velocity(mass_damper).period(RATE), abs=1e-9)
+    assert v == pytest.approx(multisine.velocity(mass_damper).period(RATE), abs=1e-9)
 
 
 def test_an_effort_held_over_its_sample_is_taken_for_what_it_is():
     """Held at 4 kHz and correlated with its own sample, effort leads by 4.5° at 100 Hz: the trap of REPRODUCTION."""
-    shake = Multisine.schroeder((1.0, 400.0), rms=1.0)
-    acting = shake.through(hold(shake.lines_hz, 1 / RATE))  # what a staircase has of itself at the lines
-    run = replace(shaken(shake), position=acting.position(mass_damper).period(RATE))
+    multisine = Multisine.schroeder((1.0, 400.0), rms=1.0)
+    acting = multisine.through(
+        hold(multisine.lines_hz, 1 / RATE)
+    )  # what a staircase has of itself at the lines
+    run = replace(excited(multisine), position=acting.position(mass_damper).period(RATE))
     assert periodic([replace(run, effort_hold_s=1 / RATE)]).z == pytest.approx(
-        mass_damper(shake.lines_hz), rel=1e-9
+        mass_damper(multisine.lines_hz), rel=1e-9
     )
-    bias = np.degrees(np.angle(periodic([run]).z / mass_damper(shake.lines_hz)))
+    bias = np.degrees(np.angle(periodic([run]).z / mass_damper(multisine.lines_hz)))
     assert bias[[49, 99, 249]] == pytest.approx([2.25, 4.5, 11.25], abs=1e-6)
 
 
 def test_the_drift_of_a_free_rig_is_taken_out_and_nothing_else():
-    run = shaken(Multisine.schroeder((1.0, 100.0), rms=1.0), periods=3)
+    run = excited(Multisine.schroeder((1.0, 100.0), rms=1.0), periods=3)
     away = replace(run, position=run.position + 0.3 + 0.01 * np.arange(12_000) / RATE)
     assert periodic([away]).z == pytest.approx(periodic([run]).z, rel=1e-6)
     assert run.level_position() == pytest.approx(run.position - run.position.mean(), abs=1e-15)
 
 
 def test_residual_is_the_share_of_velocity_power_off_the_lines():
-    run = shaken(Multisine.schroeder((5.0, 100.0), rms=1.0), periods=4)
+    run = excited(Multisine.schroeder((5.0, 100.0), rms=1.0), periods=4)
     speed = aligned(run)[2]
     t = np.arange(16_000) / RATE
     w = 2 * np.pi * 60.25  # between two lines
@@ -206,10 +208,10 @@ def test_residual_is_the_share_of_velocity_power_off_the_lines():
 def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is():
     """H1 reads |H|·S_vv/(S_vv + S_nn); segments of whole periods, so that nothing else differs."""
     settings = WelchSettings(window="boxcar", segment_s=1.0, overlap=0.0, transform_samples=1000)
-    shake = Multisine.random((10.0, 400.0), seed=3, rms=3.0)
-    run = shaken(shake, rate=1000.0, periods=400, position=1.5e-6)
-    lines = shake.lines_hz
-    signal = shake.velocity(mass_damper).amplitudes ** 2 / 2
+    multisine = Multisine.random((10.0, 400.0), seed=3, rms=3.0)
+    run = excited(multisine, rate=1000.0, periods=400, position=1.5e-6)
+    lines = multisine.lines_hz
+    signal = multisine.velocity(mass_damper).amplitudes ** 2 / 2
     noise = (2 * np.pi * lines * 1.5e-6) ** 2 * 2 / 1000  # power of white noise in a bin of one period
     found, h1 = welch([run], replace(settings, estimator="instrument")), welch([run], settings)
     truth = np.abs(mass_damper(lines))
@@ -222,7 +224,7 @@ def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is():
 
 
 def test_welch_is_scipys_with_the_settings_of_tfestimate():
-    run = shaken(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4, effort=0.2)
+    run = excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4, effort=0.2)
     length = int(16_000 / 4.5)
     assert TFESTIMATE.segment(16_000, RATE) == length == 3555
     assert TFESTIMATE.transform(length) == 4096
@@ -244,7 +246,7 @@ def test_welch_is_scipys_with_the_settings_of_tfestimate():
 
 
 def test_welch_finds_a_mass_damper_though_lines_leak():
-    found = welch([shaken(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4)])
+    found = welch([excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4)])
     inner = found.within((10.0, 290.0))
     assert inner.z == pytest.approx(mass_damper(inner.lines_hz), rel=0.02)
 
@@ -262,13 +264,13 @@ def test_welchs_variance_is_the_scatter_over_records_of_noise():
                 np.fft.rfft(r) / np.maximum(2j * np.pi * np.arange(2001) * 0.25, 1j), 4000
             )
             effort = 2.0 * r + random.standard_normal(4000)
-            estimates.append(welch([Shaken(1000.0, 4000, 1, r, effort, position, lines)], settings))
+            estimates.append(welch([ExcitedRun(1000.0, 4000, 1, r, effort, position, lines)], settings))
         scatter = np.mean([np.abs(e.z - 2.0) ** 2 for e in estimates])
         assert np.mean([e.variance for e in estimates]) == pytest.approx(scatter, rel=0.1)
 
 
 def test_a_rig_that_does_not_move_gives_no_number_and_no_exception():
-    run = replace(shaken(Multisine.schroeder((1.0, 20.0), rms=1.0), periods=2), position=np.zeros(8000))
+    run = replace(excited(Multisine.schroeder((1.0, 20.0), rms=1.0), periods=2), position=np.zeros(8000))
     found = periodic([run, run])
     assert not np.isfinite(found.z).any()
     assert found.coherence_motion == pytest.approx(0.0)
@@ -277,7 +279,7 @@ def test_a_rig_that_does_not_move_gives_no_number_and_no_exception():
 
 
 def test_its_mapping_is_json():
-    found = periodic([shaken(Multisine.schroeder((1.0, 20.0), rms=1.0), periods=2)])
+    found = periodic([excited(Multisine.schroeder((1.0, 20.0), rms=1.0), periods=2)])
     mapping = json.loads(json.dumps(found.as_mapping(), allow_nan=False))
     assert mapping["real"] == pytest.approx(found.z.real.tolist())
     assert mapping["imaginary"] == pytest.approx(found.z.imag.tolist())
@@ -285,8 +287,8 @@ def test_its_mapping_is_json():
 
 
 def test_what_does_not_belong_together_is_refused():
-    run = shaken(Multisine.schroeder((1.0, 20.0), rms=1.0))
-    other = shaken(Multisine.schroeder((1.0, 21.0), rms=1.0))
+    run = excited(Multisine.schroeder((1.0, 20.0), rms=1.0))
+    other = excited(Multisine.schroeder((1.0, 21.0), rms=1.0))
     with pytest.raises(ConfigError, match="no runs"):
         periodic([])
     with pytest.raises(ConfigError, match="different"):

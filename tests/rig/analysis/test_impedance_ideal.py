@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from rig.analysis.impedance.estimate import Impedance, periodic
 from rig.analysis.impedance.ideal import bare, ideal_wall, rendered
-from rig.analysis.impedance.signals import Shaken, hold
+from rig.analysis.impedance.signals import ExcitedRun, hold
 from rig.analysis.impedance.verdict import passive
 from rig.analysis.theory.lifted import Lifted
 from rig.analysis.theory.loop import linear_loop
@@ -67,8 +67,8 @@ def measured(loop, stiffness, damping, line, *, seen="handle", channel="external
     plant, n, w = rig.plant, rig.plant.order, 2.0 * np.pi * line
     external, command = plant.b[:, 1], plant.b[:, 0]
     still, cosine, sine = np.zeros(3), np.array([0.0, -w, 0.0]), np.array([w, 0.0, 0.0])
-    shaking = external if channel == "external" else np.zeros(n)
-    matrix = rig.step(loop.tick_s / FINE, (shaking, cosine), (np.zeros(n), sine), (command, still))
+    multisine = external if channel == "external" else np.zeros(n)
+    matrix = rig.step(loop.tick_s / FINE, (multisine, cosine), (np.zeros(n), sine), (command, still))
     x = np.zeros(n + 3)
     x[n] = 1.0
     row = plant.handle_position if seen == "handle" else plant.sensed_position
@@ -198,8 +198,8 @@ def test_an_own_motor_that_is_recorded_at_its_ticks_shows_much_more_than_the_rig
 def test_a_multisine_measurement_of_a_sampled_wall_agrees_at_every_line():
     """The whole path: Schroeder multisine at the middle of 16 kHz steps, wall at 1 kHz, ratio of lines."""
     loop = rigid("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200")
-    shake = Multisine.schroeder((10.0, 400.0), 0.1, rms=5.0)
-    effort = shake.period(16_000.0, 0.5)
+    multisine = Multisine.schroeder((10.0, 400.0), 0.1, rms=5.0)
+    effort = multisine.period(16_000.0, 0.5)
     rig = Loop(loop, 2e4, 60.0)
     n = rig.plant.order
     inputs = [(rig.plant.b[:, 1], np.zeros(2)), (rig.plant.b[:, 0], np.zeros(2))]
@@ -211,17 +211,17 @@ def test_a_multisine_measurement_of_a_sampled_wall_agrees_at_every_line():
             kept.append(x[rig.plant.handle_position])
             x[n] = effort[(FINE * k + i) % 1600]
             x = matrix @ x
-    run = Shaken(
+    run = ExcitedRun(
         16_000.0,
         1600,
         1,
-        shake.period(16_000.0),
+        multisine.period(16_000.0),
         effort,
         np.array(kept)[-1600:],
-        shake.lines_hz,
+        multisine.lines_hz,
         effort_hold_s=1 / 16_000.0,
     )
-    ratio = periodic([run]).z / rendered(loop, 2e4, 60.0, shake.lines_hz)
+    ratio = periodic([run]).z / rendered(loop, 2e4, 60.0, multisine.lines_hz)
     assert np.abs(ratio) == pytest.approx(1.0, abs=1e-4)
     assert np.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=0.01)
 

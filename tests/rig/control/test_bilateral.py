@@ -15,9 +15,9 @@ WALL = {"stiffness": 1000.0, "damping": 5.0, "side": 1, "pull": "clamp", "dampin
 TABLE = np.array([1.0, -2.0, 3.0, 0.5])
 
 
-def shaken(wall=WALL, table=TABLE, ramp_ticks=0):
+def excited(wall=WALL, table=TABLE, ramp_ticks=0):
     """The law with its memory, as a function of penetration, velocity and elapsed ticks."""
-    prepared = bilateral.shaken_law(table, ramp_ticks).prepare(wall)
+    prepared = bilateral.excited_law(table, ramp_ticks).prepare(wall)
 
     def react(penetration=0.0, velocity=0.0, elapsed=1):
         return prepared.law.function(penetration, velocity, elapsed, prepared.state, prepared.parameters)
@@ -41,26 +41,26 @@ def test_without_stiffness_and_damping_nothing_reacts():
 
 
 def test_the_excitation_is_taken_off_the_reaction_and_goes_round():
-    react = shaken()
+    react = excited()
     assert [react() for _ in range(6)] == [-1.0, 2.0, -3.0, -0.5, -1.0, 2.0]
-    react = shaken()
+    react = excited()
     assert react(0.01, 0.2) == pytest.approx(1000.0 * 0.01 + 5.0 * 0.2 - 1.0)
 
 
 def test_on_a_wall_of_the_other_side_the_excitation_still_counts_along_the_position():
     """Effort along the position is −side · reaction."""
     for side in (1, -1):
-        react = shaken(WALL | {"side": side})
+        react = excited(WALL | {"side": side})
         assert [-side * react() for _ in range(3)] == [1.0, -2.0, 3.0]
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.integers(0, 12))
 def test_samples_that_were_lost_are_skipped_in_the_excitation_too(elapsed, ramp_ticks):
     """The excitation is a function of the tick alone, however many of them the law saw; the first call is tick 0."""
-    react = shaken(ramp_ticks=ramp_ticks)
+    react = excited(ramp_ticks=ramp_ticks)
     ticks = np.concatenate([[0], np.cumsum(elapsed[1:])]).astype(int)
     whole = bilateral.played(
-        bilateral.shaken_law(TABLE, ramp_ticks).prepare(WALL).parameters, 1, 1e-3, int(ticks[-1]) + 1
+        bilateral.excited_law(TABLE, ramp_ticks).prepare(WALL).parameters, 1, 1e-3, int(ticks[-1]) + 1
     )
     assert [-react(elapsed=n) for n in elapsed] == pytest.approx(whole[ticks].tolist(), abs=1e-12)
 
@@ -68,7 +68,7 @@ def test_samples_that_were_lost_are_skipped_in_the_excitation_too(elapsed, ramp_
 def test_it_rises_without_a_step():
     """The compiled ramp is that of `rig.control.excitation`, from zero to all of it."""
     table, ticks = np.ones(5), 100
-    react = shaken(table=table, ramp_ticks=ticks)
+    react = excited(table=table, ramp_ticks=ticks)
     rising = np.array([-react() for _ in range(ticks + 20)])
     assert rising == pytest.approx(ramp(np.arange(ticks + 20), ticks), abs=1e-12)
     assert rising[0] == 0.0
@@ -77,14 +77,14 @@ def test_it_rises_without_a_step():
 
 
 def test_the_laws_are_found_by_name_so_that_a_recording_can_be_replayed():
-    for name in ("bilateral", "shaken"):
+    for name in ("bilateral", "excited"):
         assert name in laws.names()
         assert laws.get(name).prepare(WALL).parameters[:2].tolist() == [1000.0, 5.0]
-    saved = bilateral.shaken_law(TABLE, 7).prepare(WALL)
+    saved = bilateral.excited_law(TABLE, 7).prepare(WALL)
     from rig.config import controller, presets  # noqa: PLC0415
 
     plain = controller.for_experiment(
-        presets.load("chawda-linear"), current_quantum_a=0.001, law=bilateral.shaken_law(TABLE, 7)
+        presets.load("chawda-linear"), current_quantum_a=0.001, law=bilateral.excited_law(TABLE, 7)
     )
     again = Controller.from_mapping(plain.as_mapping())
     assert again.law.parameters.tobytes()[16:] == saved.parameters.tobytes()[16:]

@@ -35,11 +35,11 @@ def test_unequal_amplitudes_get_schroeders_general_phases():
 
 @pytest.mark.parametrize("spectrum", ["flat", "mass"])
 def test_schroeders_phases_give_less_than_half_the_crest_of_zero_phases(spectrum):
-    shake = Multisine.schroeder(BAND, rms=1.0, spectrum=spectrum)
-    aligned = Multisine(1.0, shake.lines_hz, shake.amplitudes, np.zeros(250))
+    multisine = Multisine.schroeder(BAND, rms=1.0, spectrum=spectrum)
+    aligned = Multisine(1.0, multisine.lines_hz, multisine.amplitudes, np.zeros(250))
     random = [Multisine.random(BAND, seed=s, rms=1.0, spectrum=spectrum).crest_factor for s in range(10)]
-    assert 1.5 < shake.crest_factor < 2.0
-    assert shake.crest_factor < min(random)
+    assert 1.5 < multisine.crest_factor < 2.0
+    assert multisine.crest_factor < min(random)
     assert 2.8 < np.mean(random) < 4.2
     assert aligned.crest_factor > 10.0
 
@@ -56,11 +56,11 @@ def test_one_line_has_the_crest_of_a_sine():
     odd=st.booleans(),
 )
 def test_rms_and_peak_are_those_of_a_fine_sampling(seed, low, width, spacing, odd):
-    shake = Multisine.random((low, low + width + 1), seed=seed, peak=3.0, spacing_lines=spacing, odd=odd)
-    fine = shake.at(np.arange(40_000) / 40_000)
+    multisine = Multisine.random((low, low + width + 1), seed=seed, peak=3.0, spacing_lines=spacing, odd=odd)
+    fine = multisine.at(np.arange(40_000) / 40_000)
     assert np.abs(fine).max() <= 3.0 * (1 + 1e-3)
-    assert shake.peak == pytest.approx(3.0) == pytest.approx(np.abs(fine).max(), rel=2e-3)
-    assert shake.rms == pytest.approx(np.sqrt(np.mean(fine**2)), rel=1e-9)
+    assert multisine.peak == pytest.approx(3.0) == pytest.approx(np.abs(fine).max(), rel=2e-3)
+    assert multisine.rms == pytest.approx(np.sqrt(np.mean(fine**2)), rel=1e-9)
 
 
 def test_lines_are_what_was_asked_for():
@@ -91,19 +91,19 @@ def test_random_phases_come_from_the_seed_alone():
 
 @pytest.mark.parametrize("offset", [0.0, 0.5, 0.25])
 def test_a_period_is_the_sum_of_cosines_at_its_samples(offset):
-    shake = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
-    assert shake.period(1000.0, offset) == pytest.approx(
-        shake.at((np.arange(500) + offset) / 1000.0), abs=1e-12
+    multisine = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
+    assert multisine.period(1000.0, offset) == pytest.approx(
+        multisine.at((np.arange(500) + offset) / 1000.0), abs=1e-12
     )
-    assert shake.at(0.123) == pytest.approx(shake.at(0.123 + 3 * 0.5), abs=1e-12)
+    assert multisine.at(0.123) == pytest.approx(multisine.at(0.123 + 3 * 0.5), abs=1e-12)
 
 
 def test_it_fades_in_over_whole_periods_and_is_itself_afterwards():
-    shake = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
+    multisine = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
     t = np.linspace(-0.5, 2.0, 2501)
-    faded = shake.ramped(t, 2)
+    faded = multisine.ramped(t, 2)
     assert not faded[t <= 0.0].any()
-    assert faded[t >= 1.0] == pytest.approx(shake.at(t[t >= 1.0]))
+    assert faded[t >= 1.0] == pytest.approx(multisine.at(t[t >= 1.0]))
     assert ramp([0.0, 0.5, 1.0, 7.0], 1.0) == pytest.approx([0.0, 0.5, 1.0, 1.0])
     assert ramp([-1.0, 0.0, 1.0], 0.0) == pytest.approx([0.0, 1.0, 1.0])
 
@@ -111,35 +111,35 @@ def test_it_fades_in_over_whole_periods_and_is_itself_afterwards():
 def test_predicted_motion_is_that_of_the_equation_of_motion():
     """The position put into m·x″ + b·x′ + K·x gives the effort back."""
     m, b, k = 0.52, 13.2, 2e4
-    shake = Multisine.schroeder((2.0, 60.0), rms=3.0)
-    x = shake.position(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))
+    multisine = Multisine.schroeder((2.0, 60.0), rms=3.0)
+    x = multisine.position(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))
     t = np.linspace(0, 1, 50_001)[:-1]
     position = x.at(t)
     spectrum, w = np.fft.rfft(position), 2 * np.pi * np.arange(25_001)
     effort = np.fft.irfft((k + 1j * w * b - m * w**2) * spectrum, 50_000)
-    assert effort == pytest.approx(shake.at(t), abs=1e-6)
-    v = shake.velocity(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))
+    assert effort == pytest.approx(multisine.at(t), abs=1e-6)
+    v = multisine.velocity(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))
     assert v.at(t) == pytest.approx(np.fft.irfft(1j * w * spectrum, 50_000), abs=1e-9)
 
 
 def test_a_plan_gets_numbers_and_limits():
     m, b, k = 0.52, 13.2, 2e4
-    shake = Multisine.schroeder(BAND, peak=20.0)
-    s = 2j * np.pi * shake.lines_hz
+    multisine = Multisine.schroeder(BAND, peak=20.0)
+    s = 2j * np.pi * multisine.lines_hz
     wall = k / s
     whole = m * s + b + wall
-    checks = shake.check(
+    checks = multisine.check(
         whole, effort_limit=50.0, position_limit=1e-4, speed_limit=2.0, wall=wall, motor_limit=100.0
     )
     by_name = {check.name: check for check in checks}
     assert by_name["peak excitation"].value == pytest.approx(20.0)
     assert by_name["peak excitation"].holds
-    assert by_name["peak position"].value == pytest.approx(shake.position(whole).peak)
+    assert by_name["peak position"].value == pytest.approx(multisine.position(whole).peak)
     assert not by_name["peak position"].holds  # 20 N move this wall further than 0.1 mm at its resonance
-    assert by_name["peak motor effort"].value == pytest.approx(k * shake.position(whole).peak)
+    assert by_name["peak motor effort"].value == pytest.approx(k * multisine.position(whole).peak)
     assert json.loads(json.dumps([check.as_mapping() for check in checks]))[1]["holds"] is False
-    no_wall = shake.check(m * s + b, channel="motor")
-    assert no_wall[-1].value == pytest.approx(20.0)  # all the motor does is shake
+    no_wall = multisine.check(m * s + b, channel="motor")
+    assert no_wall[-1].value == pytest.approx(20.0)  # all the motor does is excite
     assert all(check.holds for check in no_wall)  # nothing to keep
 
 

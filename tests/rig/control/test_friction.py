@@ -163,7 +163,7 @@ def test_it_cannot_drive_the_rig_by_itself(helped):
 
 @pytest.mark.parametrize("rate", [20_000, 1000])
 def test_on_a_passive_bench_it_injects_nothing(helped, rate):
-    """Shaken at random, the motor's work is never above what friction takes: net energy of both ≤ 0 at every moment."""
+    """Excited at random, the motor's work is never above what friction takes: net energy of both ≤ 0 always."""
     rng = np.random.default_rng(5)
     pushes = np.repeat(rng.normal(0.0, 0.05, 200), rate // 100)
     changes = {"controller.position_rate": rate, "controller.velocity_rate": min(rate, 2000),
@@ -238,7 +238,7 @@ def test_a_third_party_law_can_be_compensated():
     assert law.law.function(0.0, 1.0, 1, law.state, law.parameters) == pytest.approx(6.5)
 
 
-@pytest.mark.parametrize("name", ["traced", "nudges", "spring-damper+friction", "shaken+friction"])
+@pytest.mark.parametrize("name", ["traced", "nudges", "spring-damper+friction", "excited+friction"])
 def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(name):
     assert laws.get(name).name == name
 

@@ -371,7 +371,7 @@ def test_the_floor_of_a_hit_at_rest_on_the_edge_of_a_count_is_that_of_all_its_ch
     assert numbers["felt"] < floor_at(dominant_hz(position)) < numbers["felt_floor"]
 
 
-def test_the_floor_of_a_hit_that_bounces_is_that_of_the_mode_that_shakes_the_encoder(hits):
+def test_the_floor_of_a_hit_that_bounces_is_that_of_the_mode_that_excites_the_encoder(hits):
     """The handle hops at a low frequency, while the capstan's mode at 586 Hz moves the motor by some counts."""
     numbers = meter(LIMITS, 1.0 / RATE, DELTA).recorded(*hits[1]["recorded"])
     assert numbers["exits_in_tail"] > 50

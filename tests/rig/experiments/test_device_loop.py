@@ -19,7 +19,7 @@ from rig.config.controller import prepared
 from rig.control import bilateral
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.core.errors import ConfigError, PlanError
-from rig.experiments import live, shaking
+from rig.experiments import excitation_run, live
 from rig.experiments.identify import IdentifyRequest, plan_of
 from rig.experiments.plan import device_checks, link_checks, make_plan
 from rig.experiments.planned import Outcome
@@ -29,7 +29,7 @@ RIGID = presets.load("koul-rigid")
 ON_DEVICE = config.override(RIGID, {"controller.loop": "device"})
 HOLDS = config.override(ON_DEVICE, {"wall.stiffness": 150.0, "wall.damping": 0.1})  # in every hand
 EXAMPLE = Path(__file__).parents[3] / "firmware_protocol/firmware/boards/rp2040/example.toml"
-SHAKEN = config.shaken(
+EXCITED = config.excited(
     config.override(
         ON_DEVICE,
         {
@@ -142,7 +142,7 @@ def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lac
     assert integers.outcome is Outcome.REFUSED
     assert "law = 2 (it takes 0 to 1)" in integers.text
     (short,) = device_checks(
-        prepared(SHAKEN, law=shaking.shaken_law(SHAKEN)), device(excitation_period=(2, 1000))
+        prepared(EXCITED, law=excitation_run.excited_law(EXCITED)), device(excitation_period=(2, 1000))
     )
     assert "excitation_period = 2000 (it takes 2 to 1000)" in short.text
 
@@ -226,37 +226,40 @@ def test_an_identification_is_the_hosts():
 
 @pytest.mark.parametrize("kind", ["random", "schroeder"])
 def test_the_host_plays_the_table_that_the_device_makes(kind):
-    x = config.override(SHAKEN, {"excitation.kind": kind, "excitation.realisations": 1})
-    law, quantum = shaking.shaken_law(x, current_quantum_a=0.002), 0.002 * x.rig.amplifier.effort_per_ampere
+    x = config.override(EXCITED, {"excitation.kind": kind, "excitation.realisations": 1})
+    law, quantum = (
+        excitation_run.excited_law(x, current_quantum_a=0.002),
+        0.002 * x.rig.amplifier.effort_per_ampere,
+    )
     given = {name.removeprefix("excitation_"): value for name, value in law.device.items()}
     table = ExcitationTable(**{**given, "phases": PHASES[given["phases"]]})
     rendered = law.prepare({"stiffness": 1.0, "damping": 0.0, "side": x.wall.side})
     played = bilateral.played(rendered.parameters, x.wall.side, 1.0, 3 * table.period)[2 * table.period :]
     np.testing.assert_array_equal(played, table.table * 2.0**-table.bits * quantum)
-    assert table.ramp == round(shaking.ramp_s(x) * 20_000)
+    assert table.ramp == round(excitation_run.ramp_s(x) * 20_000)
     values = prepared(x, current_quantum_a=0.002, reference_count=0, verified=True, law=law).parameters
     assert law.device.items() <= values.items()
     assert values["bilateral"] == 1
 
 
-def test_what_shakes_the_rig_is_what_was_asked_for():
-    wanted = config.excitation_size(SHAKEN)["rms"]
-    multisine = shaking.multisine_of(SHAKEN)
+def test_what_excites_the_rig_is_what_was_asked_for():
+    wanted = config.excitation_size(EXCITED)["rms"]
+    multisine = excitation_run.multisine_of(EXCITED)
     assert multisine.rms == pytest.approx(wanted, rel=1e-4)
-    assert multisine.lines_hz.tolist() == shaking._own_multisine(SHAKEN, 0).lines_hz.tolist()
-    by_peak = config.override(SHAKEN, {"excitation.peak": 0.3})
-    assert shaking.multisine_of(by_peak, 1).peak == pytest.approx(0.3, rel=1e-3)
-    other = shaking.multisine_of(SHAKEN, 1)
+    assert multisine.lines_hz.tolist() == excitation_run._own_multisine(EXCITED, 0).lines_hz.tolist()
+    by_peak = config.override(EXCITED, {"excitation.peak": 0.3})
+    assert excitation_run.multisine_of(by_peak, 1).peak == pytest.approx(0.3, rel=1e-3)
+    other = excitation_run.multisine_of(EXCITED, 1)
     assert not np.allclose(multisine.phases, other.phases)
-    table = shaking.device_table(SHAKEN, 1)
+    table = excitation_run.device_table(EXCITED, 1)
     sampled = other.period(20_000)
-    quantum = SHAKEN.rig.amplifier.effort_quantum
+    quantum = EXCITED.rig.amplifier.effort_quantum
     assert np.abs(table.efforts(quantum) - sampled).max() <= table.error * quantum
-    on_host = config.override(SHAKEN, {"controller.loop": "host"})
-    assert shaking.shaken_law(on_host).device == {}
+    on_host = config.override(EXCITED, {"controller.loop": "host"})
+    assert excitation_run.excited_law(on_host).device == {}
 
 
 def test_an_excitation_that_no_table_holds_is_refused():
-    long = config.override(SHAKEN, {"excitation.period_s": 10.0})
+    long = config.override(EXCITED, {"excitation.period_s": 10.0})
     with pytest.raises(ConfigError, match="period"):
-        shaking.multisine_of(long)
+        excitation_run.multisine_of(long)

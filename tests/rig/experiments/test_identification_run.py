@@ -136,7 +136,7 @@ def test_every_motion_is_a_recording_that_says_what_it_is(chawda):
     assert {name: len(paths) for name, paths in chawda.recordings.items()} == {
         "signs": 1, "sliding": 1, "dynamics": 3,
     }  # fmt: skip
-    laws = {"signs": "nudges", "sliding": "traced", "dynamics": "shaken"}
+    laws = {"signs": "nudges", "sliding": "traced", "dynamics": "excited"}
     for name, paths in chawda.recordings.items():
         for path in paths:
             recording = open_recording(path)
@@ -154,11 +154,11 @@ def test_motions_stay_far_within_effort_speed_and_window(experiment, request):
     described = config.override(experiment, {"rig.mechanics.end_mass": 0.0})
     limits = described.rig.limits
     low, high = limits.position_minimum, limits.position_maximum
-    shaking = motions.excitation(described, 0, 0.5, motions.inertia_of(described))
+    multisine = motions.excitation(described, 0, 0.5, motions.inertia_of(described))
     for motion in (
         motions.pushes_motion(described, 0.1 * high),
         motions.strokes_motion(described),
-        motions.shaking_motion(described, shaking, motions.inertia_of(described)),
+        motions.excitation_motion(described, multisine, motions.inertia_of(described)),
     ):
         x = motion.experiment
         slippery = {f"rig.mechanics.{side}_{name}": 0.1 * getattr(x.rig.mechanics, f"{side}_{name}")
@@ -222,7 +222,7 @@ def test_pushes_of_a_wrong_sign_move_as_little(tmp_path, monkeypatch):
     assert 30 <= np.abs(rows["count"]).max() < 300
 
 
-def test_a_rig_of_another_scale_is_refused_before_it_is_shaken(tmp_path, monkeypatch):
+def test_a_rig_of_another_scale_is_refused_before_it_is_excited(tmp_path, monkeypatch):
     mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=5.2)
     heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
     monkeypatch.setattr(
@@ -238,12 +238,12 @@ def test_a_rig_of_another_scale_is_refused_before_it_is_shaken(tmp_path, monkeyp
 def test_the_plan_lists_and_checks_before_anything_moves():
     request = IdentifyRequest(experiment=RIGID)
     plan = identifying.plan_of(identifying.without_end_mass(request), request)
-    assert [step.name for step in plan.steps] == ["pushes", "strokes", "shaking"]
+    assert [step.name for step in plan.steps] == ["pushes", "strokes", "excitation"]
     assert plan.ok
     assert all(check.outcome == Outcome.OK for check in plan.checks)
     weak = config.override(RIGID, {"rig.limits.effort": 0.15})
     checks = {c.name: c for c in identifying.plan_of(weak, request).checks}
-    assert checks["shaking over friction"].outcome == Outcome.WARNING
+    assert checks["excitation over friction"].outcome == Outcome.WARNING
 
 
 def test_a_plan_that_is_refused_moves_nothing(tmp_path):

@@ -1,4 +1,4 @@
-"""Measuring an impedance: closed forms without friction and quantum, both shakers, with and without bytes, refusals."""
+"""An impedance measured: closed forms no friction or quantum, both exciters, with and without bytes, refusals."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from rig.config.schemes import Scheme
 from rig.control import bilateral, laws
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.experiments import impedance as measuring
-from rig.experiments.impedance import Judging, OnDevice, measure_impedance, measure_on_device, write_results
-from rig.experiments.judgement import experiment_of
-from rig.experiments.plan import make_plan
-from rig.experiments.planned import Outcome
-from rig.experiments.replay import replay
-from rig.experiments.shaking import (
-    ShakingBench,
+from rig.experiments.excitation_run import (
+    ExcitedRig,
+    excited_law,
     late_ticks,
     multisine_of,
     ramp_s,
     record_of,
     seen_at_ticks,
-    shaken_law,
 )
+from rig.experiments.impedance import Judging, OnDevice, measure_impedance, measure_on_device, write_results
+from rig.experiments.judgement import experiment_of
+from rig.experiments.plan import make_plan
+from rig.experiments.planned import Outcome
+from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 
 CHAWDA = presets.load("chawda-linear")
@@ -75,9 +75,9 @@ def off(measured, exact):
 def test_the_measured_impedance_is_the_closed_form(scheme, walls):
     """Within 0.3 % and 0.1° at every line up to 400 Hz, wall and hold and estimator and images."""
     x = linear(scheme)
-    bench = ShakingBench(x)
+    bench = ExcitedRig(x)
     for wall in walls:
-        run = bench.shake(*wall)
+        run = bench.excite(*wall)
         measured = periodic([run.record])
         assert len(measured.lines_hz) == 400
         magnitude, phase = off(measured.z, rendered(x, *wall, measured.lines_hz))
@@ -99,7 +99,7 @@ def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_
     x = config.override(config.experiment_from_mapping(mapping, "test"), fine)
     for wall in ((0.0, 0.0), (150.0, 0.05)):
         for signal, seen in (("count", "sensed"), ("truth", "handle")):
-            measured = periodic([ShakingBench(x, signal=signal).shake(*wall).record])
+            measured = periodic([ExcitedRig(x, signal=signal).excite(*wall).record])
             magnitude, phase = off(measured.z, rendered(x, *wall, measured.lines_hz, seen=seen))
             assert magnitude < 0.3
             assert phase < 0.1
@@ -114,12 +114,12 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(w
         else "uniform:1k,estimator=fdm"
     )
     x = linear(scheme, **{"excitation.channel": "motor"})
-    own = periodic([ShakingBench(x, acquisition_hz=1e6).shake(*wall).record])
+    own = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
     magnitude, phase = off(own.z, rendered(x, *wall, own.lines_hz, channel="motor"))
     assert magnitude < 0.1
     assert phase < 0.05
     second = config.override(x, {"excitation.channel": "external"})
-    other = periodic([ShakingBench(second).shake(*wall).record])
+    other = periodic([ExcitedRig(second).excite(*wall).record])
     assert off(own.z, other.z)[0] < agree
 
 
@@ -131,7 +131,7 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out():
         "excitation.channel": "motor",
     }
     x = linear("uniform:1k,estimator=fdm", **late)
-    measured = periodic([ShakingBench(x, acquisition_hz=1e6).shake(0.0, 0.0).record])
+    measured = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(0.0, 0.0).record])
     magnitude, phase = off(measured.z, bare(x, measured.lines_hz))
     assert magnitude < 0.1
     assert phase < 0.05
@@ -139,7 +139,7 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out():
 
 def test_counts_and_truth_agree_where_the_encoder_is_fine():
     x = linear("uniform:1k,estimator=fdm")
-    counted, true = (ShakingBench(x, signal=signal).shake(5e3, 10.0).record for signal in ("count", "truth"))
+    counted, true = (ExcitedRig(x, signal=signal).excite(5e3, 10.0).record for signal in ("count", "truth"))
     assert counted.position == pytest.approx(true.position, abs=1e-12)
     assert (counted.excitation == true.excitation).all()
 
@@ -162,8 +162,8 @@ def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bar
     x = config.override(
         CHAWDA, {"excitation.realisations": 8, "excitation.rms": 6.0, "excitation.low_hz": 2.0}
     )
-    bench = ShakingBench(x, signal="truth")
-    records = [bench.shake(0.0, 0.0, n).record for n in range(8)]
+    bench = ExcitedRig(x, signal="truth")
+    records = [bench.excite(0.0, 0.0, n).record for n in range(8)]
     measured = periodic(records).within((2.0, 60.0))
     velocity = np.concatenate([np.diff(r.position) * r.rate_hz for r in records])
     added = np.sqrt(2.0 / np.pi) * 0.19 / velocity.std()
@@ -176,15 +176,15 @@ def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bar
 
 def test_frictions_distortion_is_frozen_noise_which_only_realisations_show():
     """Periods of one realisation agree far better with each other than realisations do."""
-    bench = ShakingBench(config.override(CHAWDA, {"excitation.periods": 6}))
-    records = [bench.shake(10e3, 40.0, n).record for n in range(6)]
+    bench = ExcitedRig(config.override(CHAWDA, {"excitation.periods": 6}))
+    records = [bench.excite(10e3, 40.0, n).record for n in range(6)]
     over_periods = np.median(periodic(records[:1]).variance)
     over_realisations = np.median(periodic(records).variance)
     assert over_realisations > 5.0 * over_periods
 
 
 def test_the_default_excitation_is_large_against_friction_and_moves_a_stiff_wall_by_tens_of_micrometres():
-    run = ShakingBench(CHAWDA).shake(20e3, 60.0)
+    run = ExcitedRig(CHAWDA).excite(20e3, 60.0)
     assert multisine_of(CHAWDA).rms / CHAWDA.rig.mechanics.motor_coulomb > 10.0
     assert 20e-6 < run.record.position.std() < 100e-6
     assert run.saturated == 0.0
@@ -273,16 +273,16 @@ def on_device(tmp_path_factory):
 def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device):
     x, result = on_device
     assert len(result.recordings) == 2
-    shaken = config.shaken(x)
-    model = config.rig_model(shaken)
+    excited = config.excited(x)
+    model = config.rig_model(excited)
     for number, path in enumerate(result.recordings):
         rows = open_recording(path).rows
         rows = rows[rows["phase"] == 3]
-        bench = ShakingBench(x, acquisition_hz=1000.0)
-        wall = asdict(replace(shaken.wall, stiffness=10e3, damping=10.0))
-        fresh = replace(bench._template.fresh(wall), law=shaken_law(shaken, number).prepare(wall))
-        shaker = devices.simulated_shaker()(model, 1e-3, 1000.0, len(rows))
-        run = shaker.shake(fresh, 0.0, np.zeros(1), 0.0, len(rows))
+        bench = ExcitedRig(x, acquisition_hz=1000.0)
+        wall = asdict(replace(excited.wall, stiffness=10e3, damping=10.0))
+        fresh = replace(bench._template.fresh(wall), law=excited_law(excited, number).prepare(wall))
+        excited_plant = devices.excited_simulation()(model, 1e-3, 1000.0, len(rows))
+        run = excited_plant.excite(fresh, 0.0, np.zeros(1), 0.0, len(rows))
         assert (rows["count"] == run.counts).all()
         assert (rows["position_true"] == run.position).all()
         assert np.ptp(run.counts) > 100
@@ -314,12 +314,12 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device):
         record_of(broken, experiment_of(broken))
 
 
-def test_a_trial_where_nothing_shakes_has_no_record(on_device):
+def test_a_trial_where_nothing_excites_has_no_record(on_device):
     _, result = on_device
     recording = open_recording(result.recordings[0])
     header = json.loads(json.dumps(recording.header))
     header["initial_state"]["law"]["name"] = "spring-damper"
-    with pytest.raises(RecordingError, match="nothing shakes"):
+    with pytest.raises(RecordingError, match="nothing excites"):
         record_of(replace(recording, header=header), experiment_of(recording))
 
 
@@ -393,13 +393,13 @@ def test_the_plan_predicts_peaks_by_the_closed_form():
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 10e3, "wall.damping": 10.0})
     plan = make_plan(x)
     assert plan.ok
-    assert [step.name for step in plan.steps] == ["configure", "home", "shake", "estimate"]
+    assert [step.name for step in plan.steps] == ["configure", "home", "excite", "estimate"]
     assert plan.repeats == 4
     assert plan.steps[2].duration_s == 6.0
     checks = checks_of(x)
     still = config.override(x, {"rig.mechanics.motor_coulomb": 0.0, "excitation.rms": 2.0})
-    bench = ShakingBench(still, signal="truth")
-    peak = max(np.abs(bench.shake(10e3, 10.0, n).record.position).max() for n in range(4))
+    bench = ExcitedRig(still, signal="truth")
+    peak = max(np.abs(bench.excite(10e3, 10.0, n).record.position).max() for n in range(4))
     assert f"{peak:.2g}" in checks["peak position"].text or float(
         checks["peak position"].text.split()[0]
     ) == (pytest.approx(peak, rel=0.02))
@@ -449,7 +449,7 @@ def test_an_unstable_wall_is_warned_of_and_not_refused():
 @pytest.mark.parametrize("estimator", ["levant", "foaw-best"])
 def test_an_estimator_that_is_not_linear_has_a_plan_but_no_closed_form(estimator):
     x = Scheme.parse(f"uniform:1k,estimator={estimator}").applied(CHAWDA)
-    x = config.shaken(config.override(x, {"wall.damping": 20.0}))
+    x = config.excited(config.override(x, {"wall.damping": 20.0}))
     assert make_plan(x).ok
     assert measuring.expected(x, np.array([1.0, 10.0])) is None
 
@@ -482,8 +482,8 @@ def test_rules_of_the_section(changes, message):
     assert message in str(told.value)
 
 
-def test_a_shaken_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods():
-    x = config.shaken(config.override(CHAWDA, {"wall.position": 0.002, "excitation.period_s": 0.5}))
+def test_a_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods():
+    x = config.excited(config.override(CHAWDA, {"wall.position": 0.002, "excitation.period_s": 0.5}))
     assert (x.trial.kind, x.trial.start, x.trial.duration_s) == ("excitation", 0.002, 3.0)
     assert config.motor_push(x) == 0.0
     assert config.push_at_rest(x) == 0.0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rig.papers.frame import Status, run_parts
 
 from rig import config
 from rig.analysis.impedance.estimate import Impedance
@@ -29,10 +30,9 @@ from rig.papers.chawda.rigs import (
     Reading,
     dual_rig,
     dual_schemes,
+    excited_rig,
     pushed_rig,
-    shaken_rig,
 )
-from rig.papers.frame import Status, run_parts
 
 # --- rules: every verdict can be reached ---------------------------------------------------------------------
 
@@ -151,7 +151,7 @@ def test_the_main_reading_is_what_an_impedance_is_judged_by_when_nobody_says_oth
 
 def _grid(**changes: object) -> Grid:
     rig = config.override(
-        shaken_rig(QUICK),
+        excited_rig(QUICK),
         {"excitation.realisations": 4, "excitation.periods": 2, "excitation.settle_periods": 1},
         "a test",
     )
@@ -162,7 +162,7 @@ def _grid(**changes: object) -> Grid:
     return Grid(**(whole | changes))  # type: ignore[arg-type]
 
 
-def test_readings_are_the_same_whoever_shakes() -> None:
+def test_readings_are_the_same_whoever_excites() -> None:
     grid = _grid()
     one, two = (run_parts({"map": grid.part()}, workers=workers).results["map"] for workers in (1, 2))
     assert json.dumps(one) == json.dumps(two)
@@ -208,7 +208,7 @@ def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
 
 def test_schemes_can_run_on_their_rigs_and_table_one_is_in_their_order() -> None:
     for scheme in SCHEMES.values():
-        scheme.applied(shaken_rig(FULL))
+        scheme.applied(excited_rig(FULL))
     for scheme in dual_schemes():
         scheme.applied(dual_rig("koul-rigid", FULL))
     assert [scheme.estimator for scheme in SCHEMES.values()] == list(PAPER)
@@ -222,7 +222,7 @@ def test_without_a_wall_the_error_is_the_rigs_own_impedance() -> None:
 
 
 def test_undamped_walls_hold_twice_the_damping_over_the_period() -> None:
-    rig = config.shaken(shaken_rig(QUICK))
+    rig = config.excited(excited_rig(QUICK))
     payload = chawda_parts.control_payload(rig, SCHEMES["FDM+filter"], chawda.CONTROL_SEARCH, (1.0, 400.0))
     found = chawda_parts.control(payload)
     assert found["stiffness"] == pytest.approx(26_400.0, rel=0.03)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from rig.core.errors import RecordingError
 from rig.core.sample import COLUMNS, ROW, TRUTH_COLUMNS
-from rig.recording.canonical import canonical_json, plain
+from rig.recording.canonical import canonical_json, lossless
 from rig.recording.header import VOLATILE, dtype_of, git_revision, make_schema, repeatable
 from tests.conformance.recording import example_header
 
@@ -64,7 +64,7 @@ def test_python_objects_become_plain() -> None:
         file: Path
 
     side = IntEnum("side", {"RIGHT": 1})
-    value = plain(
+    value = lossless(
         {"wall": Wall(3.0, side.RIGHT, Path("a/b")), "pair": (np.int64(1), np.float32(0.5), np.bool_(True))}
     )
     assert value == {"wall": {"stiffness": 3.0, "side": 1, "file": "a/b"}, "pair": [1, 0.5, True]}
@@ -72,9 +72,9 @@ def test_python_objects_become_plain() -> None:
     assert type(value["pair"][2]) is bool
 
 
-@pytest.mark.parametrize("value", [object(), {1: 2}, {"a": {3}}, b"bytes", 1j, int])
+@pytest.mark.parametrize("value", [object(), {None: 2}, {"a": {3}}, b"bytes", 1j, int])
 def test_what_only_python_reads_is_refused(value: Any) -> None:
-    with pytest.raises(TypeError, match="recording's header"):
+    with pytest.raises(TypeError, match="JSON"):
         canonical_json(value)
 
 

@@ -1,4 +1,4 @@
-/* A shaken run once more in C, as a careful programmer writes it for one rigid rig, one estimator and the bilateral wall: the
+/* An excited run once more in C, as a careful programmer writes it for one rigid rig, one estimator and the bilateral wall: the
    yardstick of test_impedance.py. Estimator, guard and encoder are those of trial.c. The results are the same to the last
    bit. */
 #include "trial.c"
@@ -38,7 +38,7 @@ static inline double ramp(int64_t tick, int64_t ticks)
 }
 
 /* Until the guard ends it or n ticks are over; returns their number. */
-int64_t shake(const struct control *control, const double *estimator, const double *wall,
+int64_t excite(const struct control *control, const double *estimator, const double *wall,
     const double (*phi)[3], const double (*gamma)[3], const double *plant, double *state,
     const double *excitation, int64_t *counts, double *positions, double *velocities, double *withheld,
     int64_t period, int64_t ramp_steps, int64_t n, int64_t ratio, int64_t every)

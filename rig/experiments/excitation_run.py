@@ -1,11 +1,11 @@
-"""From an experiment to the records that an impedance is estimated from: a rig shaken about its wall, whole periods.
+"""From an experiment to the records that an impedance is estimated from: a rig excited about its wall, whole periods.
 
-Three ways give the same kind of record (`rig.analysis.impedance.signals.Shaken`): a second actuator or the rig's own
-motor without bytes (`ShakingBench`), and the own motor in a recording, over a link in virtual time or on a rig
+Three ways give the same kind of record (`rig.analysis.impedance.signals.ExcitedRun`): a second actuator or the rig's
+own motor without bytes (`ExcitedRig`), and the own motor in a recording, over a link in virtual time or on a rig
 (`record_of`).
 
 **What the effort is.** Z = F/V with the effort F of the world on the handle. A second actuator is the world, and its
-effort is known. The own motor renders the wall and shakes at once; what it adds to the wall's reaction stands for the
+effort is known. The own motor renders the wall and excites at once; what it adds to the wall's reaction stands for the
 world's effort: the excitation, and what the guard took off the sum by rounding it. It acts a hold, a delay and a lag
 later.
 
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config, devices
-from rig.analysis.impedance.signals import Complexes, Floats, Shaken, hold
+from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
 from rig.config import Experiment, controller
 from rig.control import bilateral, laws
 from rig.control.excitation import Multisine
@@ -63,7 +63,7 @@ class Run:
         Share of ticks in which the guard clipped the effort.
     """
 
-    record: Shaken | None
+    record: ExcitedRun | None
     ended: str = ""
     ended_s: float = 0.0
     saturated: float = 0.0
@@ -139,7 +139,7 @@ def _device_table(
     return table(peak / first.multisine(rate, effort_quantum).crest_factor)
 
 
-def shaken_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
+def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
     """The bilateral wall, and the excitation of one realisation by the rig's own motor.
 
     Where a device makes the excitation, its table is that of the device, to the bit, in the quantum that it declares.
@@ -149,16 +149,16 @@ def shaken_law(experiment: Experiment, realisation: int = 0, current_quantum_a: 
             experiment.rig.amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
         )
         table = device_table(experiment, realisation, current_quantum_a)
-        return bilateral.shaken_law(
+        return bilateral.excited_law(
             table.efforts(controller.effort_quantum(experiment, quantum)), table.ramp, table.parameters()
         )
     rate = experiment.controller.position_rate
     efforts = multisine_of(experiment, realisation).period(rate)
-    return bilateral.shaken_law(efforts, round(ramp_s(experiment) * rate))
+    return bilateral.excited_law(efforts, round(ramp_s(experiment) * rate))
 
 
-class ShakingBench:
-    """A simulated rig under one scheme, shaken at any wall without bytes. One for each thread.
+class ExcitedRig:
+    """A simulated rig under one scheme, excited at any wall without bytes. One for each thread.
 
     Parameters
     ----------
@@ -169,13 +169,11 @@ class ShakingBench:
         latter is where the second actuator pushes: a port, whose phase says whether it is passive.
     acquisition_hz
         Rate at which positions are kept, at least.
-    backend
-        Scheme of the URL of a backend that simulates.
 
     Attributes
     ----------
     experiment
-        As a shaken run.
+        As an excited run.
     """
 
     def __init__(
@@ -184,9 +182,8 @@ class ShakingBench:
         *,
         signal: Signal = "count",
         acquisition_hz: float = ACQUISITION_HZ,
-        backend: str = "sim",
     ) -> None:
-        self.experiment = config.shaken(experiment)
+        self.experiment = config.excited(experiment)
         self._signal = signal
         self._model = config.rig_model(self.experiment)
         rate = self.experiment.controller.position_rate
@@ -196,11 +193,13 @@ class ShakingBench:
             current_quantum_a=self._model.amplifier.current_quantum_a,
             law=laws.get("bilateral"),
         )
-        self._shaker = devices.simulated_shaker(backend)(self._model, 1.0 / rate, acquisition_hz, self._ticks)
+        self._excited_plant = devices.excited_simulation()(
+            self._model, 1.0 / rate, acquisition_hz, self._ticks
+        )
         self._excitations: dict[int, _Excitation] = {}
 
-    def shake(self, stiffness: float, damping: float, realisation: int = 0) -> Run:
-        """Shake one wall with one realisation of the excitation.
+    def excite(self, stiffness: float, damping: float, realisation: int = 0) -> Run:
+        """Excite one wall with one realisation of the excitation.
 
         Raises
         ------
@@ -212,25 +211,25 @@ class ShakingBench:
         fresh = self._template.fresh(wall)
         if prepared.law is not None:
             fresh = replace(fresh, law=prepared.law.prepare(wall))
-        shake = self._shaker.shake(fresh, x.wall.position, prepared.external, ramp_s(x), self._ticks)
-        saturated = shake.saturated / max(1, shake.ticks)
+        motion = self._excited_plant.excite(fresh, x.wall.position, prepared.external, ramp_s(x), self._ticks)
+        saturated = motion.saturated / max(1, motion.ticks)
         tick_s = 1.0 / x.controller.position_rate
-        if shake.ticks < self._ticks:
+        if motion.ticks < self._ticks:
             memory = fresh.memory[0]
             reason = _tripped(x, float(memory["position"]), float(memory["velocity"]))
-            return Run(None, reason, shake.ticks * tick_s, saturated)
-        each = round(tick_s / shake.acquisition_s)  # positions in a tick
+            return Run(None, reason, motion.ticks * tick_s, saturated)
+        each = round(tick_s / motion.acquisition_s)  # positions in a tick
         first = round(config.excitation_s(x)[1] / tick_s)
-        position: Floats = shake.position
+        position: Floats = motion.position
         if self._signal == "count":
-            position = np.asarray(controller.resolution(x) * shake.counts, dtype=np.float64)
+            position = np.asarray(controller.resolution(x) * motion.counts, dtype=np.float64)
         excitation = np.tile(prepared.multisine.period(each / tick_s), x.excitation.periods)
         effort, delay_s, hold_s = excitation, 0.0, 0.0
         if x.excitation.channel == "motor":
             table = np.tile(prepared.multisine.period(1.0 / tick_s), x.excitation.periods)
-            effort = _lagged(np.repeat(table + shake.withheld[first:], each), self._model, each / tick_s)
-            delay_s, hold_s = _delay_s(x), shake.acquisition_s
-        record = Shaken(
+            effort = _lagged(np.repeat(table + motion.withheld[first:], each), self._model, each / tick_s)
+            delay_s, hold_s = _delay_s(x), motion.acquisition_s
+        record = ExcitedRun(
             rate_hz=each / tick_s,
             period_samples=len(excitation) // x.excitation.periods,
             periods=x.excitation.periods,
@@ -246,7 +245,7 @@ class ShakingBench:
     def _excitation(self, realisation: int) -> _Excitation:
         if realisation not in self._excitations:
             self._excitations[realisation] = _Excitation.of(
-                self.experiment, realisation, self._shaker.inner_rate_hz
+                self.experiment, realisation, self._excited_plant.inner_rate_hz
             )
         return self._excitations[realisation]
 
@@ -257,20 +256,20 @@ class _Excitation:
 
     multisine: Multisine
     external: Floats  # of the second actuator, a value for each inner step
-    law: Law | None  # with a table, when the own motor shakes
+    law: Law | None  # with a table, when the own motor excites
 
     @classmethod
     def of(cls, experiment: Experiment, realisation: int, inner_rate_hz: float) -> _Excitation:
         multisine = multisine_of(experiment, realisation)
         if experiment.excitation.channel == "motor":
-            return cls(multisine, np.zeros(1), shaken_law(experiment, realisation))
+            return cls(multisine, np.zeros(1), excited_law(experiment, realisation))
         # Held over its step, a line loses a little of its size: played larger, it is exactly what was asked.
         larger = multisine.through(1.0 / np.sinc(multisine.lines_hz / inner_rate_hz))
         return cls(multisine, larger.period(inner_rate_hz, offset=0.5), None)
 
 
-def record_of(recording: Recording, x: Experiment) -> Shaken:
-    """Record of a realisation from the recording of a trial of this experiment with the law ``shaken``.
+def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
+    """Record of a realisation from the recording of a trial of this experiment with the law ``excited``.
 
     Raises
     ------
@@ -278,9 +277,9 @@ def record_of(recording: Recording, x: Experiment) -> Shaken:
         Another kind of trial, one that ended early, or lost samples in what is to be analysed.
     """
     saved = recording.header["initial_state"]["law"]
-    if x.trial.kind != "excitation" or saved["name"] != "shaken":
+    if x.trial.kind != "excitation" or saved["name"] != "excited":
         raise RecordingError(
-            f"a recording of kind {x.trial.kind} with the law {saved['name']}, where nothing shakes",
+            f"a recording of kind {x.trial.kind} with the law {saved['name']}, where nothing excites",
             remedy="record one with rig impedance --url",
         )
     rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
@@ -289,7 +288,7 @@ def record_of(recording: Recording, x: Experiment) -> Shaken:
     lost = int(rows["elapsed_ticks"].sum()) - len(rows) if len(rows) else 0
     if len(rows) < ticks or lost:
         raise RecordingError(
-            f"{len(rows)} of {ticks} samples of a shaken run are there, {lost} were lost: its periods are not whole",
+            f"{len(rows)} of {ticks} samples of an excited run are there, {lost} were lost: its periods are not whole",
             remedy="measure this realisation again; on a busy host, at a lower rate",
         )
     rows = rows[:ticks]
@@ -299,7 +298,7 @@ def record_of(recording: Recording, x: Experiment) -> Shaken:
     model = config.rig_model(x)
     lines = multisine_of(x).lines_hz
     late = late_ticks(rows["current_sent"], rows["current_applied"])
-    return Shaken(
+    return ExcitedRun(
         rate_hz=1.0 / tick_s,
         period_samples=round(x.excitation.period_s / tick_s),
         periods=x.excitation.periods,
@@ -321,7 +320,7 @@ def bound_share(recording: Recording) -> float:
 def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
     """Ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
 
-    A command that answers sample k is in force at sample k + 1 when nothing is late.
+    A command that answers sample k is active at sample k + 1 when nothing is late.
     """
     count = min(LONGEST_DELAY, len(sent) - 2)
     same = [np.mean(sent[: len(sent) - 1 - d] == applied[1 + d :]) for d in range(max(1, count))]

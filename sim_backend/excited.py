@@ -1,13 +1,13 @@
-"""A rig shaken about a point without bytes, one compiled call: what a measurement of its impedance is made of.
+"""A rig excited about a point without bytes, one compiled call: what a measurement of its impedance is made of.
 
 The law runs as it does everywhere, `rig.control.step.step` once a tick. Between its ticks the plant takes inner steps,
 and in each of them a second actuator may push the link. Its effort is that of the step's middle: a value taken at the
 beginning and held would be late by half a step, which no one sees in a hit and everyone in a phase (at 4 kHz it is 11°
 at 250 Hz). The positions are kept more often than the law sees them, as a separate instrument would.
 
-The run begins in the trial's own phase, at rest: nothing has to be homed. With the rig's own motor as the shaker, which
-is the law's affair (`rig.control.bilateral`), the counts are those of the same trial over the byte link, to the last
-bit.
+The run begins in the trial's own phase, at rest: nothing has to be homed. With the rig's own motor as the actuator,
+which is the law's affair (`rig.control.bilateral`), the counts are those of the same trial over the byte link, to the
+last bit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rig.control.step import CONTROLLER_TYPE, TRIAL, Controller, ControllerArgum
 from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
-from rig.devices.simulated import SimulatedShake
+from rig.devices.simulated import ExcitedMotion
 from rig.realtime.groups import Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.inner import Vector
@@ -56,7 +56,7 @@ class Kept(NamedTuple):
         *(types.float64[::1], types.int64),
     )
 )
-def shake(
+def excite(
     controller: ControllerArguments,
     plant: PlantArguments,
     kept: Kept,
@@ -101,8 +101,8 @@ def shake(
     return int(withheld.shape[0])
 
 
-class Shaker:
-    """A rig to shake again and again; see `rig.devices.simulated.SimulatedShaker`."""
+class ExcitedPlant:
+    """A rig to measure again and again; see `rig.devices.simulated.ExcitedSimulation`."""
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
         inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)
@@ -127,9 +127,9 @@ class Shaker:
         most = max(1, min(self._ratio, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
         return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
 
-    def shake(
+    def excite(
         self, controller: Controller, position: float, excitation: Vector, ramp_s: float, ticks: int
-    ) -> SimulatedShake:
+    ) -> ExcitedMotion:
         """Run the law for so many ticks, from rest at a position (rad or m)."""
         plant = self._plant
         state = plant.at_rest(position)
@@ -143,7 +143,7 @@ class Shaker:
             velocities=self._velocities,
             withheld=self._withheld[:ticks],
         )
-        ran = shake(
+        ran = excite(
             controller.arguments(),
             plant.arguments(state),
             kept,
@@ -160,7 +160,7 @@ class Shaker:
                 remedy="mend it, or check its settings",
             )
         rows = ran * self._ratio // self._every
-        return SimulatedShake(
+        return ExcitedMotion(
             counts=self._counts[:rows].copy(),
             position=self._positions[:rows].copy(),
             velocity=self._velocities[:rows].copy(),

@@ -1,4 +1,4 @@
-"""What a shaken run will do, and whether it may: peaks by the linear closed form, before anything moves.
+"""What an excited run will do, and whether it may: peaks by the linear closed form, before anything moves.
 
 Friction is left out, which errs on the hard side; so is whatever only instability brings, of which linear theory warns.
 """
@@ -16,15 +16,15 @@ from rig.config import Experiment
 from rig.control.excitation import Check as Found
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion, unit_of
+from rig.experiments.excitation_run import multisine_of
 from rig.experiments.planned import Check, Outcome, Plan, Step, where_it_runs
-from rig.experiments.shaking import multisine_of
 
 RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 
 
-def shaking_plan(experiment: Experiment) -> Plan:
+def excitation_plan(experiment: Experiment) -> Plan:
     """List and check a measurement of an impedance; `rig.experiments.plan.make_plan` calls it for that kind."""
-    x = config.shaken(experiment)
+    x = config.excited(experiment)
     checks = (*excitation_checks(x), *_heat_checks(x))
     return Plan(x.rig.name, x.excitation.realisations, _steps(x), checks)
 
@@ -55,9 +55,9 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
             if check.name not in most or not check.value <= most[check.name].value:
                 most[check.name] = check
     remedies = {
-        "effort": "shake less (excitation.rms), or take a softer wall",
-        "position": "shake less, begin the band higher (excitation.low_hz), or take a stiffer wall",
-        "velocity": "shake less",
+        "effort": "reduce the excitation (excitation.rms), or take a softer wall",
+        "position": "reduce the excitation, begin the band higher (excitation.low_hz), or take a stiffer wall",
+        "velocity": "reduce the excitation",
     }
     stability = _stability_checks(x, loop)
     moved = Outcome.REFUSED if all(check.outcome == Outcome.OK for check in stability) else Outcome.WARNING
@@ -84,7 +84,7 @@ def _rendered_check(found: Found, motion: Motion) -> Check:
         found.name,
         Outcome.OK if found.holds else Outcome.WARNING,
         f"{found.value:.3g} {unit_of(found.quantity, motion)}, limit {found.limit:g}",
-        "the effort will be clipped: shake less, or take a softer wall",
+        "the effort will be clipped: reduce the excitation, or take a softer wall",
     )
 
 
@@ -130,7 +130,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
             x.homing.timeout_s if e.channel == "motor" else 0.0,
         ),
         Step(
-            "shake",
+            "excite",
             f"{who}: {e.kind} multisine, {e.low_hz:g} to {e.high_hz:g} Hz every {1.0 / e.period_s:g} Hz, "
             f"{size} {value:.3g} {effort}, about a bilateral wall of {wall}; {settling_s:g} s to settle, "
             f"{e.periods} periods of {e.period_s:g} s",
@@ -141,7 +141,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
 
 
 def _heat_checks(x: Experiment) -> list[Check]:
-    """Heat of the motor that shakes; one that only renders the wall carries less."""
+    """Heat of the motor that excites; one that only renders the wall carries less."""
     if x.excitation.channel != "motor":
         return []
     limits = x.rig.limits
@@ -153,6 +153,6 @@ def _heat_checks(x: Experiment) -> list[Check]:
             "motor heat",
             Outcome.OK if budget <= 1.0 else Outcome.REFUSED,
             f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort (rms)",
-            "shake less, or for a shorter time",
+            "reduce the excitation, or for a shorter time",
         )
     ]

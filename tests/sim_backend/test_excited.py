@@ -1,4 +1,4 @@
-"""A rig shaken in one compiled call: physics of the second actuator, time of the law, and ends that are told."""
+"""A rig excited in one compiled call: physics of the second actuator, time of the law, and ends that are told."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from rig.core.errors import LawError
 from rig.core.sample import Phase
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
+from sim_backend.excited import ExcitedPlant
 from sim_backend.plant import DiscretePlant, advance
-from sim_backend.shaken import Shaker
 
 RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 
 def the_rig(name="chawda-linear", law="bilateral", **changes):
-    """Experiment as a shaken run, its model, and a fresh controller."""
-    x = config.shaken(config.override(presets.load(name), changes))
+    """Experiment as an excited run, its model, and a fresh controller."""
+    x = config.excited(config.override(presets.load(name), changes))
     quantum = x.rig.amplifier.current_quantum_a
     chosen = laws.get(law) if isinstance(law, str) else law
     return x, config.rig_model(x), controller.for_experiment(x, current_quantum_a=quantum, law=chosen)
 
 
-def shaker(x, model, acquisition_hz=4000.0, ticks=2000):
-    return Shaker(model, 1.0 / x.controller.position_rate, acquisition_hz, ticks)
+def excited_plant(x, model, acquisition_hz=4000.0, ticks=2000):
+    return ExcitedPlant(model, 1.0 / x.controller.position_rate, acquisition_hz, ticks)
 
 
 def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared():
     x, model, law = the_rig(**RIGID, **{"wall.stiffness": 0.0, "wall.damping": 0.0})
-    run = shaker(x, model).shake(law, 0.0, np.array([0.26]), 0.0, 100)
+    run = excited_plant(x, model).excite(law, 0.0, np.array([0.26]), 0.0, 100)
     time_s = np.arange(len(run.position)) * run.acquisition_s
     assert len(run.position) == 400
     assert run.position == pytest.approx(0.5 * (0.26 / 0.52) * time_s**2, abs=1e-12)
@@ -50,7 +50,7 @@ def test_a_push_rests_where_the_wall_holds_it_on_both_sides():
         x, model, law = the_rig(
             **{"rig.mechanics.motor_coulomb": 0.0, "wall.stiffness": 5000.0, "wall.damping": 40.0}
         )
-        run = shaker(x, model).shake(law, 0.0, np.array([push]), 0.2, 2000)
+        run = excited_plant(x, model).excite(law, 0.0, np.array([push]), 0.2, 2000)
         assert run.position[-1] == pytest.approx(
             push / 5000.0, abs=3e-6
         )  # of a count, and of a current quantum
@@ -64,9 +64,9 @@ def test_it_is_the_plant_and_the_law_stepped_by_hand(name, delay):
     x, model, law = the_rig(name, **changes)
     _, _, other = the_rig(name, **changes)
     push = 0.4 * x.rig.limits.effort * np.sin(np.arange(400) * 2.0 * np.pi / 400)
-    bench = shaker(x, model, acquisition_hz=1.0, ticks=400)
+    bench = excited_plant(x, model, acquisition_hz=1.0, ticks=400)
     ratio = round(bench.inner_rate_hz / x.controller.position_rate)
-    run = bench.shake(law, 0.0, push, 0.0, 400)
+    run = bench.excite(law, 0.0, push, 0.0, 400)
 
     finer = replace(model, simulation=replace(model.simulation, computation_delay_ticks=delay * ratio))
     plant = DiscretePlant.build(finer, 1.0 / bench.inner_rate_hz)
@@ -90,7 +90,7 @@ def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well():
         ("koul-rigid", 7000, 21_000),
     ):
         x, model, _ = the_rig(name, **{"controller.position_rate": rate, "controller.velocity_rate": rate})
-        assert shaker(x, model).inner_rate_hz == pytest.approx(inner)
+        assert excited_plant(x, model).inner_rate_hz == pytest.approx(inner)
 
 
 @pytest.mark.parametrize(
@@ -98,14 +98,14 @@ def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well():
 )
 def test_positions_are_kept_at_least_as_often_as_asked_and_whole_times_a_tick(asked, got):
     x, model, law = the_rig()
-    run = shaker(x, model, acquisition_hz=asked).shake(law, 0.0, np.array([1.0]), 0.0, 50)
+    run = excited_plant(x, model, acquisition_hz=asked).excite(law, 0.0, np.array([1.0]), 0.0, 50)
     assert run.acquisition_s == pytest.approx(1.0 / got)
     assert len(run.position) == 50 * got // 1000
 
 
 def test_the_guard_ends_a_run_that_leaves_its_window_and_the_run_says_so():
     x, model, law = the_rig(**{"wall.stiffness": 0.0, "wall.damping": 0.0})
-    run = shaker(x, model).shake(law, 0.0, np.array([5.0]), 0.0, 2000)
+    run = excited_plant(x, model).excite(law, 0.0, np.array([5.0]), 0.0, 2000)
     assert 0 < run.ticks < 2000
     assert len(run.position) == 4 * run.ticks
     assert law.memory[0]["position"] > x.rig.limits.position_maximum
@@ -117,7 +117,7 @@ def test_an_effort_beyond_the_limit_is_clipped_and_counted():
         **{"rig.limits.effort": 1.0, "rig.limits.nominal_effort": 1.0, "homing.effort": 1.0, "trial.effort": 1.0,
            "wall.stiffness": 20e3, "trial.minimum_rest_counts": 0.0}
     )  # fmt: skip
-    run = shaker(x, model).shake(law, 0.0, np.array([3.0]), 0.0, 200)
+    run = excited_plant(x, model).excite(law, 0.0, np.array([3.0]), 0.0, 200)
     assert run.saturated > 100
     assert run.withheld.max() > 0.5
 
@@ -131,16 +131,16 @@ def test_a_law_that_gives_no_number_is_told_by_name():
     law = Law("broken", "", _broken, 1, lambda wall: [])
     x, model, fresh = the_rig(law=law)
     with pytest.raises(LawError, match="law broken"):
-        shaker(x, model).shake(fresh, 0.0, np.array([1.0]), 0.0, 100)
+        excited_plant(x, model).excite(fresh, 0.0, np.array([1.0]), 0.0, 100)
 
 
 def test_two_runs_are_equal_and_the_first_is_not_overwritten_by_the_second():
     x, model, law = the_rig()
     _, _, other = the_rig()
     _, _, third = the_rig()
-    bench = shaker(x, model)
-    one = bench.shake(law, 0.0, np.array([1.0, -1.0]), 0.0, 100)
+    bench = excited_plant(x, model)
+    one = bench.excite(law, 0.0, np.array([1.0, -1.0]), 0.0, 100)
     before = one.position.tobytes()
-    bench.shake(other, 0.001, np.array([2.0]), 0.0, 100)
-    again = bench.shake(third, 0.0, np.array([1.0, -1.0]), 0.0, 100)
+    bench.excite(other, 0.001, np.array([2.0]), 0.0, 100)
+    again = bench.excite(third, 0.0, np.array([1.0, -1.0]), 0.0, 100)
     assert one.position.tobytes() == before == again.position.tobytes()

@@ -1,0 +1,63 @@
+"""The one vocabulary of checks: what was looked at, the outcome, and what to do about it.
+
+A plan, the examination of a machine, the self test of a board and the limits of an excitation all consist of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from rig.core.errors import PlanError
+
+
+class Outcome(StrEnum):
+    """The outcome of a check."""
+
+    OK = "ok"
+    WARNING = "warning"  # it works, less well or less surely
+    REFUSED = "refused"  # what was asked for cannot be had, or must not be
+    SKIPPED = "skipped"  # it could not be looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    name
+        What was looked at, in a word or two.
+    outcome
+        Its outcome.
+    text
+        What is the case: the value and the limit that it was compared with.
+    remedy
+        What to do unless it is ok; a command stands as one would type it, and is never run.
+    why
+        Why it matters, where a reader may not know.
+    numbers
+        What was measured; names end in their unit.
+    """
+
+    name: str
+    outcome: Outcome
+    text: str
+    remedy: str = ""
+    why: str = ""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+
+def refused(checks: Iterable[Check]) -> tuple[Check, ...]:
+    """Return the checks that refuse."""
+    return tuple(check for check in checks if check.outcome is Outcome.REFUSED)
+
+
+def refuse(checks: Iterable[Check]) -> None:
+    """Raise `PlanError` with everything that these checks refuse, and what to do."""
+    if found := refused(checks):
+        raise PlanError(
+            "; ".join(f"{check.name}: {check.text}" for check in found),
+            remedy="; ".join(dict.fromkeys(check.remedy for check in found)),
+        )

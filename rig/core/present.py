@@ -1,0 +1,166 @@
+"""What every result offers to whoever shows it: fields for machines, rows for people.
+
+A result is a frozen dataclass. `plain` makes JSON types of any: its fields under their own names, and the properties
+marked `reported`. What the dataclass keeps out of its ``repr`` (traces, raw rows) is kept out of JSON as well.
+
+To people a result offers a list of `Item` in reading order: headings, rows of label, value and unit, tables and checks.
+The terminal (`rig.cli.output.show`) and pages (``items.html.j2`` in `rig.views.report`) are two views of that list.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from os import PathLike, fspath
+from typing import Any, Generic, TypeVar, overload
+
+from rig.core.check import Check
+
+Value = TypeVar("Value")
+
+
+class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
+    """A property that belongs to the result as much as its fields do, so that `plain` has it too."""
+
+    def __init__(self, getter: Callable[[Any], Value]) -> None:
+        self.getter = getter
+        self.__doc__ = getter.__doc__
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> reported[Value]: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> Value: ...
+    def __get__(self, instance: object | None, owner: type) -> reported[Value] | Value:
+        """Return the value of the property, or the descriptor itself when it is asked for on the class."""
+        return self if instance is None else self.getter(instance)
+
+
+def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:  # noqa: PLR0911  (a table of cases)
+    """Reduce a result to what JSON holds: dict, list, str, int, float, bool, None.
+
+    Parameters
+    ----------
+    value
+        Dataclasses, mappings, sequences, numpy scalars and arrays (complex ones as real and imaginary part),
+        enumerations and paths, nested.
+    not_finite
+        What stands for a number that JSON cannot write; None unless told otherwise.
+
+    Raises
+    ------
+    TypeError
+        Something else is in it, which only this program could read.
+    """
+
+    def inner(item: Any) -> Any:
+        return plain(item, not_finite)
+
+    match value:
+        case Enum():
+            return inner(value.value)
+        case None | bool() | str():
+            return value
+        case int():
+            return int(value)
+        case float():
+            return float(value) if math.isfinite(value) else not_finite(value)
+        case Mapping():
+            return {_key(key): inner(item) for key, item in value.items()}
+        case list() | tuple():
+            return [inner(item) for item in value]
+        case PathLike():
+            return fspath(value)
+    if hasattr(value, "tolist"):  # numpy's, without loading it for whoever has none
+        complexes = value.dtype.kind == "c"
+        return inner({"real": value.real, "imaginary": value.imag} if complexes else value.tolist())
+    if hasattr(value, "as_mapping"):  # a result whose JSON is not its fields
+        return inner(value.as_mapping())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {name: inner(getattr(value, name)) for name in _names(type(value))}
+    raise TypeError(f"JSON cannot hold a {type(value).__name__}")
+
+
+def _key(key: Any) -> str:
+    key = key.value if isinstance(key, Enum) else key
+    if not isinstance(key, str | int):
+        raise TypeError(f"a key in JSON is text, not {type(key).__name__}")
+    return str(key)
+
+
+def _names(result: type) -> list[str]:
+    """Fields that ``repr`` shows, then reported properties, base classes first."""
+    also = [
+        name
+        for base in reversed(result.__mro__)
+        for name, of in vars(base).items()
+        if isinstance(of, reported)
+    ]
+    return list(dict.fromkeys([*(item.name for item in fields(result) if item.repr), *also]))
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line for people: a label, a value with its SI unit, and a note that follows them.
+
+    Attributes
+    ----------
+    label
+        What it is; empty on a line that continues the one before.
+    value
+        A number, a text, or None where it is not known.
+    unit
+        Of a number; empty for a pure one.
+    note
+        What puts the value in its place: a limit, a comparison, a doubt.
+    digits
+        Significant digits of a number.
+    """
+
+    label: str
+    value: float | int | str | bool | None
+    unit: str = ""
+    note: str = ""
+    digits: int = 4
+
+    @property
+    def text(self) -> str:
+        """Value, unit and note in one line."""
+        shown = " ".join(part for part in (written(self.value, self.digits), self.unit) if part)
+        return ", ".join(part for part in (shown, self.note) if part)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Cells under a head. The first `words` columns are texts and stand left, numbers right."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+    words: int = 1
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """The rows as texts."""
+        return [[written(cell) for cell in row] for row in self.rows]
+
+
+Item = str | Row | Table | Check
+"""A heading, a line, a table or a check."""
+
+
+def written(value: Any, digits: int = 4) -> str:
+    """Write a value for people: numbers with so many significant digits, ``yes`` and ``no``, ``unknown`` for None."""
+    match value:
+        case None:
+            return "unknown"
+        case bool():
+            return "yes" if value else "no"
+        case float() if math.isinf(value):
+            return "∞" if value > 0 else "−∞"
+        case float() if math.isnan(value):
+            return "unknown"
+        case float():
+            return f"{value:.{digits}g}"
+    return str(value)

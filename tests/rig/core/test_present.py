@@ -1,0 +1,132 @@
+"""What results offer: JSON types of any of them, rows with units, and the terminal's view of a list of items."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.cli import output
+from rig.core.check import Check, Outcome, refuse, refused
+from rig.core.errors import PlanError
+from rig.core.present import Item, Row, Table, plain, reported, written
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+class Level(IntEnum):
+    HIGH = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    settling_s: float
+    effort: float
+    trace: tuple[float, ...] = field(default=(1.0, 2.0), repr=False)
+
+    @reported
+    def ok(self) -> bool:
+        """Whether it settled."""
+        return math.isfinite(self.settling_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    parts: tuple[Part, ...]
+    colours: dict[Colour, Level]
+    path: Path
+    spectrum: np.ndarray
+
+
+def test_a_result_is_its_fields_and_reported_properties_without_bulk() -> None:
+    whole = Whole((Part(0.5, 2.0),), {Colour.RED: Level.HIGH}, Path("a/b"), np.array([1 + 2j]))
+    assert plain(whole) == {
+        "parts": [{"settling_s": 0.5, "effort": 2.0, "ok": True}],
+        "colours": {"red": 3},
+        "path": "a/b",
+        "spectrum": {"real": [1.0], "imaginary": [2.0]},
+    }
+    assert isinstance(Part.ok, reported)
+    assert Part.ok.__doc__ == "Whether it settled."
+
+
+def test_what_json_cannot_write_is_null_unless_spelled() -> None:
+    assert plain([math.nan, math.inf, 1.0]) == [None, None, 1.0]
+    assert plain({"a": -math.inf}, str) == {"a": "-inf"}
+
+
+@pytest.mark.parametrize(
+    "value", [object(), {None: "a"}, b"a", {1}, Part], ids=["object", "key", "bytes", "set", "class"]
+)
+def test_what_only_this_program_could_read_is_refused(value: object) -> None:
+    with pytest.raises(TypeError):
+        plain(value)
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner),
+    )
+)
+def test_plain_values_are_json_and_plain_again(value: object) -> None:
+    once = plain(value)
+    assert plain(once) == once
+    assert json.loads(json.dumps(once, allow_nan=False)) == once
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "unknown"), (True, "yes"), (math.inf, "∞"), (-math.inf, "−∞"), (math.nan, "unknown"),
+     (1.23456, "1.235"), (12, "12"), ("word", "word"), (Colour.RED, "red")],
+)  # fmt: skip
+def test_a_value_is_written_for_people(value: object, text: str) -> None:
+    assert written(value) == text
+
+
+def test_a_row_is_value_unit_and_note() -> None:
+    assert Row("peak effort", 1.5, "N·m", "limit 3").text == "1.5 N·m, limit 3"
+    assert Row("file", "a.parquet").text == "a.parquet"
+
+
+def test_the_terminal_aligns_rows_that_follow_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    items: list[Item] = [
+        "hit",
+        Row("a", 1.0, "s"),
+        Row("longer", "b"),
+        Table(("wall", "K"), [("one", 10.0), ("other", None)]),
+        Check("link", Outcome.REFUSED, "1.2 ms, limit 1 ms", remedy="use USB", why="delay costs stiffness"),
+        Check("motor", Outcome.OK, "fine", remedy="nothing"),
+    ]
+    output.show(items)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:3] == ["hit", "  a       1 s", "  longer  b"]
+    assert [line.split() for line in lines[3:6]] == [["wall", "K"], ["one", "10"], ["other", "unknown"]]
+    assert len({len(line) for line in lines[3:6]}) == 1  # numbers end in one column
+    assert [line.strip() for line in lines[6:]] == [
+        "no link: 1.2 ms, limit 1 ms", "delay costs stiffness", "use USB", "ok motor: fine",
+    ]  # fmt: skip
+
+
+def test_refused_checks_raise_with_each_remedy_once() -> None:
+    checks = [
+        Check("a", Outcome.OK, "fine"),
+        Check("b", Outcome.REFUSED, "too fast", remedy="go slower"),
+        Check("c", Outcome.REFUSED, "too far", remedy="go slower"),
+        Check("d", Outcome.WARNING, "warm", remedy="wait"),
+    ]
+    assert [check.name for check in refused(checks)] == ["b", "c"]
+    with pytest.raises(PlanError) as caught:
+        refuse(checks)
+    assert caught.value.message == "b: too fast; c: too far"
+    assert caught.value.remedy == "go slower"
+    refuse(checks[:1])
