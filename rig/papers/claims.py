@@ -1,6 +1,6 @@
 """Claims of a paper: the words of a template beside the rulings on them.
 
-A paper's ``claims.ini.j2`` has a section for each claim. Every number in it comes from the ruling or the thresholds
+A paper's ``claims.j2`` has a section for each claim. Every number in it comes from the ruling or the thresholds
 of its rules; what a ruling does not decide is edited there, without touching Python.
 
 ::
@@ -20,14 +20,17 @@ of its rules; what a ruling does not decide is edited there, without touching Py
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from configparser import ConfigParser
 from dataclasses import dataclass
 from typing import Any
 
 from rig.core.present import reported
 from rig.papers.rules import Ruling, Status
 from rig.views.report.template import fill_text
+
+HEAD = re.compile(r"\[([\w-]+)\]")
+BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|needs|rule): *(.*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,15 +59,27 @@ def read_claims(
 
     `KeyError` for a claim without a text, or a text without a claim.
     """
-    parser = ConfigParser(interpolation=None, delimiters=(":",), comment_prefixes=())
-    parser.read_string(fill_text(template, rulings=rulings, **words))
-    texts = {
-        key: {name: " ".join(text.split()) for name, text in parser[key].items()} for key in parser.sections()
-    }
+    texts = _sections(fill_text(template, rulings=rulings, **words))
     paper = texts.pop("paper")
     if extra := set(texts) ^ set(rulings):
         raise KeyError(f"{template}: a ruling or a text is missing: {', '.join(sorted(extra))}")
     return paper, tuple(_claim(key, ruling, texts[key]) for key, ruling in rulings.items())
+
+
+def _sections(text: str) -> dict[str, dict[str, str]]:
+    """Sections of named texts; a line that begins neither belongs to the text before it."""
+    found: dict[str, dict[str, str]] = {}
+    key = name = ""
+    for line in text.splitlines():
+        if head := HEAD.fullmatch(line):
+            key = head[1]
+            found[key] = {}
+        elif begin := BEGIN.match(line):
+            name = begin[1]
+            found[key][name] = begin[2]
+        elif line.strip():
+            found[key][name] += f" {line}"
+    return {key: {name: " ".join(of.split()) for name, of in texts.items()} for key, texts in found.items()}
 
 
 def _claim(key: str, ruling: Ruling, texts: Mapping[str, str]) -> Claim:

@@ -17,7 +17,7 @@ from rig.papers.rules import Ruling, Status
 from rig.recording.files import whole_file
 from rig.views.report.template import data_uris, fill, provenance_lines
 
-CLAIMS, PAGE = "claims.ini.j2", "page.html.j2"  # templates of a paper
+CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper
 MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet
 
 

@@ -20,6 +20,7 @@ from rig.papers.chawda.rigs import (
     FILTERED,
     FILTERS,
     FOAW,
+    GAINS,
     HBA_SC,
     HIGHEST_HZ,
     LEVANT,
@@ -76,7 +77,13 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
             ),
         ),
         "errors": judge_share(
-            sum(errors for _, errors in fits), len(fits), floors=list(derived.floors().items())
+            sum(errors for _, errors in fits),
+            len(fits),
+            floors=list(derived.floors().items()),
+            edges=[
+                (name, PRINTED[name].worst_fidelity, derived.edge_of(PRINTED[name].worst_fidelity))
+                for name in (FOAW, FDM)
+            ],
         ),
         "both": _both(chawda),
         "wider": rules.wider(
@@ -96,13 +103,15 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
 def _regions() -> Ruling:
     gains = levant_regions.NAMED_GAINS["hba-sc"]
     inside = levant_regions.in_hba(*gains) or levant_regions.in_lfba(*gains)
-    extends = levant_regions.in_lfba(4.0, 1.5) and not levant_regions.in_hba(4.0, 1.5)
-    misses = levant_regions.in_hba(2.0, 4.0) and not levant_regions.in_lfba(2.0, 4.0)
+    extra, missed = GAINS[LFBA], (2.0, 4.0)
+    extends = levant_regions.in_lfba(*extra) and not levant_regions.in_hba(*extra)
+    misses = levant_regions.in_hba(*missed) and not levant_regions.in_lfba(*missed)
     return judge(
         {"": not inside and extends and misses},
         crossing=levant_regions.crossing(),
         gains=gains,
         inside=inside,
+        points=[[*extra], [*missed]],
     )
 
 

@@ -23,6 +23,7 @@ from rig.control.estimators import levant_regions
 from rig.experiments import excitation_run
 from rig.experiments.impedance import measure_impedance
 from rig.experiments.ladder import Search
+from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.ranges import search_for
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.chawda import derived, rigs, rules
@@ -239,6 +240,7 @@ def words(chawda: Chawda) -> dict[str, Any]:
         "most": MOST,
         "acquisition_hz": excitation_run.ACQUISITION_HZ,
         "levant": levant_regions,
+        "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S),
         "nominal_wall": WALLS[0],
         "verdict": presets.load(RIG).verdict,
     }
