@@ -166,7 +166,7 @@ CONSTANTS = (
 KNOWN = ("1.5 to 2 g·m²", "2 to 3 kN·m/rad", "0.8 g·m²")
 
 
-KEY = re.compile(r'"(u2|u20|u20/1k|(figure|table)-.*)"')  # keys in expressions
+KEY = re.compile(r'"(u2|u20|u20/1k|(figure|table)-.*|papers/.*)"')  # keys in expressions
 
 
 def names() -> list[str]:
