@@ -46,8 +46,8 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
         Row("rows", len(opened.rows), note="" if opened.complete else "incomplete"),
         *(Row("lost", str(loss)) for loss in opened.lost),
     ]
-    if trailer.get("law_agreement"):
-        rows.append(Row("beside the host's law", _agreement(trailer["law_agreement"])))
+    if trailer.get("device_host_agreement"):
+        rows.append(Row("beside the host's law", _agreement(trailer["device_host_agreement"])))
     if trailer.get("error"):
         rows.append(Row("error", trailer["error"]))
     output.print_rows([*rows, *judgement.rows(experiment)])
