@@ -58,7 +58,7 @@ class State(IntEnum):
 
     BOOT = 0  # started; nobody has asked who it is
     IDENTIFIED = 1  # known, with the parameters it started with
-    CONFIGURED = 2  # a parameter block is in force
+    CONFIGURED = 2  # a parameter block is active
     ARMED = 3  # a session is open, the amplifier enabled, no COMMAND yet, zero effort
     RUNNING = 4  # COMMANDs come within their lifetimes
     FAULT = 5  # latched: zero effort, amplifier off

@@ -56,7 +56,7 @@ class Sync(IntFlag):
     """Pins of the sync output, for an oscilloscope and for other recorders.
 
     `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device puts them out when the command's
-    current comes in force, and takes them low when the command's lifetime is over, at STOP, at a fault and outside a
+    current becomes active, and takes them low when the command's lifetime is over, at STOP, at a fault and outside a
     session. Under SUPERVISE its own law drives them.
     """
 
@@ -115,9 +115,7 @@ class Ack(Message):
         int, Wire("u16", "", "what the status refers to: state, parameter id, fault; offset of a CHUNK")
     ]
     sample_index: Annotated[int, Wire("u32", "tick", "tick at which the request took effect")]
-    crc: Annotated[
-        int, Wire("u32", "", "COMMIT and ARM: CRC-32 of the whole parameter block in force; else 0")
-    ]
+    crc: Annotated[int, Wire("u32", "", "COMMIT and ARM: CRC-32 of the whole active parameter block; else 0")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +138,14 @@ class SetChunk(Message):
 
 @dataclass(frozen=True, slots=True)
 class SetCommit(Message):
-    """SET_PARAMETERS, last step: check the block, then put all or none of it in force between two ticks."""
+    """SET_PARAMETERS, last step: check the block, then activate all or none of it between two ticks."""
 
     nonce: Annotated[int, Wire("u16", "", "that of the SET_BEGIN")]
 
 
 @dataclass(frozen=True, slots=True)
 class GetParameters(Message):
-    """Ask for a piece of the parameter block in force."""
+    """Ask for a piece of the active parameter block."""
 
     nonce: Nonce
     offset: Annotated[int, Wire("u16", "byte", "first byte wanted")]
@@ -155,7 +153,7 @@ class GetParameters(Message):
 
 @dataclass(frozen=True, slots=True)
 class Parameters(Message):
-    """A piece of the parameter block in force, which holds every parameter."""
+    """A piece of the active parameter block, which holds every parameter."""
 
     nonce: Nonce
     total: Annotated[int, Wire("u16", "byte", "length of the block")]
@@ -170,7 +168,7 @@ class Arm(Message):
 
     nonce: Nonce
     dictionary_hash: Annotated[int, Wire("u64", "", "that of IDENTITY")]
-    parameters_crc: Annotated[int, Wire("u32", "", "CRC-32 of the whole parameter block in force")]
+    parameters_crc: Annotated[int, Wire("u32", "", "CRC-32 of the whole active parameter block")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +262,7 @@ class Command(Message):
 class State(Message):
     """One tick as the device saw it."""
 
-    command_sequence: Annotated[int, Wire("u16", "", "sequence of the COMMAND in force")]
+    command_sequence: Annotated[int, Wire("u16", "", "sequence of the active COMMAND")]
     command_age: Annotated[
         int, Wire("u16", "tick", "ticks since that COMMAND came; saturates; 65535 for none yet")
     ]
@@ -275,7 +273,7 @@ class State(Message):
     count: Annotated[int, Wire("i32", "count", "encoder count")]
     edge_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the last encoder edge")]
     current_measured: Annotated[int, Wire("i16", "quantum", "measured motor current; saturates")]
-    current_commanded: Annotated[int, Wire("i16", "quantum", "current in force, after all limits")]
+    current_commanded: Annotated[int, Wire("i16", "quantum", "active current, after all limits")]
     limits: Annotated[int, Wire("u16", "", "LimitFlag: limits that acted since the last STATE")]
     fault: Annotated[int, Wire("u16", "", "Fault that is latched, or 0")]
     execution_time: Annotated[
@@ -309,7 +307,7 @@ class FaultEntry:
 
     sample_index: Annotated[int, Wire("u32", "tick", "number of the tick")]
     count: Annotated[int, Wire("i32", "count", "encoder count")]
-    current_commanded: Annotated[int, Wire("i16", "quantum", "current in force")]
+    current_commanded: Annotated[int, Wire("i16", "quantum", "active current")]
     current_measured: Annotated[int, Wire("i16", "quantum", "measured motor current")]
     limits: Annotated[int, Wire("u16", "", "LimitFlag")]
 

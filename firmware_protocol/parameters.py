@@ -1,7 +1,7 @@
 """THE table of parameters, and the block in which they travel.
 
 A block is a sequence of entries, each an id (u16) and a value in four bytes, both little-endian, rising
-by id. It is put in force as a whole or not at all. The same values always make the same bytes, so that
+by id. It is activated as a whole or not at all. The same values always make the same bytes, so that
 the CRC-32 of the block that holds every parameter is the fingerprint of a configuration: ARM carries it.
 
 Everything is in the form that a device computes with: counts, ticks, quanta. Defaults lie on the safe side: a
@@ -162,7 +162,7 @@ BLOCK_LIMIT = 1024  # a longer block is refused at BEGIN; above one entry for ev
 def check(values: Mapping[str, Value]) -> None:
     """Check names, ranges and rules between parameters; raises `ParameterError`.
 
-    Give all values in force for the rules between them: a missing one is taken at its default.
+    Give all active values for the rules between them: a missing one is taken at its default.
     """
     for name, value in values.items():
         _check_one(_by_name(name), value)

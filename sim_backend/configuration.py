@@ -1,4 +1,4 @@
-"""What a simulated device says of itself and what it was told: its dictionary, and the parameter block in force."""
+"""What a simulated device says of itself and what it was told: its dictionary, and the active parameter block."""
 
 from __future__ import annotations
 
@@ -51,21 +51,21 @@ def _packed(dictionary: dictionaries.Dictionary) -> bytes:
 
 
 class Configuration:
-    """Parameters in force, and how they change: all of a block between two ticks, or nothing.
+    """Active parameters, and how they change: all of a block between two ticks, or nothing.
 
     Parameters
     ----------
     dictionary
-        What the device says of itself; its defaults are in force first.
+        What the device says of itself; its defaults are active first.
     apply
-        Called with all values before they are put in force; what it raises (`ParameterError`) refuses them.
+        Called with all values before they are activated; what it raises (`ParameterError`) refuses them.
 
     Attributes
     ----------
     values
-        Name → value in force.
+        Name → active value.
     crc
-        CRC-32 of the block in force.
+        CRC-32 of the active block.
     homed
         Whether `reference_count` was set since the start.
     hash
@@ -81,7 +81,7 @@ class Configuration:
         self._apply = apply
         self._assembler = Assembler()
         self.homed = False
-        self._put_in_force({info.name: info.default for info in dictionary.parameters})
+        self._activate({info.name: info.default for info in dictionary.parameters})
 
     def identity(self, request: m.Identify, state: int) -> m.Identity:
         """Page of the dictionary."""
@@ -90,7 +90,7 @@ class Configuration:
         return m.Identity(request.nonce, m.MINOR, state, self.hash, len(packed), request.offset, piece)
 
     def parameters(self, request: m.GetParameters) -> m.Parameters:
-        """Page of the block in force."""
+        """Page of the active block."""
         piece = page(self._block, request.offset, data_limit(m.Parameters))
         return m.Parameters(request.nonce, len(self._block), self.crc, request.offset, piece)
 
@@ -103,7 +103,7 @@ class Configuration:
         return self._assembler.chunk(request)
 
     def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:
-        """Put the block in force: status, and the parameter that it is about. An armed device takes live ones alone."""
+        """Activate the block: status, and the parameter that it is about. An armed device takes live ones alone."""
         status, block = self._assembler.commit(request)
         if status is not Status.OK:
             return status, 0
@@ -117,7 +117,7 @@ class Configuration:
                     Status.NOT_LIVE, f"{grave[0]} of an armed device", detail=detail, name=grave[0]
                 )
             cleared = {"verified": 0} if grave else {}
-            self._put_in_force({**self.values, **cleared, **values})
+            self._activate({**self.values, **cleared, **values})
         except ParameterError as error:
             return error.status, error.detail
         self.homed = self.homed or "reference_count" in values
@@ -131,7 +131,7 @@ class Configuration:
                 message = f"{name} = {value} is outside {info.minimum} … {info.maximum}"
                 raise ParameterError(Status.OUT_OF_RANGE, message, detail=info.id, name=name)
 
-    def _put_in_force(self, values: dict[str, Value]) -> None:
+    def _activate(self, values: dict[str, Value]) -> None:
         check(values)
         self._apply(values)
         self.values = values

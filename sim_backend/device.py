@@ -4,7 +4,7 @@
 follows. Whoever owns the bytes and the time (`link` in virtual time, `pty` in real time) calls the two in turn. Tick
 k covers the time from sample k − 1 to sample k:
 
-1. the current for the tick: the command in force, faded by the watchdog, cut by the limits;
+1. the current for the tick: the active command, faded by the watchdog, cut by the limits;
 2. the plant moves;
 3. sample k: count, time of the last edge, measured current;
 4. the monitors look at it; a fault cuts the current from here on;
@@ -170,7 +170,7 @@ class SimulatedDevice:
 
     @property
     def current(self) -> int:
-        """Current in force, after all limits (quanta)."""
+        """Active current, after all limits (quanta)."""
         return self._limits.current
 
     def _time_of(self, index: int) -> int:
@@ -345,7 +345,7 @@ class SimulatedDevice:
         }
 
     def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
-        """ACK that names the first tick which sees the change, and the parameters in force."""
+        """ACK that names the first tick which sees the change, and the active parameters."""
         crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
         return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
 

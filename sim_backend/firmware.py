@@ -200,7 +200,7 @@ class FirmwareDevice:
 
     @property
     def current(self) -> int:
-        """Current in force, after all limits (quanta)."""
+        """Active current, after all limits (quanta)."""
         return int(self._seen.current)
 
     @property

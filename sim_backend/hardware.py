@@ -12,8 +12,8 @@ import numpy as np
 
 from rig.core.model import RigModel
 from rig.realtime.kernel import prepare
+from sim_backend.driven_hand import DrivenHand
 from sim_backend.inner import Vector
-from sim_backend.led import Led
 from sim_backend.lockstep import (
     COUNT,
     MEASURED,
@@ -77,8 +77,8 @@ class Hardware:
         self._noise = Noise(model.amplifier.current_noise_a, seed)
         self._script, self._row = Script.silent(), 0
         self._sessions = 0
-        self._led: Led | None = None  # and whether its blocks are being played
-        self._leading = False
+        self._hand: DrivenHand | None = None  # and whether its blocks are being played
+        self._hand_driven = False
         self.external_effort = 0.0
         self.slip = self.leak = 0
         self.count = self._plant.count(self._state)
@@ -88,29 +88,29 @@ class Hardware:
         """Tick at another rate (Hz) from here on; the motion goes on. Raises `ConfigError` and changes nothing."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
         self._script = Script.silent()  # of other ticks; whoever holds the handle stays as they are
-        self._leading = False
+        self._hand_driven = False
 
-    def lead(self, led: Led) -> None:
-        """Let somebody lead the hand, from the next session on, in place of its script."""
-        self._led = led
+    def drive_hand(self, hand: DrivenHand) -> None:
+        """Let somebody drive the hand, from the next session on, in place of its script."""
+        self._hand = hand
 
     def begin_session(self) -> None:
         """Let the person who holds the handle, if there is one, begin: along to the start, and into the wall."""
         position = self._state.item(self._plant.handle_position)
-        if self._led is None:
+        if self._hand is None:
             self._script = Script.of(self._model, self._plant.tick_s, position, self._sessions)
         else:
-            self._led.begin(position, self._plant.tick_s, self._sessions)
-            self._leading = True
+            self._hand.begin(position, self._plant.tick_s, self._sessions)
+            self._hand_driven = True
         self._row = 0
         self._sessions += 1
 
     def _go_on(self) -> None:
-        """Where the hand is led, ask for the next ticks when the last ones are over."""
-        if self._leading and self._row == 0 and self._led is not None:
+        """Where the hand is driven, ask for the next ticks when the last ones are over."""
+        if self._hand_driven and self._row == 0 and self._hand is not None:
             hand = self._plant.hand_position
             assert hand is not None
-            self._script = self._led.next(self._state.item(hand))
+            self._script = self._hand.next(self._state.item(hand))
 
     def advance(self, current: int) -> None:
         """Let one tick pass under a current (quanta), then sample."""
@@ -130,13 +130,13 @@ class Hardware:
     def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
         """Let many ticks pass under the current that some software asks for; see `sim_backend.lockstep.run_ticks`.
 
-        It stops early where noise, room for the truth or what a led hand wants is used up: whoever wants more calls
+        It stops early where noise, room for the truth or what a driven hand wants is used up: whoever wants more calls
         again.
         """
         self._go_on()
         plant, script, noise, words = self._plant, self._script, self._noise, software.words
         noise.refill()
-        if self._leading:
+        if self._hand_driven:
             most = min(most, len(script.rows) - self._row)
         indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)
         places = np.zeros(PLACES, np.int64)

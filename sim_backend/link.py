@@ -133,6 +133,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
+    url.allow((*OPTIONS, "hand"))
     options: dict[str, Any] = {}
     for name, text in url.options.items():
         if name == "hand":
@@ -140,11 +141,7 @@ def _parse(url: DeviceUrl) -> dict[str, Any]:
                 f"{url.text}: nobody can lead a hand in virtual time",
                 remedy="run in real time, or leave hand out: then it plays its script",
             )
-        kind = OPTIONS.get(name)
-        if kind is None:
-            raise ConfigError(
-                f"{url.text}: unknown option {name!r}", remedy=f"known options: {', '.join(OPTIONS)}"
-            )
+        kind = OPTIONS[name]
         try:
             options[name] = kind(text)
         except ValueError:

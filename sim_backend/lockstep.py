@@ -16,7 +16,7 @@ from numba import types
 from rig.realtime.groups import Float, FloatRows, Floats, Int, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.native import native_call
-from sim_backend.held import want
+from sim_backend.coupled_hand import want
 from sim_backend.operator import Script
 from sim_backend.plant import PLANT_TYPE, PlantArguments, advance
 from sim_backend.safety import UNITS_PER_SECOND

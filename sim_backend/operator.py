@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rig.core.model import Operator, Reach, RigModel
 from rig.realtime.groups import FloatRows, Int, group
-from sim_backend.held import INTENTIONS
+from sim_backend.coupled_hand import INTENTIONS
 
 Rows = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ same arrays and so to the same bits.
 
 **State.** Everything that changes lives in one flat array, so that copying it copies the plant: the states of
 `rig.core.model.state_space`, what a person who holds the handle wants (position, velocity, press; see
-`sim_backend.held`), then the age of the last encoder edge (s), then the commands still on their way, oldest
+`sim_backend.coupled_hand`), then the age of the last encoder edge (s), then the commands still on their way, oldest
 first.
 
 **Friction.** In each inner step a friction effort is held, like the inputs, at the value that brings its mass
@@ -34,7 +34,7 @@ from rig.core.errors import ConfigError
 from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
-from sim_backend.held import INTENTIONS, advance_held
+from sim_backend.coupled_hand import INTENTIONS, advance_coupled
 from sim_backend.inner import (
     ADVANCE,
     COULOMB,
@@ -215,7 +215,7 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     phi = np.ascontiguousarray(whole[np.ix_(states, states)])
     gamma = np.ascontiguousarray(whole[np.ix_(states, range(order, wanted))])
     without_lag = not continuous.a[continuous.effort].any()
-    if without_lag:  # the effort state shows the command in force
+    if without_lag:  # the effort state shows the active command
         phi[continuous.effort, continuous.effort] = 0.0
         gamma[continuous.effort, 0] = 1.0
     return phi, gamma
@@ -249,7 +249,7 @@ def _parameters(model: RigModel, continuous: StateSpace, step_s: float, steps: i
     return parameters
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def _advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
@@ -272,7 +272,7 @@ def _advance_rigid(
     return count
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
@@ -308,7 +308,7 @@ def _advance_two_mass(
     return count
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def advance(
     state: Vector,
     phi: Matrix,
@@ -341,19 +341,19 @@ def advance(
     Inlined into compiled callers: counting references to its arrays would cost more than a step.
     """
     order = phi.shape[0]
-    in_force = command_effort
+    active = command_effort
     last = state.shape[0] - 1
     if last > order:
-        in_force = state[order + 1]
+        active = state[order + 1]
         for i in range(order + 1, last):
             state[i] = state[i + 1]
         state[last] = command_effort
-    in_force = clip(in_force, parameters[EFFORT_LIMIT])
+    active = clip(active, parameters[EFFORT_LIMIT])
     external = external_effort + parameters[GRAVITY_EFFORT]
     if order == RIGID_ORDER:
-        count = _advance_rigid(state, phi, gamma, parameters, in_force, external)
+        count = _advance_rigid(state, phi, gamma, parameters, active, external)
     elif order == TWO_MASS_ORDER:
-        count = _advance_two_mass(state, phi, gamma, parameters, in_force, external)
+        count = _advance_two_mass(state, phi, gamma, parameters, active, external)
     else:
-        count = advance_held(state, phi, gamma, parameters, in_force, external)
+        count = advance_coupled(state, phi, gamma, parameters, active, external)
     return int(parameters[SIGN]) * count

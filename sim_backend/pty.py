@@ -25,8 +25,8 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.hand import SharedHand
 from sim_backend.device import SimulatedDevice
+from sim_backend.driven_hand import DrivenHand
 from sim_backend.firmware import FirmwareDevice
-from sim_backend.led import Led
 from sim_backend.real_time import READ_BYTES, FirmwareTime, Port, RealTime, sleep_until
 
 POSITION_RATE_DEFAULT = 1_000
@@ -99,7 +99,7 @@ def serve(
     pending = FIRMWARE_PENDING_BYTES if firmware else PENDING_BYTES
     with _Port(pending) as port:
         body = timed(model, port, stop, name=name, position_rate_default=rate, seed=seed)
-        with _led(body, model, hand), _linked(link_path, port.path), _signals(stop):
+        with _driven(body, model, hand), _linked(link_path, port.path), _signals(stop):
             announce(str(link_path) if link_path is not None else port.path)
             body.run(duration_s)
 
@@ -118,13 +118,13 @@ def _timed_firmware(model: RigModel, port: Port, stop: threading.Event, **option
 
 
 @contextlib.contextmanager
-def _led(body: RealTime | FirmwareTime, model: RigModel, hand: str | Path | None) -> Iterator[None]:
-    """Let somebody lead the hand, if a file says so."""
+def _driven(body: RealTime | FirmwareTime, model: RigModel, hand: str | Path | None) -> Iterator[None]:
+    """Let somebody drive the hand, if a file says so."""
     if hand is None:
         yield
         return
     with SharedHand.open(hand) as shared:
-        body.device.hardware.lead(Led(model, shared.read))
+        body.device.hardware.drive_hand(DrivenHand(model, shared.read))
         yield
 
 

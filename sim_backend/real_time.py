@@ -1,6 +1,6 @@
 """The clock of a simulated device that runs in real time, and the mover of its bytes, whatever port they pass.
 
-In each period: the plant moves under the current in force, STATE goes out, and then the bytes that came meanwhile are
+In each period: the plant moves under the active current, STATE goes out, and then the bytes that came meanwhile are
 handed to the device. So the answer to STATE k acts from sample k + 1 on: one tick of delay at least, as behind any
 real port.
 

@@ -71,7 +71,7 @@ _RUNAWAY, _OVER_SPEED, _OVER_CURRENT, _WINDOW, _TOO_HOT = (
 
 
 class Watchdog:
-    """The command in force, and how it fades once its lifetime is over.
+    """The active command, and how it fades once its lifetime is over.
 
     Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
     ramp ends, not a tick later.
@@ -102,8 +102,8 @@ class Watchdog:
         self._ramp = ramp
         self._applied = self.ramping = False
 
-    def wanted(self, until: int, in_force: int) -> int:
-        """Return the current for a tick that ends at `until`, when `in_force` flowed in the last one.
+    def wanted(self, until: int, active: int) -> int:
+        """Return the current for a tick that ends at `until`, when `active` flowed in the last one.
 
         The ramp begins at what the limits left of the command, so that it falls in every tick.
         """
@@ -112,7 +112,7 @@ class Watchdog:
             return self._current
         if not self.ramping:
             self.ramping = True
-            self._from = in_force if self._applied else self._current
+            self._from = active if self._applied else self._current
         left = self._expires + self._ramp - until
         if left <= 0:
             self.lost = True
@@ -155,7 +155,7 @@ class Limits:
     Attributes
     ----------
     current
-        Current in force (quanta).
+        Active current (quanta).
     flags
         `LimitFlag` bits that acted since they were last cleared.
     """
@@ -249,7 +249,7 @@ class Monitor:
         return self._first <= count <= self._last
 
     def check(self, count: int, current: int, measured: int) -> int:
-        """Judge one tick: the count at its end, current in force and measured. Return the faults as bits 1 << code."""
+        """Judge one tick: the count at its end, active current and measured. Return the faults as bits 1 << code."""
         counts, slot = self._counts, self._slot
         moved = count - counts[slot]
         stood = count == counts[slot - 1]

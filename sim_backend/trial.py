@@ -19,7 +19,7 @@ from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.control.step import CONTROLLER_TYPE, DONE, Controller, ControllerArguments, step
 from rig.realtime.groups import FloatRows, Ints, group, type_of
 from rig.realtime.kernel import kernel
-from sim_backend.held import want
+from sim_backend.coupled_hand import want
 from sim_backend.inner import Vector
 from sim_backend.operator import Script
 from sim_backend.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance

@@ -128,7 +128,7 @@ def run(arguments: list[str]) -> int:  # noqa: PLR0911  (one exit code for each 
 
 
 def _report(error: RigError, arguments: list[str]) -> None:
-    if "--json" in arguments and not error.told:
+    if "--json" in arguments and not error.reported:
         print_json({"error": error_facts(error)})
     for message in error.messages:
         click.echo(f"rig: {message}", err=True)

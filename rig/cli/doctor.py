@@ -72,11 +72,11 @@ def doctor(
     else:
         _print(found)
     if found.error is not None:
-        found.error.told = as_json
+        found.error.reported = as_json
         raise found.error
     if not found.armable and found.gate is not None:
         refused = PlanError("the wall of this experiment must not be armed here", remedy=found.gate.remedy)
-        refused.told = as_json
+        refused.reported = as_json
         raise refused
 
 

@@ -113,7 +113,7 @@ def info(source: str, as_json: bool) -> None:
             f"this package cannot run the firmware of {source}",
             remedy="build it again with this package (rig firmware build) and flash it (rig firmware flash)",
         )
-        refused.told = as_json
+        refused.reported = as_json
         raise refused
 
 
@@ -181,7 +181,7 @@ def selftest(
         _print_selftest(found)
     error = failure(found)
     if error is not None:
-        error.told = as_json
+        error.reported = as_json
         raise error
 
 

@@ -109,7 +109,7 @@ def hit(
     if as_json:
         output.print_json({"hits": done, "error": None if failure is None else output.error_facts(failure)})
     if failure is not None:
-        failure.told = as_json
+        failure.reported = as_json
         raise failure
 
 

@@ -131,7 +131,7 @@ def impedance(
             f"the guard ended every run: {results[0].ended}",
             remedy="take a softer wall or a smaller excitation",
         )
-        error.told = as_json
+        error.reported = as_json
         raise error
 
 

@@ -36,7 +36,7 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
         for result in results:
             click.echo(_line(result))
     if error is not None:
-        error.told = as_json
+        error.reported = as_json
         raise error
 
 

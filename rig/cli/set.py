@@ -32,7 +32,7 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
     def posted(number: int) -> None:
         if not as_json:
             click.echo(
-                f"parameter set {number}: on its way; it comes in force when the handle is outside the wall",
+                f"parameter set {number}: on its way; it becomes active when the handle is outside the wall",
                 err=True,
             )
 
@@ -41,10 +41,10 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
         output.print_json(done.as_mapping())
         return
     said = ", ".join(f"{key} = {value}" for key, value in done.changes.items())
-    if done.in_force:
-        end = "in force"
+    if done.active:
+        end = "active"
     elif done.ended:
-        end = "not in force: the loop ended before"
+        end = "not active: the loop ended before"
     else:
-        end = "not in force yet: the handle stays inside the wall; it will be when it leaves"
+        end = "not active yet: the handle stays inside the wall; it will be when it leaves"
     click.echo(f"process {done.pid}, parameter set {done.number}: {said}: {end}")

@@ -43,8 +43,8 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
         ("rows", f"{len(opened.rows)}{'' if opened.complete else ', incomplete'}"),
     ]
     pairs += [("lost", str(loss)) for loss in opened.lost]
-    if trailer.get("law_agreement"):
-        pairs.append(("beside the host's law", _agreement(trailer["law_agreement"])))
+    if trailer.get("device_host_agreement"):
+        pairs.append(("beside the host's law", _agreement(trailer["device_host_agreement"])))
     if trailer.get("error"):
         pairs.append(("error", trailer["error"]))
     verdicts = hit_output.verdict_pairs(experiment, judgement.verdict, judgement.verdict_true)

@@ -9,8 +9,7 @@ import click
 
 from rig import config
 from rig.cli import options, output
-from rig.devices import load_backend
-from rig.devices.local import serve as serve_scheme
+from rig.devices.local import serve as serve_here
 
 
 @click.group()
@@ -43,7 +42,6 @@ def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: boo
         if path.suffix == ".toml"
         else options.chosen_experiment(None, preset)
     )
-    load_backend("sim://")
 
     def announce(port: str) -> None:
         if as_json:
@@ -55,4 +53,4 @@ def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: boo
             )
 
     chosen: dict[str, Any] = {"firmware": firmware} if rate is None else {"rate": rate, "firmware": firmware}
-    serve_scheme("sim", config.rig_model(experiment), seed=seed, announce=announce, **chosen)
+    serve_here(config.rig_model(experiment), seed=seed, announce=announce, **chosen)

@@ -34,7 +34,7 @@ def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
             f"process {', '.join(deaf)} was told to stop but has not said that it did",
             remedy=f"cut the motor's power; then kill -9 {' '.join(deaf)}, and the device's watchdog takes over",
         )
-        error.told = as_json
+        error.reported = as_json
         raise error
 
 

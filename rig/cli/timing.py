@@ -57,7 +57,7 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
         if drawn is not None:
             click.echo(f"picture\n  {drawn}")
     if failure is not None:
-        failure.told = as_json
+        failure.reported = as_json
         raise failure
 
 
@@ -115,7 +115,7 @@ def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
         []
         if summary.loop == "device"
         else [
-            ("commands never seen in force", str(summary.never_in_force)),
+            ("commands never seen active", str(summary.never_active)),
             ("commands sent at the end, unanswered", str(summary.unanswered)),
         ]
     )

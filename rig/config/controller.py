@@ -23,7 +23,7 @@ from rig.control.law import Law
 from rig.control.step import CONTROL, Controller, new_memory
 from rig.control.watch import TRAVEL, TRAVEL_COUNTS
 from rig.core.errors import PlanError
-from rig.core.swings import SWINGS
+from rig.core.oscillation import OSCILLATIONS
 
 LIFETIME_PERIODS = 5
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
@@ -50,14 +50,14 @@ def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
     )
 
 
-def swing_limit(experiment: Experiment) -> int:
-    """Swings of the effort in a row that end a trial (`rig.control.watch`); 0: any number."""
-    if experiment.trial.kind == "excitation":  # which swings the effort itself
+def oscillation_limit(experiment: Experiment) -> int:
+    """Oscillations of the effort in a row that end a trial (`rig.control.watch`); 0: any number."""
+    if experiment.trial.kind == "excitation":  # which drives the effort itself
         return 0
     limits = experiment.rig.limits
-    if limits.swings is not None:
-        return limits.swings
-    return SWINGS if limits.human and experiment.trial.kind == "human" else 0
+    if limits.oscillations is not None:
+        return limits.oscillations
+    return OSCILLATIONS if limits.human and experiment.trial.kind == "human" else 0
 
 
 def energy_limit(experiment: Experiment) -> float:
@@ -127,9 +127,9 @@ def for_experiment(
         "trial_ticks": _ticks(trial.baseline_s + trial.duration_s, tick_s),
         "release_ticks": max(1, _ticks(trial.release_s, tick_s)),
         "energy_limit": energy_limit(experiment),
-        "swing_limit": swing_limit(experiment),
-        "swing_ticks": _ticks(limits.swing_s, tick_s),
-        "swing_travel": max(TRAVEL * verdict_limits(experiment).moved, TRAVEL_COUNTS * abs(delta)),
+        "oscillation_limit": oscillation_limit(experiment),
+        "oscillation_ticks": _ticks(limits.oscillation_s, tick_s),
+        "oscillation_travel": max(TRAVEL * verdict_limits(experiment).moved, TRAVEL_COUNTS * abs(delta)),
     }
     for name, value in values.items():
         control[name] = value

@@ -18,9 +18,9 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 
 from rig.core.model import Amplifier, Encoder, Mechanics, Operator, Simulation
 from rig.core.operators import GRIPS
+from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.quantity import STRICT, Quantity
 from rig.core.sample import Motion
-from rig.core.swings import SWING_S, SWINGS
 
 Setting = bool | int | float | str
 
@@ -57,19 +57,22 @@ class Limits:
             "J", "a motor that has given the handle more than this in a trial ends it; left out: no limit"
         ),
     ] = None
-    swings: Annotated[
+    oscillations: Annotated[
         int | None,
         Ge(0),
         Le(1000),
         Quantity(
             "",
-            "so many swings of the effort in a row, from nothing to its limit with the handle moving, end the run; 0: "
-            f"never; left out: {SWINGS} in a person's trial (human = true, trial.kind), else never",
+            "number of oscillations of the effort in a row, from zero to its limit with the handle moving, "
+            f"that end the run; 0: never; left out: {OSCILLATIONS} in a person's trial (human = true), else never",
         ),
     ] = None
-    swing_s: Annotated[
-        float, Gt(0), Le(1), Quantity("s", "a swing no later than this after the one before is in a row")
-    ] = SWING_S
+    oscillation_s: Annotated[
+        float,
+        Gt(0),
+        Le(1),
+        Quantity("s", "longest time between two oscillations in a row"),
+    ] = OSCILLATION_S
     human: Annotated[
         bool, Quantity("", "a person holds the handle, so effort may not exceed nominal_effort")
     ] = True

@@ -162,7 +162,7 @@ def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
     return Filters(sections, math.ceil(math.log(_REMEMBERED) / math.log(slowest)))
 
 
-@kernel(types.void(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), borrow=True)
+@kernel(types.void(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Records) -> None:
     """First contact, exits and peaks."""
     s, n = settings[0], numbers[0]
@@ -194,7 +194,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
     n["peak_penetration"], n["peak_effort"] = deepest, strongest
 
 
-@kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), borrow=True)
+@kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
     """How often each flag was set."""
     s, n = settings[0], numbers[0]
@@ -216,7 +216,7 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
     n["slew_bound_ticks"], n["overruled_ticks"] = slew_bound, overruled
 
 
-@kernel(types.float64(_SIGNAL, SETTINGS_TYPE), borrow=True)
+@kernel(types.float64(_SIGNAL, SETTINGS_TYPE), no_refcount=True)
 def _toggling_hz(position: Floats, settings: Records) -> float:
     """Half the rate in the tail of those changes of the count that are no motion in the band (Hz).
 
@@ -269,8 +269,8 @@ def _section(
     return y, (b1 * x + s2) - a1 * y, b2 * x - a2 * y
 
 
-@kernel(types.void(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, NUMBERS_TYPE), borrow=True)
-def _ripple_and_swing(
+@kernel(types.void(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, NUMBERS_TYPE), no_refcount=True)
+def _ripple_and_travel(
     position: Floats, effort: Floats, settings: Records, sections: Floats, numbers: Records
 ) -> None:
     """Effort and position above the high pass: heard, growth and moved."""
@@ -289,15 +289,15 @@ def _ripple_and_swing(
     lowest = highest = 0.0
     for k in range(first, ticks):
         ripple, e1, e2 = _section(effort[k] - effort[first], e1, e2, b0, b1, b2, a1, a2)
-        swing, p1, p2 = _section(position[k] - position[first], p1, p2, b0, b1, b2, a1, a2)
+        travelled, p1, p2 = _section(position[k] - position[first], p1, p2, b0, b1, b2, a1, a2)
         if k < begin:
             continue
         if k == begin:
-            lowest = highest = swing
+            lowest = highest = travelled
         if k == half:
             power_of_half, power = power, 0.0
         power += ripple * ripple
-        lowest, highest = min(lowest, swing), max(highest, swing)
+        lowest, highest = min(lowest, travelled), max(highest, travelled)
         if k == calm - 1:
             n["heard_in_stay"] = math.sqrt((power_of_half + power) / (calm - begin))
             n["moved_in_stay"] = max(0.0, highest - lowest - s["resolution"])
@@ -308,7 +308,7 @@ def _ripple_and_swing(
     n["moved"] = max(0.0, highest - lowest - s["resolution"])
 
 
-@kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, borrow=True)
+@kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, no_refcount=True)
 def _inner_velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> float:
     if velocity.shape[0] > 0:
         return float(velocity[k])
@@ -320,7 +320,7 @@ def _inner_velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) 
     return float((position[k + 1] - position[k - 1]) * (0.5 * rate_hz))
 
 
-@kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, borrow=True)
+@kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, no_refcount=True)
 def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> float:
     """Velocity at a tick, mirrored beyond both ends; without a signal of its own the central difference."""
     last = position.shape[0] - 1
@@ -328,7 +328,7 @@ def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> flo
     return _inner_velocity(position, velocity, rate_hz, mirrored)
 
 
-@kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), borrow=True)
+@kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), no_refcount=True)
 def _felt(position: Floats, velocity: Floats, settings: Records, sections: Floats, scratch: Floats) -> float:
     """Rms of the velocity in the band, zero phase: forth into the scratch, then back."""
     s = settings[0]
@@ -355,7 +355,7 @@ def _felt(position: Floats, velocity: Floats, settings: Records, sections: Float
     return math.sqrt(power / (ticks - begin))
 
 
-@kernel(types.float64(_SIGNAL, types.int64, types.int64), borrow=True)
+@kernel(types.float64(_SIGNAL, types.int64, types.int64), no_refcount=True)
 def _end_slope(position: Floats, first: int, last: int) -> float:
     """Slope for one tick, at the last of some ticks, of the parabola through them with the least squares.
 
@@ -376,7 +376,7 @@ def _end_slope(position: Floats, first: int, last: int) -> float:
     return float(slope + 2.0 * half * bend)
 
 
-@kernel(types.void(_SIGNAL, _SIGNAL, _SIGNAL, SETTINGS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE), borrow=True)
+@kernel(types.void(_SIGNAL, _SIGNAL, _SIGNAL, SETTINGS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _rest_and_impact(
     position: Floats,
     velocity: Floats,
@@ -413,7 +413,7 @@ def _rest_and_impact(
         n["impact_velocity"] = _end_slope(position, contact - span, contact) / s["tick_s"]
 
 
-@kernel(types.void(NUMBERS_TYPE, types.int64), borrow=True)
+@kernel(types.void(NUMBERS_TYPE, types.int64), no_refcount=True)
 def _write_nothing(numbers: Records, ticks: int) -> None:
     """Numbers of a trial that is too short for any."""
     n = numbers[0]
@@ -430,7 +430,7 @@ def _write_nothing(numbers: Records, ticks: int) -> None:
 
 @kernel(
     types.void(*[_SIGNAL] * 4, _FLAGS, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE, NUMBERS_TYPE),
-    borrow=True,
+    no_refcount=True,
 )
 def measure(
     position: Floats,
@@ -464,7 +464,7 @@ def measure(
         return
     _contact(effort, penetration, settings, numbers)
     _marks(flags, settings, numbers)
-    _ripple_and_swing(position, effort, settings, sections, numbers)
+    _ripple_and_travel(position, effort, settings, sections, numbers)
     s = settings[0]
     n["felt_floor"], n["felt"] = 0.0, math.nan
     if s["resolution"] > 0.0:

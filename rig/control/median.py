@@ -16,7 +16,7 @@ _SCRATCH_TYPE = types.float64[::1]
 @kernel(
     types.int64(_SCRATCH_TYPE, types.int64, types.int64, types.float64, types.boolean),
     inline=True,
-    borrow=True,
+    no_refcount=True,
 )
 def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -> int:
     """Bring values below the pivot (and those equal to it, if asked) to the front; returns where the others begin."""
@@ -29,7 +29,7 @@ def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -
     return front
 
 
-@kernel(types.float64(_SCRATCH_TYPE, types.int64), borrow=True)
+@kernel(types.float64(_SCRATCH_TYPE, types.int64), no_refcount=True)
 def median(values: Floats, count: int) -> float:
     """Median of the first `count` values, which are reordered.
 

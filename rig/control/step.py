@@ -71,9 +71,9 @@ CONTROL = np.dtype(
         ("trial_ticks", "<i8"),
         ("release_ticks", "<i8"),
         ("energy_limit", "<f8"),  # that the motor may give in a trial (J); 0: any
-        ("swing_limit", "<i8"),  # swings of effort in a row that end the run; 0: any
-        ("swing_ticks", "<i8"),  # within which the next one is in a row
-        ("swing_travel", "<f8"),  # of the handle, below which a swing is none
+        ("oscillation_limit", "<i8"),  # oscillations of effort in a row that end the run; 0: any
+        ("oscillation_ticks", "<i8"),  # within which the next one is in a row
+        ("oscillation_travel", "<f8"),  # of the handle, below which an oscillation is none
     ],
     align=True,
 )
@@ -96,11 +96,11 @@ MEMORY = np.dtype(
         ("window", "<i8"),  # velocity periods that the estimate spans
         ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
         ("energy", "<f8"),  # that the motor has given in the trial (J)
-        ("swings", "<i8"),  # of the effort, in a row
-        ("swing_age", "<i8"),  # ticks since the last one
-        ("swing_armed", "<i8"),  # 1: the effort has been next to nothing since then
-        ("swing_lowest", "<f8"),  # position since then
-        ("swing_highest", "<f8"),
+        ("oscillations", "<i8"),  # of the effort, in a row
+        ("oscillation_age", "<i8"),  # ticks since the last one
+        ("oscillation_armed", "<i8"),  # 1: the effort has been next to nothing since then
+        ("oscillation_lowest", "<f8"),  # position since then
+        ("oscillation_highest", "<f8"),
         # what the row shows of this tick
         ("position", "<f8"),
         ("penetration", "<f8"),
@@ -268,8 +268,21 @@ def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
 
 
 # What a controller saved by an earlier version does not have: none of it acted then.
-_SINCE = {"energy_limit": 0.0, "swing_limit": 0, "swing_ticks": 0, "swing_travel": 0.0} | dict.fromkeys(
-    ("energy", "swings", "swing_age", "swing_armed", "swing_lowest", "swing_highest"), 0
+_SINCE = {
+    "energy_limit": 0.0,
+    "oscillation_limit": 0,
+    "oscillation_ticks": 0,
+    "oscillation_travel": 0.0,
+} | dict.fromkeys(
+    (
+        "energy",
+        "oscillations",
+        "oscillation_age",
+        "oscillation_armed",
+        "oscillation_lowest",
+        "oscillation_highest",
+    ),
+    0,
 )
 
 
@@ -340,27 +353,27 @@ def _watched(control: Any, memory: Any, position: float, penetration: float, ela
     )
     if c["energy_limit"] > 0.0 and m["energy"] > c["energy_limit"]:
         m["flags"] |= ENERGY
-    if c["swing_limit"] == 0:
+    if c["oscillation_limit"] == 0:
         return
     if m["phase"] == TRIAL and m["phase_ticks"] == 0:
-        m["swing_lowest"] = m["swing_highest"] = m["position"]
-    m["swing_lowest"] = min(m["swing_lowest"], position)
-    m["swing_highest"] = max(m["swing_highest"], position)
-    m["swing_age"] += elapsed_ticks
-    swung = watch.swung(
+        m["oscillation_lowest"] = m["oscillation_highest"] = m["position"]
+    m["oscillation_lowest"] = min(m["oscillation_lowest"], position)
+    m["oscillation_highest"] = max(m["oscillation_highest"], position)
+    m["oscillation_age"] += elapsed_ticks
+    extreme = watch.extreme(
         -c["wall_side"] * m["effort_sent"],
         c["effort_limit"],
-        m["swing_lowest"],
-        m["swing_highest"],
-        c["swing_travel"],
+        m["oscillation_lowest"],
+        m["oscillation_highest"],
+        c["oscillation_travel"],
     )
-    if swung < 0:
-        m["swing_armed"] = 1
-    elif swung > 0 and m["swing_armed"] == 1:
-        m["swings"] = 1 + (m["swings"] if m["swing_age"] <= c["swing_ticks"] else 0)
-        m["swing_age"] = m["swing_armed"] = 0
-        m["swing_lowest"] = m["swing_highest"] = position
-        if m["swings"] >= c["swing_limit"]:
+    if extreme < 0:
+        m["oscillation_armed"] = 1
+    elif extreme > 0 and m["oscillation_armed"] == 1:
+        m["oscillations"] = 1 + (m["oscillations"] if m["oscillation_age"] <= c["oscillation_ticks"] else 0)
+        m["oscillation_age"] = m["oscillation_armed"] = 0
+        m["oscillation_lowest"] = m["oscillation_highest"] = position
+        if m["oscillations"] >= c["oscillation_limit"]:
             m["flags"] |= VIOLENT
 
 

@@ -198,8 +198,8 @@ class Measured:
         Those that it was measured with.
     thrown_out
         Whether a guard ended the push because the handle left its window or went too fast, or the motor gave too much
-        energy or beat (`rig.control.watch`), which the signals before do not show. After contact that is unstable,
-        without it invalid.
+        energy or oscillated violently (`rig.control.watch`), which the signals before do not show. After contact that
+        is unstable, without it invalid.
     """
 
     numbers: np.void

@@ -18,7 +18,7 @@ class RigError(Exception):
     """
 
     exit_code = 1
-    told = False  # whether a command has already put it into its JSON
+    reported = False  # whether a command has already put it into its JSON
 
     def __init__(self, message: str, *, remedy: str = "") -> None:
         super().__init__(message)

@@ -74,7 +74,7 @@ class RowFlag(IntFlag):
     OUT_OF_WINDOW = 256  # position left the window or speed exceeded its limit: effort zero, run ended
     HOMING_FAILED = 512  # the start was not reached in time: effort zero, run ended
     ENERGY = 1024  # the motor gave more energy than it may: effort zero, run ended
-    VIOLENT = 2048  # the effort swung to and fro between nothing and its limit: effort zero, run ended
+    VIOLENT = 2048  # the effort oscillated between zero and its limit: effort zero, run ended
 
 
 COLUMNS: tuple[Column, ...] = (
@@ -109,25 +109,23 @@ COLUMNS: tuple[Column, ...] = (
         "effort of the command sent: guarded and rounded to the current quantum; law on the device: what the same law "
         "gives here for the same count, beside which effort_applied of the next row is what the device made of it",
     ),
-    Column("effort_applied", "<f8", "effort", "effort in force on the device when the sample was taken"),
+    Column("effort_applied", "<f8", "effort", "active effort on the device when the sample was taken"),
     Column("current_sent", "<i8", "quantum", "current of effort_sent, in current quanta"),
-    Column("current_applied", "<i8", "quantum", "current in force on the device, in current quanta"),
+    Column("current_applied", "<i8", "quantum", "active current on the device, in current quanta"),
     Column("current_measured", "<f8", "A", "measured motor current"),
-    Column("command_age", "<i8", "1", "age of the command in force, in device ticks"),
+    Column("command_age", "<i8", "1", "age of the active command, in device ticks"),
     Column(
         "command_sequence",
         "<i8",
         "1",
         "sequence number of the command sent in this tick, modulo 65536; law on the device: of the last one sent",
     ),
-    Column(
-        "command_in_force", "<i8", "1", "sequence number of the command in force at the sample, modulo 65536"
-    ),
+    Column("command_active", "<i8", "1", "sequence number of the active command at the sample, modulo 65536"),
     Column(
         "parameter_set",
         "<i8",
         "1",
-        "parameters in force: 0 as the header has them, later sets stand in the trailer",
+        "active parameters: 0 as the header has them, later sets stand in the trailer",
     ),
     Column(
         "limits",
@@ -176,7 +174,7 @@ COLUMNS: tuple[Column, ...] = (
         "applied_at",
         "<i8",
         "ns",
-        "latency ledger: command came in force (host clock, by the clock fit); 0 if never seen, and with "
+        "latency ledger: command became active (host clock, by the clock fit); 0 if never seen, and with "
         "the law on the device",
     ),
 )

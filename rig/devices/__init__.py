@@ -1,7 +1,7 @@
 """Links and framed devices, by URL.
 
-The function has the signature ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Third parties
-add a scheme by the entry-point group ``rig.devices``; they cannot shadow a built-in one.
+A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Third parties add a scheme by
+the entry-point group ``rig.devices``; they cannot replace a built-in one.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ BUILT_IN = {
     "usb": "rig.devices.usb:open_link",
 }
 FIRMWARE = "firmware"  # option of sim://: 1 is the compiled firmware in place of its mirror in Python
-SIMULATIONS = {"sim": "sim_backend.hits:SimulatedRig"}  # backends that can be hit without bytes
-EXCITED_SIMULATIONS = {"sim": "sim_backend.excited:ExcitedPlant"}  # and excited
-PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"  # and traced tick by tick
+# What the simulation offers beside its link (`rig.devices.simulated`), and its server (`rig.devices.local`).
+HITS, EXCITED = "sim_backend.hits:SimulatedRig", "sim_backend.excited:ExcitedPlant"
+PLANT, TRIAL = "sim_backend.plant:DiscretePlant", "sim_backend.trial:run_trial"
+SERVER = "sim_backend.pty:serve"
+DISTRIBUTION = "haptic-rig"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ class Backend:
 
 def backends() -> list[Backend]:
     """Every scheme that can be opened here, built-in ones first."""
-    table = [Backend(scheme, target, "haptic-rig") for scheme, target in BUILT_IN.items()]
+    table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in BUILT_IN.items()]
     plugins = sorted(entry_points(group="rig.devices"), key=lambda point: point.name)
     return table + [
         Backend(point.name, point.value, point.dist.name if point.dist else "?")
@@ -58,11 +60,12 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     if found is None:
         schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
         raise ConfigError(f"no backend for {scheme}:// (in {url!r})", remedy=f"known schemes: {schemes}")
-    opener = _loaded(found.target, scheme, found.distribution)
+    opener = loaded(found.target, scheme, found.distribution)
     return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
 
 
-def _loaded(target: str, scheme: str, distribution: str) -> Any:
+def loaded(target: str, scheme: str = "sim", distribution: str = DISTRIBUTION) -> Any:
+    """Return what ``module:attribute`` names; raises `DeviceNotFoundError` when it does not load."""
     module, _, attribute = target.partition(":")
     try:
         return getattr(import_module(module), attribute)
@@ -113,30 +116,19 @@ def url_for(url: str, loop: str) -> str:
     return f"{url}{'&' if '?' in url else '?'}{FIRMWARE}=1"
 
 
-def simulated_rig(scheme: str = "sim") -> OpenRig:
-    """Return what makes rigs to hit without bytes (`rig.devices.simulated`).
-
-    Raises `ConfigError` when no backend of that scheme simulates, `DeviceNotFoundError` when it does not load.
-    """
-    if scheme not in SIMULATIONS:
-        raise ConfigError(
-            f"{scheme}:// cannot be hit without bytes", remedy=f"known: {', '.join(SIMULATIONS)}"
-        )
-    return cast("OpenRig", _loaded(SIMULATIONS[scheme], scheme, "haptic-rig"))
+def simulated_rig() -> OpenRig:
+    """Return what makes rigs to hit without bytes; `DeviceNotFoundError` when the simulation does not load."""
+    return cast("OpenRig", loaded(HITS))
 
 
-def excited_simulation(scheme: str = "sim") -> OpenExcitedSimulation:
-    """Return what makes rigs to excite without bytes (`rig.devices.simulated`); errors as `simulated_rig`."""
-    if scheme not in EXCITED_SIMULATIONS:
-        raise ConfigError(
-            f"{scheme}:// cannot be excited without bytes", remedy=f"known: {', '.join(EXCITED_SIMULATIONS)}"
-        )
-    return cast("OpenExcitedSimulation", _loaded(EXCITED_SIMULATIONS[scheme], scheme, "haptic-rig"))
+def excited_simulation() -> OpenExcitedSimulation:
+    """Return what makes rigs to excite without bytes; errors as `simulated_rig`."""
+    return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
-    """Return what builds a plant and what runs a traced trial on it; `DeviceNotFoundError` when they do not load."""
-    return _loaded(PLANT, "sim", "haptic-rig").build, _loaded(TRIAL, "sim", "haptic-rig")
+    """Return what builds a plant and what runs a traced trial on it; errors as `simulated_rig`."""
+    return loaded(PLANT).build, loaded(TRIAL)
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:

@@ -7,7 +7,7 @@ shipped code, whether a board, a process behind a pseudo-terminal or the simulat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 from urllib.parse import parse_qsl, urlsplit
@@ -49,6 +49,24 @@ class DeviceUrl:
             raise ConfigError(f"device URL {text!r} names an option twice", remedy="keep one of them")
         return cls(parts.scheme, parts.netloc + parts.path, options, text)
 
+    def allow(self, options: Iterable[str]) -> None:
+        """Raise `ConfigError` when the URL has an option that is not among these."""
+        for name in self.options:
+            if name not in options:
+                raise ConfigError(
+                    f"{self.text}: unknown option {name!r}", remedy=f"known options: {', '.join(options)}"
+                )
+
+    def choice(self, name: str, allowed: Sequence[str], default: str) -> str:
+        """Return an option that is one of a few words; raises `ConfigError` when it is another."""
+        value = self.options.get(name, default)
+        if name in self.options and value not in allowed:
+            raise ConfigError(
+                f"{self.text}: {name} = {value!r} is not allowed",
+                remedy=f"give one of: {', '.join(allowed)}; or leave {name} out",
+            )
+        return value
+
 
 class Link(Protocol):
     """Bytes to and from one far end.
@@ -85,3 +103,15 @@ class Link(Protocol):
     def close(self) -> None:
         """Release the port; may be called twice."""
         ...
+
+
+class RealLink:
+    """What all links to hardware have in common (mixin of a `Link`)."""
+
+    def failure(self) -> BaseException | None:
+        """Return None: a real far end reports no exception."""
+        return None
+
+    def truth(self) -> NDArray[np.void] | None:
+        """Return None: nobody knows the true state of a real rig."""
+        return None

@@ -47,7 +47,7 @@ _dictionaries: dict[int, dictionaries.Dictionary] = {}
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """What the device has put in force: every parameter, its fingerprint, and the tick from which it counts."""
+    """What the device has activated: every parameter, its fingerprint, and the tick from which it counts."""
 
     values: dict[str, Value]
     crc: int
@@ -82,8 +82,8 @@ class FramedDevice:
         self._nonce = link.clock.now_ns() // 1_000_000 % 0xFFFF
         self._dictionary: dictionaries.Dictionary | None = None
         self._dictionary_hash = 0
-        self._crc: int | None = None  # of the parameters in force; None: not ours, or not known
-        self._known: dict[str, Value] = {}  # the last values that were seen in force
+        self._crc: int | None = None  # of the active parameters; None: not ours, or not known
+        self._known: dict[str, Value] = {}  # the last values that were seen active
         self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
         self._session = 0  # used last
         self._said_ns = self._heard_ns = (
@@ -137,9 +137,9 @@ class FramedDevice:
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
-        """Put parameters in force, all of them or none, and say what is in force now.
+        """Activate parameters, all of them or none, and say what is active now.
 
-        The device's answer has the CRC of every parameter in force. Where it is the one of the values that must be in
+        The device's answer has the CRC of every active parameter. Where it is the one of the values that must be in
         force now, they are known; otherwise (another host was there, or the device holds values of its own) they are
         read, page by page.
 
@@ -160,17 +160,17 @@ class FramedDevice:
         if block is None or block_crc(block) != ack.crc:
             block = self._read_parameters()
         with self._understood():
-            in_force = decode_block(block)
+            active = decode_block(block)
         if block_crc(block) != ack.crc:
             raise DeviceRefusedError(
-                "the parameters in force are not those that were sent",
+                "the active parameters are not those that were sent",
                 remedy="report it: the device is inconsistent",
             )
-        self._crc, self._known = ack.crc, in_force
-        return Echo(dict(in_force), ack.crc, ack.sample_index)
+        self._crc, self._known = ack.crc, active
+        return Echo(dict(active), ack.crc, ack.sample_index)
 
     def _expected_block(self, values: Mapping[str, Value]) -> bytes | None:
-        """Every parameter as it must be in force after `values`, if the others are still what we know."""
+        """Every parameter as it must be active after `values`, if the others are still what we know."""
         known = self._known or {info.name: info.default for info in self.dictionary.parameters}
         try:
             return encode_block({**known, "verified": 0, **values})
@@ -221,8 +221,8 @@ class FramedDevice:
                 return event.message.count
         raise DeviceRefusedError("the device does not show its encoder count", remedy="update its firmware")
 
-    def in_force(self) -> dict[str, Value]:
-        """Parameters in force, read from the device; nothing changes."""
+    def active_parameters(self) -> dict[str, Value]:
+        """Active parameters, read from the device; nothing changes."""
         self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
         block = self._read_parameters()
         with self._understood():
@@ -286,7 +286,7 @@ class FramedDevice:
         """Take the streams and the nonces back from the compiled loop (see `Connection.resume`).
 
         A `state` that nobody knows counts as RUNNING: it must not keep the host from stopping. `parameters_crc` is the
-        fingerprint of the parameters in force, where the loop has changed some.
+        fingerprint of the active parameters, where the loop has changed some.
         """
         self._nonce = nonce
         if parameters_crc is not None:

@@ -13,7 +13,6 @@ import signal
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 from rig import devices
@@ -25,7 +24,6 @@ from rig.devices.framed import FramedDevice
 from rig.devices.hand import SharedHand
 from rig.realtime.scheduling import obtained
 
-SERVERS = {"sim": "sim_backend.pty:serve"}
 START_TIMEOUT_S = 60.0  # the first start compiles the plant
 STOP_TIMEOUT_S = 5.0
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -40,22 +38,13 @@ class Board:
     cpu: int | None = None
 
 
-def serve(scheme: str, model: RigModel, *, realtime: str = "try", **options: Any) -> None:
+def serve(model: RigModel, *, realtime: str = "try", **options: Any) -> None:
     """Serve a simulated rig in this process until stopped (see `sim_backend.pty.serve`).
 
-    The calling thread gets real-time scheduling for as long as it serves, where that is granted; ``realtime="off"``
-    asks for none.
-
-    Raises `ConfigError` when no backend serves this scheme, `DeviceNotFoundError` when it does not load.
+    The calling thread gets real-time scheduling while it serves, where that is granted; ``realtime="off"`` requests
+    none. Raises `DeviceNotFoundError` when the simulation does not load.
     """
-    _check_served(scheme)
-    module, _, function = SERVERS[scheme].partition(":")
-    try:
-        server = getattr(import_module(module), function)
-    except ImportError as error:
-        raise DeviceNotFoundError(
-            f"{SERVERS[scheme]} does not load: {error}", remedy="reinstall it"
-        ) from error
+    server = devices.loaded(devices.SERVER)
     with obtained(Board(realtime)) as granted:
         granted.enter_thread()
         try:
@@ -64,17 +53,10 @@ def serve(scheme: str, model: RigModel, *, realtime: str = "try", **options: Any
             granted.leave_thread()
 
 
-def _check_served(scheme: str) -> None:
-    if scheme not in SERVERS:
-        raise ConfigError(f"{scheme}:// cannot be served", remedy=f"known: {', '.join(SERVERS)}")
-
-
-def _child(
-    scheme: str, model: RigModel, seed: int, realtime: str, options: Mapping[str, Any], pipe: Any
-) -> None:
+def _child(model: RigModel, seed: int, realtime: str, options: Mapping[str, Any], pipe: Any) -> None:
     os.setsid()  # Ctrl-C is for the host: a device that died of it could not be brought to rest
     _die_with_parent()
-    serve(scheme, model, realtime=realtime, seed=seed, announce=pipe.send, **options)
+    serve(model, realtime=realtime, seed=seed, announce=pipe.send, **options)
 
 
 def _die_with_parent() -> None:
@@ -100,7 +82,8 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
         The process does not come up.
     """
     parsed = DeviceUrl.parse(url)
-    _check_served(parsed.scheme)
+    if parsed.scheme != "sim":
+        raise ConfigError(f"{url} cannot be served", remedy="only sim:// can, like sim://koul-compliant")
     options = _served_options(parsed)
     described = simulated_model(parsed, model)
     if "hand" in options:
@@ -109,7 +92,7 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(
         target=_child,
-        args=(parsed.scheme, described, seed, realtime, options, sender),
+        args=(described, seed, realtime, options, sender),
         name="rig-device",
         daemon=True,
     )

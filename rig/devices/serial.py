@@ -26,15 +26,13 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import serial
-from numpy.typing import NDArray
 from serial.tools import list_ports
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.core.model import RigModel
 from rig.devices import tty
-from rig.devices.device import DeviceUrl
+from rig.devices.device import DeviceUrl, RealLink
 from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
 from rig.devices.port_facts import PortFacts, is_pseudo, port_facts
@@ -52,22 +50,13 @@ __all__ = ["PortFacts", "SerialLink", "available_ports", "open_link", "port_fact
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
     """Open ``serial:///dev/ttyACM0?baud=921600&dtr=on``; see `rig.devices.open_link` for what it raises."""
-    unknown = set(url.options) - set(OPTIONS)
-    if unknown:
-        raise ConfigError(
-            f"{url.text}: unknown option {sorted(unknown)[0]!r}",
-            remedy=f"known options: {', '.join(OPTIONS)}",
-        )
+    url.allow(OPTIONS)
     text = url.options.get("baud", str(DEFAULT_BAUD))
     if not text.isdecimal() or not 300 <= int(text) <= 20_000_000:
         raise ConfigError(
-            f"{url.text}: baud = {text!r} is not a rate", remedy="give bits per second, 300 to 20000000"
+            f"{url.text}: baud = {text!r} is not a baud rate", remedy="give bits per second, 300 to 20000000"
         )
-    dtr = url.options.get("dtr", "on")
-    if dtr not in ("on", "off"):
-        raise ConfigError(
-            f"{url.text}: dtr = {dtr!r}", remedy="say on, or off for a board that DTR holds in reset"
-        )
+    dtr = url.choice("dtr", ("on", "off"), "on")
     if not url.place:
         raise ConfigError(f"{url.text}: no port", remedy=f"name one, like serial:///dev/ttyACM0. {_ports()}")
     port = _open(url.place, int(text))
@@ -112,7 +101,7 @@ def available_ports() -> list[tuple[str, str]]:
     return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
 
 
-class SerialLink:
+class SerialLink(RealLink):
     """`rig.devices.device.Link` over an open port.
 
     Attributes
@@ -175,14 +164,6 @@ class SerialLink:
             wait=system.descriptor_wait,
             handle=self._descriptor,
         )
-
-    def failure(self) -> BaseException | None:
-        """Return None: a real far end keeps its failures to itself."""
-        return None
-
-    def truth(self) -> NDArray[np.void] | None:
-        """Return None: nobody knows the truth of a real rig."""
-        return None
 
     def close(self) -> None:
         """Release the port."""

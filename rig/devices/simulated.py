@@ -83,7 +83,7 @@ class ExcitedSimulation(Protocol):
         """Run the law for so many ticks, from rest at a position (rad or m).
 
         The controller is fresh, and used up. `excitation` is one period of the second actuator's effort on the link
-        (N·m or N), a value for each inner step, in force during that step; it rises in `ramp_s` from zero.
+        (N·m or N), a value for each inner step, active during that step; it rises in `ramp_s` from zero.
 
         Raises `rig.core.errors.LawError` when estimator or law give something that is not finite.
         """

@@ -16,10 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
 import usb.core
 import usb.util
-from numpy.typing import NDArray
 
 from rig.core.errors import (
     ConfigError,
@@ -30,7 +28,7 @@ from rig.core.errors import (
     UnpluggedError,
 )
 from rig.core.model import RigModel
-from rig.devices.device import DeviceUrl
+from rig.devices.device import DeviceUrl, RealLink
 from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
 from rig.devices.usb_handle import Bus, handle_of, unsuitable
@@ -95,7 +93,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
     Besides, `IncompatibleDeviceError` for a device that has no interface of a rig, or whose transfers cannot be queued
     though the URL demands it.
     """
-    wanted = _transfers(url)
+    url.allow(OPTIONS)
+    wanted = url.choice("transfers", TRANSFERS, "")
     vendor, product, serial = _place(url)
     bus = Bus()
     try:
@@ -117,22 +116,6 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
     except BaseException:
         bus.close()
         raise
-
-
-def _transfers(url: DeviceUrl) -> str:
-    unknown = set(url.options) - set(OPTIONS)
-    if unknown:
-        raise ConfigError(
-            f"{url.text}: unknown option {sorted(unknown)[0]!r}",
-            remedy=f"known options: {', '.join(OPTIONS)}",
-        )
-    wanted = url.options.get("transfers", "")
-    if wanted and wanted not in TRANSFERS:
-        raise ConfigError(
-            f"{url.text}: transfers = {wanted!r} is unknown",
-            remedy=f"known: {', '.join(TRANSFERS)}, or leave it out",
-        )
-    return wanted
 
 
 def _place(url: DeviceUrl) -> tuple[int, int, str]:
@@ -311,7 +294,7 @@ class Transfers(Protocol):
         ...
 
 
-class UsbLink:
+class UsbLink(RealLink):
     """`rig.devices.device.Link` over the bulk pipes of an interface."""
 
     def __init__(
@@ -360,14 +343,6 @@ class UsbLink:
         """Return the transfers for the loop."""
         read, write, wait, handle = self._transfers.plugs()
         return LoopPort.on(self.clock, read=read, write=write, wait=wait, handle=handle)
-
-    def failure(self) -> BaseException | None:
-        """Return None: a real far end keeps its failures to itself."""
-        return None
-
-    def truth(self) -> NDArray[np.void] | None:
-        """Return None: nobody knows the truth of a real rig."""
-        return None
 
     def close(self) -> None:
         """Take the transfers back and release the device."""

@@ -62,7 +62,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         GuardError,
         "the law on the device ended the run, at position {position} with velocity {velocity}, and the host's, in "
         "other arithmetic, did not: window, speed limit or start; the effort is zero",
-        "check the wall, rig.limits and [homing]; see law_agreement in the recording's trailer",
+        "check the wall, rig.limits and [homing]; see device_host_agreement in the recording's trailer",
     ),
     EndReason.OVERRUN: (
         OverrunError,
@@ -83,9 +83,9 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     ),
     EndReason.VIOLENT: (
         GuardError,
-        "the wall beat the handle: {swings} swings in a row between no effort and its limit, each within {swing_s} s, "
-        "and rig.limits.swings allows fewer; the effort went to zero",
-        "take a softer or more damped wall; rig.limits.swings = 0 never stops one",
+        "the effort oscillated {oscillations} times in a row between zero and its limit, each within {oscillation_s} s "
+        "of the one before, and rig.limits.oscillations allows fewer; the effort went to zero",
+        "take a softer or more damped wall; rig.limits.oscillations = 0 switches this off",
     ),
     EndReason.HOMING_FAILED: (
         GuardError,

@@ -169,8 +169,6 @@ class ExcitedRig:
         latter is where the second actuator pushes: a port, whose phase says whether it is passive.
     acquisition_hz
         Rate at which positions are kept, at least.
-    backend
-        Scheme of the URL of a backend that simulates.
 
     Attributes
     ----------
@@ -184,7 +182,6 @@ class ExcitedRig:
         *,
         signal: Signal = "count",
         acquisition_hz: float = ACQUISITION_HZ,
-        backend: str = "sim",
     ) -> None:
         self.experiment = config.excited(experiment)
         self._signal = signal
@@ -196,7 +193,7 @@ class ExcitedRig:
             current_quantum_a=self._model.amplifier.current_quantum_a,
             law=laws.get("bilateral"),
         )
-        self._excited_plant = devices.excited_simulation(backend)(
+        self._excited_plant = devices.excited_simulation()(
             self._model, 1.0 / rate, acquisition_hz, self._ticks
         )
         self._excitations: dict[int, _Excitation] = {}
@@ -323,7 +320,7 @@ def bound_share(recording: Recording) -> float:
 def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
     """Ticks between a command and its current, beyond the one in which a sample shows it: the likeliest number.
 
-    A command that answers sample k is in force at sample k + 1 when nothing is late.
+    A command that answers sample k is active at sample k + 1 when nothing is late.
     """
     count = min(LONGEST_DELAY, len(sent) - 2)
     same = [np.mean(sent[: len(sent) - 1 - d] == applied[1 + d :]) for d in range(max(1, count))]

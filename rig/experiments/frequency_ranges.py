@@ -86,7 +86,7 @@ def frequency_plan(
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the rates in force."""
+    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the rates at hand."""
     rates = experiment.controller.position_rate, experiment.controller.velocity_rate
     if set(rates) == {PAPERS_RATE}:
         return tuple(Scheme.parse(text) for text in PAPERS_SCHEMES)

@@ -25,8 +25,6 @@ class HitSimulator:
     experiment
         Rig, controller, trial and thresholds; of its wall everything but K and B. Its seed decides where within
         homing's tolerance the handle starts, and the tremor of a hand.
-    backend
-        Scheme of the URL of a backend that simulates.
 
     Attributes
     ----------
@@ -36,7 +34,7 @@ class HitSimulator:
         Where the handle rests before each hit (rad or m).
     """
 
-    def __init__(self, experiment: Experiment, backend: str = "sim") -> None:
+    def __init__(self, experiment: Experiment) -> None:
         trial, homing = experiment.trial, experiment.homing
         tick_s = 1.0 / experiment.controller.position_rate
         longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
@@ -47,7 +45,7 @@ class HitSimulator:
             experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a
         )
         self.limits = config.verdict_limits(experiment)
-        self._rig = devices.simulated_rig(backend)(
+        self._rig = devices.simulated_rig()(
             config.rig_model(experiment), tick_s, self.limits, round(longest_s / tick_s)
         )
         spread = homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0

@@ -272,7 +272,7 @@ _NO_WALL: dict[str, Any] = {
     "trial.repeats": 1,
     "trial.baseline_s": 0.0,
     "trial.minimum_rest_counts": 0.0,
-    "rig.limits.swings": 0,  # a motion is the motor's own: neither its efforts nor its work are a wall's
+    "rig.limits.oscillations": 0,  # a motion is the motor's own: neither its efforts nor its work are a wall's
     "rig.limits.energy": None,
     "wall.stiffness": 0.0,
     "wall.damping": 0.0,

@@ -16,7 +16,7 @@ FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
     "energy": "the wall gave the hand more energy than rig.limits.energy",
-    "violent": "the wall beat: the effort swung between nothing and its limit",
+    "violent": "the wall was violent: the effort oscillated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 

@@ -46,7 +46,7 @@ class LiveChange:
         What was asked for, by dotted key.
     wall
         The whole section ``[wall]`` with it.
-    in_force
+    active
         Whether the loop had taken it over when we looked last.
     ended
         Whether the loop had ended by then.
@@ -56,7 +56,7 @@ class LiveChange:
     number: int
     changes: dict[str, Any]
     wall: dict[str, Any]
-    in_force: bool
+    active: bool
     ended: bool
 
     def as_mapping(self) -> dict[str, Any]:
@@ -102,9 +102,9 @@ def change_wall(
         number, experiment = _post(ring, meant)
         if posted is not None:
             posted(number)
-        in_force = _watch(ring, number, patience_s)
+        active = _watch(ring, number, patience_s)
         wall = config.as_mapping(experiment)[SECTION]
-        return LiveChange(loop.pid, number, meant, wall, in_force, bool(ring.get(LOOP_DONE)))
+        return LiveChange(loop.pid, number, meant, wall, active, bool(ring.get(LOOP_DONE)))
 
 
 def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference_count: int) -> list[float]:

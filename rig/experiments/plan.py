@@ -220,7 +220,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 def _watch_checks(x: Experiment) -> list[Check]:
     """What ends a trial for what the motor does to the handle (`rig.control.watch`)."""
-    energy, swings = controller.energy_limit(x), controller.swing_limit(x)
+    energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
         hit = predict_impact(x)
@@ -234,11 +234,13 @@ def _watch_checks(x: Experiment) -> list[Check]:
                 "raise rig.limits.energy, push less or start closer",
             )
         )
-    if swings > 0:
-        within = f"each within {x.rig.limits.swing_s:g} s"
+    if oscillations > 0:
+        within = f"each within {x.rig.limits.oscillation_s:g} s"
         checks.append(
             Check(
-                "violence", Outcome.OK, f"{swings} full swings of the effort in a row, {within}, end the run"
+                "violence",
+                Outcome.OK,
+                f"{oscillations} full oscillations of the effort in a row, {within}, end the run",
             )
         )
     return checks

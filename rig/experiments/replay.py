@@ -129,7 +129,7 @@ def _rows(recording: Recording) -> NDArray[np.void]:
 
 
 def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
-    """Parameter sets that came in force during the run, unless another wall is asked for."""
+    """Parameter sets that became active during the run, unless another wall is asked for."""
     sets = recording.trailer.get("parameter_sets") or [] if recording.trailer else []
     if law is not None or any(key.startswith("wall.") for key in changes or ()):
         sets = []

@@ -35,7 +35,7 @@ class EndReason(IntEnum):
     STUCK = 12  # told to stop, it did not return: law or estimator never came back (set by the caller)
     DEVICE_ENDED = 13  # the law on the device ended the run, the host's, in other arithmetic, did not
     ENERGY = 14  # the motor gave more energy to the handle than it may
-    VIOLENT = 15  # the effort swung to and fro between nothing and its limit
+    VIOLENT = 15  # the effort oscillated between zero and its limit
 
 
 SETTINGS = np.dtype(
@@ -81,9 +81,9 @@ PROGRESS = np.dtype(
         ("nonce", "<i8"),  # of the last clock exchange
         ("asking", "<i8"),  # 1 while its answer is awaited
         ("asked_at", "<i8"),  # host time of the last question (ns)
-        ("parameter_set", "<i8"),  # in force
-        ("waiting_set", "<i8"),  # taken from the mailbox, not yet in force; 0 for none
-        ("sets", "<i8"),  # parameter sets that came in force during the run
+        ("parameter_set", "<i8"),  # active
+        ("waiting_set", "<i8"),  # taken from the mailbox, not yet active; 0 for none
+        ("sets", "<i8"),  # parameter sets that became active during the run
         ("sync_told", "<i8"),  # time of the newest edge of the sync input as STATE told it (32 bits)
         ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
     ],
@@ -123,9 +123,9 @@ class Buffers(NamedTuple):
     exchanges
         The four stamps of each clock exchange (ns), the newest `EXCHANGES_KEPT` of them.
     mail, waiting
-        Parameter set that waits to come in force, its bytes and their numbers: wall position, the law's parameters.
+        Parameter set that waits to become active, its bytes and their numbers: wall position, the law's parameters.
     sets
-        Each set that came in force: its number, the tick, its values.
+        Each set that became active: its number, the tick, its values.
     progress
         `PROGRESS`.
     """

@@ -1,4 +1,4 @@
-"""An update of the wall while the law runs on the device: how it comes in force there, and here at the same sample.
+"""An update of the wall while the law runs on the device: how it becomes active there, and here at the same sample.
 
 Python makes bytes of a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the
 same wall as a block of parameters of the device. The loop says the transaction that brings the block (SET_BEGIN,
@@ -46,7 +46,7 @@ IDLE = 0
 WAITING = 1  # for free space
 UNDER_WAY = 2
 COMMITTED = 3  # SET_COMMIT is due or sent, and not yet answered
-GRANTED = 4  # in force from the sample `change_at` on
+GRANTED = 4  # active from the sample `change_at` on
 
 _INSIDE_WALL = int(Status.INSIDE_WALL)
 _HEAD = struct.Struct("<qq")  # of an update: number of the set, bytes of the block
@@ -70,7 +70,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
 
 @kernel(types.void(types.uintp, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers) -> None:
-    """Take the newest update, if there is one, unless more sets than a replay can hold were in force already."""
+    """Take the newest update, if there is one, unless more sets than a replay can hold were active already."""
     v, p, values = supervised.supervision[0], buffers.progress[0], supervised.update_values
     if p["sets"] == len(buffers.sets) or take(mailbox, supervised.update) == 0:
         return
@@ -137,7 +137,7 @@ def say_update(
     """Say what is due of an update: 0, or the negative errno of a broken link.
 
     `mailbox` is the address of that in which updates come, or 0 for a loop without one; `control` is what the host's
-    law has in force.
+    law uses.
     """
     v, p = supervised.supervision[0], buffers.progress[0]
     if mailbox == 0:

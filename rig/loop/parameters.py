@@ -2,7 +2,7 @@
 
 A jump of stiffness, damping or place under a pressed handle is a jump of effort. So a set waits until the handle is
 outside the wall that is and outside the wall that will be; a newer set takes its place meanwhile. Each set that came
-in force is kept with its tick, so that a replay can do the same.
+active is kept with its tick, so that a replay can do the same.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def inside(control: Any, wall_position: float, count: int) -> bool:
 
 
 @kernel(types.void(CONTROLLER_TYPE, FLOATS))
-def put_in_force(controller: ControllerArguments, values: Any) -> None:
+def activate(controller: ControllerArguments, values: Any) -> None:
     """Make a parameter set that of the law: `values` are the wall's position and the law's parameters."""
     controller.control[0]["wall_position"] = values[0]
     for i in range(len(controller.law_parameters)):
@@ -39,9 +39,9 @@ def put_in_force(controller: ControllerArguments, values: Any) -> None:
 
 @kernel(types.void(CONTROLLER_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, words: int) -> None:
-    """Put the set that waits in force from this tick on, and keep it for a replay."""
+    """Activate the waiting set from this tick on, and keep it for a replay."""
     p, waiting = buffers.progress[0], buffers.waiting
-    put_in_force(controller, waiting)
+    activate(controller, waiting)
     row = buffers.sets[p["sets"]]
     row[0] = p["waiting_set"]
     row[1] = tick
@@ -55,7 +55,7 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
 
 @kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, BUFFERS_TYPE, types.int64))
 def renew_parameters(controller: ControllerArguments, shared: Shared, buffers: Buffers, tick: int) -> None:
-    """Look into the mailbox, and put what waits in force, from this tick on, if the handle is in free space."""
+    """Look into the mailbox, and activate what waits, from this tick on, if the handle is in free space."""
     if shared.mailbox == 0:
         return
     p, waiting, control = buffers.progress[0], buffers.waiting, controller.control

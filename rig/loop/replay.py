@@ -10,7 +10,7 @@ from numba import types
 from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
 from rig.core.sample import RowFlag
 from rig.loop.layout import ROWS_TYPE
-from rig.loop.parameters import put_in_force
+from rig.loop.parameters import activate
 from rig.loop.rows import show_law
 from rig.realtime.kernel import kernel
 
@@ -23,13 +23,13 @@ NO_SETS = np.zeros((0, 1))  # of a run whose parameters stayed as they were
 def replay_rows(controller: ControllerArguments, recorded: Any, replayed: Any, sets: Any) -> None:
     """Run `step` over the samples of `recorded` and write what it computes into `replayed`.
 
-    `sets` are the parameter sets that came in force on the way: first tick, wall position, the law's parameters.
+    `sets` are the parameter sets that became active on the way: first tick, wall position, the law's parameters.
     """
     due = 0
     for i in range(len(recorded)):
         source = recorded[i]
         while due < len(sets) and sets[due, 0] <= source["tick"]:
-            put_in_force(controller, sets[due, 1:])
+            activate(controller, sets[due, 1:])
             due += 1
         step(controller, source["count"], source["edge_age"] * 1e-9, source["elapsed_ticks"])
         show_law(replayed, i, controller.memory)

@@ -125,7 +125,7 @@ def leave_row(
 ) -> None:
     """Put one row of `rig.core.sample.COLUMNS` into the ring and publish it; in a full ring, count its loss.
 
-    The effort in force follows from the current in force.
+    The active effort follows from the active current.
     """
     words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
     edge = sync_time(progress, state)  # also in a row that is lost
@@ -146,7 +146,7 @@ def leave_row(
     r["current_measured"] = state[STATE.current_measured] * s["current_quantum_a"]
     r["command_age"] = state[STATE.command_age]
     r["command_sequence"] = (p["sequence"] - 1) % 65536
-    r["command_in_force"] = state[STATE.command_sequence]
+    r["command_active"] = state[STATE.command_sequence]
     r["parameter_set"] = p["parameter_set"]
     r["limits"] = state[STATE.limits]
     r["fault"] = state[STATE.fault]

@@ -66,14 +66,16 @@ class LoopEnd:
     """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
 
     `watched` is what `rig.control.watch` saw, beside what it allows: energy given in the trial and its limit (J),
-    swings in a row at the end, and the time within which they are in a row (s).
+    oscillations in a row at the end, and the time within which they are in a row (s).
     """
 
     reason: EndReason
     error: BaseException | None
     counters: dict[str, int]
     watched: dict[str, float] = field(
-        default_factory=lambda: dict.fromkeys(("energy", "energy_limit", "swings", "swing_s"), 0.0)
+        default_factory=lambda: dict.fromkeys(
+            ("energy", "energy_limit", "oscillations", "oscillation_s"), 0.0
+        )
     )
 
 
@@ -207,8 +209,8 @@ class LoopThread:
         watched = {
             "energy": float(m["energy"]),
             "energy_limit": float(c["energy_limit"]),
-            "swings": float(m["swings"]),
-            "swing_s": float(c["swing_ticks"] * c["tick_s"]),
+            "oscillations": float(m["oscillations"]),
+            "oscillation_s": float(c["oscillation_ticks"] * c["tick_s"]),
         }
         return LoopEnd(reason, failure, counters, watched)
 
@@ -232,7 +234,7 @@ class LoopThread:
         return self._buffers.exchanges[kept]
 
     def parameter_sets(self) -> list[dict[str, Any]]:
-        """Parameter sets that came in force during the run: number, first tick, wall position, the law's parameters."""
+        """Parameter sets that became active during the run: number, first tick, wall position, the law's parameters."""
         count = len(self._controller.law.parameters)
         return [
             {

@@ -3,7 +3,8 @@
 The device computes each tick's current from that tick's count, and sends every tick in BATCH frames. Here
 `rig.control.step` runs on each of those samples too, and leaves the same row as if it had run the loop
 (`rig.loop.host`): so a recording, its verdict and its replay are the same, and what the device's own current differs by
-is counted (`rig.loop.agreement`). What a batch does not tell is taken from the newest STATE at or before the sample.
+is counted (`rig.loop.device_host_agreement`). What a batch does not tell is taken from the newest STATE at or before
+the sample.
 
 Nothing blocks without a bound: the stop word, a signal and the heartbeat are seen within the time between two COMMANDs.
 Whatever ends the loop, several STOP commands leave first. Then, for a short while, what the device had sent before
@@ -21,9 +22,9 @@ from rig.control.step import CONTROL_TYPE, CONTROLLER_TYPE, MEMORY_TYPE, Control
 from rig.core.sample import Phase
 from rig.devices.framed import STOP_FRAMES
 from rig.devices.port import PORT_TYPE, LoopPort
-from rig.loop.agreement import compare, settle
 from rig.loop.batches import ahead, has_room, take_frames
 from rig.loop.commands import MODE_STOP, MODE_SUPERVISE, NO_SYNC, send_command
+from rig.loop.device_host_agreement import compare, settle
 from rig.loop.ending import (
     CLOSED,
     DEVICE_ENDED,
@@ -75,7 +76,7 @@ _FAULT_STATE, _RELEASE = int(State.FAULT), int(Phase.RELEASE)
 READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again
 ROWS_A_TURN = 1024
 REST_NS = 20_000_000  # after the stop: how long to take what is still on the way
-SETTLE_NS = 2_000_000  # after the STATE that shows the stop in force
+SETTLE_NS = 2_000_000  # after the STATE that shows the stop active
 _GO_ON = 0
 _ABANDONED = -1
 
@@ -275,7 +276,7 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE), inline=True)
 def _shows_stop(newest: Any, supervision: Any) -> int:
-    """Whether the newest STATE names one of our STOPs as the command in force."""
+    """Whether the newest STATE names one of our STOPs as the active command."""
     since = (newest[STATE.command_sequence] - supervision[0]["stop_sequence"]) % 65536
     return 1 if supervision[0]["heard"] != 0 and since < STOP_FRAMES else 0
 

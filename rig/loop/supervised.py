@@ -35,7 +35,7 @@ Live = Callable[
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class DeviceHostAgreement:
     """How the device's current followed the host's law, which `rig.control.step` ran on the same counts.
 
     Attributes
@@ -102,11 +102,11 @@ class SupervisedThread(LoopThread):
         """Fault that the newest STATE told, 0 for none."""
         return int(self._supervision.newest[STATE.fault])
 
-    def agreement(self) -> Agreement:
+    def agreement(self) -> DeviceHostAgreement:
         """How the device's current followed the host's law so far."""
         v = self._supervision.supervision[0]
         compared, beyond = int(v["compared"]), int(v["beyond"])
-        return Agreement(
+        return DeviceHostAgreement(
             compared=compared,
             excluded=int(v["excluded"] + v["open_compared"]),
             differing=int(v["differing"]),
@@ -138,8 +138,8 @@ class SupervisedThread(LoopThread):
         return said
 
     def findings(self) -> dict[str, Any]:
-        """How the device followed the law (`Agreement`)."""
-        return {"law_agreement": self.agreement().as_mapping()}
+        """How the device followed the law (`DeviceHostAgreement`)."""
+        return {"device_host_agreement": self.agreement().as_mapping()}
 
     def handover(self) -> dict[str, int] | None:
         """As `LoopThread.handover`; commands leave before the first STATE comes."""

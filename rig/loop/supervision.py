@@ -48,7 +48,7 @@ SUPERVISION = np.dtype(
         ("refused_status", "<i8"),
         ("refused_detail", "<i8"),
         ("parameters_crc", "<i8"),  # of the device's whole block after the last change, -1 before one
-        # the device's current beside the law's (rig.loop.agreement)
+        # the device's current beside the law's (rig.loop.device_host_agreement)
         ("sent", "<i8"),  # current of the law in the last row
         ("comparable", "<i8"),  # 1 when the next sample shows what the device made of it
         ("forgetting", "<i8"),  # ticks until a gap is forgotten

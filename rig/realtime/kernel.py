@@ -1,7 +1,7 @@
 """The one decorator of every compiled function of this project, and the key of its disk cache.
 
 numba decides whether a cached function is fresh by the time stamp of *its own* file: a helper edited in
-another file leaves the caller's old machine code in force, which for a control law is silently wrong. So
+another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
 the cache directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of
 numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
 a month are removed. Whoever edits a command or an experiment does not wait for the compiler.
@@ -163,7 +163,7 @@ def prepare(*functions: Any) -> None:
 
 
 def kernel(
-    signature: Any, *, cache: bool = True, inline: bool = False, borrow: bool = False
+    signature: Any, *, cache: bool = True, inline: bool = False, no_refcount: bool = False
 ) -> Callable[[F], F]:
     """Declare a plain function as compiled: no GIL, cached on disk, one signature, numpy's error model.
 
@@ -176,7 +176,7 @@ def kernel(
         their sources are not part of the key.
     inline
         Ask LLVM to inline small helpers always.
-    borrow
+    no_refcount
         Count no references to array arguments, which the caller holds anyway. numba counts them atomically
         and removes that only from simple control flow; elsewhere it costs some 20 ns a call. Such a kernel
         cannot make or return an array, `carray` included. A kernel that takes a group (`rig.realtime.groups`)
@@ -197,7 +197,7 @@ def kernel(
         "error_model": "numpy",
         "fastmath": False,
         # Each is said, also where it is the default: else it would be that of the kernel that needs this one first.
-        "_nrt": not (borrow or takes_group),
+        "_nrt": not (no_refcount or takes_group),
         "forceinline": inline,
         "no_cfunc_wrapper": takes_group,  # a plug point takes none
     }

@@ -84,7 +84,7 @@ SKIPPED = 25  # samples that arrived, but behind a newer one that the law saw in
 STALE = 26  # ticks of a host-paced loop without a fresh sample
 OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
 EXCHANGES = 28  # clock exchanges completed
-PARAMETER_SET = 29  # number of the parameter set in force
+PARAMETER_SET = 29  # number of the active parameter set
 CLOCK = 30  # loop        stamps of the last two clock exchanges, 8 words (`Ring.clock_exchange`)
 CREATOR = 63  # creator     its process, as it calls itself
 

@@ -146,7 +146,7 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """A pin that a sample shows rose with the current that was in force up to it: a tick before."""
+    """A pin that a sample shows rose with the current that was active up to it: a tick before."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     if loop != "host" or "inputs" not in recording.names:
         return

@@ -8,8 +8,8 @@ sampled   the device read its encoder: device time through the clock fit
 received  the loop had the STATE
 computed  the law had its effort
 sent      the link had taken the COMMAND
-applied   the COMMAND was in force, at the earliest: device time of sample k − a, where STATE k is the first that names
-          it as the one in force, and a is the age that it gives; or when it was sent, if that is later. A device
+applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that names
+          it as the active one, and a is the age that it gives; or when it was sent, if that is later. A device
           tells in which of its ticks a COMMAND came, not when: it may have been up to a tick later
 ========  =====================================================================================================
 
@@ -36,7 +36,7 @@ from rig.recording.quantiles import quantile_ranks
 
 NEEDED = (
     "tick", "sample_index", "elapsed_ticks", "device_time", "lateness", "command_age", "command_sequence",
-    "command_in_force", "execution_time", "flags", "received_at", "computed_at", "sent_at",
+    "command_active", "execution_time", "flags", "received_at", "computed_at", "sent_at",
 )  # fmt: skip
 # Stage → the times between which it lies, and what it is.
 STAGES: dict[str, tuple[str, str, str]] = {
@@ -86,12 +86,12 @@ class Ledger:
         Receipt behind the grid (ns), and whether the loop counted it as late.
     passed_over
         Samples that the law did not see.
-    never_in_force
-        Commands that no STATE named though a later one came in force; among them those that were overtaken.
+    never_active
+        Commands that no STATE named though a later one became active; among them those that were overtaken.
     within_tick
         Commands sent after the sample from which they count, so that the time of sending stands as applied.
     unanswered
-        Commands behind the last one known in force: the recording ends before the device could tell.
+        Commands behind the last one known active: the recording ends before the device could tell.
     period_ns
         Length of a device tick.
     clock
@@ -114,7 +114,7 @@ class Ledger:
     lateness: _Ints
     late: _Mask
     passed_over: int
-    never_in_force: int
+    never_active: int
     unanswered: int
     within_tick: int
     period_ns: float
@@ -185,7 +185,7 @@ class TimingSummary:
         Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
     counts
         Late, skipped, lost, stale and so on, apart; None where the loop did not say.
-    never_in_force, unanswered, passed_over, within_tick
+    never_active, unanswered, passed_over, within_tick
         As in `Ledger`.
     clock
         The fit, or None.
@@ -200,7 +200,7 @@ class TimingSummary:
     edges_ns: list[int]
     worst: list[BadTick]
     counts: dict[str, int | None]
-    never_in_force: int
+    never_active: int
     unanswered: int
     passed_over: int
     within_tick: int
@@ -230,7 +230,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     """
     received = _column(rows, "received_at")
     on_device = loop == "device"
-    shown_at, never, unanswered = _unanswered(rows) if on_device else _in_force(rows)
+    shown_at, never, unanswered = _unanswered(rows) if on_device else _active(rows)
     sampled, applied = np.zeros_like(received), np.zeros_like(received)
     sent = _column(rows, "sent_at")
     clock_sd, within_tick = None, 0
@@ -239,7 +239,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
         sampled = fit.host_of(device)
         clock_sd = float(fit.sd_of(device[[0, -1]]).max())
         known = shown_at >= 0
-        applied[known] = fit.host_of(_came_in_force(rows, device, shown_at[known], period_ns))
+        applied[known] = fit.host_of(_became_active(rows, device, shown_at[known], period_ns))
         doubt_ns = 3.0 * clock_sd + fit.asymmetry_bound_ns
         early = (
             known & (applied < sent) & (sent - applied <= period_ns + doubt_ns)
@@ -257,7 +257,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
         lateness=_column(rows, "lateness"),
         late=(rows["flags"] & int(RowFlag.LATE)) != 0,
         passed_over=int((rows["elapsed_ticks"] - 1).sum()),
-        never_in_force=never,
+        never_active=never,
         unanswered=unanswered,
         within_tick=within_tick,
         period_ns=period_ns,
@@ -293,7 +293,7 @@ def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSumma
         edges_ns=EDGES_NS.tolist(),
         worst=_worst(ledger),
         counts=counts,
-        never_in_force=ledger.never_in_force,
+        never_active=ledger.never_active,
         unanswered=ledger.unanswered,
         passed_over=ledger.passed_over,
         within_tick=ledger.within_tick,
@@ -309,14 +309,14 @@ def _column(rows: NDArray[np.void], name: str) -> _Ints:
 
 
 def _unanswered(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
-    """As `_in_force` where the law ran on the device: there is no command for a sample, and so none that failed."""
+    """As `_active` where the law ran on the device: there is no command for a sample, and so none that failed."""
     return np.full(len(rows), -1, np.int64), 0, 0
 
 
-def _in_force(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
-    """Place of the first row that shows each row's command in force, −1 for none; commands passed over; unanswered.
+def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
+    """Place of the first row that shows each row's active command, −1 for none; commands passed over; unanswered.
 
-    A command in force was sent before the row that shows it, at most half a round of the sequence numbers before.
+    An active command was sent before the row that shows it, at most half a round of the sequence numbers before.
     """
     shown_at = np.full(len(rows), -1, np.int64)
     if not len(rows):
@@ -324,7 +324,7 @@ def _in_force(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
     sequence = _column(rows, "command_sequence")
     steps = np.diff(sequence, prepend=sequence[:1]) % SEQUENCES
     sent = int(sequence[0]) + np.cumsum(steps)
-    back = (sent - rows["command_in_force"] - 1) % SEQUENCES + 1
+    back = (sent - rows["command_active"] - 1) % SEQUENCES + 1
     age = rows["command_age"]
     good = np.flatnonzero((back <= SEQUENCES // 2) & (age >= 0) & (age < NO_AGE))
     numbers, first = np.unique((sent - back)[good], return_index=True)
@@ -337,7 +337,7 @@ def _in_force(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
     return shown_at, int(overtaken.sum()), int((~known & ~overtaken).sum())
 
 
-def _came_in_force(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
+def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
     """Device time of sample k − a: of its row, or where that is missing, counted back from the row of sample k."""
     age = rows["command_age"][shown_at]
     index = _column(rows, "sample_index")

@@ -119,7 +119,7 @@ def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
             "MISC",
             MISSING,
             effort,
-            "in force on the motor when the sample was taken",
+            "active on the motor when the sample was taken",
         ),
         Channel("current_measured", "current_measured", "MISC", MISSING, "A", "measured motor current"),
     )

@@ -149,7 +149,9 @@ def in_mujoco(mujoco, model, options):
     return hinge, mujoco.MjData(hinge)
 
 
-@kernel(types.int64(FLOATS, MATRIX, MATRIX, FLOATS, types.float64, types.int64), cache=False, borrow=True)
+@kernel(
+    types.int64(FLOATS, MATRIX, MATRIX, FLOATS, types.float64, types.int64), cache=False, no_refcount=True
+)
 def push(state, phi, gamma, parameters, effort, ticks):
     """Move a plant under a steady effort; returns the count."""
     count = 0

@@ -40,7 +40,7 @@ WITNESS = np.dtype(
     [
         ("ticks", "<i8"),
         ("running", "<i8"),  # ticks in RUNNING
-        ("current", "<i8"),  # in force (quanta)
+        ("current", "<i8"),  # active (quanta)
         ("peak", "<i8"),  # largest current so far, either way
         ("rises", "<i8"),  # ticks of a ramp in which the current rose
         ("state", "<i8"),

@@ -82,7 +82,7 @@ class Host:
         return dictionary.decode(reader.content)
 
     def parameters(self) -> bytes:
-        """Read the parameter block in force."""
+        """Read the active parameter block."""
         reader = transfer.PageReader(0xFFFF)
         while not reader.complete:
             page = self.ask(m.GetParameters(self.nonce(), reader.offset))
@@ -98,7 +98,7 @@ class Host:
         return ack
 
     def configure(self, **values: Value) -> m.Ack:
-        """Put parameters in force."""
+        """Put active parameters."""
         return self.set_block(encode_block(values))
 
     def arm(self, session: int, crc: int) -> m.Ack:

@@ -108,7 +108,7 @@ class Supervisor:
         self.take(self.receive(self.host.send(m.Identify(1, 0))))
 
     def configure(self, **values: Value) -> m.Ack:
-        """Put a block in force, or be refused."""
+        """Put a active block, or be refused."""
         self.nonce += 1
         for message in set_parameters(encode_block(values), self.nonce):
             ack = self.ask(message)
@@ -166,7 +166,7 @@ class Board(Supervisor):
         self.library = library
         self.core = Core(library, model or rotary_rig(effort_limit=10.0), law_maximum=law_maximum, **options)
         self.count, self.measured, self.inputs, self.late = 0, 0, 0, 0
-        self.fed: list[Sample] = []  # what the board saw and had in force at each tick
+        self.fed: list[Sample] = []  # what the board saw and had active at each tick
         self.core.start()
 
     def receive(self, data: bytes) -> bytes:

@@ -68,7 +68,7 @@ def expected(law: LawLibrary, p: ctypes.Structure, samples: list[Sample]) -> lis
 
 
 def driven(samples: list[Sample]) -> list[int]:
-    """What the device drove after each sample but the last: what was in force at the next one."""
+    """What the device drove after each sample but the last: what was active at the next one."""
     return [sample.commanded for sample in samples[1:]]
 
 
@@ -291,7 +291,7 @@ def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CD
 
 
 def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: LawLibrary) -> None:
-    """Sampled, computed, driven: what was in force at a sample is the answer to the one before."""
+    """Sampled, computed, driven: what was active at a sample is the answer to the one before."""
     p = push()
     board = Board(library).begin(**told_to_run(p))
     board.run([*range(90, 130)])

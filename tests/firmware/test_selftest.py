@@ -26,7 +26,7 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 
 def test_the_firmware_passes_its_own_self_test_and_nothing_moves(rig: Rig) -> None:
     device = FramedDevice(rig)
-    before = device.in_force()
+    before = device.active_parameters()
     request = SelfTestRequest(experiment=EXPERIMENT, rate=20_000, seconds=0.25, stream=True)
     found = {check.name: check for check in selftest(device, request).checks}
     assert [check for check in found.values() if check.outcome == "failed"] == []
@@ -36,4 +36,4 @@ def test_the_firmware_passes_its_own_self_test_and_nothing_moves(rig: Rig) -> No
     assert np.ptp(rig.trace["count"]) == 0
     assert not rig.trace["current"].any()
     assert rig.trace["enabled"].any(), "it was never armed"
-    assert device.in_force() == before
+    assert device.active_parameters() == before

@@ -140,7 +140,7 @@ def test_a_whole_hit_with_the_law_on_the_board(board, tmp_path, monkeypatch):
     check_at_rest(board)
     check_recorded(ended)
     recording = open_recording(ended.path)
-    print(f"{len(recording.rows)} ticks, {recording.trailer['law_agreement']}")
-    assert recording.trailer["law_agreement"]["holds"]
+    print(f"{len(recording.rows)} ticks, {recording.trailer['device_host_agreement']}")
+    assert recording.trailer["device_host_agreement"]["holds"]
     assert len(recording.rows) > 0
     assert board.status()["strongest"] > 0

@@ -343,7 +343,7 @@ def test_truth_has_one_row_for_each_tick_of_a_session() -> None:
     np.testing.assert_array_equal(truth["sample_index"], np.arange(first, first + 5_000))
 
 
-def test_a_command_is_in_force_in_the_tick_after_the_state_that_it_answers() -> None:
+def test_a_command_is_active_in_the_tick_after_the_state_that_it_answers() -> None:
     host = armed()
     host.next_state()
     state = exchange(host, 77)

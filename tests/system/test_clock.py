@@ -175,7 +175,7 @@ def command(capfd, tmp_path, monkeypatch):
 def test_timing_prints_stages_counts_and_clock_and_draws(command, sealed, tmp_path):
     code, out, err = command("timing", sealed, "-o", tmp_path / "when.png")
     assert code == 0, err
-    for words in ("sampled to applied", "p99.9", "samples lost", "never seen in force", "clock drift", "ppm"):
+    for words in ("sampled to applied", "p99.9", "samples lost", "never seen active", "clock drift", "ppm"):
         assert words in out
     assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
 
@@ -236,7 +236,7 @@ def test_a_picture_does_not_overwrite_the_recording(command, sealed):
 
 def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tmp_path):
     recording = open_recording(sealed)
-    names = [name for name in recording.names if name not in ("command_in_force", *recording.names[-5:])]
+    names = [name for name in recording.names if name not in ("command_active", *recording.names[-5:])]
     columns = [c for c in recording.header["schema"]["columns"] if c["name"] in names]
     offset = 0
     for number, column in enumerate(columns):
@@ -244,11 +244,11 @@ def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tm
         offset += 8
     rows = np.zeros(len(recording), [(name, recording.rows.dtype[name]) for name in names])
     header = {**recording.header, "schema": {"row_bytes": offset, "columns": columns}}
-    assert "command_in_force" in NEEDED
+    assert "command_active" in NEEDED
     old = changed(sealed, tmp_path / "old.rigcap", rows=rows, header=header)
     code, out, err = command("timing", old)
     assert (code, out) == (9, "")
-    assert "no column command_in_force" in err
+    assert "no column command_active" in err
     empty = changed(sealed, tmp_path / "empty.rigcap", rows=recording.rows[:0])
     code, _, err = command("timing", empty)
     assert code == 9

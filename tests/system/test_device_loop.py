@@ -55,7 +55,7 @@ def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment, quanta, tmp_path
     assert set(rows["phase"].tolist()) == set(Phase) - {Phase.WAIT}
     moved = rows["current_applied"][1:] - rows["current_sent"][:-1]
     assert np.abs(moved[rows["phase"][:-1] < Phase.DONE]).max() <= quanta
-    agreement = recording.trailer["law_agreement"]
+    agreement = recording.trailer["device_host_agreement"]
     assert agreement["holds"]
     assert agreement["greatest_quanta"] <= quanta
 
@@ -89,7 +89,7 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(tmp_pa
     sets = recording.rows["parameter_set"]
     assert set(sets.tolist()) == {0, 1}
     assert recording.rows["penetration"][np.flatnonzero(sets)[0]] <= 0.0
-    assert recording.trailer["law_agreement"]["holds"]
+    assert recording.trailer["device_host_agreement"]["holds"]
     assert taken["parameters"][0] == 90.0
     assert replay(recording).exact
 
@@ -122,7 +122,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
     assert (np.abs(there.impedance.z - here.impedance.z) < 0.05 * size).all()
     recording = open_recording(there.recordings[0])
     assert recording.header["identity"]["parameters"]["excitation_lines"] == 10
-    assert recording.trailer["law_agreement"]["holds"]
+    assert recording.trailer["device_host_agreement"]["holds"]
     assert replay(recording).exact
 
 

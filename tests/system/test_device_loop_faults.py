@@ -154,7 +154,7 @@ def test_timing_says_where_the_law_ran(
     assert recording.header["identity"]["parameters"]["law"] == 1
     assert (recording.rows["sampled_at"] != 0).any()
     assert not recording.rows["applied_at"].any()
-    found = recording.trailer["law_agreement"]  # type: ignore[index]
+    found = recording.trailer["device_host_agreement"]  # type: ignore[index]
     assert (found["holds"], found["beyond"]) == (True, 0)
     assert found["compared"] > 0.8 * len(recording.rows)
     assert run(["timing", str(recording.path), "--no-plot"]) == 0

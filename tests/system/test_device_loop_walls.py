@@ -140,12 +140,12 @@ def test_walls_change_on_both_sides_at_one_sample(estimator: str) -> None:
     assert np.count_nonzero(pressed & (rows["phase"] == Phase.TRIAL)) > 100, "the second wall was felt"
     for change in third:  # only if the handle came out of the wall again
         assert rows["penetration"][change["tick"]] <= 0.0
-    there = device_law.rendered_wall(session.host.in_force(), session.bundle)
+    there = device_law.rendered_wall(session.host.active_parameters(), session.bundle)
     assert there.stiffness == pytest.approx([first, second, *third][-1]["parameters"][0], rel=1e-7)
 
 
 def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
-    """The parameters in force are ours, though a loop set them: nobody takes the device for one that restarted."""
+    """The active parameters are ours, though a loop set them: nobody takes the device for one that restarted."""
     session = Session("fdm-butterworth-fixed", {HOMING: 500.0})
     session.run()
     dictionary = session.host.dictionary
@@ -153,7 +153,7 @@ def test_a_device_that_took_a_wall_is_no_stranger_afterwards() -> None:
         **{name: getattr(dictionary, name) for name in dictionary.__slots__} | {"simulated": False}
     )
     before = session.echo.values
-    assert session.host.in_force()["fixed_stiffness"] != before["fixed_stiffness"]
+    assert session.host.active_parameters()["fixed_stiffness"] != before["fixed_stiffness"]
     assert (
         session.host.configure(before | {"verified": 1}).values["fixed_stiffness"]
         == before["fixed_stiffness"]

@@ -86,7 +86,7 @@ def test_another_terminal_changes_the_wall_and_stops_the_loop(
         if process.returncode in LOST:
             return
         assert [one.ended for one in stopped] == [True]
-        assert done.in_force
+        assert done.active
         assert json.loads(out)["error"]["kind"] == "StoppedError"
         assert not any(other.pid == process.pid for other in running(done=True))
     (path,) = tmp_path.glob("*.parquet")

@@ -21,10 +21,10 @@ from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import run_session
 
 PERSON = Person(thresholds={})
-STRONG, BEATS = (
+STRONG, OSCILLATES = (
     1.2,
     0,
-)  # N·m, more than any of these caps but one; swings that the rig allows: 0 for any number
+)  # N·m, more than any of these caps but one; oscillations that the rig allows: 0 for any number
 
 PROTOCOL = """
 [study]
@@ -45,7 +45,7 @@ seed = 11
 "trial.release_s" = 0.02
 "rig.limits.override_stall" = true
 "rig.limits.effort" = 1.2
-{swings}
+{oscillations}
 [trial]
 duration_s = 0.5
 [caps]
@@ -81,15 +81,15 @@ class Asked(RehearsalDesk):
 
 
 @pytest.mark.parametrize(
-    ("cap", "swings", "aborted"),
+    ("cap", "oscillations", "aborted"),
     [
         ("effort = 0.5", None, "violent"),
-        ("energy = 0.004", BEATS, "energy"),
-        ("speed = 0.7", BEATS, "out_of_window"),
+        ("energy = 0.004", OSCILLATES, "energy"),
+        ("speed = 0.7", OSCILLATES, "out_of_window"),
     ],
 )
 def test_a_cap_ends_a_violent_hit_before_anybody_is_asked_and_then_the_session(
-    cap: str, swings: int | None, aborted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cap: str, oscillations: int | None, aborted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, study = tmp_path / "caps.toml", tmp_path / "study"
     path.write_text(
@@ -97,7 +97,7 @@ def test_a_cap_ends_a_violent_hit_before_anybody_is_asked_and_then_the_session(
             cap=cap,
             # Slowly enough that the hand by itself stays well below the speed.
             reach_s=0.3 if aborted == "out_of_window" else 0.1,
-            swings="" if swings is None else f'"rig.limits.swings" = {swings}',
+            oscillations="" if oscillations is None else f'"rig.limits.oscillations" = {oscillations}',
         )
     )
     currents: list[int] = []

@@ -44,7 +44,12 @@ def ended(experiment, directory):
 @pytest.mark.parametrize(
     ("limit", "flag", "reason", "says"),
     [
-        ({"rig.limits.swings": 10}, RowFlag.VIOLENT, "violent", "10 swings in a row .* each within 0.02 s"),
+        (
+            {"rig.limits.oscillations": 10},
+            RowFlag.VIOLENT,
+            "violent",
+            "10 oscillations in a row .* each within 0.02 s",
+        ),
         (
             {"rig.limits.energy": 0.02},
             RowFlag.ENERGY,
@@ -64,7 +69,7 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag
     assert not (rows["flags"][:-1] & (RowFlag.VIOLENT | RowFlag.ENERGY)).any()
     assert (rows["phase"][-1], rows["current_sent"][-1], rows["effort_sent"][-1]) == (Phase.DONE, 0, 0.0)
     assert judge(recording, experiment).verdict.kind is Kind.UNSTABLE
-    assert trailer["watched"]["swings" if reason == "violent" else "energy"] > 0.0
+    assert trailer["watched"]["oscillations" if reason == "violent" else "energy"] > 0.0
     assert replay(recording).exact
     watched = HitSimulator(experiment).hit(1200.0, 0.5)
     assert watched.true.kind is Kind.UNSTABLE
@@ -77,7 +82,7 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag
 
 
 def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path):
-    experiment = override(PLACED, {**VIOLENT, "rig.limits.swings": 10})
+    experiment = override(PLACED, {**VIOLENT, "rig.limits.oscillations": 10})
     simulator = HitSimulator(experiment)
     placed = override(experiment, {"rig.simulation.initial_position": simulator.start})
     _, recording = ended(placed, tmp_path)
@@ -88,13 +93,13 @@ def test_a_law_on_the_device_is_ended_by_the_host(tmp_path):
     need_compiler()
     experiment = override(
         presets.load("koul-rigid"),
-        {**SHORT, **HELD, **VIOLENT, "wall.stiffness": 1100.0, "controller.loop": "device", "rig.limits.swings": 10,
-         "rig.simulation.initial_position": -0.015},
+        {**SHORT, **HELD, **VIOLENT, "wall.stiffness": 1100.0, "controller.loop": "device",
+         "rig.limits.oscillations": 10, "rig.simulation.initial_position": -0.015},
     )  # fmt: skip
     error, recording = ended(experiment, tmp_path)
     assert recording.trailer["reason"] == "violent"
     assert recording.rows["flags"][-1] & RowFlag.VIOLENT
-    assert "swings in a row" in str(error)
+    assert "oscillations in a row" in str(error)
 
 
 def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
@@ -103,7 +108,9 @@ def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
     with pytest.raises(PlanError, match=r"energy: the push gives up to"):
         one(override(motor, {"rig.limits.energy": 1e-3}), tmp_path)
     assert (
-        one(override(motor, {"rig.limits.energy": 0.02, "rig.limits.swings": 10}), tmp_path).verdict.kind
+        one(
+            override(motor, {"rig.limits.energy": 0.02, "rig.limits.oscillations": 10}), tmp_path
+        ).verdict.kind
         is Kind.STABLE
     )
 
@@ -112,7 +119,7 @@ def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
 def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip):
     held = override(PLACED, {"operator.grip": grip, **HELD})
     freely = HitSimulator(held).hit(300.0, 0.5)
-    watched = HitSimulator(override(held, {"rig.limits.swings": 10, "rig.limits.energy": 0.02})).hit(
+    watched = HitSimulator(override(held, {"rig.limits.oscillations": 10, "rig.limits.energy": 0.02})).hit(
         300.0, 0.5
     )
     assert freely.true.kind is Kind.STABLE
@@ -133,7 +140,7 @@ def test_a_plan_says_what_watches():
     assert {"energy", "violence"} <= names
     names = {check.name for check in make_plan(PLACED).checks}
     assert not {"energy", "violence"} & names, "a preset for automated trials watches nothing"
-    off = override(PLACED, {**for_people, "rig.limits.swings": 0})
+    off = override(PLACED, {**for_people, "rig.limits.oscillations": 0})
     assert "violence" not in {check.name for check in make_plan(off).checks}
 
 

@@ -161,7 +161,7 @@ static struct refusal set_commit(struct device *device, const uint8_t *raw)
         return refusal;
     refusal = set_while_idle(device, &candidate, runs_law ? &law : NULL);
     if (refusal.status == HR_STATUS_OK)
-        configuration_put_in_force(&device->configuration, &candidate);
+        configuration_activate(&device->configuration, &candidate);
     return refusal;
 }
 
@@ -259,7 +259,7 @@ static void send_ack(struct device *device, const struct ack *ack)
     device_send(device, &packet);
 }
 
-/* ACK that names the first tick which sees the change, and the parameters in force. */
+/* ACK that names the first tick which sees the change, and the active parameters. */
 static struct ack executed(struct device *device, const uint8_t *raw, size_t count)
 {
     const uint8_t type = raw[HR_AT_HEADER_TYPE_ID];

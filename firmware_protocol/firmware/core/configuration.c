@@ -167,7 +167,7 @@ void configuration_put(struct configuration *configuration, const struct candida
     configuration_entry(candidate->values, index, configuration->block + index * HR_PARAMETER_BYTES);
 }
 
-void configuration_put_in_force(struct configuration *configuration, const struct candidate *candidate)
+void configuration_activate(struct configuration *configuration, const struct candidate *candidate)
 {
     for (size_t i = 0; i < HR_PARAMETERS; i++)
         configuration_put(configuration, candidate, i);

@@ -1,4 +1,4 @@
-/* The parameters in force, and how a block becomes a set of them. */
+/* The active parameters, and how a block becomes a set of them. */
 #ifndef HR_CONFIGURATION_H
 #define HR_CONFIGURATION_H
 
@@ -23,7 +23,7 @@ struct refusal {
     uint16_t detail;       /* id of a parameter, or 0 */
 };
 
-/* A set under way: what a block would make of the parameters in force. */
+/* A set under way: what a block would make of the active parameters. */
 struct candidate {
     uint32_t values[HR_PARAMETERS];
     bool given[HR_PARAMETERS]; /* by the block */
@@ -35,7 +35,7 @@ struct candidate {
 /* What the device starts with: the table's values, inside this board's ranges. */
 void configuration_initial(const struct board *board, struct candidate *candidate);
 
-/* Read a block on top of the parameters in force and check it, all of it. A block with other parameters than live ones
+/* Read a block on top of the active parameters and check it, all of it. A block with other parameters than live ones
  * that does not repeat `verified` clears it. */
 struct refusal configuration_read(const struct configuration *configuration, const struct board *board,
                                   const uint8_t *block, size_t count, struct candidate *candidate);
@@ -48,10 +48,10 @@ struct refusal configuration_check(struct candidate *candidate, const struct boa
 /* Write the entry of a parameter, by its index. */
 void configuration_entry(const uint32_t *values, size_t index, uint8_t *entry);
 
-/* Put one parameter in force; the CRC is left to the caller. */
+/* Activate one parameter; the CRC is left to the caller. */
 void configuration_put(struct configuration *configuration, const struct candidate *candidate, size_t index);
 
-void configuration_put_in_force(struct configuration *configuration, const struct candidate *candidate);
+void configuration_activate(struct configuration *configuration, const struct candidate *candidate);
 
 /* A float as the parameters hold it. */
 float value_as_float(uint32_t bits);

@@ -55,7 +55,7 @@ void device_restart(struct device *device)
     device->received_at = device->time;
     device->count = device->hal->encoder_count(device->hal->context);
     configuration_initial(device->board, &initial);
-    configuration_put_in_force(&device->configuration, &initial);
+    configuration_activate(&device->configuration, &initial);
     if (!device_apply(device, &initial))
         device_fault(device, HR_FAULT_INTERNAL);
     device_take_law(device, NULL, &initial);
@@ -208,7 +208,7 @@ static int16_t next_current(struct device *device)
     return limits_apply(&device->limits, &device->thermal, wanted);
 }
 
-/* What the pins show of the trial: with the current that is in force from here on. */
+/* What the pins show of the trial: with the current that is active from here on. */
 static unsigned sync_of(const struct device *device)
 {
     const struct renderer *renderer = &device->renderer;

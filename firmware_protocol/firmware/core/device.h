@@ -61,14 +61,14 @@ struct device {
     uint32_t state_due;    /* ticks until the next one */
     uint32_t worst_execution_time, missed_ticks; /* since arming */
     struct told_tick tick;
-    int16_t driven;        /* current in force since the last sample (quanta) */
+    int16_t driven;        /* active current since the last sample (quanta) */
     uint16_t command_age;  /* ticks; saturates */
     uint16_t limits_acted; /* since the last STATE */
-    bool supervised;       /* by the command in force */
+    bool supervised;       /* by the active command */
     bool needs_hold;
     uint8_t fault_told;    /* by the last STATE */
     uint8_t sync;          /* what the pins show, bits of enum hr_sync */
-    uint8_t command_sync;  /* what the command in force wants of them */
+    uint8_t command_sync;  /* what the active command wants of them */
     bool commanded;        /* in this session */
     uint16_t command_sequence;
     struct limits limits;

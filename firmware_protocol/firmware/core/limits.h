@@ -7,7 +7,7 @@
 #include "thermal.h"
 
 struct limits {
-    int16_t current; /* in force (quanta) */
+    int16_t current; /* active (quanta) */
     uint16_t flags;  /* enum hr_limit bits that acted since they were last cleared */
     int32_t largest;
     int32_t continuous;

@@ -44,7 +44,7 @@ void monitor_forget(struct monitor *monitor);
 
 bool monitor_in_window(const struct monitor *monitor, int32_t count);
 
-/* Judge one tick: the count at its end, current in force and measured. Returns the faults as bits 1 << code. */
+/* Judge one tick: the count at its end, active current and measured. Returns the faults as bits 1 << code. */
 uint32_t monitor_check(struct monitor *monitor, int32_t count, int16_t current, int16_t measured);
 
 #endif

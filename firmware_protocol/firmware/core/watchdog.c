@@ -41,7 +41,7 @@ static int16_t share(int16_t current, uint32_t left, uint32_t ramp)
     return (int16_t)(current < 0 ? -(int32_t)quotient : (int32_t)quotient);
 }
 
-int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_force)
+int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t active)
 {
     if (until <= watchdog->expires) {
         watchdog->applied = true;
@@ -49,7 +49,7 @@ int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_fo
     }
     if (!watchdog->ramping) {
         watchdog->ramping = true;
-        watchdog->from = watchdog->applied ? in_force : watchdog->current;
+        watchdog->from = watchdog->applied ? active : watchdog->current;
     }
     const uint64_t end = watchdog->expires + watchdog->ramp;
     if (until >= end) {

@@ -1,4 +1,4 @@
-/* The command in force, and how it fades once its lifetime is over. */
+/* The active command, and how it fades once its lifetime is over. */
 #ifndef HR_WATCHDOG_H
 #define HR_WATCHDOG_H
 
@@ -10,7 +10,7 @@ struct watchdog {
     int16_t from;    /* where the ramp begins */
     uint32_t ramp;   /* device time */
     uint64_t expires;
-    bool applied; /* the command has been in force for a tick */
+    bool applied; /* the command has been active for a tick */
     bool ramping; /* its lifetime is over */
     bool lost;    /* the ramp has ended: latch LINK_LOST */
 };
@@ -21,8 +21,8 @@ void watchdog_idle(struct watchdog *watchdog, uint64_t now);
 /* Take a valid command; times in device time. */
 void watchdog_feed(struct watchdog *watchdog, uint64_t now, int16_t current, uint32_t lifetime, uint32_t ramp);
 
-/* The current for a tick that ends at `until`, when `in_force` flowed in the last one. */
-int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t in_force);
+/* The current for a tick that ends at `until`, when `active` flowed in the last one. */
+int16_t watchdog_wanted(struct watchdog *watchdog, uint64_t until, int16_t active);
 
 /* The same for a law that the command supervises and that wants `current` now. */
 int16_t watchdog_faded(struct watchdog *watchdog, uint64_t until, int16_t current);

@@ -143,7 +143,7 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
         notes += _on_homing(homing, delay)
         notes.append(_on_passivity(experiment, passive))
         notes += _on_execution(experiment) if on_the_device and not measurement.virtual else []
-    unstable = _hands_that_swing(radius, wall.stiffness)
+    unstable = _unstable_hands(radius, wall.stiffness)
     if unstable:
         reasons.append(_unstable(experiment, delay, unstable, radius, limits))
     return Gate(
@@ -176,7 +176,7 @@ def refused_among(
         loops = LateLoops.of(experiment, loop_delay_ticks(experiment, measurement, rate))
     except ConfigError:
         return ()
-    return tuple(k for k in walls if _hands_that_swing(loops.radius(k, damping), k))
+    return tuple(k for k in walls if _unstable_hands(loops.radius(k, damping), k))
 
 
 def _of_the_link(experiment: Experiment, measurement: LinkMeasurement) -> list[Reason]:
@@ -204,7 +204,7 @@ def _limits(loops: LateLoops, damping: float) -> dict[str, float]:
     }
 
 
-def _hands_that_swing(radius: Mapping[str, float], stiffness: float) -> list[str]:
+def _unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
     # without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift
     return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
 
@@ -233,7 +233,7 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
     except ConfigError:
         return
     radius = loops.radius(wall.stiffness, wall.damping)
-    if unstable := _hands_that_swing(radius, wall.stiffness):
+    if unstable := _unstable_hands(radius, wall.stiffness):
         reason = _unstable(experiment, delay, unstable, radius, _limits(loops, wall.damping))
         raise PlanError(f"this wall must not be rendered here: {reason.text}", remedy=reason.remedy)
 
@@ -289,7 +289,7 @@ def _on_homing(radius: Mapping[str, float], delay: int) -> list[str]:
         return []
     held = "no hand" if worst == NO_OPERATOR else f"a {worst} hand"
     return [
-        f"homing would swing in {held} with a delay of {delay} (spectral radius {radius[worst]:.4g}), within "
+        f"homing would oscillate in {held} with a delay of {delay} (spectral radius {radius[worst]:.4g}), within "
         "homing.effort"
     ]
 
@@ -299,9 +299,9 @@ def _on_execution(experiment: Experiment) -> list[str]:
     wall = experiment.wall
     says = "the law runs on the device, within the tick"
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
-    if _hands_that_swing(late, wall.stiffness):
+    if _unstable_hands(late, wall.stiffness):
         return [
-            f"{says}; with a whole tick of delay this wall would swing (spectral radius {max(late.values()):.4g})"
+            f"{says}; with a whole tick of delay this wall would oscillate (spectral radius {max(late.values()):.4g})"
         ]
     return [f"{says}; with a whole tick of delay this wall would hold, too"]
 

@@ -103,7 +103,7 @@ class LinkMeasurement:
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
         """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases: one at least in real time.
 
-        A command that arrives in the course of a tick is in force from the next one on, hence whole ticks. A loop that
+        A command that arrives in the course of a tick is active from the next one on, hence whole ticks. A loop that
         the host paces lets a sample wait for its own tick, one more at most.
         """
         if self.virtual:

@@ -230,7 +230,7 @@ def _is_faulty(device: FramedDevice) -> bool:
 
 
 def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    before = device.in_force()
+    before = device.active_parameters()
     kept: dict[str, Value] = {"verified": before["verified"], "ramp_us": before["ramp_us"]}
     other = 5_000 if before["ramp_us"] != 5_000 else 6_000
     changed = device.configure({**kept, "ramp_us": other})
@@ -242,12 +242,12 @@ def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
     return Check(
         "parameters",
         "ok",
-        f"{len(before)} in force; a change and its undoing were read back",
+        f"{len(before)} active; a change and its undoing were read back",
     )
 
 
 def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    before = device.in_force()
+    before = device.active_parameters()
     wrong = m.Arm(0, device.dictionary_hash ^ 1, 0)
     taken = []
     if device.status_of(wrong, session=_SESSION) == Status.OK:
@@ -269,7 +269,7 @@ def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
             f"it takes {' and '.join(taken)}",
             "keep motor power off; flash it again",
         )
-    if device.in_force() != before:
+    if device.active_parameters() != before:
         return Check(
             "refusals", "failed", "a block that was refused has changed something", "flash the device again"
         )
@@ -322,7 +322,7 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
 @contextmanager
 def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
     """Tick at another rate for a while."""
-    before = device.in_force()
+    before = device.active_parameters()
     kept: dict[str, Value] = {"verified": before["verified"]}
     device.configure({**kept, "position_rate": rate})
     try:
@@ -398,7 +398,7 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
     if not request.stream or request.experiment is None:
         return Check("stream", "skipped", "--stream with --rig runs its law with a current limit of zero")
     experiment = config.override(request.experiment, {"controller.loop": "device"})
-    before = device.in_force()
+    before = device.active_parameters()
     wanted = prepared(
         experiment,
         current_quantum_a=device.dictionary.current_quantum_a,

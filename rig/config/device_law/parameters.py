@@ -145,7 +145,7 @@ def rendered_wall(values: Mapping[str, Value], controller: Controller) -> walls.
     Parameters
     ----------
     values
-        Its parameters in force; the law is its own.
+        Its active parameters; the law is its own.
     controller
         That they were designed from, for its scales.
     """

@@ -55,7 +55,7 @@ SETTINGS: tuple[Setting | Choice, ...] = (
 )
 
 
-@kernel("i8(i8, i8, i8[::1])", inline=True, borrow=True)
+@kernel("i8(i8, i8, i8[::1])", inline=True, no_refcount=True)
 def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
     """Store a sample, with its count unwrapped, and return its slot in the ring."""
     slot = state_i[SAMPLES] & MASK

@@ -34,7 +34,7 @@ ANCHORS = ("lsq", "last", "literal")
 LSQ, LITERAL = ANCHORS.index("lsq"), ANCHORS.index("literal")
 
 
-@kernel(ESTIMATOR_SIGNATURE, borrow=True)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

@@ -38,7 +38,7 @@ ALPHA, LAMBDA, SCHEME, OUTPUT = range(foaw.OWN_PARAMETERS, foaw.OWN_PARAMETERS +
 FAST, SLOW, BOUND = OUTPUT + 1, OUTPUT + 2, OUTPUT + 3
 
 
-@kernel(ESTIMATOR_SIGNATURE, borrow=True)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

@@ -105,7 +105,7 @@ def _corrected(
     return k1, k2, k3, p22, p23, p33
 
 
-@kernel("void(f8, f8[::1], i8[::1], f8[::1])", inline=True, borrow=True)
+@kernel("void(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) -> None:
     """Begin at the newest count with that velocity and the prior covariance."""
     state_i[STARTED], state_i[INNOVATIONS] = 1, 0
@@ -114,7 +114,7 @@ def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) 
     state_f[P22], state_f[P23], state_f[P33] = PRIOR, 0.0, parameters[PRIOR33]
 
 
-@kernel("f8(f8, f8[::1], i8[::1], f8[::1])", inline=True, borrow=True)
+@kernel("f8(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, parameters: Floats) -> float:
     """Ĉ0 by the chosen memory of the innovations' squares, this one included; zero for no fading."""
     fading, seen = parameters[FADING], state_i[INNOVATIONS]
@@ -138,7 +138,7 @@ def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, para
     return float(square)
 
 
-@kernel("UniTuple(f8, 3)(f8, i8, f8[::1], f8[::1])", inline=True, borrow=True)
+@kernel("UniTuple(f8, 3)(f8, i8, f8[::1], f8[::1])", inline=True, no_refcount=True)
 def _gain(
     variance: float, elapsed_ticks: int, state_f: Floats, parameters: Floats
 ) -> tuple[float, float, float]:
@@ -163,7 +163,7 @@ def _gain(
     return k1, k2, k3
 
 
-@kernel(ESTIMATOR_SIGNATURE, borrow=True)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

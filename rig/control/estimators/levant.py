@@ -104,7 +104,7 @@ def advance(
     return error, u1, u
 
 
-@kernel(ESTIMATOR_SIGNATURE, borrow=True)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

@@ -60,7 +60,7 @@ def _noise(state_f: Floats, samples: int, bend: float) -> float:
     return 0.5 * noise
 
 
-@kernel(ESTIMATOR_SIGNATURE, borrow=True)
+@kernel(ESTIMATOR_SIGNATURE, no_refcount=True)
 def update(
     count: int, edge_age_s: float, elapsed_ticks: int, state_f: Floats, state_i: Ints, parameters: Floats
 ) -> float:

@@ -45,7 +45,7 @@ def preemption(root: Path = ROOT) -> str:
 
 
 def _dynamic_mode(root: Path) -> str:
-    """Return the mode in force: debugfs knows it (for root alone), the command line or the build chose it."""
+    """Return the active mode: debugfs knows it (for root alone), the command line or the build chose it."""
     chosen = re.search(r"\((\w+)\)", text_of(root / "sys/kernel/debug/sched/preempt"))
     chosen = chosen or re.search(r"\bpreempt=(\w+)", text_of(root / "proc/cmdline"))
     return chosen[1] if chosen else _built_mode(root)

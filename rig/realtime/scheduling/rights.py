@@ -17,7 +17,7 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rights:
-    """Limits are None where there is none; `groups` are those in force, not those of the next login."""
+    """Limits are None where there is none; `groups` are the active ones, not those of the next login."""
 
     user: str
     groups: frozenset[str]
@@ -46,7 +46,7 @@ class Rights:
         return self.locked_limit is None or self.locked_limit >= size or self.has(CAP_IPC_LOCK)
 
     def has(self, capability: int) -> bool:
-        """Whether a capability is in force."""
+        """Whether a capability is active."""
         return bool(self.capabilities >> capability & 1)
 
 

@@ -32,7 +32,7 @@ class Snapshot:
     saturated
         Whether the guard clipped the effort in one of them.
     round_trip_ns
-        From sending a command until the first sample that names it in force was received, median of these rows; None
+        From sending a command until the first sample that names it active was received, median of these rows; None
         where no command answers a sample (law on the device), or none was answered yet.
     late, lost, skipped
         Counts of the run so far.
@@ -102,7 +102,7 @@ def snapshot_of(ring: Ring) -> Snapshot | None:
 
 def _round_trip_ns(rows: NDArray[np.void]) -> int | None:
     """From sending a command to the sample that first names it, median over the commands that were named."""
-    named, first = np.unique(rows["command_in_force"], return_index=True)
+    named, first = np.unique(rows["command_active"], return_index=True)
     order = np.argsort(rows["command_sequence"], kind="stable")
     place = np.searchsorted(rows["command_sequence"], named, sorter=order)
     known = place < len(rows)

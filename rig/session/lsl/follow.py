@@ -8,7 +8,7 @@ clock    the clocks were compared: `bound_s`, by which time stamps may be off; n
 phase    the phase changed (`rig.core.sample.Phase`): wait, homing, settle, trial, release, done
 contact  the first sample inside the wall in the trial (`contact` = 1), and each first one after one outside
 sync     a rising edge of the device's sync input
-wall     another parameter set is in force: its number; unless blinded its wall, when the loop still tells
+wall     another parameter set is active: its number; unless blinded its wall, when the loop still tells
 end      the loop has ended: the reason, rows, and how many of them came too late to be seen (`lost`)
 =======  ==================================================================================================
 

@@ -29,7 +29,7 @@ class _Walk:
     pressed: int = 0  # verdicts in a row that wanted beyond the end
     turns: list[tuple[int, bool]] = field(
         default_factory=list
-    )  # place, and whether the smallest step was in force
+    )  # place, and whether the smallest step was active
     hits: int = 0
 
 

@@ -19,7 +19,7 @@ from rig.config.sections import Controller
 from rig.config.table import parameters
 from rig.control import estimators
 from rig.core.errors import RigError
-from rig.core.swings import SWINGS
+from rig.core.oscillation import OSCILLATIONS
 from rig.recording.header import checkout
 from rig.session.analysis.agreement import LEAST_PEOPLE
 from rig.session.analysis.analyse import Analysis
@@ -160,7 +160,11 @@ def _facts(found: Analysis) -> dict[str, Any]:
         "cells": len(cells_of(protocol)),
         "rows": rows_of(protocol),
         "row_counts": dict(sorted(Counter(s.state.row % rows_of(protocol) for s in study.sessions).items())),
-        "reversals": limits.swings if limits.swings is not None else SWINGS if human else 0,
+        "oscillations": limits.oscillations
+        if limits.oscillations is not None
+        else OSCILLATIONS
+        if human
+        else 0,
         "caps": [
             f"{name} {value:g} {study.unit(_CAPS[name])}"
             for name, value in capped.items()

@@ -179,8 +179,8 @@ def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
     recording = open_recording(result.recording)
     rows = recording.rows
     assert result.verdict.kind.value == "stable"
-    assert recording.trailer["law_agreement"]["holds"]
-    assert recording.trailer["law_agreement"]["compared"] > 0.9 * len(rows)
+    assert recording.trailer["device_host_agreement"]["holds"]
+    assert recording.trailer["device_host_agreement"]["compared"] > 0.9 * len(rows)
     assert (look["enabled"], look["duty"]) == (False, 0)
     assert np.array_equal(np.diff(rows["sample_index"]), np.ones(len(rows) - 1))
     assert look["truth"] == rows["count"][-1]

@@ -31,7 +31,7 @@ def outcome(device, name, request=REQUEST):
 
 
 def test_a_sound_device_passes_and_is_left_as_it_was(device):
-    before = device.in_force()
+    before = device.active_parameters()
     told = []
     found = selftest(
         device,
@@ -41,7 +41,7 @@ def test_a_sound_device_passes_and_is_left_as_it_was(device):
     assert found.passed
     assert failure(found) is None
     assert [check.outcome for check in found.checks if check.name not in ("encoder", "stream")] == ["ok"] * 9
-    assert device.in_force() == before
+    assert device.active_parameters() == before
     assert [what for what, _ in told] == [check.name for check in found.checks]
     assert found.as_mapping()["passed"] is True
 

@@ -1,4 +1,4 @@
-"""The watch in a tick: energy by an independent sum, swings by their definition, and the cut when it is too much."""
+"""The watch in a tick: energy by an independent sum, oscillations by their definition, and the cut."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from rig.config.sections import Limits
 from rig.control import watch
 from rig.control.step import Controller
+from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.sample import Phase, RowFlag
-from rig.core.swings import SWING_S, SWINGS
 from tests.rig.control.test_step import DELTA, Tick
 
 STIFF = {"stiffness": 1e6}  # 1 N a count, a hundred quanta
@@ -95,13 +95,18 @@ def test_neither_homing_nor_a_wall_that_stands_still_gives_energy():
     assert still.energy == 0.0
 
 
-# ---------------------------------------------------------------------- swings
+# ---------------------------------------------------------------------- oscillations
 
-BEATS = {"wall": {"stiffness": 1e8}, "swing_limit": 4, "swing_ticks": 6, "swing_travel": 3.5 * DELTA}
+OSCILLATES = {
+    "wall": {"stiffness": 1e8},
+    "oscillation_limit": 4,
+    "oscillation_ticks": 6,
+    "oscillation_travel": 3.5 * DELTA,
+}
 
 
-def beat(tick: Tick, period: int, times: int, low: int = -4, high: int = 4) -> int | None:
-    """Throw the handle to and fro; the number of the swing that ended the run, or None."""
+def oscillate(tick: Tick, period: int, times: int, low: int = -4, high: int = 4) -> int | None:
+    """Throw the handle to and fro; the number of the oscillation that ended the run, or None."""
     half = period // 2
     for number in range(1, times + 1):
         for count in [low] * half + [high] * (period - half):
@@ -112,17 +117,17 @@ def beat(tick: Tick, period: int, times: int, low: int = -4, high: int = 4) -> i
     return None
 
 
-def test_so_many_swings_in_a_row_end_the_run():
-    tick = Tick(**BEATS)
-    # a swing is seen one tick after the effort of the sample that made it
-    assert beat(tick, 6, 10) == 4
-    assert tick.swings == 4
+def test_so_many_oscillations_in_a_row_end_the_run():
+    tick = Tick(**OSCILLATES)
+    # an oscillation is seen one tick after the effort of the sample that made it
+    assert oscillate(tick, 6, 10) == 4
+    assert tick.oscillations == 4
 
 
 @pytest.mark.parametrize(
     ("changes", "low", "high", "period"),
     [
-        ({"swing_limit": 0}, -4, 4, 6),
+        ({"oscillation_limit": 0}, -4, 4, 6),
         ({}, -4, 4, 8),  # later than is in a row
         ({}, -1, 2, 6),  # no travel
         ({"wall": {"stiffness": 2e7}}, -4, 4, 6),  # 80 of 100: not to the limit
@@ -132,28 +137,28 @@ def test_so_many_swings_in_a_row_end_the_run():
     ],
 )
 def test_what_is_no_violence(changes, low, high, period):
-    tick = Tick(**BEATS | changes)
-    assert beat(tick, period, 20, low, high) is None
-    assert tick.swings < 4
+    tick = Tick(**OSCILLATES | changes)
+    assert oscillate(tick, period, 20, low, high) is None
+    assert tick.oscillations < 4
 
 
 def test_a_pause_begins_a_new_row():
-    tick = Tick(**BEATS)
-    assert beat(tick, 6, 3) is None
+    tick = Tick(**OSCILLATES)
+    assert oscillate(tick, 6, 3) is None
     ran(tick, [-4] * 10)
-    assert beat(tick, 6, 3) is None
-    assert tick.swings == 3
-    assert beat(tick, 6, 1) == 1
+    assert oscillate(tick, 6, 3) is None
+    assert tick.oscillations == 3
+    assert oscillate(tick, 6, 1) == 1
 
 
 def test_the_other_side_beats_alike():
-    tick = Tick(**BEATS, wall_side=-1.0)
-    assert beat(tick, 6, 10, 4, -4) == 4
+    tick = Tick(**OSCILLATES, wall_side=-1.0)
+    assert oscillate(tick, 6, 10, 4, -4) == 4
 
 
 @pytest.mark.parametrize(("elapsed", "ends"), [(1, True), (3, True), (4, False)])
 def test_lost_samples_count_as_time(elapsed, ends):
-    tick = Tick(**BEATS)  # six ticks between two swings are in a row
+    tick = Tick(**OSCILLATES)  # six ticks between two oscillations are in a row
     seen = []
     for count in [-4, 4] * 8:
         tick(count, elapsed)
@@ -164,8 +169,18 @@ def test_lost_samples_count_as_time(elapsed, ends):
 def test_a_controller_that_was_saved_before_there_was_a_watch_is_the_same_without_it():
     saved = Tick(wall=STIFF).controller.as_mapping()
     for part, names in (
-        ("control", ("energy_limit", "swing_limit", "swing_ticks", "swing_travel")),
-        ("memory", ("energy", "swings", "swing_age", "swing_armed", "swing_lowest", "swing_highest")),
+        ("control", ("energy_limit", "oscillation_limit", "oscillation_ticks", "oscillation_travel")),
+        (
+            "memory",
+            (
+                "energy",
+                "oscillations",
+                "oscillation_age",
+                "oscillation_armed",
+                "oscillation_lowest",
+                "oscillation_highest",
+            ),
+        ),
     ):
         for name in names:
             assert saved[part].pop(name) == 0
@@ -173,14 +188,14 @@ def test_a_controller_that_was_saved_before_there_was_a_watch_is_the_same_withou
     assert again.as_mapping() == Tick(wall=STIFF).controller.as_mapping()
 
 
-def test_a_swing_is_what_the_constants_say():
+def test_an_oscillation_is_what_the_constants_say():
     for reaction, meaning in ((-50.0, -1), (10.0, -1), (10.1, 0), (89.9, 0), (90.0, 1), (100.0, 1)):
-        assert watch.swung(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
-    assert watch.swung(100.0, 100.0, -1.0, 1.0, 2.0) == 0
+        assert watch.extreme(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
+    assert watch.extreme(100.0, 100.0, -1.0, 1.0, 2.0) == 0
     assert np.isclose(watch.energy_given(-3.0, 2.0, 1.0, False), -1.0)
 
 
-def test_the_swings_in_force_are_the_ones_that_were_measured():
+def test_the_default_oscillations_are_the_ones_that_were_measured():
     limits = inspect.get_annotations(Limits, eval_str=True)
-    assert Limits.__dataclass_fields__["swing_s"].default == SWING_S
-    assert f"left out: {SWINGS} in" in str(limits["swings"])
+    assert Limits.__dataclass_fields__["oscillation_s"].default == OSCILLATION_S
+    assert f"left out: {OSCILLATIONS} in" in str(limits["oscillations"])

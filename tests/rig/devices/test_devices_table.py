@@ -147,20 +147,18 @@ def test_sim_without_a_name_needs_a_model():
 # ---------------------------------------------------------------------- a process of its own
 
 
-def test_only_what_has_a_server_can_be_served():
-    with pytest.raises(ConfigError, match="serial:// cannot be served"):
-        local.serve("serial", rotary_rig())
+def test_only_the_simulation_can_be_served():
     with (
-        pytest.raises(ConfigError, match="serial:// cannot be served"),
+        pytest.raises(ConfigError, match="serial:///dev/x cannot be served"),
         local.serve_locally("serial:///dev/x", rotary_rig()),
     ):
         pass
 
 
 def test_a_server_that_does_not_load_is_named(monkeypatch):
-    monkeypatch.setitem(local.SERVERS, "sim", "no_such_module_here:serve")
+    monkeypatch.setattr(devices, "SERVER", "no_such_module_here:serve")
     with pytest.raises(DeviceNotFoundError, match="no_such_module_here"):
-        local.serve("sim", rotary_rig())
+        local.serve(rotary_rig())
 
 
 def test_options_of_virtual_time_are_refused_where_they_would_do_nothing():

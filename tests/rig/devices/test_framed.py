@@ -283,7 +283,7 @@ def test_a_refused_block_changes_nothing():
     assert device.configure(RUN_PARAMETERS).values == before.values
 
 
-def test_the_echo_is_what_the_device_has_in_force():
+def test_the_echo_is_what_the_device_has_active():
     _, _, device = make()
     echo = device.configure(RUN_PARAMETERS)
     assert {name: echo.values[name] for name in RUN_PARAMETERS} == RUN_PARAMETERS
@@ -291,7 +291,7 @@ def test_the_echo_is_what_the_device_has_in_force():
 
 
 def pages(wire):
-    """Questions for a page of the parameters in force."""
+    """Questions for a page of the active parameters."""
     return sum(isinstance(message, m.GetParameters) for message in wire.messages())
 
 
@@ -299,11 +299,11 @@ def test_what_the_fingerprint_proves_is_not_read_page_by_page():
     simulated, wire, device = make()
     echo = device.configure(RUN_PARAMETERS)
     assert pages(wire) == 0
-    assert FramedDevice(MemoryLink(simulated)).in_force() == echo.values
+    assert FramedDevice(MemoryLink(simulated)).active_parameters() == echo.values
     part = device.configure({"ramp_us": 5_000})
     assert pages(wire) == 0
     assert part.values == {**echo.values, "ramp_us": 5_000, "verified": 0}
-    assert FramedDevice(MemoryLink(simulated)).in_force() == part.values
+    assert FramedDevice(MemoryLink(simulated)).active_parameters() == part.values
 
 
 def test_what_the_fingerprint_does_not_prove_is_read():
@@ -315,7 +315,7 @@ def test_what_the_fingerprint_does_not_prove_is_read():
     echo = heir.configure(values)
     assert pages(wire) > 10
     assert echo.values["slew_limit"] == 77
-    assert echo.values == heir.in_force()
+    assert echo.values == heir.active_parameters()
 
 
 def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash():
@@ -608,7 +608,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
 
 
 def test_a_lost_answer_to_the_parameters_is_no_restart(real):
-    """They may be in force or not: nothing can be told from them then, and nothing is refused."""
+    """They may be active or not: nothing can be told from them then, and nothing is refused."""
     other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)

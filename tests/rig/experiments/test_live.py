@@ -64,7 +64,7 @@ def ring(monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
 
 def test_a_change_arrives_as_the_numbers_of_an_experiment_begun_with_it(ring: Ring) -> None:
     done = live.change_wall({"wall.stiffness": 400.0, "damping": 1.5}, patience_s=0)
-    assert (done.number, done.in_force, done.ended) == (1, False, False)
+    assert (done.number, done.active, done.ended) == (1, False, False)
     assert done.changes == {"wall.stiffness": 400.0, "wall.damping": 1.5}
     assert done.wall["stiffness"] == 400.0
     expected = override(EXPERIMENT, {"wall.stiffness": 400.0, "wall.damping": 1.5})
@@ -102,7 +102,7 @@ def armed(**changes: Any) -> dict[str, Any]:
         ({"gate": None}, False),
     ],
 )
-def test_a_wall_that_the_gate_would_not_have_armed_does_not_come_in_force_later_either(
+def test_a_wall_that_the_gate_would_not_have_armed_does_not_become_active_later_either(
     gate: dict[str, Any], refused: bool
 ) -> None:
     ring = Ring.allocate(1, info=info_of(**gate))
@@ -198,7 +198,7 @@ def test_the_loop_is_watched_until_it_has_taken_the_change(ring: Ring) -> None:
         threading.Timer(0.05, lambda: ring.put(words.PARAMETER_SET, number)).start()
 
     done = live.change_wall({"stiffness": 400.0}, patience_s=20, posted=commit)
-    assert done.in_force
+    assert done.active
     assert told == [1]
 
 
@@ -206,7 +206,7 @@ def test_a_loop_that_ends_before_it_could_take_the_change_is_said_to_have_done_s
     done = live.change_wall(
         {"stiffness": 400.0}, patience_s=20, posted=lambda n: ring.put(words.LOOP_DONE, 1)
     )
-    assert (done.in_force, done.ended) == (False, True)
+    assert (done.active, done.ended) == (False, True)
 
 
 def test_two_terminals_at_once_lose_no_change() -> None:
@@ -241,17 +241,17 @@ def test_the_command_changes_the_wall_of_another_process(capsys: pytest.CaptureF
         out, err = capsys.readouterr()
         assert code == 0, err
         done = json.loads(out)
-        assert (done["pid"], done["number"], done["in_force"]) == (process.pid, 1, True)
+        assert (done["pid"], done["number"], done["active"]) == (process.pid, 1, True)
         got = json.loads(process.stdout.readline())
         expected = numbers_of(override(EXPERIMENT, {"wall.stiffness": 400, "wall.pull": "allow"}))
         assert (got["set"], got["values"][: len(expected)]) == (1, expected)
         assert rig.cli.run(["set", "damping=1", "--pid", str(process.pid)]) == 0
         out, err = capsys.readouterr()
-        assert out == f"process {process.pid}, parameter set 2: wall.damping = 1: in force\n"
+        assert out == f"process {process.pid}, parameter set 2: wall.damping = 1: active\n"
         assert "when the handle is outside the wall" in err
     with loop_process(info_of(inside=True)) as process:
         assert rig.cli.run(["set", "damping=1", "--wait", "0", "--pid", str(process.pid)]) == 0
-        assert "not in force yet" in capsys.readouterr().out
+        assert "not active yet" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("argument", ["stiffness", "=3", "stiffness 3"])

@@ -339,12 +339,12 @@ def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_ti
     recording = recorded(tmp_path, faults=happenings)
     sets = recording.trailer["parameter_sets"]
     assert [one["number"] for one in sets] == [1, 2]
-    in_force = recording.rows["parameter_set"]
-    assert [int(in_force[one["tick"]]) for one in sets] == [1, 2]
-    assert (np.diff(in_force) >= 0).all()
+    active = recording.rows["parameter_set"]
+    assert [int(active[one["tick"]]) for one in sets] == [1, 2]
+    assert (np.diff(active) >= 0).all()
     result = replay(recording)
     assert_exact(result)
-    inside = (recording.rows["penetration"] > 0.0) & (in_force == 2)
+    inside = (recording.rows["penetration"] > 0.0) & (active == 2)
     assert inside.any(), "and the softer wall was touched"
     asked = replay(recording, {"wall.stiffness": SHORT.wall.stiffness})
     assert not asked.exact, "a wall asked for replaces them"

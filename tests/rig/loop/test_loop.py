@@ -860,7 +860,7 @@ def new_wall(bundle, *, position, stiffness):
     return values
 
 
-def test_parameters_come_in_force_between_two_ticks_and_only_in_free_space():
+def test_parameters_become_active_between_two_ticks_and_only_in_free_space():
     """Pressed into the wall until tick 20: the new wall waits, and the newest of two is taken."""
     bundle = at_rest()
     memory = Ring.allocate(4096)

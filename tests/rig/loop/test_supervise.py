@@ -538,7 +538,7 @@ class Changing:
 TAP = [*[-3] * 60, *[4] * 60, *[-3] * 60]
 
 
-def test_a_new_wall_comes_in_force_on_both_sides_at_the_same_sample():
+def test_a_new_wall_becomes_active_on_both_sides_at_the_same_sample():
     run = Changing(TAP, (22, 1.0), (30, 2.5))
     run.run()
     (first, block), (second, _) = run.device.commits
@@ -603,7 +603,7 @@ def test_a_wall_that_cannot_be_computed_is_told():
 @pytest.mark.parametrize("lost", ["ack", "request"])
 @pytest.mark.parametrize("kind", [m.SetBegin, m.SetChunk, m.SetCommit])
 def test_what_gets_lost_is_said_again_and_the_sample_stays_exact(lost, kind):
-    """A commit whose answer is lost is in force on the device: samples wait here until that is known."""
+    """A commit whose answer is lost is active on the device: samples wait here until that is known."""
     run = Changing([*TAP, *TAP], (20, 1.0))
     device = run.device
     struck = []

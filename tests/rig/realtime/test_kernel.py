@@ -284,10 +284,10 @@ def test_importing_the_protocol_does_not_load_the_compiler():
 
 
 @compiled
-def test_a_borrowing_kernel_writes_into_its_arrays_and_cannot_make_one():
+def test_a_kernel_without_reference_counts_writes_into_its_arrays_and_cannot_make_one():
     """No references are counted: the arrays stay the caller's, and an allocation is refused by the compiler."""
 
-    @kernel("f8(f8[::1])", cache=False, borrow=True)
+    @kernel("f8(f8[::1])", cache=False, no_refcount=True)
     def double_first(values):
         values[0] *= 2.0
         return values[0]
@@ -302,7 +302,7 @@ def test_a_borrowing_kernel_writes_into_its_arrays_and_cannot_make_one():
         return np.zeros(size)[0]
 
     with pytest.raises(numba.core.errors.NumbaError):
-        kernel("f8(i8)", cache=False, borrow=True)(allocate).prepare()
+        kernel("f8(i8)", cache=False, no_refcount=True)(allocate).prepare()
 
 
 @compiled

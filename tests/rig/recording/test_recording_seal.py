@@ -76,7 +76,7 @@ def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> N
 
 
 def timed(**trailer: Any) -> Recording:
-    """Fifty ticks of a millisecond, of which each command came in force with the next sample."""
+    """Fifty ticks of a millisecond, of which each command became active with the next sample."""
     rows = example_rows(50)
     number = np.arange(50)
     rows["tick"], rows["sample_index"], rows["elapsed_ticks"], rows["flags"] = number, 100 + number, 1, 0
@@ -84,7 +84,7 @@ def timed(**trailer: Any) -> Recording:
     rows["received_at"] = rows["device_time"] + 5_080_000
     rows["computed_at"], rows["sent_at"] = rows["received_at"] + 2_000, rows["received_at"] + 9_000
     rows["lateness"] = rows["sampled_at"] = rows["applied_at"] = 0
-    rows["command_sequence"], rows["command_in_force"] = number, np.maximum(number - 2, 0)
+    rows["command_sequence"], rows["command_active"] = number, np.maximum(number - 2, 0)
     rows["command_age"] = np.where(number < 2, NO_AGE, 1)
     trailer = {"reason": "finished", "counters": {"late": 3, "stale": 1}, **trailer}
     return Recording(example_header(experiment={"controller": {"position_rate": 1000}}), rows, trailer)

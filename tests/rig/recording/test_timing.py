@@ -47,7 +47,7 @@ class Session:
     def __init__(self, fit, *, ticks, seed=0, first_sequence=0, lost=(), eaten=(), spread=1.0, start=1000):
         self.fit, self.rng = fit, np.random.default_rng(seed)
         self.rows, self.sampled, self.applied = [], [], []
-        in_force, came_at = None, 0  # command in force, sample from which it is
+        active, came_at = None, 0  # active command, sample from which it is
         commands = []  # (comes at device time, number of its row)
         free_ns = 0
         for k in range(start, start + ticks):
@@ -55,7 +55,7 @@ class Session:
             for arrival, row in [c for c in commands if c[0] < now]:
                 # The last sample before it came: the command acts from there on.
                 index = k - 1 - max(0, math.ceil((now - arrival) / PERIOD_NS) - 1)
-                in_force, came_at = row, index
+                active, came_at = row, index
                 if self.applied[row] == 0:
                     on_grid = int(fit.host_of(np.array([self.at(index)]))[0])
                     self.applied[row] = max(on_grid, int(self.rows[row]["sent_at"]))
@@ -73,8 +73,8 @@ class Session:
             row["elapsed_ticks"] = 1
             row["received_at"], row["computed_at"], row["sent_at"] = received, computed, sent
             row["command_sequence"] = (first_sequence + number) % 65536
-            row["command_age"] = NO_AGE if in_force is None else min(k - came_at, NO_AGE)
-            row["command_in_force"] = 0 if in_force is None else (first_sequence + in_force) % 65536
+            row["command_age"] = NO_AGE if active is None else min(k - came_at, NO_AGE)
+            row["command_active"] = 0 if active is None else (first_sequence + active) % 65536
             row["lateness"] = received - sampled
             self.rows.append(row)
             self.sampled.append(sampled)
@@ -92,13 +92,13 @@ class Session:
         return int(self.rng.exponential(mean_ns)) + 1_000
 
     def seen(self):
-        """Rows whose command some later row shows in force, by looking at every pair."""
-        sequence, in_force, age = (
-            self.rows[name].tolist() for name in ("command_sequence", "command_in_force", "command_age")
+        """Rows whose command some later row shows active, by looking at every pair."""
+        sequence, active, age = (
+            self.rows[name].tolist() for name in ("command_sequence", "command_active", "command_age")
         )
         return [
             any(
-                in_force[j] == sequence[i] and age[j] < NO_AGE
+                active[j] == sequence[i] and age[j] < NO_AGE
                 for j in range(i + 1, min(len(sequence), i + 30_000))
             )
             for i in range(len(sequence))
@@ -129,7 +129,7 @@ def test_every_time_is_the_true_one(offset_ns, drift_ppm, first_sequence, lost, 
     # A STATE that was lost between can only be counted back on the device's grid; here the grid is exact.
     assert (found.applied[seen] == truth[seen]).all()
     last = np.flatnonzero(seen)[-1] if seen.any() else -1
-    assert found.never_in_force == (~seen[: last + 1]).sum()
+    assert found.never_active == (~seen[: last + 1]).sum()
     assert found.unanswered == (~seen[last + 1 :]).sum()
     for name, (begin, end, _) in STAGES.items():
         lengths, known = found.stage(name)
@@ -137,7 +137,7 @@ def test_every_time_is_the_true_one(offset_ns, drift_ppm, first_sequence, lost, 
         assert (lengths[known] == (getattr(found, end) - getattr(found, begin))[known]).all()
 
 
-def test_in_lock_step_a_command_is_in_force_at_the_sample_that_it_answers():
+def test_in_lock_step_a_command_is_active_at_the_sample_that_it_answers():
     """Virtual time: sampled, received, sent and applied are one moment; the last answer is never seen."""
     rows = np.zeros(5, ROW)
     rows["sample_index"] = np.arange(1, 6)
@@ -145,11 +145,11 @@ def test_in_lock_step_a_command_is_in_force_at_the_sample_that_it_answers():
     for name in ("device_time", "received_at", "computed_at", "sent_at"):
         rows[name] = np.arange(1, 6) * PERIOD_NS
     rows["command_sequence"] = np.arange(5)
-    rows["command_in_force"] = [0, 0, 1, 2, 3]
+    rows["command_active"] = [0, 0, 1, 2, 3]
     rows["command_age"] = [NO_AGE, 1, 1, 1, 1]
     found = ledger(rows, clock(), PERIOD_NS)
     assert found.applied.tolist() == [*rows["sent_at"][:4], 0]
-    assert (found.never_in_force, found.unanswered) == (0, 1)
+    assert (found.never_active, found.unanswered) == (0, 1)
     summary = summarise(found, None)
     assert summary.stages["whole"].maximum == 0
     assert summary.worst == [], "nothing is bad about no delay"
@@ -158,8 +158,8 @@ def test_in_lock_step_a_command_is_in_force_at_the_sample_that_it_answers():
 @pytest.mark.parametrize(
     ("sent_ns", "applied_ns", "within"), [(1_700, 1_700, 1), (1_000, 1_000, 0), (20_000, 1_000, 0)]
 )
-def test_no_command_is_in_force_before_it_was_sent(sent_ns, applied_ns, within):
-    """It came within the tick, and the device cannot say when; sent ticks later than in force, the clocks are wrong."""
+def test_no_command_is_active_before_it_was_sent(sent_ns, applied_ns, within):
+    """It came within the tick, and the device cannot say when; sent ticks later than active, the clocks are wrong."""
     rows = np.zeros(2, ROW)
     rows["sample_index"] = [1, 2]
     rows["device_time"] = rows["received_at"] = [1_000, 2_000]
@@ -171,12 +171,12 @@ def test_no_command_is_in_force_before_it_was_sent(sent_ns, applied_ns, within):
     assert found.within_tick == within
 
 
-def test_a_command_in_force_that_this_run_never_sent_belongs_to_nobody():
+def test_a_command_active_that_this_run_never_sent_belongs_to_nobody():
     """More than half a round of the sequence behind, or of an earlier session."""
     rows = np.zeros(3, ROW)
     rows["sample_index"] = rows["received_at"] = rows["device_time"] = np.arange(1, 4)
     rows["command_sequence"] = [0, 1, 2]
-    rows["command_in_force"] = [40, 30_000, 3]
+    rows["command_active"] = [40, 30_000, 3]
     rows["command_age"] = 1
     assert not ledger(rows, clock(), PERIOD_NS).applied.any()
 
@@ -295,7 +295,7 @@ def test_a_million_rows_are_quick():
     rows["computed_at"] = rows["received_at"] + 3_000
     rows["sent_at"] = rows["computed_at"] + 7_000
     rows["command_sequence"] = np.arange(count) % 65536
-    rows["command_in_force"] = (np.arange(count) - 2) % 65536
+    rows["command_active"] = (np.arange(count) - 2) % 65536
     rows["command_age"] = 1
     started = time.perf_counter()
     summary = summarise(ledger(rows, clock(offset_ns=10**12, drift_ppm=1.0), 100_000.0), None)
@@ -316,7 +316,7 @@ def rows_of_batches(fit, ticks=200, samples=20):
     rows["device_time"] = (700 + number) * PERIOD_NS
     last = np.minimum((number // samples + 1) * samples - 1, ticks - 1)
     rows["received_at"] = fit.host_of(rows["device_time"][last]) + 30_000
-    rows["command_sequence"], rows["command_in_force"], rows["command_age"] = 7, 6, number % 100
+    rows["command_sequence"], rows["command_active"], rows["command_age"] = 7, 6, number % 100
     rows["execution_time"] = np.where(number < 50, 2_000, 3_000)
     return rows
 
@@ -331,7 +331,7 @@ def test_where_the_law_ran_on_the_device_no_command_is_spoken_of():
         assert summary.stages[name] is None
     arrived = summary.stages["transport_in"]
     assert (arrived.ticks, arrived.minimum, arrived.maximum) == (200, 30_000, 30_000 + 19 * PERIOD_NS)
-    assert (summary.never_in_force, summary.unanswered, summary.within_tick) == (0, 0, 0)
+    assert (summary.never_active, summary.unanswered, summary.within_tick) == (0, 0, 0)
     assert json.loads(json.dumps(summary.as_mapping()))["loop"] == "device"
 
 

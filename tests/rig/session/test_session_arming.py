@@ -61,7 +61,9 @@ class RealBench(FakeBench):
             x = wall.experiment
             by_search.setdefault((wall.condition, x.wall.damping), []).append(x.wall.stiffness)
         return [
-            Refusal(condition=name, damping=b, stiffness=tuple(found[2:]), walls=len(found), text="it swings")
+            Refusal(
+                condition=name, damping=b, stiffness=tuple(found[2:]), walls=len(found), text="it oscillates"
+            )
             for (name, b), found in by_search.items()
         ]
 
@@ -92,7 +94,7 @@ def test_a_study_whose_walls_are_refused_does_not_begin(tmp_path: Path) -> None:
         run_session(written(tmp_path, "none"), "P01", at(desk), bench=bench, study=tmp_path / "study")
     assert "--arm-anyway" in str(refused.value)
     assert "hidden-dual, B = 0.211: 4 of 6 walls, from K = 60 to 120" in str(refused.value)
-    assert "it swings" in str(refused.value)
+    assert "it oscillates" in str(refused.value)
     assert (bench.hits, desk.questions) == ([], [])
     assert not (tmp_path / "study").exists()
 

@@ -435,7 +435,7 @@ def ring_with(rows: int, capacity: int = 8192) -> Ring:
     made["received_at"] = 1_000_000 * numbers
     made["sent_at"] = made["received_at"] + 100_000
     made["command_sequence"] = numbers % 65536
-    made["command_in_force"] = np.maximum(0, numbers - 2) % 65536  # comes in force two ticks later
+    made["command_active"] = np.maximum(0, numbers - 2) % 65536  # becomes active two ticks later
     made["effort_applied"] = -0.1
     made["penetration"] = 0.01
     made["flags"][-1:] = RowFlag.SATURATED
@@ -458,7 +458,7 @@ def test_a_snapshot_is_of_the_newest_rows() -> None:
 
 def test_a_law_on_the_device_has_no_round_trip() -> None:
     ring = ring_with(600)
-    for name in ("sent_at", "command_sequence", "command_in_force"):
+    for name in ("sent_at", "command_sequence", "command_active"):
         ring.rows[name] = 0
     found = snapshot_of(ring)
     assert found is not None

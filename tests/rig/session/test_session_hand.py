@@ -33,9 +33,9 @@ def test_whoever_takes_the_hand_over_gets_another_device(monkeypatch):
     scripted = bench._device(HELD, {})
     assert bench._device(HELD, {}) is scripted
     bench.hand = Path("/somewhere/hand")
-    led = bench._device(HELD, {})
-    assert (scripted.url, led.url) == ("sim://", "sim://?hand=/somewhere/hand")
+    driven = bench._device(HELD, {})
+    assert (scripted.url, driven.url) == ("sim://", "sim://?hand=/somewhere/hand")
     assert closed == [scripted.url]
-    assert bench._device(HELD, {}) is led
+    assert bench._device(HELD, {}) is driven
     bench.close()
-    assert closed == [scripted.url, led.url]
+    assert closed == [scripted.url, driven.url]

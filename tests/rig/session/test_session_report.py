@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from rig.cli import rig, session_report
 from rig.config.table import parameters
-from rig.core.swings import SWINGS
+from rig.core.oscillation import OSCILLATIONS
 from rig.session.analysis import Options, analyse
 from rig.session.analysis.tables import tables
 from rig.session.search.psychometric import SLIPS
@@ -283,7 +283,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
         ],
         "Search": ["17 stiffnesses from 100 to 900 N·m/rad, 50 N·m/rad apart", "2 reversals", "10 verdicts"],
         "Order and blinding": ["seed 7", "3 of the 4 rows", "row 2: 1 participant", "not balanced"],
-        "Safety and rests": [f"{limits.speed:g} rad/s", SWINGS, f"{1000 * limits.swing_s:g} ms"],
+        "Safety and rests": [f"{limits.speed:g} rad/s", OSCILLATIONS, f"{1000 * limits.oscillation_s:g} ms"],
         "Analysis": [
             f"Of {counts['recorded']} recorded trials {counts['counted']}",
             *(f"{n} {name}" for name, n in counts.items() if name not in ("recorded", "counted")),

@@ -33,7 +33,7 @@ def rows_of(count, *, spread=1.0, seed=1):
     rows["sent_at"] += 10**12
     rows["lateness"] = noise[3]
     rows["command_sequence"] = number % 65536
-    rows["command_in_force"] = (number - 2) % 65536
+    rows["command_active"] = (number - 2) % 65536
     rows["command_age"] = np.where(number < 2, NO_AGE, 1)
     return rows
 

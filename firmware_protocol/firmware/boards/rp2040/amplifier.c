@@ -78,7 +78,7 @@ void amplifier_set_current(int16_t quanta)
 {
     PWM_COMPARE(SLICE) = compare_of(quanta);
     if (quanta == 0 && set_point != 0)
-        PWM_COUNTER(SLICE) = PERIOD - 1u; /* a set-point comes in force at the wrap: this one now */
+        PWM_COUNTER(SLICE) = PERIOD - 1u; /* a set-point becomes active at the wrap: this one now */
     set_point = quanta;
 }
 

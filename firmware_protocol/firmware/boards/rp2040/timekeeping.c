@@ -101,7 +101,7 @@ bool tick_set_rate(uint32_t rate)
     tick.rest = CLOCK_HZ % tick.rate;
     tick.saved = 0;
     tick.late = 1500000u / rate;
-    PWM_CONTROL(TICK_SLICE) = 0; /* what is written while it stands is in force at once */
+    PWM_CONTROL(TICK_SLICE) = 0; /* what is written while it stands is active at once */
     PWM_DIVIDER(TICK_SLICE) = PWM_DIVIDED_BY(divider << 4);
     PWM_COUNTER(TICK_SLICE) = 0;
     PWM_TOP(TICK_SLICE) = next_top();
@@ -130,7 +130,7 @@ bool tick_taken(void)
     look_at(now);
     PWM_WRAPPED = 1u << TICK_SLICE;
     if (tick.rest != 0)
-        PWM_TOP(TICK_SLICE) = next_top(); /* in force from the next wrap on (4.5.2.3) */
+        PWM_TOP(TICK_SLICE) = next_top(); /* active from the next wrap on (4.5.2.3) */
     return in_time;
 }
 

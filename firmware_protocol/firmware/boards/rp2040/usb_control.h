@@ -28,7 +28,7 @@ struct usb_control {
     bool empty_packet;  /* one without bytes ends the data */
     bool acknowledges;  /* the status stage is owed */
     uint8_t toggle;    /* of the next data packet */
-    uint8_t address;   /* in force when the status stage is over; 0 none */
+    uint8_t address;   /* active when the status stage is over; 0 none */
     uint8_t configuration;
     struct usb_endpoint *endpoints; /* those besides endpoint 0 */
     uint8_t endpoint_count;

@@ -1,4 +1,4 @@
-"""A simulated hand that somebody leads while time passes: by a mouse, by keys, by a program.
+"""A simulated hand that somebody drives while time passes: by a mouse, by keys, by a program.
 
 While the rig homes, the hand goes along as the scripted one does (`sim_backend.operator`), whatever is wished: a hand
 that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows the wishes.
@@ -21,7 +21,7 @@ import numpy as np
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.devices.hand import Wish
-from sim_backend.held import INTENTIONS
+from sim_backend.coupled_hand import INTENTIONS
 from sim_backend.operator import PRESS_HZ, REPEAT_S, Rows, Script, tremor
 
 FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
@@ -32,8 +32,8 @@ AHEAD_M, AHEAD_N = 0.05, 10.0  # and beyond where the scripted one goes: so far,
 PRESS_N = 10.0  # more than a firm grip's press
 
 
-class Led:
-    """The hand of a model, led by wishes.
+class DrivenHand:
+    """The hand of a model, driven by wishes.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Led:
     def __init__(self, model: RigModel, wish: Callable[[], Wish | None]) -> None:
         if model.operator is None or model.reach is None:
             raise ConfigError(
-                f"nobody holds the handle of {model.name}, so nobody can lead it",
+                f"nobody holds the handle of {model.name}, so nobody can drive it",
                 remedy='set trial.kind = "human"',
             )
         self._operator, self._reach = model.operator, model.reach

@@ -1,4 +1,4 @@
-"""A hand that is led: it follows like a hand, stays in reach, and rests where nobody leads it. No clock."""
+"""A driven hand: it follows like a hand, stays in reach, and rests where nobody drives it. No clock."""
 
 from __future__ import annotations
 
@@ -14,8 +14,18 @@ from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.devices.hand import Wish
+from sim_backend.driven_hand import (
+    AHEAD_M,
+    AHEAD_N,
+    BACK_M,
+    BLOCK_S,
+    FOLLOW_HZ,
+    PRESS_N,
+    SILENT_S,
+    DrivenHand,
+    follow,
+)
 from sim_backend.hardware import Hardware
-from sim_backend.led import AHEAD_M, AHEAD_N, BACK_M, BLOCK_S, FOLLOW_HZ, PRESS_N, SILENT_S, Led, follow
 
 RATE = 1000
 EXPERIMENT = config.override(
@@ -45,31 +55,31 @@ class Someone:
         return self.wish
 
 
-def played(led, seconds, hand=START, says=None):
+def played(driven, seconds, hand=START, says=None):
     """Intentions for so long; `says` is said again before each block."""
     rows = []
     while sum(map(len, rows)) < seconds * RATE:
         if says is not None:
             says()
-        rows.append(led.next(hand).rows)
+        rows.append(driven.next(hand).rows)
     return np.concatenate(rows)
 
 
 def begun(model=MODEL, position=START):
     """A hand whose trial has begun."""
     someone = Someone()
-    led = Led(model, someone)
-    led.begin(position, 1.0 / RATE)
-    led.next(position)
-    return led, someone
+    driven = DrivenHand(model, someone)
+    driven.begin(position, 1.0 / RATE)
+    driven.next(position)
+    return driven, someone
 
 
 def test_while_it_homes_it_goes_along_whatever_is_wished():
     someone = Someone()
-    led = Led(MODEL, someone)
-    led.begin(START - 0.02, 1.0 / RATE)
+    driven = DrivenHand(MODEL, someone)
+    driven.begin(START - 0.02, 1.0 / RATE)
     someone.says(0.3, 5.0)
-    rows = led.next(0.0).rows
+    rows = driven.next(0.0).rows
     along = round(0.02 / PACE * RATE)
     assert len(rows) == pytest.approx(along + LEAD_S * RATE, abs=2), "the baseline is the leader's"
     assert np.all(np.diff(rows[:along, 0]) > 0.0)
@@ -90,9 +100,9 @@ def test_it_follows_as_the_differential_equation_does(distance, rate):
 
 
 def test_a_step_of_a_key_becomes_a_motion_without_overshoot():
-    led, someone = begun()
+    driven, someone = begun()
     goal = START + 0.1  # 10 mm at the handle
-    rows = played(led, 0.8, says=lambda: someone.says(goal, 3.0))
+    rows = played(driven, 0.8, says=lambda: someone.says(goal, 3.0))
     assert np.all(np.diff(rows[:, 0]) >= 0.0)
     assert rows[-1, 0] == pytest.approx(goal, abs=1e-4)
     assert np.abs(rows[:, 1]).max() * RADIUS < 0.08
@@ -114,12 +124,12 @@ def test_it_stays_in_reach_whatever_is_wished(wishes, mirrored):
     if mirrored:
         model = replace(MODEL, reach=replace(MODEL.reach, start=-START, target=-MODEL.reach.target))
     side = -1.0 if mirrored else 1.0
-    led, someone = begun(model, side * START)
+    driven, someone = begun(model, side * START)
     ahead = min(AHEAD_M, AHEAD_N / MODEL.operator.hand_stiffness) / RADIUS
     for position, press, blocks in wishes:
         for _ in range(blocks):
             someone.says(position, press)
-            rows = led.next(side * START).rows * side
+            rows = driven.next(side * START).rows * side
             assert np.all(rows[:, 0] >= START - BACK_M / RADIUS - 1e-9)
             assert np.all(rows[:, 0] <= side * model.reach.target + ahead + 1e-9)
             assert np.all(rows[:, 2] >= -1e-12)
@@ -127,49 +137,49 @@ def test_it_stays_in_reach_whatever_is_wished(wishes, mirrored):
 
 
 def test_nobody_there_lets_the_hand_rest_where_it_is():
-    led, someone = begun()
-    played(led, 0.5, says=lambda: someone.says(0.05, 4.0))
-    rows = played(led, SILENT_S - 2 * BLOCK_S, hand=0.011)  # the last word counts for a while
+    driven, someone = begun()
+    played(driven, 0.5, says=lambda: someone.says(0.05, 4.0))
+    rows = played(driven, SILENT_S - 2 * BLOCK_S, hand=0.011)  # the last word counts for a while
     assert rows[-1, 2] == pytest.approx(4.0 * RADIUS, rel=1e-2)
-    rows = played(led, 1.0, hand=0.011)
+    rows = played(driven, 1.0, hand=0.011)
     assert rows[-1, 0] == pytest.approx(0.011, abs=1e-5)
     assert rows[-1, 2] == pytest.approx(0.0, abs=1e-5)
-    rows = played(led, 1.0, hand=0.02)
+    rows = played(driven, 1.0, hand=0.02)
     assert rows[-1, 0] == pytest.approx(0.011, abs=1e-5), "it does not run away with the handle"
-    rows = played(led, 1.0, says=lambda: someone.says(0.03))
+    rows = played(driven, 1.0, says=lambda: someone.says(0.03))
     assert rows[-1, 0] == pytest.approx(0.03, abs=1e-4), "and goes on when somebody comes"
 
 
 def test_what_was_said_before_the_session_moves_nothing():
     someone = Someone()
     someone.says(0.2, 9.0)
-    led = Led(MODEL, someone)
-    led.begin(START, 1.0 / RATE)
-    rows = played(led, LEAD_S + 1.5)
+    driven = DrivenHand(MODEL, someone)
+    driven.begin(START, 1.0 / RATE)
+    rows = played(driven, LEAD_S + 1.5)
     assert np.allclose(rows, [START, 0.0, 0.0], atol=1e-12)
 
 
 def test_tremor_comes_with_the_effort_of_the_hand():
     model = replace(MODEL, operator=replace(MODEL.operator, tremor=166e-6))
-    led, someone = begun(model)
-    loose = played(led, 1.0, says=lambda: someone.says(START))
+    driven, someone = begun(model)
+    loose = played(driven, 1.0, says=lambda: someone.says(START))
     assert np.ptp(loose[:, 0]) == 0.0
-    led, someone = begun(model)
-    played(led, 1.0, says=lambda: someone.says(START, 4.0))
-    pressing = played(led, 2.0, says=lambda: someone.says(START, 4.0))
+    driven, someone = begun(model)
+    played(driven, 1.0, says=lambda: someone.says(START, 4.0))
+    pressing = played(driven, 2.0, says=lambda: someone.says(START, 4.0))
     share = 4.0 / (4.0 + MODEL.operator.hand_stiffness * MODEL.operator.depth)
     assert np.std(pressing[:, 0]) * RADIUS == pytest.approx(166e-6 * share, rel=0.05)
 
 
 def test_a_rig_that_nobody_holds_cannot_be_led():
     with pytest.raises(ConfigError, match="nobody holds the handle"):
-        Led(config.rig_model(presets.load("koul-compliant")), Someone())
+        DrivenHand(config.rig_model(presets.load("koul-compliant")), Someone())
 
 
 def test_hardware_plays_it_and_the_handle_goes_along():
     hardware = Hardware(MODEL, RATE, seed=0, initial_position=START)
     someone = Someone()
-    hardware.lead(Led(MODEL, someone))
+    hardware.drive_hand(DrivenHand(MODEL, someone))
     hardware.advance(0)
     hardware.begin_session()
     for _ in range(round(LEAD_S * RATE) + 2):

@@ -33,12 +33,12 @@ from sim_backend.inner import (
 from sim_backend.sensors import cell
 
 INTENTIONS = 3  # intended position, intended velocity, press
-RIGID_HELD_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
+RIGID_COUPLED_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
 
 _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 
-@kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, borrow=True)
+@kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
     """Put a row of a script into the state, before the age of the edge; return the next row. No rows: nothing."""
     if script.shape[0] == 0:
@@ -48,7 +48,7 @@ def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
     return row + 1 if row + 1 < script.shape[0] else again
 
 
-@kernel(_FLOAT(_MATRIX, _MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, borrow=True)
+@kernel(_FLOAT(_MATRIX, _MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _pushed(
     phi: Matrix,
     gamma: Matrix,
@@ -64,13 +64,13 @@ def _pushed(
     return float(gamma[row, 0] * command + gamma[row, 1] * external + hand)
 
 
-@kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, borrow=True)
+@kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _carried(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
     """What the velocities and the effort of a two-mass rig add to a state in a step."""
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def _advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
@@ -105,7 +105,7 @@ def _advance_rigid(
     return count
 
 
-@kernel(ADVANCE, inline=True, borrow=True)
+@kernel(ADVANCE, inline=True, no_refcount=True)
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
@@ -150,11 +150,11 @@ def _advance_two_mass(
     return count
 
 
-@kernel(ADVANCE, borrow=True)
-def advance_held(
+@kernel(ADVANCE, no_refcount=True)
+def advance_coupled(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a held plant by one tick under an effort in force; see `sim_backend.plant.advance`."""
-    if phi.shape[0] == RIGID_HELD_ORDER:
+    """Move a held plant by one tick under an active effort; see `sim_backend.plant.advance`."""
+    if phi.shape[0] == RIGID_COUPLED_ORDER:
         return _advance_rigid(state, phi, gamma, parameters, command, external)
     return _advance_two_mass(state, phi, gamma, parameters, command, external)

@@ -1,4 +1,4 @@
-"""Does the device's current follow the host's law? What is in force at a sample beside what the law gave one before.
+"""Device–host agreement: the current active at a sample beside the one that the law gave a sample before.
 
 The two compute in different arithmetic, so they may differ by a little; where a limit, a ramp or a gap acts the device
 is right to differ, and nothing is compared; nor for a while after a gap, until the estimators have forgotten it. STATE
@@ -34,7 +34,7 @@ FORGET_PERIODS, FORGET_NS = 50, 20_000_000  # velocity periods, and time, whiche
 
 @kernel(types.void(SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, types.int64, types.int64))
 def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied: int) -> None:
-    """Compare the current in force at a sample with what the law gave at the sample before."""
+    """Compare the active current at a sample with what the law gave at the sample before."""
     v, s = supervision[0], settings[0]
     if v["comparable"] == 0:
         return

@@ -15,7 +15,7 @@ from tests.conformance.firmware import need_compiler
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
-LED = override(
+DRIVEN = override(
     presets.load("koul-rigid"),
     {
         "trial.kind": "human", "trial.baseline_s": 0.2, "trial.duration_s": 0.8, "trial.release_s": 0.05,
@@ -46,7 +46,7 @@ def test_the_hand_goes_where_somebody_leads_it(firmware, tmp_path):
             return told
 
         url = f"sim://?hand={hand.path}" + ("&firmware=1" if firmware else "")
-        request = HitRequest(experiment=LED, url=url, realtime=True, output=tmp_path, changes=SOFT)
+        request = HitRequest(experiment=DRIVEN, url=url, realtime=True, output=tmp_path, changes=SOFT)
         try:
             (result,) = hit(request, watch)
         except (LinkLostError, DeviceFaultError) as error:  # a machine that is too busy for real time
@@ -55,9 +55,9 @@ def test_the_hand_goes_where_somebody_leads_it(firmware, tmp_path):
     trial = rows[rows["phase"] == Phase.TRIAL]
     free = trial[: len(trial) // 10]
     assert (free["penetration"] <= 0.0).all()
-    assert (trial["penetration"][-len(trial) // 10 :] > 0.0).all(), "it was led into the wall, and stays"
-    assert result.verdict.contact_s > LED.trial.baseline_s
+    assert (trial["penetration"][-len(trial) // 10 :] > 0.0).all(), "it was driven into the wall, and stays"
+    assert result.verdict.contact_s > DRIVEN.trial.baseline_s
     push = trial["effort_sent"][-len(trial) // 10 :].mean()
-    operator, radius = LED.operator, LED.rig.mechanics.handle_radius
+    operator, radius = DRIVEN.operator, DRIVEN.rig.mechanics.handle_radius
     most = (PRESS + operator.hand_stiffness * AHEAD * radius) * radius
     assert -1.2 * most < push < -0.5 * most, "as hard as somebody presses there"
