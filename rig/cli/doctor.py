@@ -12,7 +12,6 @@ from rig import config
 from rig.bench.doctor.examine import Examination, Question, examine
 from rig.bench.doctor.finding import Finding
 from rig.bench.doctor.gate import Gate
-from rig.bench.doctor.quantiles import Distribution, Quantile
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.bench.doctor.udev import udev_rules
 from rig.bench.doctor.walls import Supported
@@ -20,6 +19,7 @@ from rig.cli import hit_output, options, output
 from rig.core.errors import PlanError
 from rig.core.present import Table
 from rig.core.sample import unit_of
+from rig.recording.quantiles import Distribution, Quantile
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "problem": ("no", "red")}
 

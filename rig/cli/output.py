@@ -45,8 +45,14 @@ def show(items: Iterable[Item]) -> None:
 
 
 def print_rows(rows: Sequence[Row]) -> None:
-    """Label and text, one row a line, aligned."""
-    print_pairs([(row.label, row.text) for row in rows])
+    """Label and text, one row a line, aligned; verdicts in their colour."""
+    print_pairs([(row.label, _in_colour(row)) for row in rows])
+
+
+def _in_colour(row: Row) -> str:
+    return (
+        row.text.replace(str(row.value), coloured(str(row.value)), 1) if row.value in _COLOURS else row.text
+    )
 
 
 def print_pairs(pairs: Sequence[tuple[str, str]]) -> None:

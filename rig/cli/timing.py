@@ -10,7 +10,8 @@ from rig.cli import options, output
 from rig.core.errors import RigError
 from rig.core.present import Table
 from rig.experiments.timing import timing_of
-from rig.recording.timing import LATENESS, STAGES, Quantile, TimingSummary
+from rig.recording.quantiles import Quantile
+from rig.recording.timing import LATENESS, STAGES, TimingSummary
 from rig.views.plots.timing import draw_timing
 
 _COUNTS = {

@@ -38,6 +38,7 @@ from rig.loop.signals import Signals, stop_on_signals
 from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
+from rig.recording.canonical import lossless
 from rig.recording.data import Recording
 from rig.recording.header import make_header
 from rig.recording.reader import open_recording
@@ -294,7 +295,7 @@ def _seal(
         if request.judge is None:
             return {}
         said.append(request.judge(recording))
-        return said[0].as_trailer()
+        return dict(lossless(said[0]))
 
     try:
         sealed = seal(open_recording(request.recording), truth, judge=judged)

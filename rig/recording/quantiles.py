@@ -1,40 +1,107 @@
-"""Which order statistics bound a quantile of the distribution that a sample comes from, whatever that distribution is.
+"""Quantiles of a sample with bounds that hold for any distribution.
 
-The r-th smallest of N independent values lies above the q-quantile unless at least r of them lie below it, and how many
-do is binomial. No tail is fitted. With too few values there is no bound: of a p99.9 an upper one at 95 % needs 2995 of
-them.
+The r-th smallest of n independent values lies above the q-quantile of the distribution unless at least r of them lie
+below it, and how many do is binomial. No tail is fitted. With too few values there is no bound: an upper bound of p99.9
+with 95 % confidence takes 2995 of them. Values that come in bursts are not independent, and their bounds are too tight.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.core.deferred import special
+
+CONFIDENCE = 0.95  # of each bound by itself
 
 
-def quantile_ranks(number: int, share: float, confidence: float) -> tuple[int, int | None, int | None]:
-    """Rank (from 1) of a sample's quantile, and those of the tightest bounds below and above the true one.
+@dataclass(frozen=True, slots=True)
+class Quantile:
+    """A quantile of a sample, and one-sided bounds of the true one (None: too few values), in the sample's unit."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What is kept of many values.
+
+    Attributes
+    ----------
+    number
+        How many.
+    p50, p99, p999
+        Median, and what 99 % and 99.9 % do not exceed.
+    maximum
+        Largest value.
+    bounded
+        The quantile (0 … 1) that the maximum bounds from above, with the confidence of all bounds.
+    """
+
+    number: int
+    p50: Quantile
+    p99: Quantile
+    p999: Quantile
+    maximum: float
+    bounded: float
+
+    @classmethod
+    def of(cls, values: ArrayLike) -> Distribution:
+        """Sort at least one value."""
+        x = np.sort(np.asarray(values, dtype=np.float64).ravel())
+        return cls(
+            number=len(x),
+            p50=quantile(x, 0.5),
+            p99=quantile(x, 0.99),
+            p999=quantile(x, 0.999),
+            maximum=float(x[-1]),
+            bounded=share_bounded_by_largest(len(x)),
+        )
+
+    @property
+    def almost_all(self) -> float:
+        """Upper bound of p99.9 where there is one, else the largest value seen."""
+        return self.maximum if self.p999.high is None else self.p999.high
+
+
+def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -> Quantile:
+    """Return the least value that a share of the sample does not exceed, and bounds of the distribution's own.
 
     Parameters
     ----------
-    number
-        Values in the sample, at least one.
+    ordered
+        The sample, ascending, at least one value.
     share
         Of the values that the quantile does not exceed (0 … 1).
     confidence
-        Of each bound by itself; a bound that would lie outside the sample is None.
+        Of each bound by itself.
     """
-    rank = max(1, int(np.ceil(share * number - 1e-9)))
-    centre, spread = share * number, np.sqrt(number * share * (1.0 - share))
-    first = max(0, int(centre - 10.0 * spread - 10.0))
-    last = min(number, int(centre + 10.0 * spread + 10.0))
-    counts = np.arange(first, last)
-    ratios = np.log((number - counts) / (counts + 1.0) * (share / (1.0 - share)))
-    logarithms = np.concatenate([[0.0], np.cumsum(ratios)])
-    weights = np.exp(logarithms - logarithms.max())
-    weights /= weights.sum()
-    below = np.cumsum(weights)  # P(at most first + i values lie below the quantile)
-    above = np.cumsum(weights[::-1])[
-        ::-1
-    ]  # P(at least first + i); summed from the small end, where it matters
-    low = first + int(np.searchsorted(below, 1.0 - confidence, side="right"))
-    high = first + int(np.searchsorted(-above, confidence - 1.0))
-    return rank, low if low >= 1 else None, high if high <= number else None
+    sample = np.asarray(ordered)
+    number = len(sample)
+    low = math.ceil(special.bdtrik(1.0 - confidence, number, share))
+    high = math.ceil(special.bdtrik(confidence, number, share)) + 1
+
+    def ranked(rank: int) -> float:  # from 1
+        value: float = sample[rank - 1].item()
+        return value
+
+    return Quantile(
+        value=ranked(max(1, math.ceil(share * number - 1e-9))),
+        low=ranked(low) if low >= 1 else None,
+        high=ranked(high) if high <= number else None,
+    )
+
+
+def share_bounded_by_largest(number: int, confidence: float = CONFIDENCE) -> float:
+    """Return the quantile (0 … 1) for which the largest of so many values is an upper bound."""
+    return float((1.0 - confidence) ** (1.0 / number))
+
+
+def values_needed(share: float, confidence: float = CONFIDENCE) -> int:
+    """Return how many values an upper bound of this quantile needs."""
+    return math.ceil(math.log(1.0 - confidence) / math.log(share))

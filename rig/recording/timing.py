@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from rig.core.clock_fit import ClockFit
 from rig.core.sample import RowFlag
-from rig.recording.quantiles import quantile_ranks
+from rig.recording.quantiles import Quantile, quantile
 
 NEEDED = (
     "tick", "sample_index", "elapsed_ticks", "device_time", "lateness", "command_age", "command_sequence",
@@ -62,7 +62,7 @@ COUNTED = (
 LOWEST_NS, HIGHEST_NS, EDGES_A_DECADE = 100, 10**10, 10
 EDGES_NS = np.rint(LOWEST_NS * 10.0 ** (np.arange(8 * EDGES_A_DECADE + 1) / EDGES_A_DECADE)).astype(np.int64)
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
-CONFIDENCE = 0.95
+CONFIDENCE = 0.975  # of each bound of a quantile by itself
 WORST = 10
 WRAP_NS = (1 << 32) * 125 // 2  # the u32 of a STATE counts units of 62.5 ns
 SEQUENCES = 1 << 16
@@ -132,23 +132,12 @@ class Ledger:
 
 
 @dataclass(frozen=True, slots=True)
-class Quantile:
-    """A quantile of what was seen (ns), and bounds of the true one at 95 %; None where too few ticks bound it.
-
-    The bounds are order statistics and take the ticks as independent; lateness that comes in bursts is not.
-    """
-
-    value: int
-    low: int | None
-    high: int | None
-
-
-@dataclass(frozen=True, slots=True)
 class Stage:
     """What one stage took over all ticks in which it is known (ns).
 
     `counts` belongs to the edges of the summary: below the first, between each two, from the last on. `negative` counts
-    ticks in which the end seems to come before the begin.
+    ticks in which the end seems to come before the begin. Bounds of the quantiles take ticks as independent, which
+    lateness in bursts is not.
     """
 
     ticks: int
@@ -355,19 +344,10 @@ def _summary(values: _Ints, known: _Mask) -> Stage | None:
     return Stage(
         ticks=len(found),
         minimum=int(found[0]),
-        quantiles={name: _quantile(found, share) for name, share in QUANTILES.items()},
+        quantiles={name: quantile(found, share, CONFIDENCE) for name, share in QUANTILES.items()},
         maximum=int(found[-1]),
         negative=int(np.searchsorted(found, 0)),
         counts=np.diff(inner, prepend=0, append=len(found)).tolist(),
-    )
-
-
-def _quantile(found: _Ints, share: float) -> Quantile:
-    rank, low, high = quantile_ranks(len(found), share, 0.5 * (1.0 + CONFIDENCE))
-    return Quantile(
-        value=int(found[rank - 1]),
-        low=None if low is None else int(found[low - 1]),
-        high=None if high is None else int(found[high - 1]),
     )
 
 

@@ -15,11 +15,11 @@ from rig import config
 from rig.bench.doctor import examine as examining
 from rig.bench.doctor import gate, ports, round_trip
 from rig.bench.doctor.finding import Finding, Outcome
-from rig.bench.doctor.quantiles import Distribution
 from rig.config import presets
 from rig.core.errors import RealtimeError
 from rig.devices import port_facts
 from rig.devices.port_facts import PortFacts
+from rig.recording.quantiles import Distribution
 from rig.recording.reader import open_recording
 from sim_backend import pty
 

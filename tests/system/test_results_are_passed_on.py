@@ -15,6 +15,7 @@ import pytest
 
 from rig.config import controller, load, override, presets
 from rig.control import judging
+from rig.core.present import plain
 from rig.experiments import judgement, plan
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
@@ -68,7 +69,7 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
     experiment = presets.load("koul-rigid")
     (result,) = hit(HitRequest(experiment=experiment, changes={"controller.loop": loop}, output=tmp_path))
     assert result.recorded.recording.trailer is not None
-    assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
+    assert plain(result.verdict) == result.recorded.recording.trailer["verdict"]
     assert result.experiment.controller.loop == loop
     assert seen == {
         "files": 1,

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from firmware_protocol import messages
 from rig.bench.doctor.ping import EXCHANGE, TALLY, PingBuffers, ping
-from rig.bench.doctor.quantiles import Distribution, values_needed
 from rig.core.errors import LinkLostError
+from rig.core.present import plain
 from rig.devices.framed import FramedDevice
 from rig.realtime.scheduling import Realtime
+from rig.recording.quantiles import Distribution, values_needed
 
 ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
 TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trial`)
@@ -124,8 +125,8 @@ class LinkMeasurement:
             "unsent": self.unsent,
             "bad_frames": self.bad_frames,
             "loss_share": self.loss_share,
-            "round_trip_s": self.round_trip.as_mapping(),
-            "travel_s": self.travel.as_mapping(),
+            "round_trip_s": plain(self.round_trip),
+            "travel_s": plain(self.travel),
             "stamps_trusted": self.stamps_trusted,
             "loop_rate_hz": self.loop_rate_hz if math.isfinite(self.loop_rate_hz) else None,
             "bytes_to_device_per_s": self.bytes_to_device,

@@ -14,13 +14,13 @@ from rig.analysis import theory
 from rig.bench.doctor import gate as gates
 from rig.bench.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.bench.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
-from rig.bench.doctor.quantiles import Distribution
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.bench.doctor.walls import LINK_SHARE, STATE_BYTES, candidate_rates, dampings_of, supported_walls
 from rig.config import controller, presets
 from rig.core.errors import PlanError
 from rig.experiments import plan
 from rig.realtime.clock import MonotonicClock, VirtualClock
+from rig.recording.quantiles import Distribution
 
 KOUL = presets.load("koul-compliant")
 BY_HAND = config.override(
