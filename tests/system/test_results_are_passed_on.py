@@ -20,7 +20,7 @@ from rig.experiments import judgement, plan
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
 from rig.session.directory import LOG
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, run_session
@@ -108,7 +108,12 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
     protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
     person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
     run_session(
-        protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
+        protocol,
+        "P01",
+        rehearsal_desk(person),
+        runner=DeviceRunner(),
+        study=tmp_path / "study",
+        person=person,
     )
     hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
     trials, levels, conditions, practice = len(hits), 6, 2, 1
