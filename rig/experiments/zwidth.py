@@ -27,7 +27,7 @@ from rig import config
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.measure import NUMBERS
-from rig.control.verdict import CRITERIA, INVALID, Finding, Measured, findings
+from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
 from rig.core.errors import PlanError
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
@@ -289,13 +289,13 @@ class ZWidth:
 
     def silent(self) -> dict[str, int]:
         """Why hits said nothing, with how many each, the most common reason first."""
-        limits, why = config.verdict_limits(self.plan.experiment), Counter[str]()
+        limits, why = config.verdict_thresholds(self.plan.experiment), Counter[str]()
         suffix, column = TRUE if self.plan.judged == "true" else "", _passes("any", self.plan.judged)
         for rows in self.climbs:
             for row in rows:
                 if row[column] is None:
                     numbers: Any = {name: row[name + suffix] for name in NUMBERS.names or ()}
-                    found = Finding(int(findings(numbers, limits))) & INVALID
+                    found = Objection(int(objections(numbers, limits))) & INVALID
                     why.update([str(reason.name).lower().replace("_", " ") for reason in found] or [_BEFORE])
         return dict(why.most_common())
 

@@ -221,7 +221,7 @@ def _row(bench: _Bench, experiment: Experiment, asked: Next) -> dict[str, Any]:
         if recorded.passes("any") is not None:
             row = {"stiffness": asked.stiffness} | row_of(recorded, "")
             return row if true is None else row | row_of(true, TRUE)
-    _, reasons = decide(recorded.numbers, recorded.limits)
+    _, reasons = decide(recorded.numbers, recorded.thresholds)
     error = RigError(
         f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} said nothing about the wall: "
         f"{'; '.join(reasons) or recorded.kind}; the effort is zero",

@@ -14,7 +14,7 @@ from rig.recording.canonical import lossless
 from rig.recording.data import Recording
 from rig.recording.timing import Ledger, ledger, summarise
 
-CLOCK_KEY = "clock"  # of the trailer: `rig.core.clock_fit.ClockFit.as_mapping`
+CLOCK_KEY = "clock"  # of the trailer: a `rig.core.clock_fit.ClockFit`
 TIMING_KEY = "timing"  # of the trailer: `rig.recording.timing.TimingSummary.as_mapping`
 
 _log = logging.getLogger(__name__)

@@ -20,14 +20,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.faults import Input
 from rig.core.errors import RigError
+from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.recording.canonical import lossless
 from rig.recording.data import Recording
@@ -63,10 +63,6 @@ class Mark:
     host_time: int | None
     tick: int
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
 
 def marks(recording: Recording) -> list[Mark]:
     """Find what happened in a recording, in the order of the device's clock.
@@ -101,7 +97,7 @@ def with_sync_edges(recording: Recording) -> Recording:
     except RigError as error:
         _log.warning("%s: no edges of the sync input: %s", recording.path, error)
         return recording
-    listed = [{key: value for key, value in edge.as_mapping().items() if key != "name"} for edge in edges]
+    listed = [{key: value for key, value in plain(edge).items() if key != "name"} for edge in edges]
     return replace(recording, trailer={**trailer, EDGES_KEY: lossless(listed)})
 
 

@@ -21,6 +21,7 @@ from rig import config, devices
 from rig.cli import rig as command_line
 from rig.config import presets
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
@@ -132,7 +133,7 @@ def test_show_lists_the_marks(trial: Recording) -> None:
     lines = shown.output.partition("\nmarks\n")[2].splitlines()
     assert any(line.split()[:2] == ["trial", "+0.000000"] for line in lines)
     told = CliRunner().invoke(command_line, ["show", path, "--marks", "--json"])
-    assert json.loads(told.stdout)["marks"] == [mark.as_mapping() for mark in marks(trial)]
+    assert json.loads(told.stdout)["marks"] == plain(marks(trial))
     assert "marks" not in json.loads(CliRunner().invoke(command_line, ["show", path, "--json"]).stdout)
 
 
