@@ -18,7 +18,7 @@ from firmware_protocol.messages import OLDEST_EDGE
 from rig.control import judging
 from rig.control.measure import METER_TYPE, NUMBERS, NUMBERS_TYPE, MeterArguments, measure
 from rig.control.step import DONE, THROWN_OUT, TRIAL, Controller, ControllerArguments
-from rig.control.verdict import Limits, Measured
+from rig.control.verdict import Measured, Thresholds
 from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
@@ -100,13 +100,13 @@ def hit(
 class SimulatedRig:
     """A rig to hit again and again; see `rig.devices.simulated`."""
 
-    def __init__(self, model: RigModel, tick_s: float, limits: Limits, most_ticks: int) -> None:
+    def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
         self._held = replace(
             model, encoder=replace(model.encoder, offset=0.0)
         )  # all that a script depends on
-        self._limits = limits
+        self._thresholds = thresholds
         self._plant = _plant(model, tick_s)
-        self._meter = judging.meter(limits, tick_s, model.encoder.resolution)
+        self._meter = judging.meter(thresholds, tick_s, model.encoder.resolution)
         self._trace = Trace.empty(most_ticks, self._plant)
         self._signals = np.zeros((SIGNALS, most_ticks))
 
@@ -128,8 +128,8 @@ class SimulatedRig:
         pushed = ticks > 1 and trace.phases[ticks - 2] == Phase.RELEASE
         thrown_out = bool(ended & THROWN_OUT) and not pushed
         return SimulatedHit(
-            Measured(recorded[0], self._limits, thrown_out),
-            Measured(true[0], self._limits, thrown_out),
+            Measured(recorded[0], self._thresholds, thrown_out),
+            Measured(true[0], self._thresholds, thrown_out),
             ticks,
         )
 

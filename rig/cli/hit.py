@@ -14,6 +14,7 @@ from rig.bench.doctor.gate import Gate
 from rig.cli import compare as comparing
 from rig.cli import hit_output, options, output
 from rig.core.errors import RigError
+from rig.core.present import Row, plain
 from rig.devices import load_backend
 from rig.experiments import hit as hits
 
@@ -94,7 +95,7 @@ def hit(
             for result in hits.hit(request, bars.watch):
                 bars.stop()
                 picture = artist.draw(result.recording)
-                done.append({**result.as_mapping(), "picture": picture})
+                done.append({**plain(result), "picture": picture})
                 if len(done) == 1:
                     for message in result.messages:
                         click.echo(f"rig: {message}", err=True)
@@ -163,8 +164,7 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
     click.echo(hit_output.headline(result.experiment))
     if changed:
         click.echo(f"  for real time: {', '.join(changed)}")
-    pairs = hit_output.verdict_pairs(result.experiment, result.verdict, result.verdict_true)
-    _print_pairs(pairs, result.recording, picture)
+    _print_recorded(result.recorded, picture)
 
 
 def _say_gate(gate: Gate) -> None:
@@ -188,12 +188,12 @@ def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> 
     if quiet:
         return
     click.echo(hit_output.headline(left.experiment))
-    verdicts = left.judgement.verdict, left.judgement.verdict_true
-    _print_pairs(hit_output.verdict_pairs(left.experiment, *verdicts), left.path, picture)
+    _print_recorded(left, picture)
 
 
-def _print_pairs(pairs: list[tuple[str, str]], recording: Path, picture: str | None) -> None:
-    pairs.append(("recording", str(recording)))
+def _print_recorded(recorded: hits.Recorded, picture: str | None) -> None:
+    rows = recorded.judgement.rows(recorded.experiment)
+    rows.append(Row("recording", str(recorded.path)))
     if picture is not None:
-        pairs.append(("picture", picture))
-    output.print_pairs(pairs)
+        rows.append(Row("picture", picture))
+    output.print_rows(rows)

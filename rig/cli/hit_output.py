@@ -10,8 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rig.cli import output
-from rig.config import Experiment, describe, verdict_limits
-from rig.control.verdict import Verdict
+from rig.config import Experiment, describe
 from rig.core.sample import Phase, unit_of
 
 _BRINGS = {
@@ -38,77 +37,6 @@ def headline(experiment: Experiment) -> str:
         f"{scheme} {rates.position_rate / 1e3:g}/{rates.velocity_rate / 1e3:g} kHz, {rates.estimator}"
         + (", law on the device" if rates.loop == "device" else "")
     )
-
-
-def verdict_pairs(experiment: Experiment, verdict: Verdict, true: Verdict | None) -> list[tuple[str, str]]:
-    """Return the lines of a verdict, the true numbers beside the recorded ones where there are any."""
-    limits, count = verdict_limits(experiment), experiment.rig.encoder.resolution
-    position, velocity, effort = (
-        unit_of(q, experiment.rig.motion) for q in ("position", "velocity", "effort")
-    )
-
-    def beside(text: str, show: Callable[[Verdict], str]) -> str:
-        return text if true is None else f"{text}   (true: {show(true)})"
-
-    def depth(value: float) -> str:
-        return f"{value:.4g} {position} ({value / count:.1f} counts)"
-
-    def against(value: float, limit: float, unit: str) -> str:
-        return f"{_shown(value, limit)} {unit}, limit {limit:.3g}"
-
-    def felt(v: Verdict) -> str:
-        return "not measurable" if v.felt is None else _shown(v.felt, limits.felt_velocity)
-
-    floor = f"the encoder's floor is {verdict.felt_floor:.2g} {velocity}, limit {limits.felt_velocity:.3g}"
-    felt_line = (
-        f"not measurable: {floor}" if verdict.felt is None else f"{felt(verdict)} {velocity} rms; {floor}"
-    )
-    if verdict.felt_floor == 0.0 and not verdict.felt:
-        felt_line = "no count changed in the tail; motion below one count is not seen"
-    pairs = [("verdict", beside(output.coloured(verdict.kind), lambda v: output.coloured(v.kind)))]
-    pairs += [("", reason) for reason in verdict.reasons]
-    if true is not None and true.kind != verdict.kind:
-        pairs += [("", f"true: {reason}") for reason in true.reasons]
-    if verdict.contact_s is not None and verdict.impact_velocity is not None:
-        pairs.append(
-            ("first contact", f"{verdict.contact_s:.4g} s at {verdict.impact_velocity:.3g} {velocity}")
-        )
-    settling = "never" if verdict.settling_s is None else f"{verdict.settling_s:.3g} s"
-    return [
-        *pairs,
-        ("peak penetration", beside(depth(verdict.peak_penetration), lambda v: f"{v.peak_penetration:.4g}")),
-        (
-            "resting penetration",
-            beside(depth(verdict.resting_penetration), lambda v: f"{v.resting_penetration:.4g}"),
-        ),
-        ("settling time", settling),
-        ("peak effort", f"{verdict.peak_effort:.3g} {effort}, limit {experiment.rig.limits.effort:g}"),
-        (
-            "felt",
-            beside(felt_line, felt),
-        ),
-        (
-            "heard",
-            beside(
-                against(verdict.heard, limits.heard_effort, f"{effort} rms"),
-                lambda v: _shown(v.heard, limits.heard_effort),
-            ),
-        ),
-        (
-            "moved",
-            beside(
-                against(verdict.moved, limits.moved, f"{position} p-p"),
-                lambda v: _shown(v.moved, limits.moved),
-            ),
-        ),
-        ("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
-        ("late, gaps", f"{verdict.late_ticks} late ticks, {verdict.gaps} gaps in {verdict.ticks}"),
-    ]
-
-
-def _shown(value: float, limit: float) -> str:
-    """Three digits; what is nothing against its limit is 0, not the rounding of a filter."""
-    return "0" if abs(value) < 1e-6 * limit else f"{value:.3g}"
 
 
 class ProgressBars:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,11 @@ import click
 
 from rig.cli import output
 from rig.cli.session_report import write_report
-from rig.core.present import Table
+from rig.core.present import Item, Table
 from rig.session.analysis import Analysis, Options, write_tables
 from rig.session.analysis import analyse as found_in
+from rig.views.report import session_tables as tables
+from rig.views.report.writing import counted
 
 MEASURES = {"rule": "rule", "k50-person": "K50 person", "k50-automatic": "K50 automatic"}
 _OFTEN_S = 0.2
@@ -34,7 +36,7 @@ _FEW = 3  # participants: each is printed
     type=click.Choice(list(MEASURES)),
     default="rule",
     show_default=True,
-    help="How limits are told in what is printed: by the search rule, or as K50 by the person's or the automatic "
+    help="How limits are defined in what is printed: by the search rule, or as K50 by the person's or the automatic "
     "verdicts, whatever rule asked. All are computed.",
 )
 @click.option("--hashes/--no-hashes", default=True, help="Compare recordings with the hashes in the logs.")
@@ -54,7 +56,7 @@ def analyse(
 
     DIR is the directory of a study or of a participant. What the rig recorded and what was judged is read from the
     logs alone, corrections included; tables are written as CSV and Parquet, with a dictionary of their columns, and
-    one HTML file tells everything, with pictures and the text of a paper's methods.
+    one HTML file reports everything, with pictures and the methods as a paper prints them.
     """
     options = Options(measure=MEASURES[measure], hashes=hashes, seed=seed)  # type: ignore[arg-type]
     with Steps(quiet=as_json) as steps:
@@ -109,151 +111,31 @@ class Steps:
 
 
 def show(found: Analysis) -> None:
-    """Print what matters most."""
-    study, measure = found.study, found.options.measure
-    people = f"{len(study.sessions)} {'simulated ' if study.rehearsed else ''}participant"
-    counts = found.counts()
+    """Print what matters most: the first tables of the report."""
+    study, measure, counts = found.study, found.options.measure, found.counts()
+    people = "simulated participant" if study.rehearsed else "participant"
     click.echo(
-        f"{study.protocol.study.title}: {people}{'' if len(study.sessions) == 1 else 's'}, {counts['recorded']} hits, "
-        f"{counts.get('counted', 0)} of them told limits"
+        f"{study.protocol.study.title}: {counted(len(study.sessions), people)}, {counts['recorded']} hits, "
+        f"{counts.get('counted', 0)} of them counted"
     )
     for message in found.messages:
         click.echo(f"  {message}")
-    _show_limits(found)
-    _show_differences(found)
-    kappas = [one for one in found.agreements if one.condition == "" and one.weights != "linear"]
-    if kappas:
-        click.echo(
-            "Person and automatic verdict (Cohen's κ; walls near the limit are asked most, so it reads low):"
-        )
-        output.print_table(
-            Table(
-                ("", "κ", "95 %", "over", "same", "trials"),
-                [
-                    (
-                        one.name + (", weighted" if one.weights == "quadratic" else ""),
-                        _share(one.kappa),
-                        "–" if one.low is None else f"{_share(one.low)} … {_share(one.high)}",
-                        one.over,
-                        "–" if one.share is None else f"{100 * one.share:.0f} %",
-                        str(one.trials),
-                    )
-                    for one in kappas
-                ],
-            )
-        )
-        for problem in dict.fromkeys(one.problem for one in kappas if one.problem):
-            click.echo(f"  no interval: {problem}")
-    slopes = [one for one in found.slopes if one.measure in ("", measure) and not one.problem]
-    if slopes:
-        click.echo("Along the session, exploratory:")
-        output.print_table(
-            Table(
-                ("", "slope", "95 %", "p (Holm)"),
-                [
-                    (
-                        f"{one.of} for each {_WORDS[one.along]}",
-                        f"{one.slope:.3g}",
-                        _range(one.low, one.high),
-                        _p(one.holm),
-                    )
-                    for one in slopes
-                ],
-            )
-        )
-
-
-_OPEN = {"": "", "least": "≥ ", "most": "≤ ", "unknown": "? "}
-_WORDS = {"order": "place in the block", "block": "block", "trial": "trial"}
-
-
-def _show_limits(found: Analysis) -> None:
-    unit, measure = found.study.unit("stiffness"), found.options.measure
-    rows = [
-        (
-            f"{one.condition}, B = {one.damping:g}",
-            f"{_bound(one.above, one.below)}{one.mean:.4g}",
-            _range(one.low, one.high),
-            f"{one.deviation:.2g}" if math.isfinite(one.deviation) else "–",
-            str(one.participants),
-            str(one.runs),
-        )
-        for one in found.over_participants
-        if one.measure == measure
-    ]
-    if not rows:
+    limits = tables.over_participants(found, measure)
+    if not limits.rows:
         click.echo(f"No complete run has a limit by {measure}.")
-        return
-    click.echo(f"K_max by {measure} ({unit}), over participants:")
-    output.print_table(Table(("", "mean", "95 %", "SD", "people", "runs"), rows))
-    people = [one for one in found.of_participants if one.measure == measure]
-    if len(found.study.sessions) > _FEW:
-        return
-    click.echo(f"K_max by {measure} ({unit}), each participant:")
-    output.print_table(
-        Table(
-            ("", "mean", "95 %", "of", "bootstrap", "runs"),
-            [
-                (
-                    f"{one.participant}, {one.condition}, B = {one.damping:g}",
-                    f"{_bound(one.above, one.below)}{one.mean:.4g}",
-                    _range(one.low, one.high),
-                    one.interval,
-                    _range(one.bootstrap_low, one.bootstrap_high),
-                    str(one.repeats),
-                )
-                for one in people
-            ],
-        )
-    )
+    few = len(study.sessions) <= _FEW
+    shown = [limits, *([tables.of_participants(found, measure)] if few else []), *_differences(found)]
+    shown.append(tables.agreement(one for one in found.agreements if not one.condition))
+    own = (one for one in found.slopes if one.measure in ("", measure) and not one.problem)
+    shown.append(tables.slopes(found, own))
+    output.show(item for item in shown if not isinstance(item, Table) or item.rows)
 
 
-def _show_differences(found: Analysis) -> None:
-    unit, measure = found.study.unit("stiffness"), found.options.measure
-    model = next((one for one in found.mixed if one.measure == measure), None)
-    mixed = model is not None and bool(model.contrasts)
-    paired = [one for one in found.paired if one.measure == measure and one.participants > 1]
-    bounds = [one for one in paired if one.withheld]
-    contrasts: Any = [*model.contrasts, *bounds] if mixed and model else paired
+def _differences(found: Analysis) -> Iterator[Item]:
+    """Why there is no model, the differences, and what must be known of them."""
+    model, first = tables.first_contrasts(found)
     if model is not None and model.problem:
-        click.echo(f"No mixed model: {model.problem}")
-    if contrasts:
-        click.echo(f"Differences ({unit}), {'mixed model' if mixed else 'paired within participants'}:")
-        rows = [
-            (
-                f"{one.condition} − {one.against}, "
-                + ("all B" if one.damping is None else f"B = {one.damping:g}"),
-                f"{_OPEN[one.bound]}{one.difference:+.4g}",
-                _range(one.low, one.high),
-                _p(one.holm),
-                f"{one.beyond.count} of {one.beyond.limits}",
-            )
-            for one in contrasts
-        ]
-        output.print_table(Table(("", "mean", "95 %", "p (Holm)", "beyond the levels"), rows))
-    for note in () if model is None else model.notes:
-        click.echo(f"  {note}")
-
-
-def _bound(above: int, below: int) -> str:
-    if above and below:
-        return "? "
-    return "≥ " if above else "≤ " if below else ""
-
-
-def _range(low: float | None, high: float | None) -> str:
-    if low is None or high is None or math.isnan(low) or math.isnan(high):
-        return "–"
-    if math.isinf(high):
-        return f"{low:.4g} … ∞" if low > 0.0 else "–"
-    return f"{low:.4g} … {high:.4g}"
-
-
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
-
-
-def _p(value: float) -> str:
-    if not math.isfinite(value):
-        return "–"
-    return "< 0.001" if value < 0.001 else f"{value:.3f}"
+        yield f"No mixed model: {model.problem}"
+    methods = " and ".join(dict.fromkeys(method for _, method in first))
+    yield tables.contrasts(found, [one for one, _ in first], f"Differences between conditions, {methods}")
+    yield from (f"  {note}" for note in (model.notes if model is not None else ()))

@@ -15,16 +15,16 @@ from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
 from rig.session import rehearsal
 from rig.session import run as sessions
-from rig.session.bench import Bench
 from rig.session.console.desk import at_console
 from rig.session.console.pointer import HandKind
 from rig.session.desk import Desk
 from rig.session.directory import LOG, event_of_trial
 from rig.session.directory import amend as amend_event
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import DamagedLineError, set_damaged_line_aside
 from rig.session.rehearsal import Person
 from rig.session.run import DeskFor, SessionResult, rehearsal_desk, session_state, summary
+from rig.session.runner import TrialRunner
 from rig.session.state import State
 from rig.session.telling import line_of_event
 
@@ -123,14 +123,14 @@ def run(
         )
     known = {name: value for name, value in (("spread", spread), ("slips", slips)) if value is not None}
     person = rehearsal.Person(thresholds=_thresholds(thresholds), **known) if rehearse else None
-    bench = _bench(url, realtime or not rehearse, verified, arm_anyway)
+    runner = _runner(url, realtime or not rehearse, verified, arm_anyway)
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
         result = sessions.run_session(
             protocol,
             code,
             desk,
-            bench=bench,
+            runner=runner,
             study=study,
             row=row,
             person=person,
@@ -184,11 +184,11 @@ def resume(
         found = "no line is damaged" if kept is None else f"the damaged line is in {kept} now"
         click.echo(f"rig: {found}", err=True)
     person, place = sessions.rehearsed(directory), sessions.took_place(directory)
-    bench = _bench(url or place.url, realtime or place.realtime or person is None, verified, arm_anyway)
+    runner = _runner(url or place.url, realtime or place.realtime or person is None, verified, arm_anyway)
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
         result = sessions.resume_session(
-            directory, desk, bench=bench, at=at, told=seen.told, lsl=lsl, other_device=other_device
+            directory, desk, runner=runner, at=at, told=seen.told, lsl=lsl, other_device=other_device
         )
     _print(result, as_json=as_json)
 
@@ -277,8 +277,8 @@ def _desk(person: Person | None, seen: Rehearsed, *, hand: str, plain: bool) -> 
     return _console(hand=hand, plain=plain) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
-def _bench(url: str | None, realtime: bool, verified: bool, arm_anyway: bool) -> Bench:
-    return RigBench(url=url, realtime=realtime, verified=verified, arm_anyway=arm_anyway)
+def _runner(url: str | None, realtime: bool, verified: bool, arm_anyway: bool) -> TrialRunner:
+    return DeviceRunner(url=url, realtime=realtime, verified=verified, arm_anyway=arm_anyway)
 
 
 def _console(*, hand: str, plain: bool) -> DeskFor:

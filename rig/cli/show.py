@@ -8,10 +8,13 @@ from typing import Any
 import click
 
 from rig.cli import hit_output, options, output
+from rig.core.present import Row, plain
 from rig.core.sample import unit_of
-from rig.experiments.judgement import experiment_of, judge
+from rig.experiments.judgement import Judgement, experiment_of, judge
 from rig.experiments.planned import ARITHMETIC_WORDS
-from rig.recording.marks import marks
+from rig.recording.data import Recording
+from rig.recording.marks import Mark
+from rig.recording.marks import marks as marks_of
 from rig.recording.reader import open_recording
 from rig.views.plots.hit import draw_hit
 
@@ -28,27 +31,26 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     judgement = judge(opened, experiment)
     if plot is not None:
         draw_hit(recording, plot)
-    happened = _marks(opened) if marks else None
+    happened = marks_of(opened) if marks else None
     if as_json:
-        told = {} if happened is None else {"marks": [mark.as_mapping() for mark in happened]}
-        output.print_json({**_facts(opened, judgement), **told})
+        also = {} if happened is None else {"marks": happened}
+        output.print_json({**_facts(opened, judgement), **also})
         return
     click.echo(hit_output.headline(experiment))
     header, trailer = opened.header, opened.trailer or {}
-    pairs = [
-        ("created", str(header.get("created"))),
-        ("device", f"{header['identity']['device']} at {header['identity']['url']}"),
-        ("law ran on", _where(header)),
-        ("ended", str(trailer.get("reason", "not cleanly: the writer died"))),
-        ("rows", f"{len(opened.rows)}{'' if opened.complete else ', incomplete'}"),
+    rows = [
+        Row("created", header.get("created")),
+        Row("device", f"{header['identity']['device']} at {header['identity']['url']}"),
+        Row("law ran on", _where(header)),
+        Row("ended", trailer.get("reason", "not cleanly: the writer died")),
+        Row("rows", len(opened.rows), note="" if opened.complete else "incomplete"),
+        *(Row("lost", str(loss)) for loss in opened.lost),
     ]
-    pairs += [("lost", str(loss)) for loss in opened.lost]
     if trailer.get("device_host_agreement"):
-        pairs.append(("beside the host's law", _agreement(trailer["device_host_agreement"])))
+        rows.append(Row("beside the host's law", _agreement(trailer["device_host_agreement"])))
     if trailer.get("error"):
-        pairs.append(("error", trailer["error"]))
-    verdicts = hit_output.verdict_pairs(experiment, judgement.verdict, judgement.verdict_true)
-    output.print_pairs([*pairs, *verdicts])
+        rows.append(Row("error", trailer["error"]))
+    output.print_rows([*rows, *judgement.rows(experiment)])
     if happened is not None:
         click.echo("marks")
         output.print_pairs(_mark_pairs(happened))
@@ -56,11 +58,7 @@ def show(recording: Path, marks: bool, plot: Path | None, as_json: bool) -> None
     output.print_pairs([(n, f"{opened.units[n]:<8} {opened.descriptions[n]}") for n in opened.names])
 
 
-def _marks(opened: Any) -> list[Any]:
-    return marks(opened)
-
-
-def _mark_pairs(happened: list[Any]) -> list[tuple[str, str]]:
+def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
     """Each mark with its seconds from the start of the trial, or from the first mark where there was no trial."""
     pairs = []
     for mark in happened:
@@ -96,10 +94,10 @@ def _agreement(found: dict[str, Any]) -> str:
     )
 
 
-def _facts(opened: Any, judgement: Any) -> dict[str, Any]:
+def _facts(opened: Recording, judgement: Judgement) -> dict[str, Any]:
     return {
         "header": opened.header,
-        "trailer": {**(opened.trailer or {}), **judgement.as_trailer()},
+        "trailer": {**(opened.trailer or {}), **plain(judgement)},
         "rows": len(opened.rows),
         "complete": opened.complete,
         "lost": [str(loss) for loss in opened.lost],

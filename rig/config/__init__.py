@@ -19,7 +19,7 @@ from rig.config.derive import (
     motor_push,
     push_at_rest,
     rig_model,
-    verdict_limits,
+    verdict_thresholds,
 )
 from rig.config.load import (
     LOOP,
@@ -72,7 +72,7 @@ __all__ = [
     "push_at_rest",
     "realtime_changes",
     "rig_model",
-    "verdict_limits",
+    "verdict_thresholds",
     "with_realtime",
     "with_values",
 ]

@@ -16,7 +16,7 @@ import numpy as np
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig.config import device_law
-from rig.config.derive import motor_push, verdict_limits
+from rig.config.derive import motor_push, verdict_thresholds
 from rig.config.sections import Experiment
 from rig.control import estimators, friction, laws
 from rig.control.law import Law
@@ -129,7 +129,7 @@ def for_experiment(
         "energy_limit": energy_limit(experiment),
         "oscillation_limit": oscillation_limit(experiment),
         "oscillation_ticks": _ticks(limits.oscillation_s, tick_s),
-        "oscillation_travel": max(TRAVEL * verdict_limits(experiment).moved, TRAVEL_COUNTS * abs(delta)),
+        "oscillation_travel": max(TRAVEL * verdict_thresholds(experiment).moved, TRAVEL_COUNTS * abs(delta)),
     }
     for name, value in values.items():
         control[name] = value

@@ -9,7 +9,7 @@ from rig.config.problems import Problem, config_error, did_you_mean
 from rig.config.sections import Experiment, Rig
 from rig.config.table import shown
 from rig.control import estimators, laws
-from rig.control.verdict import Limits
+from rig.control.verdict import Thresholds
 from rig.core.errors import ConfigError
 from rig.core.model import Reach, RigModel
 
@@ -110,13 +110,13 @@ def excited(experiment: Experiment) -> Experiment:
     return replace(experiment, trial=trial)
 
 
-def verdict_limits(experiment: Experiment) -> Limits:
+def verdict_thresholds(experiment: Experiment) -> Thresholds:
     """Return the thresholds of the verdict in the units of the rig: at the link, not at the handle.
 
     A handle that moves by x has turned the link by x / radius; a force F there is a torque of F · radius.
     """
     given, radius = experiment.verdict, experiment.rig.mechanics.handle_radius
-    return Limits(
+    return Thresholds(
         tail_s=given.tail_s,
         highpass_hz=given.highpass_hz,
         lowpass_hz=given.lowpass_hz,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from firmware_protocol.faults import LimitFlag
 from firmware_protocol.messages import NO_COMMAND_YET
 from rig.control.measure import OVERRULED, Meter
-from rig.control.verdict import Bools, Floats, Limits, Measured, Verdict
+from rig.control.verdict import Bools, Floats, Measured, Thresholds, Verdict
 from rig.core.sample import Phase, RowFlag
 
 # Limit flags of the device that mean another effort than the commanded one; nearing a limit changes none.
@@ -86,23 +86,23 @@ def _shared(trial: NDArray[np.void], tick_s: float, resolution: float) -> dict[s
     }
 
 
-def judge(signals: Signals, limits: Limits) -> Verdict:
+def judge(signals: Signals, thresholds: Thresholds) -> Verdict:
     """Judge one trial (see the module's text).
 
     A trial shorter than its tail is judged on what there is; one without samples is invalid.
     """
-    return measured(signals, limits).verdict
+    return measured(signals, thresholds).verdict
 
 
-def measured(signals: Signals, limits: Limits, *, thrown_out: bool = False) -> Measured:
+def measured(signals: Signals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
     """Measure one trial: a verdict without its texts."""
-    numbers = meter(limits, signals.tick_s, signals.resolution).recorded(
+    numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
     )
-    return Measured(numbers, limits, thrown_out)
+    return Measured(numbers, thresholds, thrown_out)
 
 
-def meter(limits: Limits, tick_s: float, resolution: float) -> Meter:
+def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
     """Return what measures trials for `decide`, `kinds` and `Measured`: one for each thread.
 
     Its `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
@@ -111,10 +111,10 @@ def meter(limits: Limits, tick_s: float, resolution: float) -> Meter:
     return Meter(
         tick_s=tick_s,
         resolution=resolution,
-        tail_s=limits.tail_s,
-        highpass_hz=limits.highpass_hz,
-        lowpass_hz=limits.lowpass_hz,
-        felt_velocity=limits.felt_velocity,
+        tail_s=thresholds.tail_s,
+        highpass_hz=thresholds.highpass_hz,
+        lowpass_hz=thresholds.lowpass_hz,
+        felt_velocity=thresholds.felt_velocity,
     )
 
 

@@ -498,7 +498,7 @@ class Meter:
     resolution
         Of one count in recorded trials (rad or m); its sign does not matter.
     tail_s, highpass_hz, lowpass_hz, felt_velocity
-        As in `rig.control.verdict.Limits`.
+        As in `rig.control.verdict.Thresholds`.
 
     Notes
     -----

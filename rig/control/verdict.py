@@ -30,13 +30,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import IntFlag, StrEnum
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rig.core.quantity import Quantity
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -56,8 +58,8 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Thresholds in the units of the rig; `rig.config.verdict_limits` makes them from handle terms."""
+class Thresholds:
+    """Thresholds in the units of the rig; `rig.config.verdict_thresholds` makes them from handle terms."""
 
     tail_s: float
     highpass_hz: float
@@ -74,36 +76,42 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Outcome and numbers of one hit. Lengths and efforts in the units of the rig; None: not measurable."""
+    """Verdict and numbers of one hit, in the units of the rig; None where a number is not measurable."""
 
-    kind: Kind
-    reasons: tuple[str, ...]
-    felt: float | None  # rms velocity in the tail
-    felt_floor: float  # what one count reads that toggles as often as this one in the tail
-    heard: float  # rms ripple of the effort in the tail
-    moved: float  # peak-to-peak position in the tail, less one count
-    growth: float  # ripple of the second half of the tail over the first; 0 without ripple
-    exits_in_tail: int
-    exits: int
-    contact_s: float | None  # first contact after the start of the trial
-    impact_velocity: float | None
-    peak_penetration: float
-    resting_penetration: float
-    settling_s: float | None  # from first contact until penetration stays near its resting value
-    peak_effort: float
-    saturated_fraction: float
-    saturated_fraction_in_tail: float
-    late_ticks: int
-    gaps: int
-    ticks: int
+    kind: Annotated[Kind, Quantity("", "verdict")]
+    reasons: Annotated[tuple[str, ...], Quantity("", "why it is that verdict")]
+    felt: Annotated[float | None, Quantity("velocity", "rms velocity in the tail, 30 to 500 Hz")]
+    felt_floor: Annotated[
+        float, Quantity("velocity", "what one count reads that toggles as often as in the tail")
+    ]
+    heard: Annotated[float, Quantity("effort", "rms ripple of the effort in the tail, above 30 Hz")]
+    moved: Annotated[
+        float, Quantity("position", "peak-to-peak position in the tail, above 30 Hz, less one count")
+    ]
+    growth: Annotated[
+        float, Quantity("1", "ripple of the second half of the tail over the first; 0 without ripple")
+    ]
+    exits_in_tail: Annotated[int, Quantity("1", "times that the handle left the wall in the tail")]
+    exits: Annotated[int, Quantity("1", "times that the handle left the wall")]
+    contact_s: Annotated[float | None, Quantity("s", "first contact after the start of the trial")]
+    impact_velocity: Annotated[float | None, Quantity("velocity", "velocity at first contact")]
+    peak_penetration: Annotated[float, Quantity("position", "greatest penetration")]
+    resting_penetration: Annotated[float, Quantity("position", "median penetration in the tail")]
+    settling_s: Annotated[
+        float | None, Quantity("s", "from first contact until penetration stays near its resting value")
+    ]
+    peak_effort: Annotated[float, Quantity("effort", "greatest effort commanded")]
+    saturated_fraction: Annotated[float, Quantity("1", "share of ticks in which the effort was clipped")]
+    saturated_fraction_in_tail: Annotated[
+        float, Quantity("1", "share of ticks in the tail with a clipped effort")
+    ]
+    late_ticks: Annotated[int, Quantity("1", "ticks whose command came late")]
+    gaps: Annotated[int, Quantity("1", "gaps in the samples")]
+    ticks: Annotated[int, Quantity("1", "ticks of the trial")]
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers and strings, for JSON."""
-        return {**asdict(self), "kind": str(self.kind), "reasons": list(self.reasons)}
 
-
-class Finding(IntFlag):
-    """What speaks against a trial, in the order in which it is told."""
+class Objection(IntFlag):
+    """What speaks against a trial, in the order in which it is reported."""
 
     TOO_SHORT = 1
     NEVER_TOUCHED = 2
@@ -125,16 +133,18 @@ class Finding(IntFlag):
     LEFT = 131072  # a person's hand left the calm wall in the tail, and stayed away
 
 
-EXCEEDED = Finding.FELT | Finding.HEARD | Finding.MOVED
-UNSTABLE = Finding.EXITS | Finding.GROWS | Finding.SATURATES
-INVALID = Finding(Finding.EXITS - 1) | Finding.TOUCHED_EARLY | Finding.LEFT  # all before, and the last two
+EXCEEDED = Objection.FELT | Objection.HEARD | Objection.MOVED
+UNSTABLE = Objection.EXITS | Objection.GROWS | Objection.SATURATES
+INVALID = (
+    Objection(Objection.EXITS - 1) | Objection.TOUCHED_EARLY | Objection.LEFT
+)  # all before, and the last two
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
-_EXCEEDED_BY = dict(zip(CRITERIA, (Finding.FELT, Finding.HEARD, EXCEEDED), strict=True))
+_EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
 
 
-def findings(numbers: Numbers, limits: Limits) -> Any:
-    """What speaks against trials: bits of `Finding`, for a record of `rig.control.measure.NUMBERS` or an array.
+def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
+    """What speaks against trials: bits of `Objection`, for a record of `rig.control.measure.NUMBERS` or an array.
 
     The thresholds must be those that the numbers were measured with: where the floor hides it, felt is NaN.
     """
@@ -142,48 +152,48 @@ def findings(numbers: Numbers, limits: Limits) -> Any:
     if isinstance(n, np.void):  # plain numbers are compared ten times as fast as numpy's scalars
         n = dict(zip(n.dtype.names or (), n.item(), strict=True))
     touched, stayed = n["contact_s"] >= 0.0, n["inside_ticks_in_tail"] > 0
-    felt = n["felt"] > limits.felt_velocity  # never, when it is not measurable
-    heard, moved = n["heard"] > limits.heard_effort, n["moved"] > limits.moved
+    felt = n["felt"] > thresholds.felt_velocity  # never, when it is not measurable
+    heard, moved = n["heard"] > thresholds.heard_effort, n["moved"] > thresholds.moved
     exceeded = felt | heard | moved
     exits = n["exits_in_tail"] > 0
-    saturates = n["saturated_fraction_in_tail"] > limits.saturated_fraction
+    saturates = n["saturated_fraction_in_tail"] > thresholds.saturated_fraction
     measured = n["tail_begins_s"] >= 0.0
-    calm = (n["heard_in_stay"] <= limits.heard_effort) & (n["moved_in_stay"] <= limits.moved)
+    calm = (n["heard_in_stay"] <= thresholds.heard_effort) & (n["moved_in_stay"] <= thresholds.moved)
     found = (
-        (Finding.NEVER_TOUCHED, touched ^ True),
-        (Finding.GONE, touched & (stayed ^ True)),
-        (Finding.TOUCHED_LATE, stayed & (n["contact_s"] > n["tail_begins_s"])),
-        (Finding.GAPS, n["gaps"] > 0),
-        (Finding.LATE, n["late_fraction"] >= limits.late_fraction),
-        (Finding.SLEW_BOUND, n["slew_bound_ticks"] > 0),
-        (Finding.OVERRULED, n["overruled_ticks"] > 0),
-        (Finding.IDLE_SATURATION, saturates & (exceeded ^ True)),
-        (Finding.STILL_SETTLING, (n["settling_in_tail_s"] > 0.0) & (exits | exceeded)),
-        (Finding.EXITS, exits),
-        (Finding.GROWS, (n["growth"] > limits.growth) & exceeded),
-        (Finding.SATURATES, saturates & exceeded),
-        (Finding.FELT, felt),
-        (Finding.HEARD, heard),
-        (Finding.MOVED, moved),
-        (Finding.TOUCHED_EARLY, touched & (n["contact_s"] < limits.baseline_s)),
-        (Finding.LEFT, (n["stay_ticks"] > 0) & calm & limits.may_leave),
+        (Objection.NEVER_TOUCHED, touched ^ True),
+        (Objection.GONE, touched & (stayed ^ True)),
+        (Objection.TOUCHED_LATE, stayed & (n["contact_s"] > n["tail_begins_s"])),
+        (Objection.GAPS, n["gaps"] > 0),
+        (Objection.LATE, n["late_fraction"] >= thresholds.late_fraction),
+        (Objection.SLEW_BOUND, n["slew_bound_ticks"] > 0),
+        (Objection.OVERRULED, n["overruled_ticks"] > 0),
+        (Objection.IDLE_SATURATION, saturates & (exceeded ^ True)),
+        (Objection.STILL_SETTLING, (n["settling_in_tail_s"] > 0.0) & (exits | exceeded)),
+        (Objection.EXITS, exits),
+        (Objection.GROWS, (n["growth"] > thresholds.growth) & exceeded),
+        (Objection.SATURATES, saturates & exceeded),
+        (Objection.FELT, felt),
+        (Objection.HEARD, heard),
+        (Objection.MOVED, moved),
+        (Objection.TOUCHED_EARLY, touched & (n["contact_s"] < thresholds.baseline_s)),
+        (Objection.LEFT, (n["stay_ticks"] > 0) & calm & thresholds.may_leave),
     )
-    bits = sum(finding.value * condition for finding, condition in found)
-    return Finding.TOO_SHORT.value * (measured ^ True) + measured * bits
+    bits = sum(objection.value * condition for objection, condition in found)
+    return Objection.TOO_SHORT.value * (measured ^ True) + measured * bits
 
 
-def kinds(numbers: Numbers, limits: Limits) -> NDArray[np.int64]:
+def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
     """Return the place in `KINDS` of each trial: what `decide` says, without its texts."""
-    codes: NDArray[np.int64] = _codes(findings(numbers, limits))
+    codes: NDArray[np.int64] = _codes(objections(numbers, thresholds))
     return codes
 
 
-def decide(numbers: np.void, limits: Limits) -> tuple[Kind, tuple[str, ...]]:
+def decide(numbers: np.void, thresholds: Thresholds) -> tuple[Kind, tuple[str, ...]]:
     """Return the kind of one trial (a record of `rig.control.measure.NUMBERS`) and the reasons for it."""
-    found = Finding(int(findings(numbers, limits)))
+    found = Objection(int(objections(numbers, thresholds)))
     kind = KINDS[int(_codes(int(found)))]
-    told = {Kind.INVALID: INVALID, Kind.UNSTABLE: UNSTABLE | EXCEEDED}.get(kind, EXCEEDED)
-    return kind, tuple(_TEXTS[finding](numbers, limits) for finding in found & told)
+    shown = {Kind.INVALID: INVALID, Kind.UNSTABLE: UNSTABLE | EXCEEDED}.get(kind, EXCEEDED)
+    return kind, tuple(_TEXTS[objection](numbers, thresholds) for objection in found & shown)
 
 
 @dataclass(frozen=True)
@@ -194,7 +204,7 @@ class Measured:
     ----------
     numbers
         One record of `rig.control.measure.NUMBERS`.
-    limits
+    thresholds
         Those that it was measured with.
     thrown_out
         Whether a guard ended the push because the handle left its window or went too fast, or the motor gave too much
@@ -203,13 +213,13 @@ class Measured:
     """
 
     numbers: np.void
-    limits: Limits
+    thresholds: Thresholds
     thrown_out: bool = False
 
     @cached_property
-    def found(self) -> Finding:
+    def found(self) -> Objection:
         """Everything that speaks against the trial."""
-        return Finding(int(findings(self.numbers, self.limits)))
+        return Objection(int(objections(self.numbers, self.thresholds)))
 
     @property
     def kind(self) -> Kind:
@@ -221,7 +231,7 @@ class Measured:
     @cached_property
     def verdict(self) -> Verdict:
         """Outcome, reasons and numbers, by the signals alone (see `overruled` for the rest)."""
-        kind, reasons = decide(self.numbers, self.limits)
+        kind, reasons = decide(self.numbers, self.thresholds)
         shown = {
             name: self.numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS
         }
@@ -249,9 +259,9 @@ class Measured:
         """
         if self.thrown_out:
             return False if self.numbers["contact_s"] >= 0.0 else None
-        if self.found & INVALID & ~(Finding.GONE | Finding.STILL_SETTLING | Finding.LEFT):
+        if self.found & INVALID & ~(Objection.GONE | Objection.STILL_SETTLING | Objection.LEFT):
             return None
-        return not self.found & (UNSTABLE | Finding.GONE | _EXCEEDED_BY[criterion])
+        return not self.found & (UNSTABLE | Objection.GONE | _EXCEEDED_BY[criterion])
 
 
 def overruled(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
@@ -270,33 +280,38 @@ def _times(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-_TEXTS: dict[Finding, Callable[[np.void, Limits], str]] = {
-    Finding.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks of trial",
-    Finding.NEVER_TOUCHED: lambda _, __: "the wall was never touched",
-    Finding.GONE: lambda _, __: "the wall was not touched in the tail",
-    Finding.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
-    Finding.GAPS: lambda n, _: (
+_TEXTS: dict[Objection, Callable[[np.void, Thresholds], str]] = {
+    Objection.TOO_SHORT: lambda n, _: f"only {n['ticks']} ticks of trial",
+    Objection.NEVER_TOUCHED: lambda _, __: "the wall was never touched",
+    Objection.GONE: lambda _, __: "the wall was not touched in the tail",
+    Objection.TOUCHED_LATE: lambda _, __: "the first contact lies in the tail",
+    Objection.GAPS: lambda n, _: (
         f"{_times(n['gaps'], 'gap')} in the samples: the link or this computer was late"
     ),
-    Finding.LATE: lambda n, _: (
+    Objection.LATE: lambda n, _: (
         f"{100 * n['late_ticks'] / n['ticks']:.2g} % late ticks: close other programs, or lower the rate"
     ),
-    Finding.SLEW_BOUND: lambda n, _: f"the slew limit bound in {_times(n['slew_bound_ticks'], 'tick')}",
-    Finding.OVERRULED: lambda n, _: f"the device overruled the law in {_times(n['overruled_ticks'], 'tick')}",
-    Finding.IDLE_SATURATION: lambda _, __: "saturated in the tail without ripple or motion",
-    Finding.STILL_SETTLING: lambda n, _: (
+    Objection.SLEW_BOUND: lambda n, _: f"the slew limit bound in {_times(n['slew_bound_ticks'], 'tick')}",
+    Objection.OVERRULED: lambda n, _: (
+        f"the device overruled the law in {_times(n['overruled_ticks'], 'tick')}"
+    ),
+    Objection.IDLE_SATURATION: lambda _, __: "saturated in the tail without ripple or motion",
+    Objection.STILL_SETTLING: lambda n, _: (
         f"still settling when the tail began, {n['settling_in_tail_s']:.3g} s too early: lengthen the trial"
     ),
-    Finding.EXITS: lambda n, _: f"left the wall {_times(n['exits_in_tail'], 'time')} in the tail",
-    Finding.GROWS: lambda n, _: f"ripple grows {n['growth']:.3g}-fold over the tail",
-    Finding.SATURATES: lambda n, _: f"saturates in {100 * n['saturated_fraction_in_tail']:.2g} % of the tail",
-    Finding.FELT: lambda n, limits: f"felt {n['felt']:.3g} above {limits.felt_velocity:.3g}",
-    Finding.HEARD: lambda n, limits: f"heard {n['heard']:.3g} above {limits.heard_effort:.3g}",
-    Finding.MOVED: lambda n, limits: f"moved {n['moved']:.3g} above {limits.moved:.3g}",
-    Finding.LEFT: lambda _, __: (
+    Objection.EXITS: lambda n, _: f"left the wall {_times(n['exits_in_tail'], 'time')} in the tail",
+    Objection.GROWS: lambda n, _: f"ripple grows {n['growth']:.3g}-fold over the tail",
+    Objection.SATURATES: lambda n, _: (
+        f"saturates in {100 * n['saturated_fraction_in_tail']:.2g} % of the tail"
+    ),
+    Objection.FELT: lambda n, thresholds: f"felt {n['felt']:.3g} above {thresholds.felt_velocity:.3g}",
+    Objection.HEARD: lambda n, thresholds: f"heard {n['heard']:.3g} above {thresholds.heard_effort:.3g}",
+    Objection.MOVED: lambda n, thresholds: f"moved {n['moved']:.3g} above {thresholds.moved:.3g}",
+    Objection.LEFT: lambda _, __: (
         "the hand left the calm wall before the end and did not come back: ask to stay in it"
     ),
-    Finding.TOUCHED_EARLY: lambda n, limits: (
-        f"the wall was touched {n['contact_s']:.3g} s into the {limits.baseline_s:.3g} s of free space before the hit"
+    Objection.TOUCHED_EARLY: lambda n, thresholds: (
+        f"the wall was touched at {n['contact_s']:.3g} s, within the {thresholds.baseline_s:.3g} s of free space "
+        "before the hit"
     ),
 }

@@ -8,7 +8,8 @@ recordings all read these annotations.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Annotated, Any, get_origin, get_type_hints
 
 # Forbid unknown keys, infinities and silent conversions wherever such a dataclass is validated (see
 # rig.config).
@@ -21,3 +22,15 @@ class Quantity:
 
     unit: str
     meaning: str
+
+
+@cache
+def quantities(described: type) -> dict[str, Quantity]:
+    """Return unit and meaning of each annotated field of a dataclass, by its name, in order."""
+    return {
+        name: mark
+        for name, hint in get_type_hints(described, include_extras=True).items()
+        if get_origin(hint) is Annotated
+        for mark in hint.__metadata__
+        if isinstance(mark, Quantity)
+    }

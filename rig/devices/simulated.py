@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.step import Controller
-from rig.control.verdict import Limits, Measured
+from rig.control.verdict import Measured, Thresholds
 from rig.core.model import RigModel
 
 
@@ -36,7 +36,9 @@ class SimulatedRig(Protocol):
 class OpenRig(Protocol):
     """The function behind a backend's name: makes a rig for ticks of one length and trials of one kind."""
 
-    def __call__(self, model: RigModel, tick_s: float, limits: Limits, most_ticks: int) -> SimulatedRig:
+    def __call__(
+        self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int
+    ) -> SimulatedRig:
         """Prepare a rig; trials longer than `most_ticks` are cut off. Raises `ConfigError` for an impossible tick."""
         ...
 

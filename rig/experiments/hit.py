@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -18,12 +18,13 @@ from rig.config import Experiment, device_law
 from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.verdict import Verdict
+from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
+from rig.core.present import plain
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
-from rig.experiments.planned import refuse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
@@ -126,9 +127,9 @@ class HitResult:
         return self.recorded.judgement.verdict_true
 
     def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """What JSON says of a hit: the wall and the scheme, not the whole experiment (the recording has it)."""
         return {
-            "recording": str(self.recording),
+            "recording": self.recording,
             "rig": self.experiment.rig.name,
             "motion": self.experiment.rig.motion,
             "stiffness": self.experiment.wall.stiffness,
@@ -144,12 +145,12 @@ class HitResult:
             "effort": config.motor_push(self.experiment),
             "start": self.experiment.trial.start,
             "seed": self.experiment.trial.seed,
-            **self.recorded.judgement.as_trailer(),
-            "thresholds": asdict(config.verdict_limits(self.experiment)),
+            **plain(self.recorded.judgement),
+            "thresholds": config.verdict_thresholds(self.experiment),
             "counters": self.counters,
             "cleared_fault": self.cleared_fault,
-            "gate": None if self.gate is None else self.gate.as_mapping(),
-            "messages": list(self.messages),
+            "gate": self.gate,
+            "messages": self.messages,
         }
 
     def _arithmetic(self) -> str | None:
@@ -193,7 +194,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
                 seed=experiment.trial.seed,
                 progress=watch(repeat, experiment) if watch else None,
                 judge=partial(judge, experiment=experiment),
-                extra={"repeat": repeat + 1, **({} if gate is None else {"gate": gate.as_mapping()})},
+                extra={"repeat": repeat + 1, **({} if gate is None else {"gate": plain(gate)})},
             )
             yield _one(device, trial, gate)
 

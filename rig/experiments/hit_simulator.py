@@ -44,7 +44,7 @@ class HitSimulator:
         self._template = controller.for_experiment(
             experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a
         )
-        self.limits = config.verdict_limits(experiment)
+        self.limits = config.verdict_thresholds(experiment)
         self._rig = devices.simulated_rig()(
             config.rig_model(experiment), tick_s, self.limits, round(longest_s / tick_s)
         )

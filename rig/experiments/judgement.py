@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from firmware_protocol.faults import Fault
-from rig.config import Experiment, experiment_from_mapping, verdict_limits
+from rig.config import Experiment, experiment_from_mapping, verdict_thresholds
 from rig.control import judging, verdict
 from rig.control.verdict import Kind, Measured, Verdict
-from rig.core.sample import Phase
+from rig.core.present import Row, written
+from rig.core.sample import Phase, unit_of
 from rig.recording.data import Recording
 
 FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
     "energy": "the wall gave the hand more energy than rig.limits.energy",
-    "violent": "the wall was violent: the effort oscillated between nothing and its limit",
+    "violent": "the wall oscillated: the effort alternated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 
@@ -43,22 +44,71 @@ class Judgement:
 
     verdict: Verdict
     verdict_true: Verdict | None
-    measured: Measured
-    measured_true: Measured | None
-    early: tuple[Kind, str] | None
+    measured: Measured = field(repr=False)
+    measured_true: Measured | None = field(repr=False)
+    early: tuple[Kind, str] | None = field(repr=False)
 
-    def as_trailer(self) -> dict[str, Any]:
-        """What a recording keeps of its verdicts."""
-        true = self.verdict_true
-        return {
-            "verdict": self.verdict.as_mapping(),
-            "verdict_true": None if true is None else true.as_mapping(),
-        }
+    def rows(self, experiment: Experiment) -> list[Row]:
+        """The verdict and what it goes by, for people; the truth beside it where there is one."""
+        verdict, true, motion = self.verdict, self.verdict_true, experiment.rig.motion
+        thresholds, count = verdict_thresholds(experiment), experiment.rig.encoder.resolution
+        position, velocity, effort = (unit_of(name, motion) for name in ("position", "velocity", "effort"))
+
+        def beside(text: str, name: str, threshold: float = 0.0) -> str:
+            """Text, and the true value of that name."""
+            value = None if true is None else getattr(true, name)
+            shown = "" if value is None else f"true {written(_nothing(value, threshold))}"
+            return ", ".join(part for part in (text, shown) if part)
+
+        def depth(label: str, name: str) -> Row:
+            value = getattr(verdict, name)
+            return Row(label, value, position, beside(f"{value / count:.1f} counts", name))
+
+        def ripple(label: str, name: str, unit: str, threshold: float) -> Row:
+            value = _nothing(getattr(verdict, name), threshold)
+            return Row(label, value, unit, beside(f"limit {threshold:.3g}", name, threshold), digits=3)
+
+        rows = [Row("verdict", verdict.kind, note=beside("", "kind"))]
+        rows += [Row("", reason) for reason in verdict.reasons]
+        if true is not None and true.kind != verdict.kind:
+            rows += [Row("", f"true: {reason}") for reason in true.reasons]
+        if verdict.contact_s is not None and verdict.impact_velocity is not None:
+            at = f"at {verdict.impact_velocity:.3g} {velocity}"
+            rows.append(Row("first contact", verdict.contact_s, "s", at))
+        limit = f"limit {experiment.rig.limits.effort:g}"
+        return [
+            *rows,
+            depth("peak penetration", "peak_penetration"),
+            depth("resting penetration", "resting_penetration"),
+            Row("settling time", verdict.settling_s, "s", digits=3)
+            if verdict.settling_s is not None
+            else Row("settling time", "never settled"),
+            Row("peak effort", verdict.peak_effort, effort, limit, digits=3),
+            self._felt(velocity, beside("", "felt", thresholds.felt_velocity), thresholds.felt_velocity),
+            ripple("heard (effort ripple, rms)", "heard", effort, thresholds.heard_effort),
+            ripple("moved (position ripple, p-p)", "moved", position, thresholds.moved),
+            Row("saturated", f"{100 * verdict.saturated_fraction:.2g} % of ticks"),
+            Row("late, gaps", f"{verdict.late_ticks} late ticks, {verdict.gaps} gaps in {verdict.ticks}"),
+        ]
+
+    def _felt(self, unit: str, true: str, threshold: float) -> Row:
+        """What a hand feels: not measurable where one toggling count reads more than the threshold."""
+        felt, floor, label = self.verdict.felt, self.verdict.felt_floor, "felt (velocity ripple, rms)"
+        notes = [f"limit {threshold:.3g}", f"encoder floor {floor:.2g}", true]
+        if floor == 0.0 and not felt:
+            return Row(label, "no count changed in the tail", note=true)
+        value = "not measurable" if felt is None else _nothing(felt, threshold)
+        return Row(label, value, unit if felt is not None else "", ", ".join(filter(None, notes)), digits=3)
+
+
+def _nothing(value: Any, threshold: float) -> Any:
+    """What is nothing against its threshold is 0, not the rounding of a filter."""
+    return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:
     """Measure and judge a recording; `experiment` is the one in effect, from `experiment_of` where nobody has it."""
-    limits, wall, early = verdict_limits(experiment), experiment.wall, ended_early(recording)
+    limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
     signals = judging.recorded_signals(recording.rows, tick_s, experiment.rig.encoder.resolution)
     measured, true = judging.measured(signals, limits, thrown_out=thrown_out), None
@@ -84,14 +134,21 @@ def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdi
     return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
 
 
+def thrown_out(recording: Recording) -> str:
+    """What the wall did to the handle that ended the run, in words; empty for other ends."""
+    trailer = recording.trailer or {}
+    if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
+        return THREW_OUT["out_of_window"]
+    return THREW_OUT.get(trailer.get("reason", ""), "")
+
+
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
     phases = recording.rows["phase"]
     if reason == FINISHED or (phases == Phase.RELEASE).any():
         return None
-    fault = ((recording.trailer or {}).get("fault") or {}).get("name", "")
-    thrown = THREW_OUT["out_of_window"] if fault in THROWN_OUT else THREW_OUT.get(reason)
+    thrown = thrown_out(recording)
     touched = bool((recording.rows["penetration"][phases == Phase.TRIAL] > 0.0).any())
     if thrown and touched:
         return Kind.UNSTABLE, thrown

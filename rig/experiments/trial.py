@@ -38,6 +38,7 @@ from rig.loop.signals import Signals, stop_on_signals
 from rig.loop.supervised import BOUNDS, SupervisedThread
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling import Realtime, obtained
+from rig.recording.canonical import lossless
 from rig.recording.data import Recording
 from rig.recording.header import make_header
 from rig.recording.reader import open_recording
@@ -294,7 +295,7 @@ def _seal(
         if request.judge is None:
             return {}
         said.append(request.judge(recording))
-        return said[0].as_trailer()
+        return dict(lossless(said[0]))
 
     try:
         sealed = seal(open_recording(request.recording), truth, judge=judged)
@@ -364,7 +365,7 @@ def _header(
         },
         clocks={
             "kind": "virtual" if device.link.clock.virtual else "monotonic",
-            **({} if clock is None else clock.as_mapping()),
+            **({} if clock is None else lossless(clock)),
         },
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
@@ -400,7 +401,7 @@ def _trailer(
         "watched": end.watched,
         "parameter_sets": loop.parameter_sets(),
         "exchanges": [list(stamps) for stamps in exchanges.tolist()],
-        "clock": None if clock is None else clock.as_mapping(),
+        "clock": clock,
         "scheduling": realtime.report,
         **loop.findings(),
     }

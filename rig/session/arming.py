@@ -11,13 +11,13 @@ from dataclasses import replace
 
 from rig.bench.doctor import gate as gates
 from rig.config import Experiment
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.planned import Check, Outcome
-from rig.session.bench import Bench, Refusal, Wall
 from rig.session.conditions import Walls, own_rates
 from rig.session.protocol import BLINDED
+from rig.session.runner import RefusedWalls, TrialRunner, Wall
 from rig.session.schedule import levels_of
 
 CONSENT = (
@@ -43,7 +43,7 @@ def walls_of(walls: Walls) -> Iterator[Wall]:
 
 def refusals(
     device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
-) -> tuple[Refusal, ...]:
+) -> tuple[RefusedWalls, ...]:
     """What the gate refuses on this device's link, which is measured for that. Nothing moves.
 
     Parameters
@@ -64,23 +64,23 @@ def refusals(
             softest = replace(x, wall=replace(x.wall, stiffness=levels[0]))
             text = gates.gate(softest, measurement).text
             found.append(
-                Refusal(
+                RefusedWalls(
                     condition=condition, damping=damping, stiffness=levels, walls=len(experiments), text=text
                 )
             )
     return tuple(found)
 
 
-def refuse_unarmable(walls: Walls, bench: Bench) -> None:
+def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
     """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session, and nobody consented to those.
 
     A blinded operator hears how many there are, and nothing of any wall.
     """
     blinded = walls.protocol.study.blind in BLINDED
-    if bench.simulated:  # never refused
+    if runner.simulated:  # never refused
         return
     try:
-        found = bench.refusals(tuple(walls_of(walls)))
+        found = runner.refusals(tuple(walls_of(walls)))
     except PlanError as error:
         if not blinded:
             raise
@@ -88,7 +88,7 @@ def refuse_unarmable(walls: Walls, bench: Bench) -> None:
             "this rig cannot run every wall that the session may ask for",
             remedy="rig session check says which, with the same --url",
         ) from error
-    if found and not bench.arm_anyway:
+    if found and not runner.arm_anyway:
         said = f"{_number(found)}: {_listed(found, walls.base.rig.motion)}" if not blinded else _number(found)
         raise PlanError(
             f"the arming gate refuses, on this link as measured, {said}",
@@ -96,12 +96,12 @@ def refuse_unarmable(walls: Walls, bench: Bench) -> None:
         )
 
 
-def arming_checks(walls: Walls, bench: Bench) -> Iterator[Check]:
+def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     """Say which walls a real rig does not arm without consent. Its link is measured; nothing moves."""
-    if bench.simulated:
+    if runner.simulated:
         return
     try:
-        found = bench.refusals(tuple(walls_of(walls)))
+        found = runner.refusals(tuple(walls_of(walls)))
     except ConfigError as error:
         yield Check("arming", Outcome.REFUSED, error.message, error.remedy)
         return
@@ -112,13 +112,13 @@ def arming_checks(walls: Walls, bench: Bench) -> Iterator[Check]:
     yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
 
 
-def _number(found: Iterable[Refusal]) -> str:
+def _number(found: Iterable[RefusedWalls]) -> str:
     found = tuple(found)
     conditions = "" if len(found) == 1 else f" of {len(found)} searches"
     return f"{sum(len(one.stiffness) for one in found)} walls{conditions}"
 
 
-def _listed(found: Iterable[Refusal], motion: Motion) -> str:
+def _listed(found: Iterable[RefusedWalls], motion: Motion) -> str:
     unit = unit_of("stiffness", motion)
     return "; ".join(
         f"{one.condition}, B = {one.damping:g}: {len(one.stiffness)} of {one.walls} walls, from "

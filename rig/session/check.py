@@ -15,7 +15,7 @@ from typing import Any
 
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.planned import refuse
+from rig.core.check import refuse
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
     cap_checks,
@@ -31,7 +31,7 @@ from rig.session.conditions import Walls, base_of
 from rig.session.disk import bytes_of_trial
 from rig.session.expected import NO_TRIALS, NOTHING, Range, Trials, expected_limits, expected_trials
 from rig.session.fitting import fit_checks
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.plan import CellPlan, StudyPlan
 from rig.session.protocol import Condition, Protocol
 from rig.session.schedule import Block, levels_of, rows_of, schedule
@@ -93,10 +93,10 @@ def check(
     ]
     if url is not None:
         with closing(
-            RigBench(url=url, realtime=True, verified=True)
-        ) as bench:  # as a session with a person has it
-            checks += fit_checks(study, bench)
-            checks += arming_checks(study, bench)
+            DeviceRunner(url=url, realtime=True, verified=True)
+        ) as runner:  # as a session with a person has it
+            checks += fit_checks(study, runner)
+            checks += arming_checks(study, runner)
     return StudyPlan(
         title=protocol.study.title,
         rig=base.rig.name,

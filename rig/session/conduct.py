@@ -1,7 +1,7 @@
 """The engine of a session: takes what comes next from the state, does it, and writes it down before anything follows.
 
 There is no other memory than the log: whatever ends the process, the same function goes on from the log. It knows the
-rig only as a `Bench`, and people only as a `Desk`.
+rig only as a `TrialRunner`, and people only as a `Desk`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import Phase, unit_of
-from rig.session.bench import Bench, Done
 from rig.session.conditions import Walls, own_rates
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.directory import TRIALS, Session
@@ -36,6 +35,7 @@ from rig.session.expected import likely_trials
 from rig.session.items import asked, parse_answer
 from rig.session.log import Event
 from rig.session.protocol import BLINDED, VERDICTS
+from rig.session.runner import Done, TrialRunner
 from rig.session.schedule import Block, Run
 from rig.session.state import (
     DoAsk,
@@ -90,7 +90,7 @@ class Marks(Protocol):
 
 def conduct(
     session: Session,
-    bench: Bench,
+    runner: TrialRunner,
     desk: Desk,
     *,
     walls: Walls | None = None,
@@ -103,7 +103,7 @@ def conduct(
     ----------
     session
         Just begun, or resumed.
-    bench
+    runner
         The rig.
     desk
         Who sits there.
@@ -125,7 +125,7 @@ def conduct(
         What cannot go on: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
         and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
     """
-    engine = _Engine(session, bench, desk, walls or walls_in(session.state), told, marks)
+    engine = _Engine(session, runner, desk, walls or walls_in(session.state), told, marks)
     try:
         engine.open()
         while engine.step():
@@ -182,14 +182,14 @@ class _Engine:
     def __init__(
         self,
         session: Session,
-        bench: Bench,
+        runner: TrialRunner,
         desk: Desk,
         walls: Walls,
         told: Callable[[Event], None] | None,
         marks: Marks | None,
     ) -> None:
         self._session = session
-        self._bench = bench
+        self._runner = runner
         self._desk = desk
         self._told = told
         self._marks = marks
@@ -216,7 +216,7 @@ class _Engine:
         """Say which device it is."""
         state = self._state
         self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
-        self.record("opened", **self._bench.facts(*first_wall(self._walls, state.blocks)))
+        self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
 
     def step(self) -> bool:
         """Do what comes next; False when the session is over or somebody left it."""
@@ -269,7 +269,7 @@ class _Engine:
 
     def _hit(self, step: DoTrial) -> None:
         state, run = self._state, step.run
-        seed = step.seed if self._bench.virtual else state.seed
+        seed = step.seed if self._runner.virtual else state.seed
         experiment, changes = _wall(self._walls, run, step.probe.level, seed)
         trials = self._session.directory / TRIALS
         if self._marks is not None:
@@ -281,7 +281,7 @@ class _Engine:
                 damping=run.damping,
             )
         try:
-            done = self._bench.hit(
+            done = self._runner.hit(
                 experiment, changes, trials, f"t{step.trial:04d}", lambda x: self._watch(step, x), state.heat
             )
         except StoppedError as stop:
@@ -320,7 +320,7 @@ class _Engine:
         if (
             isinstance(error, LinkLostError)
             and not isinstance(error, DeviceFaultError)
-            and not self._bench.simulated
+            and not self._runner.simulated
         ):
             raise error  # whether the handle is still where it was counted from, somebody must look
         if self._state.trials[-1].said_nothing:

@@ -7,14 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 from rig.config import Experiment
-from rig.experiments.planned import Check, refuse
-from rig.session.bench import Bench
+from rig.core.check import Check, refuse
 from rig.session.comparisons import SEVERITY
 from rig.session.conditions import Walls, own_rates
+from rig.session.runner import TrialRunner
 from rig.session.schedule import levels_of
 
 
-def fit_checks(walls: Walls, bench: Bench) -> list[Check]:
+def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
     """What the device and its link say of the conditions; of each comparison the worst one.
 
     The device is opened and asked; nothing moves.
@@ -26,16 +26,16 @@ def fit_checks(walls: Walls, bench: Bench) -> list[Check]:
     """
     worst: dict[str, Check] = {}
     for x, changes in _stiffest(walls):
-        for one in bench.fits(x, changes):
+        for one in runner.fits(x, changes):
             known = worst.get(one.name)
             if known is None or SEVERITY.index(one.outcome) > SEVERITY.index(known.outcome):
-                worst[one.name] = replace(one, remedy=_remedy(one, bench))
+                worst[one.name] = replace(one, remedy=_remedy(one, runner))
     return list(worst.values())
 
 
-def refuse_misfit(walls: Walls, bench: Bench) -> None:
+def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
     """Raise `rig.core.errors.PlanError` when the device of a session cannot run one of its conditions."""
-    refuse(fit_checks(walls, bench))
+    refuse(fit_checks(walls, runner))
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
@@ -47,9 +47,9 @@ def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
             yield x, own_rates(condition, x)
 
 
-def _remedy(one: Check, bench: Bench) -> str:
+def _remedy(one: Check, runner: TrialRunner) -> str:
     """In words of a protocol: a session has no --rate."""
     if one.name not in ("device rate", "link capacity"):
         return one.remedy
     slower = "give the conditions slower schemes, as template first-steps has them"
-    return f"{slower}; or rehearse in virtual time: --rehearse" if bench.simulated else slower
+    return f"{slower}; or rehearse in virtual time: --rehearse" if runner.simulated else slower

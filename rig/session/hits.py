@@ -16,6 +16,7 @@ from rig import config, devices
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind
+from rig.core.check import Check
 from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.model import RigModel
 from rig.devices.device import Link
@@ -25,14 +26,13 @@ from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import device_checks, link_checks
-from rig.experiments.planned import Check
 from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
 from rig.recording.header import host_facts
 from rig.session.arming import refusals
-from rig.session.bench import Done, Refusal, Wall, Watch
 from rig.session.log import without_nan
 from rig.session.place import software
+from rig.session.runner import Done, RefusedWalls, Wall, Watch
 
 NUMBERS = (
     "felt",
@@ -54,7 +54,7 @@ NUMBERS = (
 
 
 @dataclass(slots=True, kw_only=True)
-class RigBench:
+class DeviceRunner:
     """The rig of a session.
 
     A real device stays open from the first trial to the last, so that its zero is read once; so does a simulated one in
@@ -84,7 +84,7 @@ class RigBench:
     _open: FramedDevice | None = None
     _served: tuple[RigModel, Path | None] | None = None  # model and hand of the open device
     _zero: int = 0
-    _refused: tuple[Refusal, ...] = ()
+    _refused: tuple[RefusedWalls, ...] = ()
     _stack: ExitStack = field(default_factory=ExitStack)
 
     @property
@@ -124,7 +124,7 @@ class RigBench:
             "exchanges": [list(stamps) for stamps in clock.tolist()],
         }
 
-    def refusals(self, walls: Sequence[Wall]) -> tuple[Refusal, ...]:
+    def refusals(self, walls: Sequence[Wall]) -> tuple[RefusedWalls, ...]:
         """Which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
 
         Raises

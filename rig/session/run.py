@@ -15,7 +15,6 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
-from rig.session.bench import Bench
 from rig.session.check import refuse_walls
 from rig.session.clock import Clock, WallClock
 from rig.session.conditions import Walls
@@ -39,6 +38,7 @@ from rig.session.place import (
 )
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RealDay, RehearsalDesk, refuse_nobody
+from rig.session.runner import TrialRunner
 from rig.session.schedule import rows_of, schedule
 from rig.session.state import State
 from rig.session.telling import lost
@@ -46,7 +46,9 @@ from rig.session.telling import lost
 SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 
 Told = Callable[[Event], None]
-DeskFor = Callable[[Protocol, Mapping[str, Any], Bench], Desk]  # the experiment is the study's, as a mapping
+DeskFor = Callable[
+    [Protocol, Mapping[str, Any], TrialRunner], Desk
+]  # the experiment is the study's, as a mapping
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +97,7 @@ def run_session(
     code: str,
     desk: DeskFor,
     *,
-    bench: Bench,
+    runner: TrialRunner,
     study: Path | None = None,
     row: int | None = None,
     person: Person | None = None,
@@ -112,7 +114,7 @@ def run_session(
         Of the participant.
     desk
         Makes whoever sits there.
-    bench
+    runner
         The rig; closed at the end.
     study
         Directory of all participants; unless given ``sessions/`` and the study's title, for a rehearsal
@@ -143,17 +145,17 @@ def run_session(
     if person is not None:
         refuse_nobody(person, protocol)
     row = row_of(code) if row is None else _checked_row(row, protocol)
-    _refuse_a_real_rig(person, bench)
+    _refuse_a_real_rig(person, runner)
     refuse_walls(walls)
     refuse_full_disk(walls, row, place)
     mapping = config.as_mapping(experiment)
-    with closing(bench):
+    with closing(runner):
         # Before anything is written: a rig that somebody else uses, or a place without a terminal, leaves no trace.
-        bench.facts(*first_wall(walls, schedule(protocol, row)))
-        refuse_misfit(walls, bench)
-        refuse_unarmable(walls, bench)
+        runner.facts(*first_wall(walls, schedule(protocol, row)))
+        refuse_misfit(walls, runner)
+        refuse_unarmable(walls, runner)
         with (
-            desk(protocol, mapping, bench) as somebody,
+            desk(protocol, mapping, runner) as somebody,
             _streams(protocol, mapping, wanted=lsl) as marks,
             begin(
                 place,
@@ -165,17 +167,17 @@ def run_session(
                 row=row,
                 versions=software(),
                 rehearsal=None if person is None else person.as_mapping(),
-                clock=_clock(person, bench),
+                clock=_clock(person, runner),
             ) as session,
         ):
-            return _conducted(session, bench, somebody, walls, told, marks)
+            return _conducted(session, runner, somebody, walls, told, marks)
 
 
 def resume_session(
     directory: Path,
     desk: DeskFor,
     *,
-    bench: Bench,
+    runner: TrialRunner,
     at: str = "trial",
     told: Told | None = None,
     lsl: bool = False,
@@ -187,21 +189,21 @@ def resume_session(
     `other_device` somebody knows that.
     """
     person = rehearsed(directory)
-    _refuse_a_real_rig(person, bench)
+    _refuse_a_real_rig(person, runner)
     state, events = session_state(directory)
-    with closing(bench):
+    with closing(runner):
         walls = walls_in(state)
         if not other_device and state.ended is None:
-            _refuse_another_device(state, events, bench, walls)
-        refuse_unarmable(walls, bench)
-        return _resumed(directory, desk, state, person, bench, walls, at, told, lsl=lsl)
+            _refuse_another_device(state, events, runner, walls)
+        refuse_unarmable(walls, runner)
+        return _resumed(directory, desk, state, person, runner, walls, at, told, lsl=lsl)
 
 
-def _refuse_another_device(state: State, events: list[Event], bench: Bench, walls: Walls) -> None:
+def _refuse_another_device(state: State, events: list[Event], runner: TrialRunner, walls: Walls) -> None:
     before = last_opened(events)
     if not before:
         return
-    now = bench.facts(*first_wall(walls, state.blocks))
+    now = runner.facts(*first_wall(walls, state.blocks))
     if differences(before, now):
         url = (before.get("place") or {}).get("url")
         raise ConfigError(
@@ -216,7 +218,7 @@ def _resumed(
     desk: DeskFor,
     state: State,
     person: Person | None,
-    bench: Bench,
+    runner: TrialRunner,
     walls: Walls,
     at: str,
     told: Told | None,
@@ -224,11 +226,11 @@ def _resumed(
     lsl: bool,
 ) -> SessionResult:
     with (
-        desk(state.protocol, state.experiment, bench) as somebody,
+        desk(state.protocol, state.experiment, runner) as somebody,
         _streams(state.protocol, state.experiment, wanted=lsl) as marks,
-        resume(directory, at=at, clock=_clock(person, bench)) as session,
+        resume(directory, at=at, clock=_clock(person, runner)) as session,
     ):
-        return _conducted(session, bench, somebody, walls, told, marks)
+        return _conducted(session, runner, somebody, walls, told, marks)
 
 
 def rehearsed(directory: Path) -> Person | None:
@@ -246,8 +248,8 @@ def took_place(directory: Path) -> Place:
 def rehearsal_desk(person: Person, looks: Callable[[View], None] | None = None) -> DeskFor:
     """A desk for `run_session` at which this simulated person sits; `looks` is shown what a console would show."""
 
-    def desk(_: Protocol, __: Mapping[str, Any], bench: Bench) -> Desk:
-        return RehearsalDesk(person, Day() if bench.virtual else RealDay(), looks)
+    def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
+        return RehearsalDesk(person, Day() if runner.virtual else RealDay(), looks)
 
     return desk
 
@@ -320,38 +322,38 @@ def _checked_row(row: int, protocol: Protocol) -> int:
     return row
 
 
-def _refuse_a_real_rig(person: Person | None, bench: Bench) -> None:
+def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
     """Nobody is simulated at a rig that moves."""
-    if person is not None and not bench.simulated:
+    if person is not None and not runner.simulated:
         raise ConfigError(
             "a rehearsal with a real rig: its simulated person would go on after a STOP",
             remedy="leave --url out, or leave --rehearse out and sit there yourself",
         )
 
 
-def _clock(person: Person | None, bench: Bench) -> Clock:
+def _clock(person: Person | None, runner: TrialRunner) -> Clock:
     if person is None:
         return WallClock()
-    return Day() if bench.virtual else RealDay()
+    return Day() if runner.virtual else RealDay()
 
 
 def _conducted(
     session: Session,
-    bench: Bench,
+    runner: TrialRunner,
     somebody: Desk,
     walls: Walls,
     told: Told | None,
     marks: LslMarks | None,
 ) -> SessionResult:
     try:
-        conduct(session, bench, somebody, walls=walls, told=told, marks=marks)
+        conduct(session, runner, somebody, walls=walls, told=told, marks=marks)
     finally:
         if marks is not None:
             sent = marks.close()
             with suppress(RecordingError):
                 session.record("streamed", sent=sent, lost_markers=marks.lost)
     resumed = [event for event in session.log.events if event.kind == "resumed"][-1:]
-    messages = [text for event in resumed for text in lost(event)] + list(bench.messages)
+    messages = [text for event in resumed for text in lost(event)] + list(runner.messages)
     return summary(session.directory, session.state, session.log.events, tuple(messages))
 
 

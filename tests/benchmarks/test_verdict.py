@@ -13,12 +13,12 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from rig.control.judging import Signals, judge, meter
-from rig.control.verdict import KINDS, Kind, Limits, Measured, kinds
+from rig.control.verdict import KINDS, Kind, Measured, Thresholds, kinds
 
 RATE = 20_000
 TIME = np.arange(RATE) / RATE
 DELTA = 1.5708e-4
-LIMITS = Limits(
+LIMITS = Thresholds(
     tail_s=0.4,
     highpass_hz=30.0,
     lowpass_hz=500.0,

@@ -15,11 +15,12 @@ import pytest
 
 from rig.config import controller, load, override, presets
 from rig.control import judging
+from rig.core.present import plain
 from rig.experiments import judgement, plan
 from rig.experiments.hit import HitRequest, hit
 from rig.recording import reader
 from rig.session.directory import LOG
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, run_session
@@ -68,7 +69,7 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
     experiment = presets.load("koul-rigid")
     (result,) = hit(HitRequest(experiment=experiment, changes={"controller.loop": loop}, output=tmp_path))
     assert result.recorded.recording.trailer is not None
-    assert result.verdict.as_mapping() == result.recorded.recording.trailer["verdict"]
+    assert plain(result.verdict) == result.recorded.recording.trailer["verdict"]
     assert result.experiment.controller.loop == loop
     assert seen == {
         "files": 1,
@@ -107,7 +108,12 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
     protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
     person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
     run_session(
-        protocol, "P01", rehearsal_desk(person), bench=RigBench(), study=tmp_path / "study", person=person
+        protocol,
+        "P01",
+        rehearsal_desk(person),
+        runner=DeviceRunner(),
+        study=tmp_path / "study",
+        person=person,
     )
     hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
     trials, levels, conditions, practice = len(hits), 6, 2, 1

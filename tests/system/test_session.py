@@ -17,7 +17,7 @@ from rig.recording.reader import open_recording
 from rig.session.analysis import analyse
 from rig.session.analysis.tables import tables
 from rig.session.directory import LOG
-from rig.session.hits import RigBench, sha256_of
+from rig.session.hits import DeviceRunner, sha256_of
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
@@ -29,7 +29,7 @@ KILLS = 10
 
 
 def rehearse(protocol: Path, study: Path, code: str = "P01") -> Path:
-    run_session(protocol, code, rehearsal_desk(PERSON), bench=RigBench(), study=study, person=PERSON)
+    run_session(protocol, code, rehearsal_desk(PERSON), runner=DeviceRunner(), study=study, person=PERSON)
     return study / code
 
 
@@ -134,7 +134,7 @@ def _child(protocol: Path, study: Path) -> None:
     try:
         begun = (study / "P01" / LOG).exists() and len(read(study / "P01" / LOG)) > 0
         if begun:
-            resume_session(study / "P01", rehearsal_desk(PERSON), bench=RigBench())
+            resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())
         else:
             rehearse(protocol, study)
         code = 0

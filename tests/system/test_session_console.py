@@ -80,7 +80,7 @@ from pathlib import Path
 from rig.cli import run as rig
 from rig.experiments import trial
 from rig.session.console.desk import at_console
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.run import resume_session, run_session
 
 conclude = trial._conclude
@@ -101,9 +101,9 @@ clock, what, path, *more = sys.argv[1:]
 if clock == "real":
     sys.exit(rig(["session", what, path, *more, "--hand", "keyboard"]))
 if what == "run":
-    result = run_session(Path(path), more[0], at_console(), bench=RigBench(), study=Path(more[2]))
+    result = run_session(Path(path), more[0], at_console(), runner=DeviceRunner(), study=Path(more[2]))
 else:
-    result = resume_session(Path(path), at_console(), bench=RigBench())
+    result = resume_session(Path(path), at_console(), runner=DeviceRunner())
 print(f"session of {result.code}: {result.ended or result.stopped}")
 """
 AT_REST = "current afterwards: 0"

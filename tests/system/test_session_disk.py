@@ -11,7 +11,7 @@ import pytest
 from rig.core.errors import ConfigError
 from rig.recording.reader import open_recording
 from rig.session.directory import LOG
-from rig.session.hits import RigBench, sha256_of
+from rig.session.hits import DeviceRunner, sha256_of
 from rig.session.log import read
 from rig.session.rehearsal import Person
 from rig.session.run import rehearsal_desk, resume_session, run_session
@@ -23,13 +23,13 @@ PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
 
 
 def begin(protocol: Path, study: Path) -> None:
-    run_session(protocol, "P01", rehearsal_desk(PERSON), bench=RigBench(), study=study, person=PERSON)
+    run_session(protocol, "P01", rehearsal_desk(PERSON), runner=DeviceRunner(), study=study, person=PERSON)
 
 
 def go_on(protocol: Path, study: Path) -> None:
     """What a person does after a crash."""
     try:
-        resume_session(study / "P01", rehearsal_desk(PERSON), bench=RigBench())
+        resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())
     except ConfigError as error:
         if "is over" not in str(error):
             begin(protocol, study)

@@ -12,13 +12,13 @@ import pytest
 from rig.experiments import trial as one_trial
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
-from rig.session.bench import Bench
 from rig.session.desk import Desk, Question, Reply
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import run_session
+from rig.session.runner import TrialRunner
 
 PERSON = Person(thresholds={})
 STRONG, OSCILLATES = (
@@ -110,10 +110,10 @@ def test_a_cap_ends_a_violent_hit_before_anybody_is_asked_and_then_the_session(
     monkeypatch.setattr(one_trial, "_conclude", witness)
     desk = Asked(study / "P01" / "trials")
 
-    def at_desk(protocol: Protocol, experiment: Mapping[str, Any], bench: Bench) -> Desk:
+    def at_desk(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
         return desk
 
-    result = run_session(path, "P01", at_desk, bench=RigBench(), study=study, person=PERSON)
+    result = run_session(path, "P01", at_desk, runner=DeviceRunner(), study=study, person=PERSON)
     assert result.ended == "2 hits in a row cut off for safety"
     assert (result.trials, result.counted, result.aborted) == (2, 2, 2)
     assert currents == [0, 0]  # the device's own, once the loop had returned

@@ -11,7 +11,7 @@ import pytest
 from rig.config.presets import load as preset
 from rig.experiments import hit
 from rig.session import hits
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import SessionLog, read
 
 
@@ -32,9 +32,9 @@ def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: p
     x = preset("koul-rigid")
     x = replace(x, trial=replace(x.trial, kind="human", baseline_s=0.1, duration_s=1.0))
     (tmp_path / "trials").mkdir()
-    bench = RigBench()
-    done = bench.hit(x, {}, tmp_path / "trials", "t0001", lambda _: None, 0.0)
-    bench.close()
+    runner = DeviceRunner()
+    done = runner.hit(x, {}, tmp_path / "trials", "t0001", lambda _: None, 0.0)
+    runner.close()
     assert done.content["numbers"]["heard"] is None
     assert done.content["numbers"]["moved"] >= 0.0
     assert done.content["baseline"]["velocity_rms"] is None

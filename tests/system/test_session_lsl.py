@@ -8,7 +8,7 @@ from typing import Any
 
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import run_session
@@ -43,7 +43,9 @@ def test_markers_of_a_session_are_its_log_and_tell_no_wall(
     def somebody(*about: Any) -> Desk:
         return Recording(PERSON, Day())
 
-    result = run_session(protocol, "P01", somebody, bench=RigBench(), study=tmp_path, person=PERSON, lsl=True)
+    result = run_session(
+        protocol, "P01", somebody, runner=DeviceRunner(), study=tmp_path, person=PERSON, lsl=True
+    )
     assert result.trials == 1
     events = read(tmp_path / "P01" / LOG)
     told = [event for event in events if event.kind not in ("began", "streamed")]

@@ -15,13 +15,13 @@ from rig.devices.local import serve_locally
 from rig.experiments import hit as one_hit
 from rig.recording.reader import open_recording
 from rig.session.analysis import analyse
-from rig.session.bench import Done
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import rehearsal_desk, resume_session, run_session
+from rig.session.runner import Done
 from rig.session.state import State, Trial
 from sim_backend.channel import Direction, FrameFault, Kind, Line
 from tests.rig.session.session_fakes import ScriptedDesk
@@ -32,7 +32,7 @@ UNPLUGGED = "t0003"  # the trial in which it happens
 FRAMES = 300  # of the armed device that reach the host before
 
 
-class Loose(RigBench):
+class Loose(DeviceRunner):
     """A rig whose plug comes out in a trial, and that is none that can be opened anew without looking at it."""
 
     def hit(self, experiment: Experiment, changes: Any, directory: Path, name: str, *rest: Any) -> Done:
@@ -70,18 +70,20 @@ def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path:
     protocol = written(tmp_path)
     protocol.write_text(protocol.read_text().replace("repeats = 2", "repeats = 1"))
     studies = tmp_path / "calm", tmp_path / "loose"
-    run_session(protocol, "P01", rehearsal_desk(PERSON), bench=RigBench(), study=studies[0], person=PERSON)
+    run_session(
+        protocol, "P01", rehearsal_desk(PERSON), runner=DeviceRunner(), study=studies[0], person=PERSON
+    )
 
     def leaving(*about: Any) -> Desk:
         return Leaving(PERSON, Day())
 
-    left = run_session(protocol, "P01", leaving, bench=Loose(), study=studies[1], person=PERSON)
+    left = run_session(protocol, "P01", leaving, runner=Loose(), study=studies[1], person=PERSON)
     assert left.stopped == "the operator left"
     directory = studies[1] / "P01"
     broken = next(event for event in read(directory / LOG) if event.content.get("trial") == 3)
     assert (broken.content["ended"], broken.content["automatic"]) == ("link_closed", "invalid")
     assert open_recording(directory / broken.content["recording"]).complete
-    done = resume_session(directory, rehearsal_desk(PERSON), bench=RigBench())
+    done = resume_session(directory, rehearsal_desk(PERSON), runner=DeviceRunner())
     assert done.ended == "complete"
     calm, loose = (State.of(read(study / "P01" / LOG)) for study in studies)
     assert [trial.trial for trial in loose.trials if trial.said_nothing] == [3]
@@ -98,8 +100,8 @@ def about(trial: Trial) -> tuple[Any, ...]:
     return trial.condition, trial.repeat, trial.stiffness, trial.verdict
 
 
-def bench_on(port: str) -> RigBench:
-    return RigBench(url=port, realtime=True, verified=True, arm_anyway=True)
+def runner_on(port: str) -> DeviceRunner:
+    return DeviceRunner(url=port, realtime=True, verified=True, arm_anyway=True)
 
 
 def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
@@ -115,7 +117,7 @@ def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(tmp_path
     def meanwhile(question: Question) -> Reply:
         before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
         with pytest.raises(RigError) as caught:
-            run_session(protocol, "P02", nobody, bench=bench_on(port), study=study)
+            run_session(protocol, "P02", nobody, runner=runner_on(port), study=study)
         refused.append(caught.value)
         assert {path: path.stat().st_mtime_ns for path in study.rglob("*")} == before
         return Reply(action="abort")
@@ -124,7 +126,7 @@ def test_a_second_session_on_the_same_rig_is_refused_and_leaves_nothing(tmp_path
         return ScriptedDesk(meanwhile)
 
     with serve_locally("sim://", model) as port:
-        result = run_session(protocol, "P01", somebody, bench=bench_on(port), study=study)
+        result = run_session(protocol, "P01", somebody, runner=runner_on(port), study=study)
     assert result.stopped == "the operator left"
     assert len(refused) == 1
     assert "in use" in refused[0].message or "another" in refused[0].message, refused[0]

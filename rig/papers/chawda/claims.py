@@ -263,6 +263,6 @@ def _search(chawda: Chawda) -> Ruling:
         sum(search.below for search in searches),
         sum(search.unseen for search in searches),
         len(searches) * len(chawda.map.grid.dampings),
-        tests=float(np.mean([len(search.trace.tests) for search in searches])),
+        tests=float(np.mean([len(search.path) for search in searches])),
         cells=searches[0].cells,
     )

@@ -11,9 +11,8 @@ import numpy as np
 
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.experiments.boundary_search import connected
-from rig.experiments.frequency_widths import FrequencyWidth, Spread
-from rig.experiments.table_one import tuned_numbers
+from rig.experiments.searches import connected
+from rig.experiments.table_one import FrequencyWidth, Spread, tuned_numbers
 from rig.papers.chawda import rules
 from rig.papers.chawda.parts import fidelity_without_wall
 from rig.papers.chawda.readings import Readings

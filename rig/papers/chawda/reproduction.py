@@ -1,9 +1,9 @@
 """Chawda, Celik and O'Malley's comparison of velocity estimators, reproduced: its figures, Table I, and every claim.
 
-`reproduce_chawda` excites some ten thousand walls and hits some thousand more, as one sweep, and lets rules turn the
-numbers into verdicts (`rig.papers.chawda.claims`) and sentences (`rig.papers.chawda.text`). The paper
-leaves band and tolerance of its passivity test open, and both decide everything: so each wall is read in many ways
-(`rig.papers.chawda.readings`), and claims are counted over readings. Nothing is tuned to Table I.
+Some ten thousand walls are excited and some thousand more hit, as one sweep; rules turn the numbers into verdicts, and
+templates into sentences. The paper leaves band and tolerance of its passivity test open, and both decide everything: so
+each wall is read in many ways (`rig.papers.chawda.readings`), and claims are counted over readings. Nothing is tuned to
+Table I.
 
 Source: Chawda et al., "Evaluation of Velocity Estimation Methods Based on their Effect on Haptic Device Performance".
 """
@@ -22,9 +22,9 @@ from rig.config.schemes import Scheme
 from rig.control.estimators import levant_regions
 from rig.experiments import excitation_run
 from rig.experiments.impedance import measure_impedance
-from rig.experiments.ladder import Search
 from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.ranges import search_for
+from rig.experiments.searches import Search
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.chawda import derived, rigs, rules
 from rig.papers.chawda import parts as chawda_parts
@@ -97,8 +97,8 @@ class ChawdaPlan:
     def parts(self) -> dict[str, Part]:
         """Everything that has to be computed."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
-        parts["hits"] = _climbs(self._hits)
-        parts["slow-hits"] = _climbs(self._slow_hits)
+        parts["hits"] = _series(self._hits)
+        parts["slow-hits"] = _series(self._slow_hits)
         for stiffness, damping in WALLS:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
             parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
@@ -211,10 +211,10 @@ class ChawdaPlan:
         return [float(b) for b in np.linspace(0.0, 400.0, self._scale.theory_points)]
 
 
-def _climbs(plan: MapPlan) -> Part:
+def _series(plan: MapPlan) -> Part:
     rate = plan.schemes[0].position_rate
     tasks = tuple(replace(task, weight=0.5 * len(plan.search.rungs) * rate / 10_000) for task in plan.tasks())
-    return Part(koul_parts.CLIMB, tasks)
+    return Part(koul_parts.SERIES, tasks)
 
 
 def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:

@@ -15,13 +15,13 @@ from typing import Any, cast
 
 from rig.core.errors import ConfigError, StoppedError
 from rig.devices.hand import SharedHand
-from rig.session.bench import Bench
 from rig.session.console import terminal
 from rig.session.console.child import Child, Message
 from rig.session.console.pointer import HandKind
 from rig.session.desk import Action, Desk, Question, Reply, View
 from rig.session.keymap import KeyMap
 from rig.session.protocol import VERDICTS, Keys, Protocol
+from rig.session.runner import TrialRunner
 
 SILENCE_S = 2.0  # of the console while a hit runs; then the hit ends
 HUNG_S = 10.0  # of a console while nothing moves; then it is started anew
@@ -241,7 +241,7 @@ class ConsoleDesk(Desk):
 
 def at_console(
     *, hand: HandKind | None = None, plain: bool = False, place: Path = TERMINAL
-) -> Callable[[Protocol, Mapping[str, Any], Bench], Desk]:
+) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
     """A console for `rig.session.run.run_session`.
 
     Parameters
@@ -257,9 +257,9 @@ def at_console(
         A hand for a rig that is not simulated.
     """
 
-    def make(protocol: Protocol, experiment: Mapping[str, Any], bench: Bench) -> Desk:
+    def make(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
         moved: MovedHand | None = None
-        if hand is not None and not bench.simulated:
+        if hand is not None and not runner.simulated:
             raise ConfigError(
                 f"--hand {hand} moves a simulated rig, and this one is real",
                 remedy="leave it out, or --url",
@@ -274,7 +274,7 @@ def at_console(
                 moved = MovedHand(kind=hand, path=path, press=float(press))
             desk = ConsoleDesk(protocol.keys, plain=plain, hand=moved, place=place)
             made.pop_all()
-        bench.hand = bench.hand if moved is None else moved.path
+        runner.hand = runner.hand if moved is None else moved.path
         return desk
 
     return make

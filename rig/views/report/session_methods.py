@@ -110,6 +110,13 @@ def effective(found: Analysis) -> dict[str, Experiment | RigError]:
     return experiments
 
 
+def first_experiment(found: Analysis) -> Experiment:
+    """That of the first condition, or what it changes where its estimator is not installed here."""
+    protocol = found.study.protocol
+    first = effective(found)[protocol.condition[0].name]
+    return first if isinstance(first, Experiment) else walls_in(found.study.sessions[0].state).base
+
+
 def analysed_with() -> dict[str, str]:
     """Versions of what this analysis was computed with."""
     found = {}
@@ -125,8 +132,7 @@ def _facts(found: Analysis) -> dict[str, Any]:
     """Everything that the template reads."""
     study, protocol, measure = found.study, found.study.protocol, found.options.measure
     experiments = effective(found)
-    first = experiments[protocol.condition[0].name]
-    x = first if isinstance(first, Experiment) else walls_in(study.sessions[0].state).base
+    x = first_experiment(found)
     limits = x.rig.limits
     human = limits.human and protocol.trial.kind == "human"
     model = next((one for one in found.mixed if one.measure == measure), None)

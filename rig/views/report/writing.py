@@ -116,7 +116,7 @@ def clock(seconds: float) -> str:
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
 
 
-def length(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """A stretch of time in the two units that suit it."""
     whole = round(seconds)
     if whole < 60:
@@ -174,7 +174,7 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "p": p,
     "p_equals": p_equals,
     "clock": clock,
-    "length": length,
+    "duration": duration,
     "counted": counted,
     "listed": listed,
     "numbers": numbers,

@@ -73,7 +73,7 @@ class Run:
             slew_bound=(flags & RowFlag.SLEW_BOUND) != 0,
             overruled=none,
         )
-        return judge(signals, config.verdict_limits(experiment))
+        return judge(signals, config.verdict_thresholds(experiment))
 
 
 def on_the_host(experiment: Experiment, start: float = START) -> Run:

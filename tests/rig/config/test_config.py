@@ -29,7 +29,7 @@ from rig.config import (
     override,
     presets,
     rig_model,
-    verdict_limits,
+    verdict_thresholds,
     with_realtime,
 )
 from rig.config.files import flatten, nest
@@ -601,9 +601,9 @@ def test_the_rig_model_is_the_physics_of_the_rig() -> None:
 
 def test_thresholds_at_the_handle_become_thresholds_at_the_link() -> None:
     """5 mm/s, 1 N and 0.125 mm at a handle 0.1 m out are 0.05 rad/s, 0.10 N·m and 1.25 mrad."""
-    limits = verdict_limits(KOUL)
+    limits = verdict_thresholds(KOUL)
     assert (limits.felt_velocity, limits.heard_effort, limits.moved) == pytest.approx((0.05, 0.10, 1.25e-3))
-    linear = verdict_limits(CHAWDA)
+    linear = verdict_thresholds(CHAWDA)
     assert (linear.felt_velocity, linear.heard_effort, linear.moved) == (0.002, 1.0, 1.25e-4)
 
 

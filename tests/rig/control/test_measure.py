@@ -18,14 +18,14 @@ from rig.control import measure
 from rig.control.judging import meter
 from rig.control.measure import FEWEST_TICKS, NUMBERS, OVERRULED, filters, toggling_floor
 from rig.control.median import median
-from rig.control.verdict import Limits, Verdict
+from rig.control.verdict import Thresholds, Verdict
 from rig.core.sample import Phase, RowFlag
 from sim_backend.plant import DiscretePlant
 from sim_backend.trial import run_trial
 
 RATE = 20_000
 DELTA = 1.5708e-4  # Koul et al.: 1000 lines, x4, 10:1
-LIMITS = Limits(
+LIMITS = Thresholds(
     tail_s=0.4,
     highpass_hz=30.0,
     lowpass_hz=500.0,
@@ -318,7 +318,7 @@ def hit(name, changes):
     return {
         "tick_s": tick_s,
         "resolution": encoder.resolution,
-        "limits": config.verdict_limits(experiment),
+        "limits": config.verdict_thresholds(experiment),
         "recorded": (
             position,
             trace.currents[span] * float(law.control["effort_quantum"][0]),

@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 
 from rig.control.judging import Signals, judge, meter, recorded_signals, true_signals
 from rig.control.measure import NUMBERS
-from rig.control.verdict import CRITERIA, KINDS, Kind, Limits, Measured, decide, kinds
+from rig.control.verdict import CRITERIA, KINDS, Kind, Measured, Thresholds, decide, kinds
+from rig.core.present import plain
 from rig.core.sample import ROW, TRUTH_COLUMNS, Phase, RowFlag
 
 RATE = 20_000
 T = 1.0 / RATE
 DELTA = 1.5708e-4  # Koul et al.: 1000 lines, x4, 10:1
-LIMITS = Limits(
+LIMITS = Thresholds(
     tail_s=0.4,
     highpass_hz=30.0,
     lowpass_hz=500.0,
@@ -239,7 +240,7 @@ def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count):
     assert verdict.kind is Kind.INVALID
     assert verdict.ticks == count
     assert verdict.reasons == (f"only {count} ticks of trial",)
-    json.dumps(verdict.as_mapping(), allow_nan=False)
+    json.dumps(plain(verdict), allow_nan=False)
 
 
 @settings(max_examples=30, deadline=None)
@@ -247,7 +248,7 @@ def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count):
 def test_any_short_trial_gets_a_verdict_in_finite_numbers(count, seed):
     noise = np.random.default_rng(seed).normal(size=count)
     verdict = judge(signals(noise, effort=noise, resolution=DELTA), LIMITS)
-    json.dumps(verdict.as_mapping(), allow_nan=False)
+    json.dumps(plain(verdict), allow_nan=False)
 
 
 def test_a_trial_shorter_than_its_tail_is_judged_on_what_there_is():
@@ -491,7 +492,7 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
 
 
 def test_a_verdict_is_plain_data():
-    mapping = judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS).as_mapping()
+    mapping = plain(judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS))
     again = json.loads(json.dumps(mapping, allow_nan=False))
     assert again == mapping
     assert again["kind"] == "limit cycle"
@@ -642,7 +643,7 @@ def test_a_sweep_has_the_numbers_of_the_verdict():
     flags = np.zeros(RATE, np.int64)
     numbers = meter(LIMITS, T, DELTA).true(position, velocity, effort, position, flags)
     verdict = judge(signals(position, velocity=velocity, effort=effort), LIMITS)
-    shown = {name: value for name, value in verdict.as_mapping().items() if name not in ("kind", "reasons")}
+    shown = {name: value for name, value in plain(verdict).items() if name not in ("kind", "reasons")}
     assert shown == {name: numbers[name].item() for name in shown}
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from rig.config import Experiment
 from rig.core.errors import RigError
 from rig.recording.files import whole_file
-from rig.session.bench import Done, Refusal, Wall
 from rig.session.desk import Desk, Question, Reply, View
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
 from rig.session.protocol import Protocol
+from rig.session.runner import Done, RefusedWalls, Wall
 from rig.session.state import BOOKKEEPING
 
 TRUE_LIMIT = 430.0
@@ -47,7 +47,7 @@ def protocol_of(**sections: Any) -> Protocol:
     return protocol_from_mapping({**table, **sections}, "the test")
 
 
-class FakeBench:
+class FakeRunner:
     """A rig whose automatic verdict is that of a sharp limit; `fails` says which trials do otherwise.
 
     `fails` maps a trial's number to what its event says instead, and to the error that ended it.
@@ -67,7 +67,7 @@ class FakeBench:
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         return {"url": "fake://", "device": experiment.rig.name, "firmware": "none", "simulated": True}
 
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
         return ()
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> tuple[()]:

@@ -575,7 +575,7 @@ def test_every_column_is_explained_and_named_once(found):
 def test_the_command_writes_beside_the_sessions_and_prints_what_matters(study):
     result = CliRunner().invoke(rig, ["session", "analyse", str(study), "--no-report"])
     assert result.exit_code == 0, result.output
-    for said in ("A study: 4 participants", "dual − uniform, B = 0", "two classes", "Along the session"):
+    for said in ("A study: 4 participants", "dual − uniform", "two classes", "Slopes along the session"):
         assert said in result.output
     assert (study / "analysis" / "runs.csv").is_file()
     how = ["--no-report", "--json", "--measure", "k50-person", "-o", str(study / "analysis")]

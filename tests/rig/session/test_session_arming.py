@@ -15,24 +15,24 @@ from rig.bench.doctor import gate as gates
 from rig.bench.doctor.gate import gate, refused_among
 from rig.config import Experiment
 from rig.config.presets import load as preset
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.hit import HitRequest
-from rig.experiments.planned import Outcome
 from rig.session import hits
 from rig.session.arming import arming_checks, refuse_unarmable, walls_of
-from rig.session.bench import Refusal, Wall
 from rig.session.check import check
 from rig.session.conditions import Walls
 from rig.session.desk import Desk, Question, Reply
 from rig.session.directory import LOG
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.run import resume_session, run_session
+from rig.session.runner import RefusedWalls, Wall
 from rig.session.schedule import levels_of
 from rig.session.telling import line_of_event
 from tests.rig.bench.test_doctor_gate import link
-from tests.rig.session.session_fakes import FakeBench, ScriptedDesk, protocol_of, study
+from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
 from tests.system.session_study import PROTOCOL
 
 KOUL = preset("koul-rigid")
@@ -44,7 +44,7 @@ def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-class RealBench(FakeBench):
+class RealRunner(FakeRunner):
     """A rig that moves, whose gate refuses the stiffest walls of a study: of each search all from its third on."""
 
     simulated = False
@@ -54,14 +54,14 @@ class RealBench(FakeBench):
         self.arm_anyway = arm_anyway
         self.asked: list[Wall] = []
 
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
         self.asked += walls
         by_search: dict[tuple[str, float], list[float]] = {}
         for wall in walls:
             x = wall.experiment
             by_search.setdefault((wall.condition, x.wall.damping), []).append(x.wall.stiffness)
         return [
-            Refusal(
+            RefusedWalls(
                 condition=name, damping=b, stiffness=tuple(found[2:]), walls=len(found), text="it oscillates"
             )
             for (name, b), found in by_search.items()
@@ -85,44 +85,48 @@ def written(directory: Path, blind: str = "both") -> Path:
 
 
 def at(desk: ScriptedDesk) -> Callable[..., Desk]:
-    return lambda protocol, experiment, bench: desk
+    return lambda protocol, experiment, runner: desk
 
 
 def test_a_study_whose_walls_are_refused_does_not_begin(tmp_path: Path) -> None:
-    bench, desk = RealBench(), ScriptedDesk()
+    runner, desk = RealRunner(), ScriptedDesk()
     with pytest.raises(PlanError) as refused:
-        run_session(written(tmp_path, "none"), "P01", at(desk), bench=bench, study=tmp_path / "study")
+        run_session(written(tmp_path, "none"), "P01", at(desk), runner=runner, study=tmp_path / "study")
     assert "--arm-anyway" in str(refused.value)
     assert "hidden-dual, B = 0.211: 4 of 6 walls, from K = 60 to 120" in str(refused.value)
     assert "it oscillates" in str(refused.value)
-    assert (bench.hits, desk.questions) == ([], [])
+    assert (runner.hits, desk.questions) == ([], [])
     assert not (tmp_path / "study").exists()
 
 
 def test_a_blinded_operator_hears_how_many_walls_are_refused_and_nothing_of_them(tmp_path: Path) -> None:
     with pytest.raises(PlanError) as refused:
-        run_session(written(tmp_path), "P01", at(ScriptedDesk()), bench=RealBench(), study=tmp_path / "study")
+        run_session(
+            written(tmp_path), "P01", at(ScriptedDesk()), runner=RealRunner(), study=tmp_path / "study"
+        )
     said = str(refused.value)
     assert "8 walls of 2 searches" in said
     assert not any(word in said for word in ("hidden", "0.211", "60", "120"))
 
 
 def test_with_consent_given_once_a_session_goes_through_all_walls(tmp_path: Path) -> None:
-    bench = RealBench(arm_anyway=True)
-    result = run_session(written(tmp_path), "P01", at(ScriptedDesk()), bench=bench, study=tmp_path / "study")
+    runner = RealRunner(arm_anyway=True)
+    result = run_session(
+        written(tmp_path), "P01", at(ScriptedDesk()), runner=runner, study=tmp_path / "study"
+    )
     assert result.ended == "complete"
-    assert any(stiffness >= 60.0 for _, stiffness in bench.hits)
+    assert any(stiffness >= 60.0 for _, stiffness in runner.hits)
 
 
 def test_a_session_is_resumed_with_consent_too_or_not_at_all(tmp_path: Path) -> None:
     leaves = ScriptedDesk(_abort)
-    bench = RealBench(arm_anyway=True)
-    run_session(written(tmp_path), "P01", at(leaves), bench=bench, study=tmp_path)
+    runner = RealRunner(arm_anyway=True)
+    run_session(written(tmp_path), "P01", at(leaves), runner=runner, study=tmp_path)
     before = (tmp_path / "P01" / LOG).read_bytes()
     with pytest.raises(PlanError, match="refuses"):
-        resume_session(tmp_path / "P01", at(ScriptedDesk()), bench=RealBench())
+        resume_session(tmp_path / "P01", at(ScriptedDesk()), runner=RealRunner())
     assert (tmp_path / "P01" / LOG).read_bytes() == before
-    again = resume_session(tmp_path / "P01", at(ScriptedDesk()), bench=RealBench(arm_anyway=True))
+    again = resume_session(tmp_path / "P01", at(ScriptedDesk()), runner=RealRunner(arm_anyway=True))
     assert again.ended == "complete"
 
 
@@ -143,15 +147,15 @@ def test_every_wall_that_a_session_may_ask_for_is_asked_about(tmp_path: Path) ->
 
 
 def test_a_simulated_rig_is_never_refused() -> None:
-    bench = RealBench()
-    bench.simulated = True
-    refuse_unarmable(Walls(protocol_of(), KOUL), bench)
-    assert list(arming_checks(Walls(protocol_of(), KOUL), bench)) == []
-    assert bench.asked == []
+    runner = RealRunner()
+    runner.simulated = True
+    refuse_unarmable(Walls(protocol_of(), KOUL), runner)
+    assert list(arming_checks(Walls(protocol_of(), KOUL), runner)) == []
+    assert runner.asked == []
 
 
 def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
-    (found,) = arming_checks(Walls(protocol_of(), KOUL), RealBench())
+    (found,) = arming_checks(Walls(protocol_of(), KOUL), RealRunner())
     assert found.outcome is Outcome.WARNING
     assert "dual-hidden, B = 0.37: 19 of 21 walls, from K = 150 to 600 N·m/rad" in found.text
     assert "--arm-anyway" in found.remedy
@@ -187,15 +191,15 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real: None) -> None:
     protocol = protocol_of(study=study(changes={**study()["changes"], "verdict.lowpass_hz": 400.0}))
-    bench = RigBench(url="serial:///dev/rig", verified=True)
-    found = bench.refusals(tuple(walls_of(Walls(protocol, KOUL))))
+    runner = DeviceRunner(url="serial:///dev/rig", verified=True)
+    found = runner.refusals(tuple(walls_of(Walls(protocol, KOUL))))
     dual = next(one for one in found if one.condition == "dual-hidden")
     assert dual.walls == 21
     assert dual.stiffness[0] == 100.0  # in a relaxed hand none of them holds
     assert "unstable at 20000 Hz" in dual.text
-    facts = bench.facts(*_first(protocol))
+    facts = runner.facts(*_first(protocol))
     assert facts["armed_anyway"][0]["stiffness"][0] == 100.0
-    bench.close()
+    runner.close()
 
 
 def _first(protocol: Protocol) -> tuple[Experiment, Any]:
@@ -205,7 +209,7 @@ def _first(protocol: Protocol) -> tuple[Experiment, Any]:
 
 def test_a_rig_that_nobody_vouches_for_is_refused_before_anything_else(real: None) -> None:
     with pytest.raises(ConfigError, match="nobody vouches"):
-        RigBench(url="serial:///dev/rig").refusals(tuple(walls_of(Walls(protocol_of(), KOUL))))
+        DeviceRunner(url="serial:///dev/rig").refusals(tuple(walls_of(Walls(protocol_of(), KOUL))))
 
 
 def test_the_check_of_a_study_asks_the_device(real: None, tmp_path: Path) -> None:
@@ -224,20 +228,20 @@ def test_consent_reaches_every_hit(consent: bool, tmp_path: Path, monkeypatch: p
         raise PlanError("enough")
 
     monkeypatch.setattr(hits, "hit", hit)
-    monkeypatch.setattr(RigBench, "_device", lambda *arguments: None)
-    bench = RigBench(url="serial:///dev/rig", arm_anyway=consent)
+    monkeypatch.setattr(DeviceRunner, "_device", lambda *arguments: None)
+    runner = DeviceRunner(url="serial:///dev/rig", arm_anyway=consent)
     wall = next(walls_of(Walls(protocol_of(), KOUL)))
     with pytest.raises(PlanError, match="enough"):
-        bench.hit(wall.experiment, wall.changes, tmp_path, "t0001", lambda x: None, 0.0)
+        runner.hit(wall.experiment, wall.changes, tmp_path, "t0001", lambda x: None, 0.0)
     assert asked == [consent]
 
 
 def test_the_log_says_what_is_armed_all_the_same(tmp_path: Path) -> None:
-    bench = RealBench(arm_anyway=True)
+    runner = RealRunner(arm_anyway=True)
     armed = [{"condition": "a", "damping": 0.1, "stiffness": [60.0, 80.0]}]
-    facts = {**bench.facts(KOUL, {}), "armed_anyway": armed}
-    bench.facts = lambda *arguments: facts  # type: ignore[method-assign]
-    run_session(written(tmp_path), "P01", at(ScriptedDesk()), bench=bench, study=tmp_path)
+    facts = {**runner.facts(KOUL, {}), "armed_anyway": armed}
+    runner.facts = lambda *arguments: facts  # type: ignore[method-assign]
+    run_session(written(tmp_path), "P01", at(ScriptedDesk()), runner=runner, study=tmp_path)
     opened = next(event for event in read(tmp_path / "P01" / LOG) if event.kind == "opened")
     assert opened.content["armed_anyway"] == armed
     assert "refuses 2 walls" in line_of_event(opened)

@@ -20,13 +20,13 @@ from rig.session.clock import WallClock
 from rig.session.conduct import conduct
 from rig.session.desk import Desk, Question, Reply, View
 from rig.session.directory import LOG, Session, begin, resume
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import Event, read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day
 from rig.session.state import DoTrial
 from rig.session.telling import line_of_event
-from tests.rig.session.session_fakes import INVALID, FakeBench, ScriptedDesk, protocol_of, study
+from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of, study
 
 
 @pytest.fixture(autouse=True)
@@ -60,11 +60,11 @@ def events_of(directory: Path) -> list[Event]:
 def test_a_hit_that_breaks_is_logged_with_its_heat_before_the_session_ends(
     tmp_path: Path, error: Exception
 ) -> None:
-    bench = FakeBench({2: ({**INVALID, "ended": "stopped"}, error)})  # type: ignore[dict-item]
-    bench.heat_of_a_hit = 0.2
+    runner = FakeRunner({2: ({**INVALID, "ended": "stopped"}, error)})  # type: ignore[dict-item]
+    runner.heat_of_a_hit = 0.2
     unblinded = protocol_of(study=study(blind="none"))
     with started(tmp_path / "P01", unblinded) as session, pytest.raises(type(error), match=str(error)):
-        conduct(session, bench, ScriptedDesk())
+        conduct(session, runner, ScriptedDesk())
     last, stopped = events_of(tmp_path / "P01")[-2:]
     assert (last.kind, last.content["trial"], last.content["automatic"]) == ("trial", 2, "invalid")
     assert stopped.kind == "stopped"
@@ -74,7 +74,7 @@ def test_a_hit_that_breaks_is_logged_with_its_heat_before_the_session_ends(
         assert session.state.heat > 0.3
         again = session.state.next()
     assert isinstance(again, DoTrial)
-    assert (again.trial, again.attempt, again.probe.level) == (3, 2, bench.hits[1][1])
+    assert (again.trial, again.attempt, again.probe.level) == (3, 2, runner.hits[1][1])
 
 
 class Breaks(Desk):
@@ -119,7 +119,7 @@ def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
         started(tmp_path / "P01", quick()) as session,
         pytest.raises(RigError, match="trial 1 ended by an error"),
     ):
-        conduct(session, RigBench(), Breaks(error))
+        conduct(session, DeviceRunner(), Breaks(error))
     (trial,) = (event.content for event in events_of(tmp_path / "P01") if event.kind == "trial")
     assert (tmp_path / "P01" / trial["recording"]).is_file()
     assert (trial["ended"], trial["automatic"]) == ("stopped", "invalid")
@@ -143,10 +143,10 @@ def test_a_law_that_ends_a_hit_is_survived_with_its_recording(
         raise error
 
     monkeypatch.setattr(hits, "hit", broken)
-    bench = RigBench()
+    runner = DeviceRunner()
     with started(tmp_path / "P01", quick()) as session:
         with pytest.raises(RigError, match="trial 1 ended"):
-            conduct(session, bench, ScriptedDesk())
+            conduct(session, runner, ScriptedDesk())
         assert [trial.trial for trial in session.state.trials] == [1]
 
 
@@ -182,7 +182,7 @@ def test_whoever_sits_there_follows_the_session_and_its_clock_hears_how_long_hit
     desk = Attends()
     with started(tmp_path / "P01", protocol_of(stop={"trials": 2})) as session:
         session.clock = clock = Slow()
-        conduct(session, FakeBench(), desk)
+        conduct(session, FakeRunner(), desk)
         assert desk.session is session
     assert clock.told == [1.5, 1.5]
 
@@ -190,7 +190,7 @@ def test_whoever_sits_there_follows_the_session_and_its_clock_hears_how_long_hit
 def test_a_clock_goes_on_where_the_log_ends(tmp_path: Path) -> None:
     leaves = ScriptedDesk(lambda question: Reply(action="abort") if question.kind == "verdict" else None)
     with started(tmp_path / "P01") as session:
-        conduct(session, FakeBench(), leaves)
+        conduct(session, FakeRunner(), leaves)
     last = events_of(tmp_path / "P01")[-1].at
     clock = Slow()
     with resume(tmp_path / "P01", clock=clock):
@@ -200,8 +200,8 @@ def test_a_clock_goes_on_where_the_log_ends(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------- blinding
 
 
-def refusing(error: Exception) -> FakeBench:
-    class Refusing(FakeBench):
+def refusing(error: Exception) -> FakeRunner:
+    class Refusing(FakeRunner):
         def hit(self, *arguments: Any) -> Any:
             raise error
 
@@ -242,19 +242,19 @@ def test_a_wall_that_an_experiment_refuses_stays_hidden(
 
     monkeypatch.setattr(config, "checked", strict)
     with started(tmp_path / "P01") as session, pytest.raises(PlanError) as told:
-        conduct(session, FakeBench(), ScriptedDesk())
+        conduct(session, FakeRunner(), ScriptedDesk())
     assert not re.search(r"[1-9]\d\d", str(told.value))
     assert "was refused before anything moved" in told.value.message
 
 
 @pytest.mark.parametrize("error", [LinkLostError("the cable is out"), StoppedError("stopped")])
 def test_what_names_no_wall_is_told_as_it_is(tmp_path: Path, error: RigError) -> None:
-    bench = FakeBench({1: ({**INVALID, "ended": "link_closed"}, error)})
-    bench.simulated = False
+    runner = FakeRunner({1: ({**INVALID, "ended": "link_closed"}, error)})
+    runner.simulated = False
     if isinstance(error, StoppedError):
         error.signal = 2
     with started(tmp_path / "P01") as session, pytest.raises(type(error)) as told:
-        conduct(session, bench, ScriptedDesk())
+        conduct(session, runner, ScriptedDesk())
     assert told.value is error
 
 

@@ -25,7 +25,7 @@ from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.run import row_of, summary
 from rig.session.state import State
 from rig.session.telling import line_of_event
-from tests.rig.session.session_fakes import INVALID, FakeBench, ScriptedDesk, decisions, protocol_of, study
+from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, decisions, protocol_of, study
 
 
 @pytest.fixture(autouse=True)
@@ -48,16 +48,16 @@ def started(directory: Path, protocol: Protocol | None = None, code: str = "P01"
     )
 
 
-def run_with(session: Session, bench: FakeBench, desk: ScriptedDesk) -> State:
+def run_with(session: Session, runner: FakeRunner, desk: ScriptedDesk) -> State:
     with session:
-        return conduct(session, bench, desk)
+        return conduct(session, runner, desk)
 
 
 def test_a_session_goes_through_all_runs_and_ends_complete(tmp_path: Path) -> None:
-    bench, desk = FakeBench(), ScriptedDesk()
-    state = run_with(started(tmp_path / "P01"), bench, desk)
+    runner, desk = FakeRunner(), ScriptedDesk()
+    state = run_with(started(tmp_path / "P01"), runner, desk)
     assert state.ended == "complete"
-    assert [trial.trial for trial in state.trials] == list(range(1, len(bench.hits) + 1))
+    assert [trial.trial for trial in state.trials] == list(range(1, len(runner.hits) + 1))
     assert {trial.condition for trial in state.trials} == {"dual-hidden", "uniform-hidden"}
     assert {trial.verdict for trial in state.trials} == {"stable"}
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
@@ -66,7 +66,7 @@ def test_a_session_goes_through_all_runs_and_ends_complete(tmp_path: Path) -> No
 
 
 def test_the_log_is_the_state(tmp_path: Path) -> None:
-    state = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    state = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     again = State.of(read(tmp_path / "P01" / LOG))
     assert again.trials == state.trials
     assert summary(tmp_path, again) == summary(tmp_path, state)
@@ -79,7 +79,7 @@ def test_the_same_seed_gives_the_same_bytes_of_log(tmp_path: Path) -> None:
         person = Person(thresholds={"dual-hidden": 430.0, "uniform-hidden": 300.0}, slips=0.1, unsure=0.1)
         assert isinstance(session.clock, Day)
         with session:
-            conduct(session, FakeBench(), RehearsalDesk(person, session.clock))
+            conduct(session, FakeRunner(), RehearsalDesk(person, session.clock))
         logs.append((tmp_path / name / LOG).read_bytes())
     assert logs[0] == logs[1]
 
@@ -92,10 +92,10 @@ def test_a_blinded_operator_is_shown_no_condition_and_no_wall(tmp_path: Path, bl
         stop={"trials": 5},
     )
     desk = ScriptedDesk()
-    bench = FakeBench({2: (INVALID, None), 3: ({"aborted": "energy"}, None)})
+    runner = FakeRunner({2: (INVALID, None), 3: ({"aborted": "energy"}, None)})
     lines: list[str] = []
     with started(tmp_path / "P01", protocol) as session:
-        conduct(session, bench, desk, told=lambda event: lines.append(line_of_event(event)))
+        conduct(session, runner, desk, told=lambda event: lines.append(line_of_event(event)))
         result = summary(session.directory, session.state)
     seen = json.dumps(
         [
@@ -106,7 +106,7 @@ def test_a_blinded_operator_is_shown_no_condition_and_no_wall(tmp_path: Path, bl
             sorted(str(path) for path in tmp_path.rglob("*")),
         ]
     )
-    for _, stiffness in bench.hits:
+    for _, stiffness in runner.hits:
         assert f"{stiffness:g}" not in seen.replace("0.015", "")
     assert "hidden" not in seen
     assert "0.37" not in seen
@@ -116,27 +116,27 @@ def test_a_blinded_operator_is_shown_no_condition_and_no_wall(tmp_path: Path, bl
 def test_who_is_not_blinded_sees_the_wall(tmp_path: Path) -> None:
     protocol = protocol_of(study=study(blind="participant"))
     desk = ScriptedDesk()
-    bench = FakeBench()
-    run_with(started(tmp_path / "P01", protocol), bench, desk)
-    assert {view.stiffness for view in desk.views if view.state == "hit"} == {k for _, k in bench.hits}
+    runner = FakeRunner()
+    run_with(started(tmp_path / "P01", protocol), runner, desk)
+    assert {view.stiffness for view in desk.views if view.state == "hit"} == {k for _, k in runner.hits}
     assert {"dual-hidden", "uniform-hidden"} <= {view.condition for view in desk.views}
 
 
 def test_an_invalid_trial_is_repeated_and_nobody_is_asked_about_it(tmp_path: Path) -> None:
-    desk, bench = ScriptedDesk(), FakeBench({1: (INVALID, None), 2: (INVALID, None)})
-    state = run_with(started(tmp_path / "P01"), bench, desk)
+    desk, runner = ScriptedDesk(), FakeRunner({1: (INVALID, None), 2: (INVALID, None)})
+    state = run_with(started(tmp_path / "P01"), runner, desk)
     assert [trial.attempt for trial in state.trials[:4]] == [1, 2, 3, 1]
-    assert len({stiffness for _, stiffness in bench.hits[:3]}) == 1
+    assert len({stiffness for _, stiffness in runner.hits[:3]}) == 1
     assert {question.trial for question in desk.questions if question.kind == "verdict"}.isdisjoint({1, 2})
 
 
 @pytest.mark.parametrize("say", ["go", "skip"])
 def test_after_as_many_attempts_as_are_allowed_somebody_decides(tmp_path: Path, say: str) -> None:
-    bench = FakeBench(dict.fromkeys((1, 2, 3, 4), (INVALID, None)))
+    runner = FakeRunner(dict.fromkeys((1, 2, 3, 4), (INVALID, None)))
     desk = ScriptedDesk(
         lambda question: Reply(action=say) if question.kind == "trouble" else None  # type: ignore[arg-type]
     )
-    state = run_with(started(tmp_path / "P01"), bench, desk)
+    state = run_with(started(tmp_path / "P01"), runner, desk)
     assert sum(question.kind == "trouble" for question in desk.questions) == 1
     if say == "go":
         assert [trial.attempt for trial in state.trials[:5]] == [1, 2, 3, 4, 5]
@@ -160,11 +160,11 @@ def first(kind: str, action: str, value: str = "") -> Callable[[Question], Reply
 
 
 def test_a_redone_trial_stays_in_the_log_and_comes_again(tmp_path: Path) -> None:
-    bench = FakeBench()
-    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(first("verdict", "redo")))
+    runner = FakeRunner()
+    state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(first("verdict", "redo")))
     assert state.trials[0].void
     assert state.trials[0].verdict is None
-    assert bench.hits[0][1] == bench.hits[1][1]
+    assert runner.hits[0][1] == runner.hits[1][1]
     assert state.ended == "complete"
 
 
@@ -176,40 +176,40 @@ def test_redo_before_a_trial_is_about_the_one_before(tmp_path: Path) -> None:
         ready += question.kind == "ready"
         return Reply(action="redo") if question.kind == "ready" and ready == 3 else None
 
-    bench = FakeBench()
-    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(answer))
+    runner = FakeRunner()
+    state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(answer))
     assert [trial.void for trial in state.trials[:3]] == [False, True, False]
-    assert bench.hits[1][1] == bench.hits[2][1]
+    assert runner.hits[1][1] == runner.hits[2][1]
 
 
 def test_nothing_can_be_redone_before_the_first_trial(tmp_path: Path) -> None:
     desk = ScriptedDesk()
-    run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    run_with(started(tmp_path / "P01"), FakeRunner(), desk)
     assert "redo" not in desk.questions[0].actions
     assert "redo" in next(q for q in desk.questions if q.kind == "verdict").actions
 
 
 def test_a_note_is_kept_and_the_question_asked_again(tmp_path: Path) -> None:
     desk = ScriptedDesk(first("ready", "note", " phone rang "))
-    state = run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    state = run_with(started(tmp_path / "P01"), FakeRunner(), desk)
     assert state.notes == [(0, "phone rang")]
     assert [question.kind for question in desk.questions[:2]] == ["ready", "ready"]
 
 
 def test_pause_is_logged_and_gone_on_from(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(first("ready", "pause")))
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(first("ready", "pause")))
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
     assert kinds[2:6] == ["block", "paused", "continued", "trial"]
 
 
 def test_who_leaves_can_come_back(tmp_path: Path) -> None:
-    calm = run_with(started(tmp_path / "calm"), FakeBench(), ScriptedDesk())
-    state = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(first("verdict", "abort")))
+    calm = run_with(started(tmp_path / "calm"), FakeRunner(), ScriptedDesk())
+    state = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(first("verdict", "abort")))
     assert state.stopped == "the operator left"
     assert state.ended is None
     with resume(tmp_path / "P01", clock=Day()) as session:
         assert session.state.stopped is None
-        state = conduct(session, FakeBench(), ScriptedDesk())
+        state = conduct(session, FakeRunner(), ScriptedDesk())
     assert state.trials == calm.trials
     assert decisions(read(tmp_path / "P01" / LOG)) == decisions(read(tmp_path / "calm" / LOG))
 
@@ -222,10 +222,10 @@ def test_a_block_may_start_over(tmp_path: Path) -> None:
         asked += question.kind == "verdict"
         return Reply(action="abort") if asked == 3 else None
 
-    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(leave_at_the_third))
-    bench = FakeBench()
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(leave_at_the_third))
+    runner = FakeRunner()
     with resume(tmp_path / "P01", at="block", clock=Day()) as session:
-        state = conduct(session, bench, ScriptedDesk())
+        state = conduct(session, runner, ScriptedDesk())
     assert [trial.void for trial in state.trials[:4]] == [True, True, True, False]
     assert state.trials[3].trial == 4
     assert state.ended == "complete"
@@ -240,17 +240,17 @@ def test_unsure_asks_again_and_counts_as_not_stable_in_the_end(tmp_path: Path) -
         hesitates = question.kind == "verdict" and asked <= 3
         return Reply(action="judge", value="unsure", took_s=1.0) if hesitates else None
 
-    bench = FakeBench()
-    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(unsure))
+    runner = FakeRunner()
+    state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(unsure))
     (run,) = (run for run in state.blocks[0].runs if run.number == 1)
     assert [answer.stable for answer in state.answers(run)[:4]] == [None, None, False, True]
-    assert bench.hits[0][1] == bench.hits[1][1] == bench.hits[2][1] > bench.hits[3][1]
+    assert runner.hits[0][1] == runner.hits[1][1] == runner.hits[2][1] > runner.hits[3][1]
 
 
 def test_the_automatic_verdict_may_lead_and_nobody_is_asked(tmp_path: Path) -> None:
     protocol = protocol_of(study=study(judge="automatic"))
     desk = ScriptedDesk()
-    state = run_with(started(tmp_path / "P01", protocol), FakeBench(), desk)
+    state = run_with(started(tmp_path / "P01", protocol), FakeRunner(), desk)
     assert not [question for question in desk.questions if question.kind == "verdict"]
     assert {(trial.stiffness < 430.0, trial.verdict, trial.by) for trial in state.trials} <= {
         (True, "stable", "automatic"),
@@ -265,7 +265,7 @@ def test_rests_come_when_they_are_due(tmp_path: Path) -> None:
         stop={"trials": 24},
     )
     desk = ScriptedDesk()
-    run_with(started(tmp_path / "P01", protocol), FakeBench(), desk)
+    run_with(started(tmp_path / "P01", protocol), FakeRunner(), desk)
     events = read(tmp_path / "P01" / LOG)
     since = 0
     for before, event in pairwise(events):
@@ -280,9 +280,9 @@ def test_rests_come_when_they_are_due(tmp_path: Path) -> None:
 
 
 def test_a_hot_motor_cools_before_the_next_trial(tmp_path: Path) -> None:
-    bench, desk = FakeBench(), ScriptedDesk()
-    bench.heat_of_a_hit = 0.3
-    state = run_with(started(tmp_path / "P01", protocol_of(stop={"trials": 6})), bench, desk)
+    runner, desk = FakeRunner(), ScriptedDesk()
+    runner.heat_of_a_hit = 0.3
+    state = run_with(started(tmp_path / "P01", protocol_of(stop={"trials": 6})), runner, desk)
     rests = [question for question in desk.questions if question.kind == "rest"]
     tau = preset("koul-rigid").rig.limits.thermal_time_constant_s
     assert rests
@@ -313,7 +313,7 @@ def test_stop_rules_end_a_session(tmp_path: Path, stop: Any, fails: Any, reason:
     session = started(tmp_path / "P01", protocol_of(stop=stop))
     assert isinstance(session.clock, Day)
     with session:
-        state = conduct(session, FakeBench(fails), RehearsalDesk(Person(thresholds={}), session.clock))
+        state = conduct(session, FakeRunner(fails), RehearsalDesk(Person(thresholds={}), session.clock))
     assert state.ended is not None
     assert state.ended.startswith(reason)
 
@@ -336,7 +336,7 @@ def test_questions_come_at_their_time_and_bad_answers_are_asked_again(tmp_path: 
         return Reply(action="answer", value=next(answers)) if question.kind == "item" else None
 
     state = run_with(
-        started(tmp_path / "P01", protocol_of(question=items)), FakeBench(), ScriptedDesk(answer)
+        started(tmp_path / "P01", protocol_of(question=items)), FakeRunner(), ScriptedDesk(answer)
     )
     assert state.answered == {("hand", 0): "left", ("tired", 1): 3, ("remarks", -1): "no"}
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
@@ -345,18 +345,18 @@ def test_questions_come_at_their_time_and_bad_answers_are_asked_again(tmp_path: 
 
 
 def test_practice_comes_first_and_counts_for_nothing(tmp_path: Path) -> None:
-    bench = FakeBench()
+    runner = FakeRunner()
     state = run_with(
-        started(tmp_path / "P01", protocol_of(practice={"stiffness": [150.0, 200.0]})), bench, ScriptedDesk()
+        started(tmp_path / "P01", protocol_of(practice={"stiffness": [150.0, 200.0]})), runner, ScriptedDesk()
     )
-    assert [stiffness for _, stiffness in bench.hits[:2]] == [150.0, 200.0]
+    assert [stiffness for _, stiffness in runner.hits[:2]] == [150.0, 200.0]
     assert [trial.practice for trial in state.trials[:3]] == [True, True, False]
     assert all(trial.run != 0 for trial in state.trials[2:])
 
 
 def test_interleaved_runs_take_turns(tmp_path: Path) -> None:
     protocol = protocol_of(order={"kind": "fixed", "interleave": True})
-    state = run_with(started(tmp_path / "P01", protocol), FakeBench(), ScriptedDesk())
+    state = run_with(started(tmp_path / "P01", protocol), FakeRunner(), ScriptedDesk())
     runs = [trial.run for trial in state.trials]
     assert sum(a != b for a, b in pairwise(runs)) > 2
     assert {runs.count(1), runs.count(2)} != {0}
@@ -366,7 +366,7 @@ def test_a_lost_link_is_asked_about_after_the_effort_is_zero(tmp_path: Path) -> 
     lost = LinkLostError("the link broke during the run")
     desk = ScriptedDesk()
     state = run_with(
-        started(tmp_path / "P01"), FakeBench({2: ({**INVALID, "ended": "link_closed"}, lost)}), desk
+        started(tmp_path / "P01"), FakeRunner({2: ({**INVALID, "ended": "link_closed"}, lost)}), desk
     )
     (trouble,) = (question for question in desk.questions if question.kind == "trouble")
     assert "the link broke" in trouble.text
@@ -377,7 +377,7 @@ def test_a_lost_link_is_asked_about_after_the_effort_is_zero(tmp_path: Path) -> 
 def test_a_hit_that_was_cut_off_is_judged_afterwards(tmp_path: Path) -> None:
     desk = ScriptedDesk()
     cut = ({"automatic": "unstable", "aborted": "energy", "ended": "energy"}, None)
-    state = run_with(started(tmp_path / "P01"), FakeBench({1: cut}), desk)
+    state = run_with(started(tmp_path / "P01"), FakeRunner({1: cut}), desk)
     assert desk.questions[1].kind == "verdict"
     assert state.trials[0].verdict == "stable"  # what the person says is theirs
 
@@ -395,7 +395,7 @@ def test_a_person_hears_that_a_hit_was_cut_off_only_after_their_verdict(tmp_path
         return None
 
     desk = ScriptedDesk(answer)
-    run_with(started(tmp_path), FakeBench({2: cut}), desk)
+    run_with(started(tmp_path), FakeRunner({2: cut}), desk)
     assert "trial 2: over" in seen["before"]
     assert not any(word in seen["before"] for word in ("cut off", "energy", "safety"))
     assert "trial 2: done, cut off for safety" in seen["after"]
@@ -406,7 +406,7 @@ def test_ctrl_c_in_a_hit_logs_it_and_leaves(tmp_path: Path) -> None:
     stop.signal = 2
     session = started(tmp_path / "P01")
     with session, pytest.raises(StoppedError):
-        conduct(session, FakeBench({1: ({**INVALID, "ended": "stopped"}, stop)}), ScriptedDesk())
+        conduct(session, FakeRunner({1: ({**INVALID, "ended": "stopped"}, stop)}), ScriptedDesk())
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
     assert kinds[-2:] == ["trial", "stopped"]
 
@@ -417,12 +417,12 @@ def test_a_desk_where_nobody_answers_leaves_a_session_that_can_be_resumed(tmp_pa
 
     session = started(tmp_path / "P01")
     with session, pytest.raises(StoppedError):
-        conduct(session, FakeBench(), ScriptedDesk(gone))
+        conduct(session, FakeRunner(), ScriptedDesk(gone))
     assert read(tmp_path / "P01" / LOG)[-1].content["reason"] == "the console is gone"
 
 
 def test_a_correction_is_an_event_of_its_own_and_changes_what_follows(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     events = read(tmp_path / "P01" / LOG)
     judged = next(event for event in events if event.kind == "judged")
     size = (tmp_path / "P01" / LOG).stat().st_size
@@ -434,7 +434,7 @@ def test_a_correction_is_an_event_of_its_own_and_changes_what_follows(tmp_path: 
 
 
 def test_a_trial_is_left_out_afterwards_and_taken_back(tmp_path: Path) -> None:
-    before = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    before = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     log = tmp_path / "P01" / LOG
     number = event_of_trial(tmp_path / "P01", 3, "void")
     assert (read(log)[number].kind, read(log)[number].content["trial"]) == ("trial", 3)
@@ -454,17 +454,17 @@ def test_a_trial_that_was_left_out_comes_again_when_the_session_goes_on(tmp_path
         return Reply(action="abort") if question.kind == "ready" and len(desk.questions) > 4 else None
 
     desk = ScriptedDesk(tired)
-    state = run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    state = run_with(started(tmp_path / "P01"), FakeRunner(), desk)
     last = state.trials[-1]
     amend(tmp_path / "P01", event_of_trial(tmp_path / "P01", last.trial, "void"), "void", "the wrong hand")
     session = resume(tmp_path / "P01", clock=Day())
-    state = run_with(session, FakeBench(), ScriptedDesk())
+    state = run_with(session, FakeRunner(), ScriptedDesk())
     assert state.trials[last.trial].stiffness == last.stiffness
     assert state.ended == "complete"
 
 
 def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeBench({2: (INVALID, None)}), ScriptedDesk())
+    run_with(started(tmp_path / "P01"), FakeRunner({2: (INVALID, None)}), ScriptedDesk())
     directory = tmp_path / "P01"
     written = amend(directory, event_of_trial(directory, 1, "buzz"), "buzz", "wrong key")
     assert line_of_event(written) == "trial 1 corrected: buzz (wrong key)"
@@ -485,7 +485,7 @@ def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
     ],
 )
 def test_corrections_that_are_none(tmp_path: Path, number: int, value: str, why: str, said: str) -> None:
-    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     assert read(tmp_path / "P01" / LOG)[4].kind == "judged"
     before = (tmp_path / "P01" / LOG).read_bytes()
     with pytest.raises(ConfigError, match=said):
@@ -494,7 +494,7 @@ def test_corrections_that_are_none(tmp_path: Path, number: int, value: str, why:
 
 
 def test_a_participant_has_one_session(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk())
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     before = (tmp_path / "P01" / LOG).read_bytes()
     with pytest.raises(ConfigError, match="holds a session already"):
         started(tmp_path / "P01")
@@ -531,24 +531,24 @@ def test_a_stop_is_answered_by_a_person_or_by_nobody(tmp_path: Path) -> None:
     session = started(tmp_path / "nobody")
     assert isinstance(session.clock, Day)
     with session, pytest.raises(StoppedError):
-        conduct(session, FakeBench(fails), RehearsalDesk(Person(thresholds={}), session.clock))
+        conduct(session, FakeRunner(fails), RehearsalDesk(Person(thresholds={}), session.clock))
     desk = ScriptedDesk()
-    state = run_with(started(tmp_path / "somebody"), FakeBench(fails), desk)
+    state = run_with(started(tmp_path / "somebody"), FakeRunner(fails), desk)
     assert [question.kind for question in desk.questions[:3]] == ["ready", "trouble", "ready"]
     assert state.ended == "complete"
 
 
 def test_a_lost_link_of_a_real_rig_leaves_the_session_since_zero_may_be_elsewhere(tmp_path: Path) -> None:
-    bench = FakeBench({2: ({**INVALID, "ended": "link_closed"}, LinkLostError("unplugged"))})
-    bench.simulated = False
+    runner = FakeRunner({2: ({**INVALID, "ended": "link_closed"}, LinkLostError("unplugged"))})
+    runner.simulated = False
     with started(tmp_path / "P01") as session, pytest.raises(LinkLostError):
-        conduct(session, bench, ScriptedDesk())
-    assert len(bench.hits) == 2
+        conduct(session, runner, ScriptedDesk())
+    assert len(runner.hits) == 2
     assert read(tmp_path / "P01" / LOG)[-1].kind == "stopped"
 
 
 def test_a_refused_trial_tells_a_blinded_operator_no_wall(tmp_path: Path) -> None:
-    class Refusing(FakeBench):
+    class Refusing(FakeRunner):
         def hit(self, *arguments: Any) -> Any:
             raise PlanError("K = 412 with B = 0.37 is unstable", remedy="choose --stiffness below 400")
 
@@ -573,7 +573,7 @@ def test_a_corrected_verdict_never_leads_to_a_wall_that_nobody_has_come_near(
     session = started(tmp_path / "P01", protocol)
     assert isinstance(session.clock, Day)
     with session:
-        conduct(session, FakeBench(), RehearsalDesk(person, session.clock))
+        conduct(session, FakeRunner(), RehearsalDesk(person, session.clock))
     events = read(tmp_path / "P01" / LOG)
     judged = [event for event in events if event.kind == "judged"]
     for wrong in judged:
@@ -598,7 +598,7 @@ def _amendment(number: int, value: str) -> dict[str, Any]:
 
 def test_a_correction_of_an_answer_is_checked_like_an_answer(tmp_path: Path) -> None:
     protocol = protocol_of(question=[{"name": "tired", "text": "How tired?", "when": "start"}])
-    run_with(started(tmp_path / "P01", protocol), FakeBench(), ScriptedDesk())
+    run_with(started(tmp_path / "P01", protocol), FakeRunner(), ScriptedDesk())
     number = next(event.number for event in read(tmp_path / "P01" / LOG) if event.kind == "answered")
     with pytest.raises(ConfigError, match="1 to 7"):
         amend(tmp_path / "P01", number, "banana", "a slip")
@@ -622,7 +622,7 @@ def test_a_block_that_starts_over_forgets_what_was_skipped_in_it(tmp_path: Path)
             return Reply(action="skip" if asked == 2 else "abort")
         return None
 
-    state = run_with(started(tmp_path / "P01"), FakeBench(), ScriptedDesk(answer))
+    state = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(answer))
     assert state.skipped == {1}
     with resume(tmp_path / "P01", at="block", clock=Day()) as session:
         assert session.state.skipped == set()
@@ -631,28 +631,28 @@ def test_a_block_that_starts_over_forgets_what_was_skipped_in_it(tmp_path: Path)
 def test_a_finished_block_does_not_start_over(tmp_path: Path) -> None:
     protocol = protocol_of(rest={"between_blocks_s": 30.0}, order={"kind": "fixed", "repeats": 2})
     leaves = ScriptedDesk(lambda question: Reply(action="abort") if question.kind == "rest" else None)
-    run_with(started(tmp_path / "P01", protocol), FakeBench(), leaves)
+    run_with(started(tmp_path / "P01", protocol), FakeRunner(), leaves)
     with resume(tmp_path / "P01", at="block", clock=Day()) as session:
         assert not [trial for trial in session.state.trials if trial.void]
 
 
 def test_the_very_last_trial_can_be_redone(tmp_path: Path) -> None:
     def answer(question: Question) -> Reply | None:
-        if question.text == "end the session?" and len(bench.hits) == last:
+        if question.text == "end the session?" and len(runner.hits) == last:
             return Reply(action="redo")
         return None
 
     last = 0
-    bench = FakeBench()
-    run_with(started(tmp_path / "counted"), bench, ScriptedDesk())
-    last = len(bench.hits)
-    bench.hits.clear()
-    state = run_with(started(tmp_path / "P01"), bench, ScriptedDesk(answer))
+    runner = FakeRunner()
+    run_with(started(tmp_path / "counted"), runner, ScriptedDesk())
+    last = len(runner.hits)
+    runner.hits.clear()
+    state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(answer))
     assert [trial.void for trial in state.trials[-2:]] == [True, False]
 
 
 def test_the_console_is_told_about_how_many_trials_there_will_be(tmp_path: Path) -> None:
     desk = ScriptedDesk()
-    state = run_with(started(tmp_path / "P01"), FakeBench(), desk)
+    state = run_with(started(tmp_path / "P01"), FakeRunner(), desk)
     told = {view.trials for view in desk.views}
     assert all(0.5 * len(state.trials) <= number <= 3.0 * len(state.trials) for number in told)

@@ -27,7 +27,7 @@ from rig.session.console.desk import ConsoleDesk, MovedHand, at_console
 from rig.session.desk import Action, Question, Reply, View
 from rig.session.protocol import Keys
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-from tests.rig.session.session_fakes import FakeBench, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 ROOT = Path(__file__).parents[3]
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
@@ -428,11 +428,11 @@ def test_a_hand_of_a_console_that_is_refused_leaves_no_file(
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("rig.session.console.desk.Child", refuse)
-    bench = FakeBench()
+    runner = FakeRunner()
     with pytest.raises(RigError, match="does not start"):
-        at_console(hand="keyboard", place=tmp_path / "none")(protocol_of(), {}, bench)
+        at_console(hand="keyboard", place=tmp_path / "none")(protocol_of(), {}, runner)
     assert list(tmp_path.iterdir()) == []
-    assert bench.hand is None
+    assert runner.hand is None
 
 
 def test_keys_that_cannot_be_meant_are_refused_before_anything_is_started(terminal: Terminal) -> None:

@@ -19,7 +19,7 @@ from rig.session.log import read
 from rig.session.protocol import Protocol
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.state import State
-from tests.rig.session.session_fakes import FakeBench, decisions, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
 
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, slips=0.1)
@@ -57,7 +57,7 @@ def started(directory: Path) -> Session:
 def finish(session: Session) -> State:
     assert isinstance(session.clock, Day)
     with session:
-        return conduct(session, FakeBench(), RehearsalDesk(PERSON, session.clock))
+        return conduct(session, FakeRunner(), RehearsalDesk(PERSON, session.clock))
 
 
 def go_on(directory: Path) -> State:

@@ -1,4 +1,4 @@
-"""A bench opens its simulated device anew when somebody takes the hand over that was scripted before."""
+"""A runner opens its simulated device anew when somebody takes the hand over that was scripted before."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def test_whoever_takes_the_hand_over_gets_another_device(monkeypatch):
         closed.append(url)
 
     monkeypatch.setattr(hits, "opened", opened)
-    bench = hits.RigBench(realtime=True)
-    scripted = bench._device(HELD, {})
-    assert bench._device(HELD, {}) is scripted
-    bench.hand = Path("/somewhere/hand")
-    driven = bench._device(HELD, {})
+    runner = hits.DeviceRunner(realtime=True)
+    scripted = runner._device(HELD, {})
+    assert runner._device(HELD, {}) is scripted
+    runner.hand = Path("/somewhere/hand")
+    driven = runner._device(HELD, {})
     assert (scripted.url, driven.url) == ("sim://", "sim://?hand=/somewhere/hand")
     assert closed == [scripted.url]
-    assert bench._device(HELD, {}) is driven
-    bench.close()
+    assert runner._device(HELD, {}) is driven
+    runner.close()
     assert closed == [scripted.url, driven.url]

@@ -16,11 +16,11 @@ from rig.session import run as sessions
 from rig.session.analysis import read_study
 from rig.session.conduct import conduct
 from rig.session.directory import LOG, begin
-from rig.session.hits import RigBench
+from rig.session.hits import DeviceRunner
 from rig.session.log import read
 from rig.session.place import Place, resume_command
 from rig.session.rehearsal import Day
-from tests.rig.session.session_fakes import FakeBench, ScriptedDesk, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of
 
 REAL = {
     "place": {"url": "serial:///dev/ttyACM0", "realtime": True},
@@ -38,7 +38,7 @@ def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-class Bench(FakeBench):
+class Runner(FakeRunner):
     """A rig that says what it is."""
 
     def __init__(self, **facts: Any) -> None:
@@ -72,14 +72,14 @@ def left(directory: Path, **facts: Any) -> Path:
         clock=Day(),
     )  # fmt: skip
     with session, pytest.raises(StoppedError):
-        conduct(session, Bench(**facts), Tired(2))
+        conduct(session, Runner(**facts), Tired(2))
     return directory / "P01"
 
 
 def gone_on(directory: Path, told: bool = False, **facts: Any) -> None:
     with pytest.raises(StoppedError):
         sessions.resume_session(
-            directory, lambda *_: Tired(2), bench=Bench(**facts), at="trial", other_device=told
+            directory, lambda *_: Tired(2), runner=Runner(**facts), at="trial", other_device=told
         )
 
 
@@ -157,7 +157,7 @@ def test_an_analysis_says_what_changed_within_a_session(
     assert len(messages) == (words != "")
 
 
-def test_the_bench_says_where_it_is_and_what_runs() -> None:
-    said = RigBench().facts(preset("koul-rigid"), {})
+def test_the_runner_says_where_it_is_and_what_runs() -> None:
+    said = DeviceRunner().facts(preset("koul-rigid"), {})
     assert said["place"] == {"url": None, "realtime": False}
     assert {"haptic-rig", "sources", "numpy", "platform"} <= said["versions"].keys()

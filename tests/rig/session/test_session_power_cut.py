@@ -24,7 +24,7 @@ from rig.session.directory import LOG, PROTOCOL, TRIALS, Session, begin, resume
 from rig.session.hits import sha256_of
 from rig.session.log import Event, SessionLog, read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
-from tests.rig.session.session_fakes import FakeBench, decisions, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of
 
 TEXT = b"# as it was\n"
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0})
@@ -156,7 +156,7 @@ def finished(directory: Path) -> None:
 def go_on(session: Session) -> None:
     assert isinstance(session.clock, Day)
     with session:
-        conduct(session, FakeBench(), RehearsalDesk(PERSON, session.clock))
+        conduct(session, FakeRunner(), RehearsalDesk(PERSON, session.clock))
 
 
 def check_kept(directory: Path, acknowledged: int) -> None:

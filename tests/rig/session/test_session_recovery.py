@@ -18,7 +18,7 @@ from rig.session.log import read
 from rig.session.rehearsal import Day, Person, RehearsalDesk
 from rig.session.search.observer import Observer
 from rig.session.state import State
-from tests.rig.session.session_fakes import FakeBench, protocol_of
+from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 K50 = 330.0
 OBSERVERS = (
@@ -83,7 +83,7 @@ def test_a_known_person_is_recovered_within_the_interval(name: str, tmp_path: Pa
         )
         assert isinstance(session.clock, Day)
         with session:
-            conduct(session, FakeBench(), RehearsalDesk(person, session.clock))
+            conduct(session, FakeRunner(), RehearsalDesk(person, session.clock))
         state = State.of(read(directory / LOG))
         (run,) = state.blocks[0].runs
         estimate = state.rule(run).estimate(state.answers(run))

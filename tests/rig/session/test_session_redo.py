@@ -16,7 +16,7 @@ from rig.session.directory import LOG, begin
 from rig.session.log import read
 from rig.session.rehearsal import Day
 from rig.session.state import State
-from tests.rig.session.session_fakes import INVALID, FakeBench, ScriptedDesk, protocol_of
+from tests.rig.session.session_fakes import INVALID, FakeRunner, ScriptedDesk, protocol_of
 
 STOPS: list[dict[str, Any]] = [{"trials": 3}, {"minutes": 0.001}, {"aborts": 2}]
 
@@ -28,7 +28,7 @@ def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(
-    directory: Path, bench: FakeBench, answer: Callable[[Question], Reply | None], **sections: Any
+    directory: Path, runner: FakeRunner, answer: Callable[[Question], Reply | None], **sections: Any
 ) -> State:
     session = begin(
         directory,
@@ -42,10 +42,10 @@ def run(
         clock=Day(),
     )
     with session:
-        return conduct(session, bench, ScriptedDesk(answer))
+        return conduct(session, runner, ScriptedDesk(answer))
 
 
-def ended(directory: Path, bench: FakeBench, redos: int, **sections: Any) -> State:
+def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> State:
     """A session at whose end somebody says redo so often, one after the other."""
     said = 0
 
@@ -57,7 +57,7 @@ def ended(directory: Path, bench: FakeBench, redos: int, **sections: Any) -> Sta
             return Reply(action="redo")
         return None
 
-    state = run(directory, bench, answer, **sections)
+    state = run(directory, runner, answer, **sections)
     again = State.of(read(directory / LOG))
     assert (again.trials, again.ended) == (state.trials, state.ended)
     return state
@@ -66,8 +66,8 @@ def ended(directory: Path, bench: FakeBench, redos: int, **sections: Any) -> Sta
 @pytest.mark.parametrize("redos", [1, 2])
 @pytest.mark.parametrize("order", [{"kind": "fixed"}, {"kind": "fixed", "interleave": True}])
 def test_what_is_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int, order: Any) -> None:
-    bench = FakeBench()
-    state = ended(tmp_path, bench, redos, stop={"trials": 3}, order=order)
+    runner = FakeRunner()
+    state = ended(tmp_path, runner, redos, stop={"trials": 3}, order=order)
     assert state.ended == "3 trials"
     assert [trial.void for trial in state.trials] == [False] * (3 - redos) + [True] * redos + [False] * redos
     walls = [(trial.run, trial.stiffness) for trial in state.trials]
@@ -82,15 +82,15 @@ def test_redone_in_the_middle_does_not_count_towards_the_end(tmp_path: Path) -> 
         ready += question.kind == "ready"
         return Reply(action="redo") if question.kind == "ready" and ready == 2 else None
 
-    state = run(tmp_path, FakeBench(), answer, stop={"trials": 3})
+    state = run(tmp_path, FakeRunner(), answer, stop={"trials": 3})
     assert [trial.void for trial in state.trials] == [True, False, False, False]
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: next(iter(stop)))
 def test_every_stop_rule_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
     cut = {"automatic": "unstable", "aborted": "energy"}
-    bench = FakeBench(dict.fromkeys((1, 2), (cut, None)) if "aborts" in stop else {})
-    state = ended(tmp_path, bench, 1, stop=stop)
+    runner = FakeRunner(dict.fromkeys((1, 2), (cut, None)) if "aborts" in stop else {})
+    state = ended(tmp_path, runner, 1, stop=stop)
     void = [trial for trial in state.trials if trial.void]
     assert len(void) == 1
     after = state.trials[void[0].trial]
@@ -101,12 +101,12 @@ def test_a_redone_trial_that_says_nothing_is_repeated_until_somebody_leaves_the_
     """Then nothing is owed any more, and the rule ends the session."""
 
     def answer(question: Question) -> Reply | None:
-        if question.text == "end the session?" and len(bench.hits) == 3:
+        if question.text == "end the session?" and len(runner.hits) == 3:
             return Reply(action="redo")
         return Reply(action="skip") if question.kind == "trouble" else None
 
-    bench = FakeBench(dict.fromkeys(range(4, 20), (INVALID, None)))
-    state = run(tmp_path, bench, answer, stop={"invalid": 3, "trials": 3})
+    runner = FakeRunner(dict.fromkeys(range(4, 20), (INVALID, None)))
+    state = run(tmp_path, runner, answer, stop={"invalid": 3, "trials": 3})
     assert [trial.void for trial in state.trials[:3]] == [False, False, True]
     assert state.skipped == {1}
     assert state.ended is not None

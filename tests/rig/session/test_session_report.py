@@ -24,15 +24,14 @@ from rig.views.plots.session import draw_session, pictures, tracks_name, zwidth_
 from rig.views.report.session import (
     NUMBERS,
     PAGE,
-    _range,
-    _sections,
-    _summary,
-    as_mapping,
+    numbers,
     render,
     write_session_report,
 )
-from rig.views.report.session_events import _with_units, deviations, notes, useless_trials
+from rig.views.report.session_events import _with_units, deviations, invalid_trials, notes
 from rig.views.report.session_methods import effective, methods
+from rig.views.report.session_tables import psychometric, summarised
+from rig.views.report.writing import interval
 from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script> $\\frac$ http://evil"
@@ -116,6 +115,11 @@ def page(found, drawn):
     return render(found, {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"})
 
 
+def _flat(page):
+    """The text of a page in one line."""
+    return " ".join(_Page(page).text.split())
+
+
 class _Page(HTMLParser):
     """Collects what a test asks of a page, and checks that what opens closes."""
 
@@ -168,18 +172,18 @@ def test_texts_of_users_are_text(page):
     assert read.scripts == 1  # the numbers
     assert read.text.count(NASTY) >= 3  # title, question, note
     assert "uniform <i>" in read.text
-    numbers = json.loads(read.numbers)
-    assert numbers["title"].endswith(NASTY)
-    assert numbers["notes"][0]["detail"] == NASTY
+    printed = json.loads(read.numbers)
+    assert printed["title"].endswith(NASTY)
+    assert printed["notes"][0]["detail"] == NASTY
 
 
 def test_the_numbers_are_those_of_the_analysis(page, found, tmp_path):
-    numbers = json.loads(_Page(page).numbers)
-    assert numbers == json.loads(json.dumps(as_mapping(found), allow_nan=False))
-    assert len(numbers["runs"]) == len(found.runs)
+    printed = json.loads(_Page(page).numbers)
+    assert printed == json.loads(json.dumps(numbers(found), allow_nan=False))
+    assert len(printed["runs"]) == len(found.runs)
     paths = write_session_report(found, {}, tmp_path)
     assert [path.name for path in paths] == [PAGE, NUMBERS]
-    assert json.loads(paths[1].read_text(encoding="utf-8")) == numbers
+    assert json.loads(paths[1].read_text(encoding="utf-8")) == printed
     assert "(no picture)" in paths[0].read_text(encoding="utf-8")
 
 
@@ -192,8 +196,8 @@ def test_every_limit_of_the_main_table_is_printed(page, found):
 
 
 def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found):
-    assert all("N·m/rad" in one.detail and "N·m·s/rad" in one.detail for one in useless_trials(found.study))
-    effective = as_mapping(found)["provenance"]["experiments"]
+    assert all("N·m/rad" in one.detail and "N·m·s/rad" in one.detail for one in invalid_trials(found.study))
+    effective = numbers(found)["provenance"]["experiments"]
     assert effective["_dual $x"]["operator"]["press"] == 2.0
     assert effective["_dual $x"]["controller"]["position_rate"] == 20_000
     said = _with_units(found.study.sessions[0], "heard 0.113 above 0.1; felt 2e-05 above 1e-05; it moved")
@@ -215,14 +219,19 @@ def test_every_deviation_is_listed(found, page):
         ("P03", "ended"),
     ]
     details = {what: detail for _, what, detail in told}
-    assert details["continued"] == "after a pause of 1 min 30 s"
-    assert details["stopped"] == "the session was left: the operator left"
-    assert "1 h 6 min" in details["resumed"]
-    assert "trials/t0013.parquet" in details["resumed"]
-    assert re.fullmatch(r"block \d+ began anew: \d+ trials do not count", details["restarted"])
-    assert "→ “unsure”; why: the wrong key" in details["amended"]
-    assert details["ended"] == "the session ended early: 60 minutes"
-    useless = useless_trials(found.study)
+    holds = {
+        "continued": ("1 min 30 s",),
+        "stopped": ("the operator left",),
+        "resumed": ("1 h 6 min", "trials/t0013.parquet"),
+        "restarted": ("block 1", "11 trials"),
+        "amended": ("“stable” → “unsure”", "the wrong key"),
+        "skipped": ("uniform <i>, B = 0.5 N·m·s/rad",),
+        "ended": ("60 minutes",),
+    }
+    for what, parts in holds.items():
+        assert all(part in details[what] for part in parts), details[what]
+    assert not any("  " in detail or detail.endswith(".") for detail in details.values())
+    useless = invalid_trials(found.study)
     assert len(useless) == sum(trial.void == "invalid" for trial in found.trials) + sum(
         trial.automatic == "invalid" and trial.void in ("redone", "restarted") for trial in found.trials
     )
@@ -243,7 +252,7 @@ def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found, page):
     assert (
         "all verdicts together, which is not computed from the mean and need not contain it" in methods_text
     )
-    assert "are told from all verdicts of a participant together, not from the mean" in _Page(page).text
+    assert "are estimated from all verdicts of a participant together, not from the mean" in _flat(page)
 
 
 def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found):
@@ -252,8 +261,8 @@ def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found
         for one in found.paired
         if one.measure == "rule"
     ]
-    text = _Page(render(replace(found, paired=tuple(told), mixed=()), {})).text
-    assert "+25 N·m/rad for every participant, which leaves no interval and no p." in text
+    text = _flat(render(replace(found, paired=tuple(told), mixed=()), {}))
+    assert "+25 N·m/rad for every participant, so there is no interval and no p value." in text
     assert "p = –" not in text
 
 
@@ -262,7 +271,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
     study, counts = found.study, found.counts()
     x = effective(found)["uniform <i>"]
     limits, judged = x.rig.limits, x.verdict
-    numbers = {
+    parts = {
         "Participants": [len(study.sessions), 2],
         "Apparatus": [f"{x.rig.encoder.resolution:.4g}", f"{limits.effort:g} N·m"],
         "Conditions": ["20 kHz", "2 kHz", "200 Hz", "2 N", "0 and 0.5 N·m·s/rad"],
@@ -282,9 +291,9 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
         ],
         "Software": ["haptic-rig 0.1.0"],
     }
-    assert list(told) == list(numbers)
-    for heading, parts in numbers.items():
-        for part in parts:
+    assert list(told) == list(parts)
+    for heading, some in parts.items():
+        for part in some:
             assert str(part) in told[heading], (heading, part)
     whole = " ".join(told.values())
     assert {"of skipped searches", "of unfinished searches", "practice", "redone", "restarted"} <= set(counts)
@@ -390,7 +399,7 @@ def test_limits_beyond_the_levels_are_marked(tmp_path):
     assert len(triangles) == 3  # two people and their mean
     page = render(found, {})
     assert "≥ 300" in _Page(page).text
-    assert "2 of 2 limits are censored" in _Page(page).text
+    assert "2 of 2 limits are censored" in _flat(page)
 
 
 @pytest.mark.parametrize("trials", [0, 1])
@@ -417,16 +426,13 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path):
     }
     write_study(tmp_path, mapping, people)
     found = analyse([tmp_path])
-    (line,) = [text for text in _summary(found) if "dual − uniform" in text]
-    assert re.search(
-        r"at B = 0: ≥ \+\d\S* N·m/rad with 5 of 10 limits beyond the levels, too many for an interval and a p",
-        line,
-    )
-    read = _Page(render(found, {}))
-    assert "p (Holm) =" not in read.text
-    assert "5 above of 5" in read.text
-    assert "smaller than they are" not in read.text
-    assert "No model for censored values (Tobit) was used" in read.text
+    ((one, _),) = summarised(found)
+    assert (one.bound, one.beyond.count, one.beyond.limits, math.isnan(one.p)) == ("least", 5, 10, True)
+    text = _flat(render(found, {}))
+    assert re.search(r"dual − uniform, at B = 0: ≥ \+\d\S* N·m/rad with 5 of 10 limits censored", text)
+    assert "p (Holm) =" not in text
+    assert "5 above of 5" in text
+    assert "No model for censored values (Tobit) was used" in text
     for draw in pictures(found).values():
         draw(found).draw_without_rendering()
 
@@ -436,14 +442,13 @@ def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(
     rule = [one for one in found.paired if one.measure == "rule"]
     assert [one.damping for one in rule] == [0.0, 0.5, None]
 
-    def lines(paired):
-        changed = replace(found, paired=tuple(paired), mixed=())
-        return [re.search(r"(over all dampings|at B = \S+):", text)[1] for text in _summary(changed)[1:]]
+    def dampings(paired):
+        return [one.damping for one, _ in summarised(replace(found, paired=tuple(paired), mixed=()))]
 
     nothing = dict.fromkeys(("low", "high", "p", "holm"), math.nan)
-    assert lines(rule) == ["over all dampings"]
+    assert dampings(rule) == [None]
     withheld = [rule[0], *(replace(one, withheld=True, **nothing) for one in rule[1:])]
-    assert lines(withheld) == ["at B = 0", "at B = 0.5", "over all dampings"]
+    assert dampings(withheld) == [0.0, 0.5, None]
 
 
 @pytest.mark.parametrize(
@@ -461,7 +466,7 @@ def test_an_order_is_balanced_where_each_row_is_there_equally_often(people, told
     assert told in texts["Order and blinding"]
 
 
-def test_slips_that_no_verdict_tells_and_intervals_that_are_absent_are_dashes(found):
+def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found):
     functions = [
         replace(
             one,
@@ -471,8 +476,7 @@ def test_slips_that_no_verdict_tells_and_intervals_that_are_absent_are_dashes(fo
         for one, mean in zip(found.psychometrics, (0.0, 0.027, 0.06, math.nan), strict=False)
     ]
     changed = replace(found, psychometrics=tuple(functions))
-    (section,) = [one for one in _sections(changed) if one.key == "psychometric"]
-    rows = [row for table in (*section.tables, *section.folded) for row in table.rows]
+    rows = psychometric(changed, changed.psychometrics, "").rows
     assert sorted(row[8] for row in rows) == ["0.0 %", "6.0 %", "–", "–"]
     assert {row[5] for row in rows} == {"–"}
     pictures(changed)["psychometric"](changed).draw_without_rendering()
@@ -492,7 +496,7 @@ def test_slips_that_no_verdict_tells_and_intervals_that_are_absent_are_dashes(fo
     ],
 )
 def test_an_interval_that_is_open_on_a_side_says_its_end(low, high, text):
-    assert _range(low, high) == text
+    assert interval(low, high) == text
 
 
 def test_the_command_writes_the_page(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rig.config import Experiment
-from rig.experiments.planned import Check
+from rig.core.check import Check
 
 Watch = Callable[[int, int], None]
 
@@ -23,7 +23,7 @@ class Wall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Refusal:
+class RefusedWalls:
     """What the gate refuses of one condition at one damping, out of so many walls; why, for the softest of them."""
 
     condition: str
@@ -46,8 +46,8 @@ class Done:
     duration_s: float
 
 
-class Bench(Protocol):
-    """Where trials are run: a rig (`RigBench`), or what a test puts in its place.
+class TrialRunner(Protocol):
+    """Where trials are run: a rig (`DeviceRunner`), or what a test puts in its place.
 
     `hand` is the file through which somebody moves the simulated hand, None while it plays its script. `arm_anyway`:
     somebody consented to walls that the arming gate refuses.
@@ -75,8 +75,8 @@ class Bench(Protocol):
         """What the log should know of the device, its clock and this computer."""
         ...
 
-    def refusals(self, walls: Sequence[Wall]) -> Sequence[Refusal]:
-        """Which of these walls the rig does not arm without consent; see `RigBench.refusals`."""
+    def refusals(self, walls: Sequence[Wall]) -> Sequence[RefusedWalls]:
+        """Which of these walls the rig does not arm without consent; see `DeviceRunner.refusals`."""
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
@@ -92,7 +92,7 @@ class Bench(Protocol):
         watch: Callable[[Experiment], Watch | None],
         heat: float,
     ) -> Done:
-        """Run one trial; see `RigBench.hit`."""
+        """Run one trial; see `DeviceRunner.hit`."""
         ...
 
     def close(self) -> None:

@@ -1,0 +1,425 @@
+"""The tables of a study: what the page of `rig session analyse` shows, and of which the terminal prints some."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+
+from rig.core.present import Table
+from rig.session.analysis.agreement import Agreement
+from rig.session.analysis.analyse import Analysis
+from rig.session.analysis.effects import Slope
+from rig.session.analysis.kmax import Beyond, Bound, Paired
+from rig.session.analysis.mixed import Contrast, Mixed
+from rig.session.analysis.psychometric import Psychometric
+from rig.session.analysis.rows import Measure
+from rig.session.analysis.study import VOIDED, Session
+from rig.session.analysis.tables import SLIPS_BEFORE
+from rig.session.state import END
+from rig.views.report.session_events import Deviation
+from rig.views.report.writing import MINUS, NOTHING, clock, interval, number, p, percent, shortest, signed
+
+MEASURES: dict[Measure, str] = {
+    "rule": "the limit by the search rule",
+    "K50 person": "K50 of the person's verdicts",
+    "K50 automatic": "K50 of the automatic verdicts",
+}
+BOUNDS: dict[Bound, str] = {"": "", "least": "≥ ", "most": "≤ ", "unknown": "? "}
+_SAME = 0.005  # of a lapse rate: no further from the mean of its prior
+
+
+def over_participants(found: Analysis, measure: Measure) -> Table:
+    """K_max of each condition and damping, over participants."""
+    rows = [
+        (
+            one.condition,
+            shortest(one.damping),
+            bounded(one.mean, one.above, one.below),
+            interval(one.low, one.high),
+            number(one.deviation),
+            str(one.participants),
+            str(one.runs),
+            _censored(one.above, one.below, one.limits),
+        )
+        for one in found.over_participants
+        if one.measure == measure
+    ]
+    head = ("condition", *_units(found), "95 %", "SD", "participants", "runs", "censored")
+    return Table(head, rows, f"K_max over participants: {MEASURES[measure]}")
+
+
+def of_participants(found: Analysis, measure: Measure) -> Table:
+    """K_max of each participant."""
+    rows = [
+        (
+            one.participant,
+            one.condition,
+            shortest(one.damping),
+            bounded(one.mean, one.above, one.below),
+            interval(one.low, one.high),
+            one.interval,
+            interval(one.student_low, one.student_high),
+            interval(one.bootstrap_low, one.bootstrap_high),
+            number(one.deviation),
+            str(one.repeats),
+        )
+        for one in found.of_participants
+        if one.measure == measure
+    ]
+    head = (
+        "participant",
+        "condition",
+        *_units(found),
+        "95 %",
+        "of",
+        "Student's",
+        "bootstrap",
+        "SD",
+        "repeats",
+    )
+    return Table(head, rows, f"K_max of each participant: {MEASURES[measure]}", words=2)
+
+
+def contrasts(found: Analysis, some: Iterable[Contrast | Paired], caption: str) -> Table:
+    """Differences between conditions."""
+    rows = [
+        (
+            f"{one.condition} {MINUS} {one.against}",
+            "all" if one.damping is None else shortest(one.damping),
+            f"{BOUNDS[one.bound]}{signed(one.difference)}",
+            interval(one.low, one.high),
+            p(one.p),
+            p(one.holm),
+            f"{one.beyond.count} of {one.beyond.limits}",
+        )
+        for one in some
+    ]
+    head = ("difference", "B", f"({found.study.unit('stiffness')})", "95 %", "p", "p (Holm)", "censored")
+    return Table(head, rows, caption)
+
+
+def likelihood_ratios(model: Mixed) -> Table:
+    """Whether the factors matter at all."""
+    rows = [(one.factor, number(one.statistic), str(one.degrees), p(one.p)) for one in model.tests]
+    return Table(("factor", "χ²", "degrees of freedom", "p"), rows, "Likelihood ratios")
+
+
+def terms(found: Analysis, model: Mixed) -> Table:
+    """The terms of the mixed model."""
+    named = [
+        *[(f"{condition}, B = {damping:g}", term) for (condition, damping), term in model.means],
+        *[(f"for each {place(slope.name)}", slope) for slope in model.slopes],
+    ]
+    rows = [(name, number(term.value), interval(term.low, term.high)) for name, term in named]
+    rows += [(f"SD of {name}", number(value), "") for name, value in model.deviations]
+    return Table(("term", "value", "95 %"), rows, f"Terms of the model ({found.study.unit('stiffness')})")
+
+
+def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) -> Table:
+    """Parameters of psychometric functions."""
+    unit = found.study.unit("stiffness")
+    rows = [
+        (
+            one.participant or "all",
+            one.condition,
+            one.judge,
+            shortest(one.damping),
+            bounded(one.threshold.mean, one.above, one.below),
+            NOTHING if _mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
+            number(one.spread.mean),
+            interval(one.spread.low, one.spread.high),
+            lapse_rate(one.slips.mean),
+            str(sum(one.verdicts)),
+        )
+        for one in some
+    ]
+    head = ("participant", "condition", "judge", "B", f"K50 ({unit})", "95 %", f"spread ({unit})", "95 %")
+    return Table((*head, "lapse rate", "verdicts"), rows, caption, words=3)
+
+
+def _mostly_censored(one: Psychometric) -> bool:
+    return one.participants > 1 and Beyond(one.participants, one.above, one.below).mostly
+
+
+def agreement(some: Iterable[Agreement]) -> Table:
+    """Cohen's kappa of each table of confusions."""
+    rows = [
+        (
+            one.condition or "all",
+            one.name,
+            one.weights,
+            NOTHING if one.kappa is None else f"{one.kappa:.2f}",
+            interval(one.low, one.high, 2),
+            one.over,
+            percent(one.share),
+            percent(one.positive),
+            percent(one.negative),
+            str(one.people),
+            str(one.trials),
+            str(one.left_out),
+        )
+        for one in some
+    ]
+    head = (
+        "condition",
+        "classes",
+        "weights",
+        "κ",
+        "95 %",
+        "over",
+        "same",
+        "on stable",
+        "on not stable",
+        "people",
+    )
+    return Table(
+        (*head, "trials", "left out"),
+        rows,
+        "Agreement of the person's verdicts with the automatic ones, Cohen's κ",
+        words=3,
+    )
+
+
+def slopes(found: Analysis, some: Iterable[Slope]) -> Table:
+    """How limits, response times and invalid trials change along a session."""
+    units = {"limit": found.study.unit("stiffness"), "response time": "ln s"}
+    rows = [
+        (
+            one.of + (f", {one.measure}" if one.measure else ""),
+            place(one.along),
+            units.get(one.of, "share"),
+            number(one.slope),
+            interval(one.low, one.high),
+            p(one.p),
+            p(one.holm),
+            str(one.participants),
+            str(one.count),
+            one.problem,
+        )
+        for one in some
+    ]
+    head = ("of", "for each", "unit", "slope", "95 %", "p", "p (Holm)", "participants", "values", "")
+    return Table(
+        head, rows, "Slopes along the session, exploratory: one for each participant, and their mean", words=3
+    )
+
+
+def blocks(found: Analysis) -> Table:
+    """Trials of each block, practice aside."""
+    rows = [
+        (
+            one.participant, one.block, one.trials, one.invalid, one.redone, one.aborted, one.unsure,
+            number(one.response_s, 3),
+        )
+        for one in found.blocks
+    ]  # fmt: skip
+    head = ("participant", "block", "trials", "invalid", "redone", "cut off", "unsure", "response time (s)")
+    return Table(head, rows, "Blocks, practice aside")
+
+
+def searches(found: Analysis) -> Table:
+    """What was planned of each condition and damping, and what became of it."""
+    protocol, sessions = found.study.protocol, found.study.sessions
+    planned = protocol.order.repeats * len(sessions)
+    rows = []
+    for condition, damping in ((one, damping) for one in protocol.condition for damping in one.damping):
+        of = [run for run in found.runs if (run.condition, run.damping) == (condition.name, damping)]
+        states = [run.state for run in of]
+        rows.append(
+            (
+                condition.name,
+                found.schemes[condition.name],
+                shortest(damping),
+                planned,
+                *(states.count(state) for state in ("complete", "unfinished", "skipped")),
+                planned - len(of),
+                f"{sum(run.hits for run in of) / len(of):.1f}" if of else NOTHING,
+                sum(run.invalid for run in of),
+                sum(run.void for run in of),
+            )
+        )
+    head = (
+        "condition",
+        "scheme",
+        f"B ({found.study.unit('damping')})",
+        "runs planned",
+        "complete",
+        "unfinished",
+    )
+    return Table((*head, "skipped", "not begun", "hits a run", "invalid", "void"), rows, "Searches", words=2)
+
+
+def orders(found: Analysis) -> Table:
+    """In which order each participant had the searches."""
+    rows = [
+        (
+            session.code,
+            session.state.row,
+            block.number,
+            " → ".join(f"{run.condition} (B = {run.damping:g})" for run in block.runs)
+            + (", alternating" if block.interleave else ""),
+        )
+        for session in found.study.sessions
+        for block in session.state.blocks
+        if not block.practice
+    ]
+    return Table(("participant", "row", "block", "order"), rows, "Order of the searches", words=4)
+
+
+def participants(found: Analysis) -> Table:
+    """The sessions."""
+    head = (
+        "participant",
+        "began (UTC)",
+        "ended",
+        "row",
+        "duration (min)",
+        "blocks begun",
+        "trials",
+        "counted",
+    )
+    rows = [_participant(found, session) for session in found.study.sessions]
+    return Table((*head, "invalid", "redone, restarted or left out", "cut off"), rows, "Sessions", words=3)
+
+
+def _participant(found: Analysis, session: Session) -> tuple[object, ...]:
+    state = session.state
+    trials = [trial for trial in found.trials if trial.participant == session.code]
+    planned = [block for block in state.blocks if not block.practice]
+    began = datetime.fromtimestamp(session.began_at, UTC)
+    return (
+        session.code,
+        "in simulated time" if found.study.rehearsed else f"{began:%Y-%m-%d %H:%M}",
+        state.ended or (f"left: {state.stopped}" if state.stopped else "not ended"),
+        state.row,
+        f"{state.active_s / 60.0:.0f}",
+        f"{len({number for number in state.begun if number})} of {len(planned)}",
+        len(trials),
+        next(one.counted for one in found.participants if one.participant == session.code),
+        sum(trial.void == "invalid" for trial in trials),
+        sum(trial.void in VOIDED for trial in trials),
+        sum(trial.aborted != "" for trial in trials),
+    )
+
+
+def tracks(found: Analysis) -> Table:
+    """Every search with its limit."""
+    rows = []
+    for run in found.runs:
+        limit = run.limits.get(found.options.measure)
+        value, ends = NOTHING, NOTHING
+        if limit is not None:
+            value = bounded(limit.value, limit.censored == "above", limit.censored == "below")
+            ends = interval(limit.low, limit.high)
+        state = "; ".join(filter(None, (run.state, run.note)))
+        rows.append(
+            (
+                run.participant, run.condition, run.rule, state, run.run, run.block, shortest(run.damping),
+                run.repeat, value, ends, run.hits, f"{run.slips} of {run.catches}",
+            )
+        )  # fmt: skip
+    head = ("participant", "condition", "rule", "state", "run", "block", "B", "repeat")
+    unit = found.study.unit("stiffness")
+    return Table((*head, f"limit ({unit})", "95 %", "hits", "lapses"), rows, "Searches", words=4)
+
+
+def answers(found: Analysis) -> Table:
+    """Answers to the questionnaire."""
+    items = {item.name: item.text for item in found.study.protocol.question}
+    rows = [
+        (
+            session.code,
+            items.get(name, name),
+            {0: "start", END: "end"}.get(block, f"after block {block}"),
+            str(answer),
+        )
+        for session in found.study.sessions
+        for (name, block), answer in session.state.answered.items()
+    ]
+    return Table(("participant", "question", "when", "answer"), rows, "Answers", words=4)
+
+
+def events(some: Iterable[Deviation], caption: str) -> Table:
+    """What happened, to whom and when."""
+    rows = [(one.participant, clock(one.at_s), one.what, one.detail) for one in some]
+    return Table(("participant", "since the begin", "what", "details"), rows, caption, words=4)
+
+
+# What the terminal and the page begin with.
+
+
+def first_contrasts(found: Analysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
+    """The model, and the differences to begin with, each with its method: the model's, else the paired ones.
+
+    Paired differences that are no more than bounds stand beside the model's.
+    """
+    measure = found.options.measure
+    paired = [one for one in found.paired if one.measure == measure and one.participants > 1]
+    model = next((one for one in found.mixed if one.measure == measure), None)
+    if model is None or not model.contrasts:
+        return model, [(one, "paired") for one in paired]
+    first: list[tuple[Contrast | Paired, str]] = [(one, "mixed model") for one in model.contrasts]
+    return model, first + [(one, "paired") for one in paired if one.withheld]
+
+
+def tested(one: Contrast | Paired) -> bool:
+    """Whether a difference may have an interval."""
+    return not (isinstance(one, Paired) and one.withheld)
+
+
+def summarised(found: Analysis) -> Iterator[tuple[Contrast | Paired, str]]:
+    """Differences of a summary: over all dampings, or at each where the mean over them is no more than a bound."""
+    _, first = first_contrasts(found)
+    overall = {(one.condition, one.against) for one, _ in first if one.damping is None and tested(one)}
+    for one, method in first:
+        if one.damping is None or (one.condition, one.against) not in overall:
+            yield one, method
+
+
+def bounded(value: float, above: int, below: int) -> str:
+    """A value with the sign of a bound, where so many limits behind it lie above or below the levels."""
+    mark = "? " if above and below else "≥ " if above else "≤ " if below else ""
+    return f"{mark}{number(value)}"
+
+
+def lapse_rate(mean: float) -> str:
+    """A lapse rate; a dash where it is absent, or still the mean of its prior."""
+    return NOTHING if abs(mean - SLIPS_BEFORE) < _SAME else percent(mean, 1)
+
+
+def place(along: str) -> str:
+    """What a slope is along, in words."""
+    return "place in the block" if along == "order" else along
+
+
+def _censored(above: int, below: int, limits: int) -> str:
+    sides = [f"{count} {side}" for count, side in ((above, "above"), (below, "below")) if count]
+    return f"{', '.join(sides)} of {limits}" if sides else "none"
+
+
+def _units(found: Analysis) -> Sequence[str]:
+    return (f"B ({found.study.unit('damping')})", f"K_max ({found.study.unit('stiffness')})")
+
+
+def whole(found: Analysis) -> tuple[list[Psychometric], list[Psychometric]]:
+    """Psychometric functions of all participants (or the only one), and those of each."""
+    alone = len(found.study.sessions) == 1
+    every = list(found.psychometrics)
+    together = [one for one in every if alone or not one.participant]
+    return together, [one for one in every if one not in together]
+
+
+def no_interval(found: Analysis) -> dict[str, list[str]]:
+    """Why tables of confusions have no interval: tables by problem."""
+    problems: dict[str, list[str]] = {}
+    for one in found.agreements:
+        name = one.name + (f" of {one.condition}" if one.condition else "")
+        if one.problem and name not in problems.setdefault(one.problem, []):
+            problems[one.problem].append(name)
+    return problems
+
+
+def has_interval(one: Contrast | Paired) -> bool:
+    """Whether a difference has an interval."""
+    return math.isfinite(one.low)

@@ -1,0 +1,57 @@
+"""What a judgement offers to people: each number with its unit, its limit and, in simulation, the truth."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig.config import override, presets, verdict_thresholds
+from rig.control.verdict import Kind
+from rig.core.present import Row, plain
+from rig.core.sample import unit_of
+from rig.experiments.hit import HitRequest, HitResult, hit
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> HitResult:
+    experiment = override(presets.load("koul-compliant"), {"trial.duration_s": 0.5})
+    (found,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("hits")))
+    return found
+
+
+def rows_of(result: HitResult) -> dict[str, Row]:
+    return {row.label: row for row in result.recorded.judgement.rows(result.experiment)}
+
+
+def test_rows_are_the_numbers_of_the_verdict_in_si_units(result: HitResult) -> None:
+    rows, verdict = rows_of(result), result.verdict
+    for label, name, quantity in (
+        ("peak penetration", "peak_penetration", "position"),
+        ("resting penetration", "resting_penetration", "position"),
+        ("peak effort", "peak_effort", "effort"),
+        ("heard (effort ripple, rms)", "heard", "effort"),
+        ("moved (position ripple, p-p)", "moved", "position"),
+    ):
+        assert rows[label].value == getattr(verdict, name)
+        assert rows[label].unit == unit_of(quantity, "rotary")
+    assert rows["verdict"].value is verdict.kind is Kind.STABLE
+
+
+def test_every_threshold_stands_beside_its_number(result: HitResult) -> None:
+    thresholds = verdict_thresholds(result.experiment)
+    notes = {label.partition(" ")[0]: row.note for label, row in rows_of(result).items()}
+    for name, limit in (
+        ("felt", thresholds.felt_velocity),
+        ("heard", thresholds.heard_effort),
+        ("moved", thresholds.moved),
+    ):
+        assert f"limit {limit:.3g}" in notes[name]
+        assert "true " in notes[name]
+
+
+def test_what_a_count_hides_is_not_measurable_and_json_says_null(result: HitResult) -> None:
+    assert result.verdict.felt is None
+    assert rows_of(result)["felt (velocity ripple, rms)"].value == "not measurable"
+    mapping = plain(result)
+    assert mapping["verdict"]["felt"] is None
+    assert set(mapping["verdict"]) == set(mapping["verdict_true"])
+    assert mapping["thresholds"]["felt_velocity"] == verdict_thresholds(result.experiment).felt_velocity
