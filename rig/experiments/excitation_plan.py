@@ -14,10 +14,11 @@ from rig.analysis.theory.lifted import Lifted
 from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment
 from rig.control.excitation import Peak
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.excitation_run import multisine_of
-from rig.experiments.planned import Check, Outcome, Plan, Step, where_it_runs
+from rig.experiments.planned import Plan, Step, where_it_runs
 
 RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 

@@ -20,7 +20,7 @@ from rig.core.deferred import csv, pyarrow
 from rig.core.errors import RecordingError
 from rig.core.sample import Motion, Phase, RowFlag, unit_of
 from rig.recording.data import Recording
-from rig.recording.marks import NEEDED, OUTPUTS, marks
+from rig.recording.marks import OUTPUTS, marks
 
 TASK = "wallhit"
 TRACKSYS = "rig"
@@ -234,9 +234,7 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def _pins(recording: Recording) -> list[tuple[str, float, float]]:
-    """Edges at the device's sync pins, from the first row on; a recording of an older version has none."""
-    if any(name not in recording.names for name in NEEDED):
-        return []
+    """Edges at the device's sync pins, from the first row on."""
     origin = int(recording.rows["device_time"][0])
     return [
         (mark.name, (mark.device_time - origin) * 1e-9, 0.0)

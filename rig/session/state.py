@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -119,9 +119,8 @@ class Trial:
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Trial:
-        """Read the content of an event; keys that another version added are left out."""
-        known = {one.name for one in fields(cls)}
-        return cls(**{key: value for key, value in content.items() if key in known})
+        """Read the content of an event."""
+        return cls(**content)
 
     @property
     def said_nothing(self) -> bool:
