@@ -28,7 +28,7 @@ class RigError(Exception):
         self.messages: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.message}. {self.remedy}".rstrip() if self.remedy else self.message
+        return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
 
 class ConfigError(RigError):

@@ -134,7 +134,7 @@ def test_a_file_that_is_not_toml_is_named_with_the_place(
 
 def test_a_missing_file_suggests_its_neighbour(tmp_path: Path) -> None:
     written(tmp_path, "")
-    with pytest.raises(ConfigError, match=r"hti\.toml: no such file\. did you mean hit\.toml\?"):
+    with pytest.raises(ConfigError, match=r"hti\.toml: no such file; did you mean hit\.toml\?"):
         load_experiment(tmp_path / "hti.toml")
     with pytest.raises(ConfigError, match="no such file"):
         load_experiment(tmp_path / "nowhere" / "hit.toml")
@@ -245,7 +245,7 @@ def test_a_missing_key_is_asked_for_with_its_range() -> None:
     del table["wall"]["stiffness"], table["rig"]["limits"]["speed"]
     with pytest.raises(ConfigError) as caught:
         experiment_from_mapping(table, "hit.toml")
-    assert "wall.stiffness: is missing: a number ≥ 0 N·m/rad (K). add stiffness under [wall]" in str(
+    assert "wall.stiffness: is missing: a number ≥ 0 N·m/rad (K); add stiffness under [wall]" in str(
         caught.value
     )
     assert "rig.limits.speed: is missing" in str(caught.value)

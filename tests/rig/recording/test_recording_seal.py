@@ -235,7 +235,7 @@ def test_a_write_that_fails_leaves_the_capture_alone(capture: Path, monkeypatch:
 
     monkeypatch.setattr(seal_module, "write_parquet", fail)
     with pytest.raises(
-        RecordingError, match=r"cannot write .*\.parquet: No space left on device\. free some space"
+        RecordingError, match=r"cannot write .*\.parquet: No space left on device; free some space"
     ):
         sealed_file(capture)
     assert list(capture.parent.iterdir()) == [capture]

@@ -292,7 +292,7 @@ def test_what_the_rig_does_not_allow_is_refused_with_the_file(
 
 
 def test_a_protocol_file_that_is_none_is_asked_for_as_one(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.toml: no such file\. give the path of a protocol file"):
+    with pytest.raises(ConfigError, match=r"none\.toml: no such file; give the path of a protocol file"):
         load_protocol(tmp_path / "none.toml")
 
 
