@@ -358,5 +358,5 @@ def test_a_disk_too_full_for_the_header_leaves_no_file(tmp_path: Path) -> None:
         """
     with run_python(body, path) as process:
         assert process.stdout is not None
-        assert process.stdout.read().startswith(f"cannot write {path}: File too large. free some space")
+        assert process.stdout.read().startswith(f"cannot write {path}: File too large; free some space")
     assert not path.exists()
