@@ -31,7 +31,7 @@ _LAZY: dict[str, str] = {
     "open_recording": "rig.recording.reader",
     "override": "rig.config",
     "replay": "rig.experiments.replay",
-    "zwidth": "rig.experiments.zwidth",
+    "zwidth": "rig.experiments.maps",
 }
 _RENAMED = {"load_preset": "load"}
 

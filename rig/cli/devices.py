@@ -10,6 +10,7 @@ import click
 from rig import devices as table
 from rig.cli import options, output
 from rig.config import presets
+from rig.core.present import Row
 from rig.devices import open_device
 from rig.devices.serial import available_ports
 from rig.devices.usb import available_devices
@@ -29,8 +30,8 @@ def devices(url: str | None, as_json: bool) -> None:
         return
     if url:
         port, problems, clock = facts.pop("port"), facts.pop("problems"), facts.pop("clock")
-        output.print_pairs([(name, str(value)) for name, value in facts.items()] + output.clock_pairs(clock))
-        output.print_pairs([(f"port {name}", str(value)) for name, value in (port or {}).items() if value])
+        output.print_rows([*(Row(name, value) for name, value in facts.items()), *clock.rows()])
+        output.print_rows([Row(f"port {name}", str(value)) for name, value in (port or {}).items() if value])
         for problem in problems:
             click.echo(f"rig: {problem}", err=True)
         return
@@ -71,7 +72,7 @@ def _ask(url: str) -> dict[str, Any]:
             "current_quantum_a": dictionary.current_quantum_a,
             "position_rate_default": dictionary.position_rate_default,
             "position_rate_maximum": dictionary.position_rate_maximum,
-            "clock": clock.as_mapping(),
+            "clock": clock,
             **_port(device.link),
         }
 

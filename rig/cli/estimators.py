@@ -11,6 +11,7 @@ import click
 from rig.cli import options, output
 from rig.control import estimators as family
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
 from rig.experiments import estimators as experiment
@@ -297,7 +298,7 @@ def lipschitz(recording: Path, sines: int, as_json: bool) -> None:
     opened = open_recording(recording)
     fit, richer = (lipschitz_of(opened, sines=n) for n in (sines, sines + 1))
     if as_json:
-        output.print_json({**fit.as_mapping(), "lipschitz_with_one_more_sine": richer.lipschitz})
+        output.print_json({**plain(fit), "lipschitz_with_one_more_sine": richer.lipschitz})
         return
     position, acceleration = (unit_of(q, opened.header["motion"]) for q in ("position", "acceleration"))
     output.print_pairs(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,14 @@ import click
 
 from rig import config
 from rig.cli import options, output
-from rig.cli.maps import numbers
+from rig.cli.map_options import numbers
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError, RecordingError
 from rig.core.sample import unit_of
 from rig.experiments import impedance as measuring
-from rig.experiments.impedance import ImpedanceResult, Judging, OnDevice, Wall
+from rig.experiments.impedance import ImpedanceResult, Wall
+from rig.experiments.on_device import OnDevice
 from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.views.plots.impedance import draw_impedance
 
@@ -102,21 +102,22 @@ def impedance(
     place = directory / f"{experiment.rig.name}-{datetime.now():%Y%m%d-%H%M%S}"
     device = None
     if url is not None:
-        asks = not (yes or as_json or url.startswith("sim:"))
-        device = measuring.OnDevice(
-            url=url,
-            recordings=place,
-            verified=verified,
-            realtime=realtime,
-            agrees=_agrees if asks else None,
-            arm_anyway=arm_anyway,
+        device = OnDevice(
+            url=url, recordings=place, verified=verified, realtime=realtime, arm_anyway=arm_anyway
         )
     elif realtime or verified or arm_anyway:
         raise ConfigError(
             "--realtime, --verified and --arm-anyway are for a device",
             remedy="say --url too, or leave them out",
         )
-    results = tuple(_measured(experiment, device, walls, parsed, method, signal, judging, _progress(as_json)))
+    shared: dict[str, Any] = {
+        "walls": walls, "schemes": parsed, "method": method, "judging": judging, "watch": _progress(as_json)
+    }  # fmt: skip
+    if device is None:
+        results = measuring.measure_impedance(experiment, signal=signal, **shared)
+    else:
+        agrees = None if yes or as_json or device.simulated else _agrees
+        results = tuple(measuring.measure_on_device(experiment, device, agrees=agrees, **shared))
     table, summary = measuring.write_results(results, place)
     picture = _draw(results, place / "impedance.png") if plot else None
     if as_json:
@@ -177,25 +178,6 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     n = max(len(k), len(b))
     walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))
     return [(0.0, 0.0), *walls] if bare else walls
-
-
-def _measured(
-    experiment: Experiment,
-    device: OnDevice | None,
-    walls: list[Wall],
-    schemes: tuple[Scheme, ...],
-    method: Any,
-    signal: Any,
-    judging: Judging,
-    watch: Any,
-) -> Iterator[ImpedanceResult]:
-    shared: dict[str, Any] = {
-        "walls": walls, "schemes": schemes, "method": method, "judging": judging, "watch": watch
-    }  # fmt: skip
-    if device is None:
-        yield from measuring.measure_impedance(experiment, signal=signal, **shared)
-    else:
-        yield from measuring.measure_on_device(experiment, device, **shared)
 
 
 def _progress(quiet: bool) -> Any:

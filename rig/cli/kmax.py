@@ -8,21 +8,21 @@ from typing import Any
 
 import click
 
-from rig.cli import hit_output, maps, output
+from rig.cli import hit_output, map_options, output
 from rig.cli.progress import SweepBar
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments import map_files
+from rig.experiments import maps
 from rig.experiments.kmax import KMax, kmax_plan
 from rig.experiments.ranges import kmax_theory
 from rig.views.plots.zwidth import draw_kmax
 
-SPAN = 500.0  # highest stiffness over the lowest: slow rates hold soft walls only
+SPAN = 500.0  # highest stiffness over the lowest: at slow rates only soft walls are stable
 DEFAULT_RATES = "100,200,500,1k,2k,5k,10k,20k,50k"
 
 
 @click.command()
-@maps.map_options
+@map_options.map_options
 @click.option("--rates", default=DEFAULT_RATES, show_default=True, help="Sampling rates.")
 def kmax(
     file: Path | None,
@@ -45,26 +45,24 @@ def kmax(
 
     Without arguments: Fig. 5 of Koul et al. on the simulated rig koul-compliant in a simulated hand.
     """
-    experiment = maps.chosen(file, preset, **push)
+    experiment = map_options.chosen(file, preset, **push)
     plan = kmax_plan(
         experiment,
-        maps.search(experiment, stiffness, way, ratio, SPAN),
-        rates=maps.rates(rates),
-        offsets=maps.numbers(maps.OFFSETS if offsets is None else offsets, "--offsets"),
+        map_options.search(experiment, stiffness, way, ratio, SPAN),
+        rates=map_options.rates(rates),
+        offsets=map_options.numbers(map_options.OFFSETS if offsets is None else offsets, "--offsets"),
         repeats=repeats,
     )
     plan = replace(plan, judged=judged or "true")
-    place = map_files.directory_for(plan, directory, "kmax")
-    with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
-        found = KMax.of(
-            map_files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
-        )
-    picture = maps.drawn(lambda: _draw(found, place / "kmax.png")) if plot else None
+    place = maps.directory_for(plan, directory, "kmax")
+    with SweepBar("series", unit="ticks", plain=as_json) as bar:
+        found = KMax.of(maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch))
+    picture = map_options.drawn(lambda: _draw(found, place / "kmax.png")) if plot else None
     if as_json:
         output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
         return
     _print(found)
-    pairs = [("hits", f"{found.map.hits}, in {place / map_files.TABLE}")]
+    pairs = [("hits", f"{found.map.hits}, in {place / found.map.table_name}")]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
 
 

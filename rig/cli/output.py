@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any, cast
 
@@ -84,32 +84,6 @@ def print_check(check: Check) -> None:
         for line in (check.why, check.remedy):
             if line:
                 click.echo(f"       {line}")
-
-
-def duration(value_ns: float) -> str:
-    """Time of three digits in the unit that suits it: ``412 ns``, ``87.5 µs``, ``-1.2 ms``."""
-    for limit, factor, unit in ((1e3, 1.0, "ns"), (1e6, 1e-3, "µs"), (1e9, 1e-6, "ms")):
-        if abs(value_ns) < 0.9995 * limit:
-            return f"{value_ns * factor:.3g} {unit}"
-    return f"{value_ns * 1e-9:.4g} s"
-
-
-def clock_pairs(clock: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Lines of a clock fit (`rig.core.clock_fit.ClockFit.as_mapping`)."""
-    asymmetry = duration(clock["asymmetry_bound_ns"])
-    return [
-        (
-            "clock offset",
-            f"{clock['offset_ns'] * 1e-9:.9f} s ± {duration(clock['offset_sd_ns'])}, "
-            f"and at most {asymmetry} if the ways differ",
-        ),
-        ("clock drift", f"{clock['drift_ppm']:.2f} ± {clock['drift_sd_ppm']:.2g} ppm"),
-        ("round trip", f"{duration(clock['round_trip_ns'])} at least"),
-        (
-            "exchanges",
-            f"{clock['used']} over {duration(clock['span_ns'])}, {clock['rejected']} rejected",
-        ),
-    ]
 
 
 def coloured(kind: str) -> str:

@@ -8,7 +8,7 @@ import click
 
 from rig.cli import options, output
 from rig.core.errors import RigError
-from rig.core.present import Table
+from rig.core.present import Table, duration
 from rig.experiments.timing import timing_of
 from rig.recording.quantiles import Quantile
 from rig.recording.timing import LATENESS, STAGES, TimingSummary
@@ -63,7 +63,7 @@ def timing(recording: Path, plot: bool, picture: Path | None, as_json: bool) -> 
 
 
 def _print(recording: Path, summary: TimingSummary) -> None:
-    rate = f"one every {output.duration(summary.period_ns)}"
+    rate = f"one every {duration(summary.period_ns)}"
     click.echo(f"{recording}: {summary.ticks} ticks in {summary.duration_s:.4g} s, {rate}")
     head = ("stage", "ticks", "least", "p50", "p99", "p99.9", "longest")
     output.print_table(Table(head, _stages(summary)))
@@ -87,7 +87,7 @@ def _stages(summary: TimingSummary) -> list[tuple[str, ...]]:
                 rows.append((_label(name), "0", "", "unknown", "", "", ""))
             continue
         quantiles = (_shown(quantile) for quantile in stage.quantiles.values())
-        ends = output.duration(stage.minimum), output.duration(stage.maximum)
+        ends = duration(stage.minimum), duration(stage.maximum)
         rows.append((_label(name), str(stage.ticks), ends[0], *quantiles, ends[1]))
     return rows
 
@@ -98,10 +98,10 @@ def _label(name: str) -> str:
 
 def _shown(quantile: Quantile) -> str:
     """A quantile, with the upper bound at 95 % where the ticks suffice for one: ``87 µs (≤ 93 µs)``."""
-    text = output.duration(quantile.value)
+    text = duration(quantile.value)
     if quantile.high is None or quantile.high == quantile.value:
         return text
-    return f"{text} (≤ {output.duration(quantile.high)})"
+    return f"{text} (≤ {duration(quantile.high)})"
 
 
 def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
@@ -124,7 +124,7 @@ def _counts(summary: TimingSummary) -> list[tuple[str, str]]:
 
 def _on_device(summary: TimingSummary) -> list[tuple[str, str]]:
     """What stands for the ways of a command that there was not."""
-    worst = "not told" if not summary.execution_ns else output.duration(summary.execution_ns)
+    worst = "not told" if not summary.execution_ns else duration(summary.execution_ns)
     return [
         ("from a sample to its effort", "within the device's own tick: no command answers a sample"),
         ("worst execution time of a tick", worst),
@@ -140,8 +140,11 @@ def _clock(summary: TimingSummary) -> list[tuple[str, str]]:
                 "unknown",
             )
         ]
-    doubt = output.duration(summary.clock_sd_ns)
-    pairs = [*output.clock_pairs(summary.clock.as_mapping()), ("sampled, applied", f"± {doubt} at worst")]
+    doubt = duration(summary.clock_sd_ns)
+    pairs = [
+        *((row.label, row.text) for row in summary.clock.rows()),
+        ("sampled, applied", f"± {doubt} at worst"),
+    ]
     if summary.within_tick:
         text = f"{summary.within_tick} commands came within the tick in which they were sent: taken as applied at once"
         pairs.append(("", text))
@@ -159,6 +162,6 @@ def _worst(summary: TimingSummary) -> Table:
     rows = []
     for bad in summary.worst:
         lengths = (bad.stages[name] for name in names)
-        shown = ("?" if length is None else output.duration(length) for length in lengths)
+        shown = ("?" if length is None else duration(length) for length in lengths)
         rows.append((str(bad.tick), f"{bad.time_s:.4f} s", *shown))
     return Table(("tick", "at", "in", "law", "send", "out", "whole", "late"), rows)

@@ -9,7 +9,7 @@ import click
 
 from rig import config
 from rig.analysis import theory
-from rig.cli import hit_output, maps, options, output
+from rig.cli import hit_output, map_options, options, output
 from rig.cli.progress import SweepBar
 from rig.cli.zwidth_frequency import FREQUENCY_ONLY, frequency_options, map_frequency, refuse_of_the_other
 from rig.cli.zwidth_rig import CONFIRM, CRITERIA, Dialogue, load_device, refuse_without_device
@@ -18,7 +18,7 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments import map_files
+from rig.experiments import maps
 from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.experiments.ranges import SPAN, dampings_for, theory_curves
 from rig.experiments.zwidth import MapPlan, Width, ZWidth
@@ -26,7 +26,7 @@ from rig.views.plots.zwidth import draw_zwidth
 
 
 @click.command()
-@maps.map_options
+@map_options.map_options
 @click.option(
     "--scheme",
     "schemes",
@@ -80,8 +80,8 @@ def zwidth(
 ) -> None:
     """Map the walls (K, B) that a rig renders stably, by hitting them; or passively, by exciting it.
 
-    Without arguments: Fig. 6 of Koul et al. on the simulated rig koul-compliant in a simulated hand. A map that was
-    stopped goes on when the same command is given again.
+    Without arguments: Fig. 6 of Koul et al. on the simulated rig koul-compliant in a simulated hand. The same command
+    resumes a map that was stopped.
 
     With --url the walls are hit on a device, one after the other: a person agrees, the handle goes to its start and
     into the wall, the motor cools. Every hit is recorded.
@@ -104,43 +104,45 @@ def zwidth(
         url = url or "sim://"
     else:
         refuse_without_device(verified, confirm)
-    experiment = maps.chosen(file, preset or options.preset_of(url, file), **push, device=device)
+    experiment = map_options.chosen(file, preset or options.preset_of(url, file), **push, device=device)
     if url is not None:
         load_device(url)
     if realtime or (url is not None and not url.startswith("sim:")):
         experiment = _in_real_time(experiment)
-    place_of_zero = f"{experiment.rig.encoder.offset!r}" if device else maps.OFFSETS
+    place_of_zero = f"{experiment.rig.encoder.offset!r}" if device else map_options.OFFSETS
     plan = _plan(
         experiment,
         schemes,
         damping,
-        search=maps.search(experiment, stiffness, way, ratio, _span(), device=device),
-        offsets=maps.numbers(place_of_zero if offsets is None else offsets, "--offsets"),
+        search=map_options.search(experiment, stiffness, way, ratio, _span(), device=device),
+        offsets=map_options.numbers(place_of_zero if offsets is None else offsets, "--offsets"),
         repeats=repeats,
         judged=judged or ("recorded" if device else "true"),
     )
     if url is None:
-        place = map_files.directory_for(plan, directory, "zwidth")
-        with SweepBar("climbs", unit="ticks", plain=as_json) as bar:
-            found = map_files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+        place = maps.directory_for(plan, directory, "zwidth")
+        with SweepBar("series", unit="ticks", plain=as_json) as bar:
+            found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
     else:
         dialogue = Dialogue(plan, url, realtime=realtime, confirm=confirm)
         place, found = dialogue.map(directory, verified=verified)
-    picture = maps.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
+    picture = map_options.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
     if as_json:
         output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
         return
     _print(found)
     pairs = [
-        ("hits", f"{found.hits}, in {place / map_files.TABLE}"),
-        ("summary", str(place / map_files.SUMMARY)),
+        ("hits", f"{found.hits}, in {place / found.table_name}"),
+        ("summary", str(place / maps.SUMMARY)),
     ]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
 
 
 def _plan(experiment: Experiment, schemes: tuple[str, ...], damping: str | None, **others: Any) -> MapPlan:
     parsed = tuple(Scheme.parse(text) for text in schemes) or theory.default_schemes(experiment)
-    dampings = dampings_for(experiment, parsed) if damping is None else maps.numbers(damping, "--damping")
+    dampings = (
+        dampings_for(experiment, parsed) if damping is None else map_options.numbers(damping, "--damping")
+    )
     return MapPlan(experiment=experiment, schemes=parsed, dampings=dampings, **others)
 
 
@@ -182,19 +184,21 @@ def _notes(found: ZWidth) -> list[str]:
     notes = []
     if any(b.capped for b in found.boundaries):
         notes.append(
-            "≥ before K: some climbs reached the highest stiffness before the wall failed; the limit lies above"
+            "≥ before K: some series reached the highest stiffness before a wall failed; the limit lies above"
         )
     widths = [found.width(number, name) for number in range(len(found.plan.schemes)) for name in CRITERIA]
     if any(width.range_capped for width in widths):
-        notes.append("≥ before B: the map ends before the scheme does; the range goes on")
+        notes.append("≥ before B: the map ends before the range of the scheme does")
     if any(limit.islands for b in found.boundaries for limit in b.limits):
-        notes.append("there are islands: stiffer walls that hold beyond one that fails (see the picture)")
+        notes.append(
+            "there are islands: stiffer walls that are stable beyond one that is not (see the picture)"
+        )
     if found.of_device_loop:
         notes.append(STANDS_FOR_DEVICE)
     unknown = sum(b.unknown for b in found.boundaries if b.criterion == "any")
     if unknown:
-        why = ", ".join(f"{reason} ({number})" for reason, number in found.silent().items())
-        notes.append(f"{unknown} of {found.hits} hits said nothing: {why}")
+        why = ", ".join(f"{reason} ({number})" for reason, number in found.invalid().items())
+        notes.append(f"{unknown} of {found.hits} hits were invalid: {why}")
     return notes
 
 

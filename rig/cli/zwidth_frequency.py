@@ -11,19 +11,18 @@ import click
 from click.core import ParameterSource
 
 from rig import config
-from rig.cli import maps, options, output
+from rig.cli import map_options, options, output
 from rig.cli.progress import SweepBar
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.present import Table
 from rig.core.sample import unit_of
-from rig.experiments import frequency_files as files
-from rig.experiments.boundary_search import Comparison
-from rig.experiments.frequency_ranges import frequency_plan, linear_curves
-from rig.experiments.frequency_widths import FrequencyWidth, Spread
+from rig.experiments import maps
 from rig.experiments.impedance import Judging
-from rig.experiments.table_one import SchemeRow, TableOne
+from rig.experiments.ranges import frequency_plan, linear_curves
+from rig.experiments.searches import GridSearch
+from rig.experiments.table_one import FrequencyWidth, SchemeRow, Spread, TableOne, table_one
 from rig.experiments.zwidth_frequency import FrequencyMap, FrequencyPlan
 from rig.views.plots.zwidth_frequency import draw_frequency_map
 
@@ -121,15 +120,15 @@ def map_frequency(
     judging = _judging(judged_band, z_score=z_score, residual_threshold=residual_threshold)
     plan = _plan(experiment, schemes, stiffness, damping, signal=signal, judging=judging)
     plan.check()
-    place = files.directory_for(plan, directory)
+    place = maps.directory_for(plan, directory, "zwidth-frequency")
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
-        found, table = files.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
-    picture = maps.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
+        found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
+    picture = map_options.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
     if as_json:
-        output.print_json({**files.summary(found, table), "directory": str(place), "picture": picture})
+        output.print_json({**maps.summary(found), "directory": str(place), "picture": picture})
         return
-    _print(found, table)
-    pairs = [("walls", str(place / files.TABLE)), ("summary", str(place / files.SUMMARY))]
+    _print(found, table_one(found))
+    pairs = [("walls", str(place / found.table_name)), ("summary", str(place / maps.SUMMARY))]
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
 
 
@@ -156,8 +155,8 @@ def _plan(
     return frequency_plan(
         experiment,
         [Scheme.parse(text) for text in schemes],
-        stiffnesses=None if stiffness is None else maps.numbers(stiffness, "--stiffness"),
-        dampings=None if damping is None else maps.numbers(damping, "--damping"),
+        stiffnesses=None if stiffness is None else map_options.numbers(stiffness, "--stiffness"),
+        dampings=None if damping is None else map_options.numbers(damping, "--damping"),
         **others,
     )
 
@@ -236,11 +235,11 @@ def _width_cells(width: FrequencyWidth) -> tuple[str, ...]:
     )
 
 
-def _search_line(name: str, search: Comparison, found: FrequencyMap) -> tuple[str, ...]:
+def _search_line(name: str, search: GridSearch, found: FrequencyMap) -> tuple[str, ...]:
     highest = found.plan.stiffnesses[search.highest] if search.highest >= 0 else 0.0
     return (
-        name, str(len(search.trace.tests)), str(search.cells), _number(highest),
-        str(search.above), str(search.below), str(search.unseen), search.trace.ending,
+        name, str(len(search.path)), str(search.cells), _number(highest),
+        str(search.above), str(search.below), str(search.unseen), search.ending,
     )  # fmt: skip
 
 

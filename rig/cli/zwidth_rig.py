@@ -1,4 +1,4 @@
-"""The person at a rig that is being mapped: asked before hits, told what came of them. All on standard error."""
+"""The person at a rig that is being mapped: asked before hits, and shown their results. All on standard error."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from rig.control.verdict import Measured
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import unit_of
 from rig.devices import load_backend
-from rig.experiments import map_files
+from rig.experiments import maps
+from rig.experiments.on_device import OnDevice
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.experiments.zwidth_rig import Next, Session, work_of
 
-CONFIRM = ("each", "climb", "no")
+CONFIRM = ("each", "series", "no")
 CRITERIA = ("felt", "heard", "any")  # rig.control.verdict.CRITERIA, without its imports
 SHOWN_PAUSE_S = 2.0
 
@@ -45,28 +46,30 @@ class Dialogue:
 
     def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
         """Map the device into a directory of its own below this one; returns that and the map."""
-        place = map_files.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
+        place = maps.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
         session = Session(
-            url=self._url,
-            realtime=self._realtime,
-            verified=verified,
-            recordings=place / map_files.RECORDINGS,
+            where=OnDevice(
+                url=self._url,
+                realtime=self._realtime,
+                verified=verified,
+                recordings=place / maps.RECORDINGS,
+            ),
             agrees=self._agrees,
-            tells=self._tells,
+            report=self._report,
             pause=self._pause,
         )
         try:
-            return place, map_files.map_on_rig(self._plan, place, session)
+            return place, maps.map_on_rig(self._plan, place, session)
         except RigError as error:
-            if error.recording is None and (place / map_files.RECORDINGS).exists():
-                click.echo(f"rig: the hits until then are in {place / map_files.RECORDINGS}", err=True)
+            if error.recording is None and (place / maps.RECORDINGS).exists():
+                click.echo(f"rig: the hits until then are in {place / maps.RECORDINGS}", err=True)
             raise
 
     def _agrees(self, asked: Next) -> bool:
         motion = self._plan.experiment.rig.motion
         if asked.number == 1 and asked.attempt == 1:
             _say(
-                f"climb {asked.climb} of {asked.climbs}: {asked.scheme}, "
+                f"series {asked.series} of {asked.total}: {asked.scheme}, "
                 f"B = {asked.damping:.4g} {unit_of('damping', motion)}"
             )
         again = f", attempt {asked.attempt}" if asked.attempt > 1 else ""
@@ -74,15 +77,15 @@ class Dialogue:
         if asked.thrown_out:
             _say("  the wall threw the handle out: put it back near its start")
         first = asked.number == 1 and asked.attempt == 1
-        if asked.thrown_out or self._confirm == "each" or (self._confirm == "climb" and first):
-            return _asked(f"{text}   Enter: go on, q: end ")
+        if asked.thrown_out or self._confirm == "each" or (self._confirm == "series" and first):
+            return _asked(f"{text}   Enter: continue, q: end ")
         _say(text)
         return True
 
-    def _tells(self, asked: Next, done: Measured) -> None:
+    def _report(self, asked: Next, done: Measured) -> None:
         outcomes = {criterion: done.passes(criterion) for criterion in CRITERIA}
         if None in outcomes.values():
-            said = "says nothing about the wall"
+            said = "it is repeated"
         else:
             said = f"passes: {', '.join(name for name, passes in outcomes.items() if passes) or 'none'}"
         _say(f"    {output.coloured(str(done.kind))}; {said}")

@@ -18,12 +18,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.errors import ConfigError
+from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -35,28 +36,18 @@ OVERSAMPLING = 16  # points for each period of the highest line, where a peak is
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """One number of an excitation against its limit; `limit` is None where there is none to keep."""
+class Peak:
+    """The greatest value of a quantity under an excitation, and its limit; None where there is none to keep."""
 
     name: str
     quantity: Literal["effort", "position", "velocity"]
     value: float
     limit: float | None
 
-    @property
+    @reported
     def holds(self) -> bool:
         """Whether the value is finite and within its limit."""
         return math.isfinite(self.value) and (self.limit is None or self.value <= self.limit)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers and names."""
-        return {
-            "name": self.name,
-            "quantity": self.quantity,
-            "value": self.value,
-            "limit": self.limit,
-            "holds": self.holds,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +167,7 @@ class Multisine:
         """Which multiple of 1/period each line is, shape (n,)."""
         return np.rint(self.lines_hz * self.period_s).astype(np.int64)
 
-    @property
+    @reported
     def rms(self) -> float:
         """Root mean square over a period."""
         return float(np.sqrt(0.5 * np.sum(self.amplitudes**2)))
@@ -195,7 +186,7 @@ class Multisine:
         lift = np.divide((left - right) ** 2, 8.0 * bend, out=np.zeros_like(top), where=bend > 0.0)
         return float((top + lift).max())
 
-    @property
+    @reported
     def crest_factor(self) -> float:
         """Peak over rms: √2 for one line, about 1.7 with Schroeder's phases, 3 to 4 with random ones."""
         return self.peak / self.rms if self.rms > 0.0 else math.nan
@@ -276,7 +267,7 @@ class Multisine:
         wall: ImpedanceModel | None = None,
         motor_limit: float | None = None,
         channel: Literal["external", "motor"] = "external",
-    ) -> tuple[Check, ...]:
+    ) -> tuple[Peak, ...]:
         """Compare what the excitation asks for with limits, before anything moves.
 
         Parameters
@@ -299,32 +290,20 @@ class Multisine:
 
         Returns
         -------
-        tuple of Check
+        tuple of Peak
             Peaks of the steady motion. A ramp of a whole period or more adds little to them; friction takes away.
         """
         whole = self._impedance(impedance)
         checks = [
-            Check("peak excitation", "effort", self.peak, effort_limit),
-            Check("peak position", "position", self.position(whole).peak, position_limit),
-            Check("peak speed", "velocity", self.velocity(whole).peak, speed_limit),
+            Peak("peak excitation", "effort", self.peak, effort_limit),
+            Peak("peak position", "position", self.position(whole).peak, position_limit),
+            Peak("peak speed", "velocity", self.velocity(whole).peak, speed_limit),
         ]
         if wall is not None or channel == "motor":
             share = (0.0 if wall is None else self._impedance(wall)) / whole
             carried = self.through(1.0 - share if channel == "motor" else share)
-            checks.append(Check("peak motor effort", "effort", carried.peak, motor_limit))
+            checks.append(Peak("peak motor effort", "effort", carried.peak, motor_limit))
         return tuple(checks)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers: what a recording keeps of an excitation."""
-        return {
-            "period_s": self.period_s,
-            "lines_hz": self.lines_hz.tolist(),
-            "amplitudes": self.amplitudes.tolist(),
-            "phases": self.phases.tolist(),
-            "rms": self.rms,
-            "peak": self.peak,
-            "crest_factor": self.crest_factor,
-        }
 
     @property
     def _s(self) -> Complexes:

@@ -232,8 +232,7 @@ class Controller:
         """Inverse of `as_mapping`; `law` stands in for one that no table knows.
 
         Raises `rig.core.errors.ConfigError` when estimator or law are not to be found here, or when the mapping
-        has other fields than `CONTROL` and `MEMORY`: a field left at zero would be another controller. Only what
-        watches, which earlier versions did not have, may be left out: it did not act then.
+        has other fields than `CONTROL` and `MEMORY`: a field left at zero would be another controller.
         """
         estimator, wall = mapping["estimator"], mapping["law"]
         return cls(
@@ -254,7 +253,6 @@ class Controller:
 
 
 def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
-    values = {name: _SINCE[name] for name in dtype.names or () if name in _SINCE} | dict(values)
     differing = set(dtype.names or ()) ^ set(values)
     if differing:
         raise ConfigError(
@@ -265,25 +263,6 @@ def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     for name, value in values.items():
         record[name] = value
     return record
-
-
-# What a controller saved by an earlier version does not have: none of it acted then.
-_SINCE = {
-    "energy_limit": 0.0,
-    "oscillation_limit": 0,
-    "oscillation_ticks": 0,
-    "oscillation_travel": 0.0,
-} | dict.fromkeys(
-    (
-        "energy",
-        "oscillations",
-        "oscillation_age",
-        "oscillation_armed",
-        "oscillation_lowest",
-        "oscillation_highest",
-    ),
-    0,
-)
 
 
 @kernel(types.void(MEMORY_TYPE, types.int64), inline=True)

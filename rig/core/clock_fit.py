@@ -32,13 +32,14 @@ R. T. Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.errors import RigError
+from rig.core.present import Row, duration
 
 EXCHANGE = np.dtype(
     [(name, "<i8") for name in ("host_sent", "device_received", "device_sent", "host_received")]
@@ -119,13 +120,20 @@ class ClockFit:
         since = np.asarray(device_ns, np.int64) - self.reference_ns
         return np.asarray(np.hypot(self.offset_sd_ns, since * (self.drift_sd_ppm * 1e-6)), np.float64)
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return plain numbers, which JSON keeps exactly."""
-        return asdict(self)
+    def rows(self) -> list[Row]:
+        """Offset, drift and how well they are known, for people."""
+        doubt = f"and at most {duration(self.asymmetry_bound_ns)} if the two directions take different times"
+        offset = f"{self.offset_ns * 1e-9:.9f} s ± {duration(self.offset_sd_ns)}"
+        return [
+            Row("clock offset", offset, note=doubt),
+            Row("clock drift", f"{self.drift_ppm:.2f} ± {self.drift_sd_ppm:.2g} ppm"),
+            Row("round trip", f"{duration(self.round_trip_ns)} at least"),
+            Row("exchanges", self.used, note=f"over {duration(self.span_ns)}, {self.rejected} rejected"),
+        ]
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
-        """Return what `as_mapping` gave, from among whatever else the mapping holds.
+        """Return what `rig.core.present.plain` gave, from among whatever else the mapping holds.
 
         Raises `RigError` when a number is missing or is none.
         """

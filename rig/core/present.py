@@ -164,3 +164,11 @@ def written(value: Any, digits: int = 4) -> str:
         case float():
             return f"{value:.{digits}g}"
     return str(value)
+
+
+def duration(value_ns: float) -> str:
+    """Time of three digits in the unit that suits it: ``412 ns``, ``87.5 µs``, ``-1.2 ms``."""
+    for limit, factor, unit in ((1e3, 1.0, "ns"), (1e6, 1e-3, "µs"), (1e9, 1e-6, "ms")):
+        if abs(value_ns) < 0.9995 * limit:
+            return f"{value_ns * factor:.3g} {unit}"
+    return f"{value_ns * 1e-9:.4g} s"

@@ -13,11 +13,12 @@ from rig.analysis.impedance.ideal import bare, rendered
 from rig.analysis.theory.lifted import Lifted
 from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment
-from rig.control.excitation import Check as Found
+from rig.control.excitation import Peak
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.excitation_run import multisine_of
-from rig.experiments.planned import Check, Outcome, Plan, Step, where_it_runs
+from rig.experiments.planned import Plan, Step, where_it_runs
 
 RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 
@@ -47,7 +48,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
         "position_limit": min(limits.position_maximum - centre, centre - limits.position_minimum),
         "speed_limit": limits.speed,
     }
-    most: dict[str, Found] = {}
+    most: dict[str, Peak] = {}
     for multisine in multisines:
         for check in multisine.check(
             whole, wall=whole - alone, motor_limit=limits.effort, channel=x.excitation.channel, **bounds
@@ -78,7 +79,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
     return [*checks, *stability]
 
 
-def _rendered_check(found: Found, motion: Motion) -> Check:
+def _rendered_check(found: Peak, motion: Motion) -> Check:
     """What the motor renders is clipped by the guard, which spoils a measurement and endangers nobody."""
     return Check(
         found.name,

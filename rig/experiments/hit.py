@@ -18,13 +18,13 @@ from rig.config import Experiment, device_law
 from rig.config.controller import Run
 from rig.control.law import Law
 from rig.control.verdict import Verdict
+from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.experiments.judgement import Judgement, judge
 from rig.experiments.plan import device_checks, link_checks, plan_of
-from rig.experiments.planned import refuse
 from rig.experiments.trial import TrialEnd, TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors

@@ -25,6 +25,7 @@ from rig.analysis.identification.sliding import Sliding, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
 from rig.config import Experiment, controller
 from rig.control.excitation import Multisine
+from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
@@ -47,7 +48,7 @@ from rig.experiments.identify_motions import (
     strokes_of,
 )
 from rig.experiments.plan import link_checks
-from rig.experiments.planned import Plan, refuse
+from rig.experiments.planned import Plan
 from rig.experiments.trial import TrialRequest, prepared_on, run_trial
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors

@@ -20,9 +20,10 @@ from rig.control import bilateral
 from rig.control.excitation import Multisine
 from rig.control.law import Law
 from rig.control.motions import nudging, tracing
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-from rig.experiments.planned import Check, Outcome, Plan, Step
+from rig.experiments.planned import Plan, Step
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rig import config, devices
+from rig import config
 from rig.analysis.impedance.estimate import Impedance, periodic
 from rig.analysis.impedance.fitting import Device, Fit, fit
 from rig.analysis.impedance.ideal import rendered
@@ -29,16 +28,15 @@ from rig.analysis.impedance.verdict import RESIDUAL, Z_SCORE, Fidelity, Judgemen
 from rig.analysis.impedance.welch import welch
 from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
-from rig.core.errors import ConfigError, DeviceFaultError, GuardError, PlanError, RecordingError
+from rig.core.check import refuse
+from rig.core.errors import ConfigError, PlanError, RecordingError
 from rig.core.sample import Phase, unit_of
 from rig.experiments.excitation_plan import excitation_checks
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal, bound_share, excited_law, record_of
-from rig.experiments.hit import HitRequest, hit, left_by
-from rig.experiments.judgement import THROWN_OUT
+from rig.experiments.judgement import THREW_OUT, thrown_out
+from rig.experiments.on_device import Ended, OnDevice, Trials, kept_open
 from rig.experiments.plan import STANDS_FOR_DEVICE
-from rig.experiments.planned import refuse
 from rig.experiments.results import write_table
-from rig.recording.data import Recording
 from rig.recording.files import plain_errors, whole_file
 
 Method = Literal["periodic", "welch"]
@@ -224,32 +222,6 @@ def measure_impedance(
     return tuple(results)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OnDevice:
-    """A device to measure on.
-
-    Attributes
-    ----------
-    url, verified
-        As in `rig.experiments.hit.HitRequest`.
-    recordings
-        Directory of the recordings, one for each realisation.
-    realtime
-        A simulated device runs in real time, as a process.
-    agrees
-        Asked before each wall; False ends the session. None asks nobody.
-    arm_anyway
-        Excite about a wall that the link, as measured, makes dangerous (`rig.bench.doctor.gate`).
-    """
-
-    url: str
-    recordings: Path = Path("recordings")
-    verified: bool = False
-    realtime: bool = False
-    agrees: Callable[[Experiment], bool] | None = None
-    arm_anyway: bool = False
-
-
 def measure_on_device(
     experiment: Experiment,
     device: OnDevice,
@@ -260,10 +232,12 @@ def measure_on_device(
     method: Method = "periodic",
     judging: Judging | None = None,
     watch: Watch | None = None,
+    agrees: Callable[[Experiment], bool] | None = None,
 ) -> Iterator[ImpedanceResult]:
     """Measure a device by its own motor, or a simulated one over its link: one recorded trial for each realisation.
 
-    Parameters are those of `measure_impedance`. Yields each result as it comes; a guard that trips ends that wall only.
+    Parameters are those of `measure_impedance`; `agrees` is asked before each wall, and False ends the session. Yields
+    each result as it comes; a guard that trips ends that wall only.
 
     Raises
     ------
@@ -280,14 +254,14 @@ def measure_on_device(
         )
     refuse_excitations(asked)
     total, done = sum(one.excitation.realisations for one in asked), 0
-    with _kept_open(device) as session:
+    with kept_open(device) as trials:
         for one in asked:
-            if device.agrees is not None and not device.agrees(one):
+            if agrees is not None and not agrees(one):
                 return
             runs: list[Run] = []
             recordings: list[Path] = []
             for realisation in range(one.excitation.realisations):
-                run, paths = _recorded_whole(one, device, realisation, session)
+                run, paths = _recorded_whole(trials, one, realisation)
                 runs.append(run)
                 recordings += paths
                 done += 1
@@ -298,16 +272,6 @@ def measure_on_device(
             yield concluded(
                 one, runs, method=method, signal="count", judging=judging, recordings=tuple(recordings)
             )
-
-
-@contextmanager
-def _kept_open(device: OnDevice) -> Iterator[dict[str, Any]]:
-    """Keep a real rig open, with its position zero, from run to run; a simulated one is made anew for each."""
-    if device.url.startswith("sim:"):
-        yield {}
-        return
-    with devices.open_device(device.url) as opened:
-        yield {"device": opened, "reference_count": opened.count()}
 
 
 def prepared(
@@ -405,14 +369,12 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
         return None
 
 
-def _recorded_whole(
-    experiment: Experiment, device: OnDevice, realisation: int, session: Mapping[str, Any]
-) -> tuple[Run, list[Path]]:
+def _recorded_whole(trials: Trials, experiment: Experiment, realisation: int) -> tuple[Run, list[Path]]:
     """One realisation, again if samples of it were lost: a period with a hole is none."""
     paths: list[Path] = []
     while True:
         try:
-            run, path = _recorded(experiment, device, realisation, session)
+            run, path = _recorded(trials, experiment, realisation)
             return run, [*paths, path]
         except RecordingError as error:
             if error.recording is None or len(paths) + 1 == ATTEMPTS:
@@ -420,57 +382,27 @@ def _recorded_whole(
             paths.append(error.recording)
 
 
-def _recorded(
-    experiment: Experiment, device: OnDevice, realisation: int, session: Mapping[str, Any]
-) -> tuple[Run, Path]:
+def _recorded(trials: Trials, experiment: Experiment, realisation: int) -> tuple[Run, Path]:
     """One realisation as a recorded trial."""
-    request = HitRequest(
-        experiment=experiment,
-        url=device.url,
-        changes=_kept(experiment),
-        verified=device.verified,
-        realtime=device.realtime,
-        arm_anyway=device.arm_anyway,
-        output=device.recordings,
-        law=partial(excited_law, experiment, realisation),
-        **session,
+    trial = config.as_mapping(experiment)["trial"]
+    done = trials.run(
+        experiment,
+        {f"trial.{key}": trial[key] for key in ("kind", "effort", "start", "duration_s")},
+        partial(excited_law, experiment, realisation),
     )
-    try:
-        (result,) = hit(request)
-    except (GuardError, DeviceFaultError) as error:
-        left = left_by(error)
-        if left is None:
-            raise
-        recording = left.recording
+    if isinstance(done, Ended):
+        recording = done.recorded.recording
         rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
-        if not (len(rows) and _thrown_out(recording)):
-            raise
+        if not (len(rows) and thrown_out(recording) == THREW_OUT["out_of_window"]):
+            raise done.error
         ended_s = len(rows) / experiment.controller.position_rate
-        return Run(None, error.message, ended_s, bound_share(recording)), left.path
-    recording = result.recorded.recording
+        return Run(None, done.error.message, ended_s, bound_share(recording)), done.recorded.path
     try:
-        record = record_of(recording, result.experiment)
+        record = record_of(done.recording, done.experiment)
     except RecordingError as error:
-        error.recording = result.recording
+        error.recording = done.path
         raise
-    return Run(record, saturated=bound_share(recording)), result.recording
-
-
-def _thrown_out(recording: Recording) -> bool:
-    """Whether the handle left its window or went too fast, and not the link or a person ended the run."""
-    trailer = recording.trailer or {}
-    return trailer.get("reason") == "out_of_window" or (trailer.get("fault") or {}).get("name") in THROWN_OUT
-
-
-def _kept(experiment: Experiment) -> Mapping[str, Any]:
-    """What was asked for wins over what the experiment has for real time."""
-    plain = config.as_mapping(experiment)
-    keys = ("controller.position_rate", "controller.velocity_rate", "wall.stiffness", "wall.damping")
-    sections = {key: plain[key.partition(".")[0]][key.partition(".")[2]] for key in keys}
-    return {**sections, "trial.repeats": 1, **{f"trial.{k}": plain["trial"][k] for k in _EXCITED_TRIAL}}
-
-
-_EXCITED_TRIAL = ("kind", "effort", "start", "duration_s")
+    return Run(record, saturated=bound_share(done.recording)), done.path
 
 
 def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:

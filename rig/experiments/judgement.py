@@ -17,7 +17,7 @@ FINISHED = "finished"  # what the trailer of a whole run says
 THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
     "energy": "the wall gave the hand more energy than rig.limits.energy",
-    "violent": "the wall was violent: the effort oscillated between nothing and its limit",
+    "violent": "the wall oscillated: the effort alternated between nothing and its limit",
 }
 THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.name}
 
@@ -134,14 +134,21 @@ def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdi
     return measured.verdict if overruling is None else verdict.overruled(measured.verdict, *overruling)
 
 
+def thrown_out(recording: Recording) -> str:
+    """What the wall did to the handle that ended the run, in words; empty for other ends."""
+    trailer = recording.trailer or {}
+    if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
+        return THREW_OUT["out_of_window"]
+    return THREW_OUT.get(trailer.get("reason", ""), "")
+
+
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
     """What an early end makes of the verdict: nothing after the push, else invalid, or unstable if thrown out."""
     reason = (recording.trailer or {}).get("reason", "the recording breaks off")
     phases = recording.rows["phase"]
     if reason == FINISHED or (phases == Phase.RELEASE).any():
         return None
-    fault = ((recording.trailer or {}).get("fault") or {}).get("name", "")
-    thrown = THREW_OUT["out_of_window"] if fault in THROWN_OUT else THREW_OUT.get(reason)
+    thrown = thrown_out(recording)
     touched = bool((recording.rows["penetration"][phases == Phase.TRIAL] > 0.0).any())
     if thrown and touched:
         return Kind.UNSTABLE, thrown

@@ -12,7 +12,7 @@ from typing import Any
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control.verdict import CRITERIA
-from rig.experiments.ladder import Search
+from rig.experiments.searches import Search
 from rig.experiments.zwidth import Boundary, MapPlan, ZWidth
 
 RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the paper's range

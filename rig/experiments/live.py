@@ -18,9 +18,9 @@ from rig import config
 from rig.bench.doctor.gate import check_change
 from rig.config import Experiment, controller, device_law
 from rig.config.device_law.walls import BILATERAL
+from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RigError
 from rig.experiments.plan import plan_of
-from rig.experiments.planned import refuse
 from rig.realtime import running
 from rig.realtime.ring import LOOP_DONE, PARAMETER_SET, Ring
 

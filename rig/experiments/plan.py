@@ -14,9 +14,10 @@ from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
+from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.experiments.excitation_plan import excitation_plan
-from rig.experiments.planned import ARITHMETIC_WORDS, Check, Outcome, Plan, Step, where_it_runs
+from rig.experiments.planned import ARITHMETIC_WORDS, Plan, Step, where_it_runs
 
 STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck

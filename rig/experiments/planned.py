@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from typing import Any
 
 from rig.config import Experiment, controller, device_law
-from rig.core.errors import PlanError
+from rig.core.check import Check, refused
 
 ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
-
-
-class Outcome(StrEnum):
-    """What a check says."""
-
-    OK = "ok"
-    WARNING = "warning"
-    REFUSED = "refused"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,26 +18,6 @@ class Step:
     name: str
     text: str
     duration_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One comparison with a limit; `remedy` says what to do unless it is ok."""
-
-    name: str
-    outcome: Outcome
-    text: str
-    remedy: str = ""
-
-
-def refuse(checks: Iterable[Check]) -> None:
-    """Raise `PlanError` with everything that these checks refuse, and what to do."""
-    refused = [check for check in checks if check.outcome is Outcome.REFUSED]
-    if refused:
-        raise PlanError(
-            "; ".join(f"{check.name}: {check.text}" for check in refused),
-            remedy="; ".join(dict.fromkeys(check.remedy for check in refused)),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +41,7 @@ class Plan:
     @property
     def ok(self) -> bool:
         """Whether nothing is refused."""
-        return all(check.outcome != Outcome.REFUSED for check in self.checks)
+        return not refused(self.checks)
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON."""

@@ -1,31 +1,73 @@
-"""Where a map begins and ends when nobody says: stiffnesses from what the push can show, dampings from the theory."""
+"""Where a map begins and ends when nobody says, and what linear theory expects of each of its schemes.
+
+A map of hits goes up to the stiffness that the push can show, and a little beyond the largest damping of the theory;
+one of impedances to a share of what the theory calls stable.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
+from rig import config
 from rig.analysis import theory
+from rig.analysis.impedance.ideal import rendered
+from rig.analysis.impedance.signals import Floats
+from rig.analysis.theory.loop import LinearLoop, linear_loop
 from rig.config import Experiment, push_at_rest
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, PlanError
+from rig.experiments.excitation_run import Signal
+from rig.experiments.impedance import Judging
 from rig.experiments.kmax import KMax
-from rig.experiments.ladder import Search, Way
 from rig.experiments.plan import make_plan
-from rig.experiments.planned import Outcome
+from rig.experiments.searches import Search, Way
 from rig.experiments.zwidth import MapPlan
+from rig.experiments.zwidth_frequency import FrequencyPlan
+
+T = TypeVar("T")
 
 SPAN = 100.0  # highest stiffness over the lowest
 COLUMNS = 17  # dampings
 BEYOND = 1.1  # of the largest damping that the linear theory allows any of the schemes
+CURVE_POINTS = 60  # of a theoretical curve
 _LINEAR = "fdm-butterworth"  # stands in for an estimator that the theory cannot take
 _BISECTIONS = 50
 _COARSE_BISECTIONS = 12  # to 0.1 % of a hundredfold range
-CURVE_POINTS = 60  # of a theoretical curve
+
+SHARE = 0.4  # of what the linear theory calls stable: beyond that a measured map of impedances is speckle
+STIFFNESSES, DAMPINGS = 60, 16
+FREQUENCY_POINTS = 24  # dampings of its theoretical curve
+SCAN = 24  # stiffnesses of a scan for the passive ones
+REFINEMENTS = 12  # of a step of the scan: to 0.001 % of the range
+_REFERENCE = "fdm"  # an unfiltered difference: linear, and the same for all schemes of the same rates
+
+PAPERS_ESTIMATORS = ("fdm-butterworth", "foaw-best", "kalman", "levant")
+PAPERS_RATE = 1000
+# The estimators of Chawda et al. with their settings, section V: α = μ1·C = 6.6 and λ = μ2·√C = 2.45 with C = 6 m/s².
+PAPERS_SCHEMES = (
+    "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499",
+    "uniform:1k,estimator=foaw-best",
+    "uniform:1k,estimator=kalman,q=25000,variance=paper,noise=printed",
+    "uniform:1k,estimator=levant,discretisation=explicit,"
+    f"gains=custom,lipschitz=6,mu1=1.1,mu2={2.45 / math.sqrt(6.0)!r}",
+)
+
+
+def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) -> tuple[float, float]:
+    """Halve the range between a value that holds and one that does not."""
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low, high
+
+
+# Hits -----------------------------------------------------------------------------------------------
 
 
 def highest_stiffness(experiment: Experiment) -> float:
@@ -36,17 +78,14 @@ def highest_stiffness(experiment: Experiment) -> float:
     """
     least = max(1.0, experiment.trial.minimum_rest_counts) * experiment.rig.encoder.resolution
 
-    def depth(stiffness: float) -> float:
+    def rests(stiffness: float) -> bool:
         wall = replace(experiment.wall, stiffness=stiffness)
-        return push_at_rest(replace(experiment, wall=wall)) / stiffness
+        return push_at_rest(replace(experiment, wall=wall)) / stiffness > least
 
     low = high = 1e-9
-    while depth(high) > least:
+    while rests(high):
         low, high = high, 2.0 * high
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if depth(middle) > least else (low, middle)
-    return low
+    return bisect(rests, low, high, _BISECTIONS)[0]
 
 
 def search_for(
@@ -90,17 +129,14 @@ def search_for(
 def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
     """Softest wall that a trial may hit: in a softer one the handle would go beyond its window."""
 
-    def may(stiffness: float) -> bool:
-        walled = replace(experiment, wall=replace(experiment.wall, stiffness=stiffness))
-        return all(check.outcome is not Outcome.REFUSED for check in make_plan(walled).checks)
+    def refused(logarithm: float) -> bool:
+        walled = replace(experiment, wall=replace(experiment.wall, stiffness=math.exp(logarithm)))
+        return not make_plan(walled).ok
 
-    if may(lowest) or not may(highest):
-        return lowest
     low, high = math.log(lowest), math.log(highest)
-    for _ in range(_COARSE_BISECTIONS):
-        middle = (low + high) / 2.0
-        low, high = (low, middle) if may(math.exp(middle)) else (middle, high)
-    return math.exp(high)
+    if not refused(low) or refused(high):
+        return lowest
+    return math.exp(bisect(refused, low, high, _COARSE_BISECTIONS)[1])
 
 
 def dampings_for(
@@ -115,18 +151,30 @@ def _range(experiment: Experiment, scheme: Scheme) -> float:
     try:
         return theory.b_max(experiment, scheme).damping
     except ConfigError:
-        linear = replace(scheme, estimator=_LINEAR, parameters={}, slow_velocity_rate=None, slow_below=None)
-        return theory.b_max(experiment, linear).damping
+        return theory.b_max(experiment, _with_estimator(scheme, _LINEAR)).damping
+
+
+def _with_estimator(scheme: Scheme, estimator: str) -> Scheme:
+    return replace(scheme, estimator=estimator, parameters={}, slow_velocity_rate=None, slow_below=None)
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
-    """Dampings and linear limits of every scheme that the theory can take, by number of scheme."""
+    """Dampings and linear limits of every scheme that the theory can take, by index of scheme."""
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
+    return _linear_only(
+        plan.schemes,
+        lambda scheme: (
+            dampings.tolist(),
+            [limit.stiffness for limit in theory.k_max_curve(plan.experiment, scheme, dampings)],
+        ),
+    )
+
+
+def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) -> dict[int, T]:
     curves = {}
-    for number, scheme in enumerate(plan.schemes):
+    for number, scheme in enumerate(schemes):
         with suppress(ConfigError):  # not linear
-            limits = theory.k_max_curve(plan.experiment, scheme, dampings)
-            curves[number] = (dampings.tolist(), [limit.stiffness for limit in limits])
+            curves[number] = curves_of(scheme)
     return curves
 
 
@@ -135,3 +183,126 @@ def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
     schemes = found.map.plan.schemes
     limits = [theory.k_max(found.map.plan.experiment, scheme, 0.0) for scheme in schemes]
     return [float(rate) for rate in found.rates], [limit.stiffness for limit in limits]
+
+
+# Impedances -----------------------------------------------------------------------------------------
+
+
+def frequency_plan(
+    experiment: Experiment,
+    schemes: Sequence[Scheme] = (),
+    *,
+    stiffnesses: Sequence[float] | None = None,
+    dampings: Sequence[float] | None = None,
+    judging: Judging | None = None,
+    signal: Signal | None = None,
+) -> FrequencyPlan:
+    """A plan with everything said.
+
+    Parameters
+    ----------
+    experiment
+        Rig and excitation.
+    schemes
+        `default_schemes` if empty.
+    stiffnesses, dampings
+        Of the grid; `default_grid` if None.
+    judging, signal
+        As in `FrequencyPlan`. If None a rigid rig is measured by its encoder's counts and one of two masses by the true
+        position of its handle, because an encoder on the other mass shows no driving-point impedance.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A scheme or a grid that cannot be.
+    """
+    chosen = tuple(schemes) or default_schemes(experiment)
+    if stiffnesses is None or dampings is None:
+        k, b = default_grid(experiment, chosen)
+        stiffnesses = k if stiffnesses is None else stiffnesses
+        dampings = b if dampings is None else dampings
+    if signal is None:
+        signal = "count" if experiment.rig.mechanics.structure == "rigid" else "truth"
+    return FrequencyPlan(
+        experiment=experiment,
+        schemes=chosen,
+        stiffnesses=tuple(float(value) for value in stiffnesses),
+        dampings=tuple(float(value) for value in dampings),
+        judging=judging or Judging(),
+        signal=signal,
+    )
+
+
+def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
+    """The paper's four estimators: at 1 kHz with its settings, else with their defaults at the active rates."""
+    rates = experiment.controller.position_rate, experiment.controller.velocity_rate
+    if set(rates) == {PAPERS_RATE}:
+        return tuple(Scheme.parse(text) for text in PAPERS_SCHEMES)
+    return tuple(
+        Scheme(position_rate=rates[0], velocity_rate=rates[1], estimator=name) for name in PAPERS_ESTIMATORS
+    )
+
+
+def default_grid(
+    experiment: Experiment, schemes: Sequence[Scheme]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Evenly spaced stiffnesses and dampings: `SHARE` of what is stable with an unfiltered difference in linear theory.
+
+    Stiffness of its largest stable stiffness over all dampings, damping of the largest at the lowest stiffness, both of
+    the rates that allow most, and rounded to two digits. The lowest stiffness is a step, not zero.
+    """
+    excited = config.excited(experiment)
+    stiffness = damping = 0.0
+    for scheme in {(s.position_rate, s.velocity_rate): s for s in schemes}.values():
+        reference = _with_estimator(scheme, _REFERENCE)
+        widest = theory.b_max(excited, reference).damping
+        limits = theory.k_max_curve(excited, reference, np.linspace(0.0, widest, FREQUENCY_POINTS))
+        damping = max(damping, widest)
+        stiffness = max(stiffness, *(limit.stiffness for limit in limits))
+    top, last = (float(f"{SHARE * value:.2g}") for value in (stiffness, damping))
+    return (
+        tuple(np.linspace(0.0, top, STIFFNESSES + 1)[1:].tolist()),
+        tuple(np.linspace(0.0, last, DAMPINGS).tolist()),
+    )
+
+
+def linear_curves(
+    plan: FrequencyPlan, points: int = FREQUENCY_POINTS
+) -> dict[int, tuple[list[float], list[float], list[float]]]:
+    """Dampings, stable stiffness and passive stiffness of every scheme that the linear theory can take, by index.
+
+    Passive is meant over the plan's band only, which lets through much that Colgate and Schenkel's condition (all
+    frequencies) does not. Friction and quantum are left out.
+    """
+    dampings, lines = np.linspace(plan.dampings[0], plan.dampings[-1], points), _lines(plan)
+    excited = config.excited(plan.experiment)
+
+    def curves(scheme: Scheme) -> tuple[list[float], list[float], list[float]]:
+        loop = linear_loop(excited, scheme)
+        stable = [limit.stiffness for limit in theory.k_max_curve(excited, scheme, dampings)]
+        passive = [passive_limit(loop, float(b), k, lines) for b, k in zip(dampings, stable, strict=True)]
+        return dampings.tolist(), stable, passive
+
+    return _linear_only(plan.schemes, curves)
+
+
+def passive_limit(loop: LinearLoop, damping: float, highest: float, lines_hz: Floats) -> float:
+    """Largest stiffness up to which the closed form has no negative real part at these lines; `highest` at most."""
+
+    def passive(stiffness: float) -> bool:
+        return bool((rendered(loop, stiffness, damping, lines_hz).real >= 0.0).all())
+
+    low = 0.0
+    for stiffness in np.linspace(0.0, highest, SCAN + 1)[1:].tolist():
+        if not passive(stiffness):
+            return bisect(passive, low, stiffness, REFINEMENTS)[0]
+        low = stiffness
+    return highest
+
+
+def _lines(plan: FrequencyPlan) -> Floats:
+    low, high = plan.band_hz
+    period_s = plan.experiment.excitation.period_s
+    lines = np.arange(math.ceil(low * period_s - 1e-6), math.floor(high * period_s + 1e-6) + 1) / period_s
+    below = lines[lines < 0.5 * min(scheme.velocity_rate for scheme in plan.schemes) * (1.0 - 1e-9)]
+    return np.asarray(below, dtype=np.float64)

@@ -79,7 +79,7 @@ def replay(
     Raises
     ------
     RecordingError
-        The recording lacks its beginning or a column that the law needs.
+        The recording lacks its beginning, or ticks in the middle.
     ConfigError
         The changes cannot be meant, or the law of the recording is not installed here.
     LawError
@@ -108,11 +108,6 @@ def replay(
 
 
 def _rows(recording: Recording) -> NDArray[np.void]:
-    missing = [c.name for c in COLUMNS if c.name not in recording.names]
-    if missing:
-        raise RecordingError(
-            f"the recording has no column {missing[0]}", remedy="replay it with the version that recorded it"
-        )
     if len(recording.rows) and recording.rows["tick"][0] != 0:
         raise RecordingError(
             f"the recording begins at tick {recording.rows['tick'][0]}",

@@ -1,4 +1,4 @@
-"""Results of many trials on disk: a directory for each plan, a Parquet table with a row for each trial, a summary.
+"""Results of many trials on disk: a Parquet table with a row for each trial, and a summary.
 
 The table has a unit for each column and the plan in its metadata. Rows are streamed, so that it may be longer than the
 memory is wide.
@@ -7,27 +7,16 @@ memory is wide.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from hashlib import sha256
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from rig.core.deferred import parquet, pyarrow
-from rig.experiments import sweep
 from rig.recording.files import plain_errors, whole_file
 
 BATCH = 4096  # rows
 KEY = b"rig.plan"
-
-
-def plan_directory(where: Path, name: str, tasks: Sequence[sweep.Task], device: str = "") -> Path:
-    """Directory of a plan: its name carries a digest of everything that decides the results, this package included.
-
-    `device` names what is measured, when it is not the simulation without bytes.
-    """
-    described = [sweep.code_version(), device, [[task.key, task.payload] for task in tasks]]
-    return where / f"{name}-{sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:8]}"
 
 
 def make_directory(directory: Path) -> None:

@@ -1,8 +1,15 @@
-"""Table I of Chawda et al. from a map: widths, worst fidelity and settings to tune, and fidelity at the same walls.
+"""What a map of impedances amounts to: widths of the connected region, its worst fidelity, Table I of Chawda et al.
 
-The paper's four columns compare estimators at different walls: the largest error of one that holds stiffer walls is
+*K-width* is the largest passive stiffness that is connected with the lowest one of its damping: a stiffer wall that
+passes beyond one that fails is an island, listed and not counted, because a map in the speckle has some of them at
+any stiffness. *B-width* is the largest damping whose lowest stiffness is passive, whatever lies between; dampings
+below it that have no passive wall are its gaps. Both are numbers of the grid: true to a step, and only a lower bound
+where they reach its end.
+
+The paper's four columns compare estimators at different walls: the largest error of one that allows stiffer walls is
 larger for that alone, and where the rig's inertia dominates it is that of the softest wall for all of them. So beside
-them stands the fidelity at walls with damping (without it no estimator has a part) that all hold which hold any.
+them stands the fidelity at walls with damping (without it the estimator has no effect) that are connected under every
+scheme that has any.
 
 *Tunable numbers* are counted as the paper does: those that somebody chose for this map, which are the numbers that the
 scheme or the experiment states. Levant's C, μ1 and μ2 make two gains, α = μ1·C and λ = μ2·√C, and count as two.
@@ -11,21 +18,171 @@ Options (words) and what keeps its default do not count, although some defaults 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from rig.analysis.impedance.estimate import plain
+from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.boundary_search import Comparison, connected, trace_grid
-from rig.experiments.frequency_widths import SchemeWidths, Spread
+from rig.experiments.searches import Flags, GridSearch, connected, limit_of, trace_grid
 from rig.experiments.zwidth_frequency import FrequencyMap
 
 LEVANT_GAINS = ("lipschitz", "mu1", "mu2")
 POINTS = 4  # common walls that are shown
+
+
+@dataclass(frozen=True, slots=True)
+class Island:
+    """Passive walls beyond one that is not: a damping, and the lowest and the highest stiffness."""
+
+    damping: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyWidth:
+    """One scheme's map, by one realisation or by all together.
+
+    Attributes
+    ----------
+    stiffness, at_damping
+        K-width, and the damping at which it is reached; 0 and NaN where nothing is connected.
+    stiffness_undamped
+        Of the column B = 0; None when the grid has none.
+    damping
+        B-width; NaN when no damping holds anything (0 is a width: B = 0 holds).
+    worst_fidelity, worst_stiffness, worst_damping
+        Largest fidelity error over the connected region, and where (damping units; NaN without a region).
+    cells, islands
+        Walls in the connected region, and what lies beyond it.
+    gaps
+        Dampings below the B-width without a connected wall.
+    stiffness_capped, damping_capped
+        Whether the grid ends before the region does.
+    """
+
+    stiffness: float
+    at_damping: float
+    stiffness_undamped: float | None
+    damping: float
+    worst_fidelity: float
+    worst_stiffness: float
+    worst_damping: float
+    cells: int
+    islands: tuple[Island, ...]
+    gaps: tuple[float, ...]
+    stiffness_capped: bool
+    damping_capped: bool
+
+    @classmethod
+    def of(
+        cls, passive: Flags, fidelity: Floats, stiffnesses: Sequence[float], dampings: Sequence[float]
+    ) -> FrequencyWidth:
+        """Measure a grid of verdicts and errors, both of shape (dampings, stiffnesses)."""
+        region = connected(passive)
+        held = region.sum(axis=1)
+        holding = np.flatnonzero(held)
+        k, b = np.asarray(stiffnesses), np.asarray(dampings)
+        widest = int(np.argmax(held))
+        worst = np.where(region, fidelity, -math.inf)
+        row, column = np.unravel_index(int(np.argmax(worst)), worst.shape)
+        some = len(holding) > 0
+        edges = np.where(held > 0, k[np.maximum(held - 1, 0)], 0.0)
+        last = int(holding[-1]) if some else 0
+        return cls(
+            stiffness=float(edges[widest]),
+            at_damping=float(b[widest]) if some else math.nan,
+            stiffness_undamped=float(edges[0]) if b[0] == 0.0 else None,
+            damping=float(b[last]) if some else math.nan,
+            worst_fidelity=float(worst[row, column]) if some else math.nan,
+            worst_stiffness=float(k[column]) if some else math.nan,
+            worst_damping=float(b[row]) if some else math.nan,
+            cells=int(region.sum()),
+            islands=tuple(
+                Island(float(damping), low, high)
+                for damping, column in zip(dampings, passive.tolist(), strict=True)
+                for low, high in limit_of(dict(zip(map(float, stiffnesses), column, strict=True))).islands
+            ),
+            gaps=tuple(b[:last][held[:last] == 0].tolist()),
+            stiffness_capped=bool((held == len(k)).any()),
+            damping_capped=some and last == len(b) - 1,
+        )
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return dict(plain(asdict(self)))
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean, standard deviation and range over realisations; `count` of them said something."""
+
+    mean: float
+    deviation: float
+    lowest: float
+    highest: float
+    count: int
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """Summarise numbers; those that are none are left out. The deviation of fewer than two is NaN."""
+        kept = [value for value in values if math.isfinite(value)]
+        if not kept:
+            return cls(math.nan, math.nan, math.nan, math.nan, 0)
+        deviation = float(np.std(kept, ddof=1)) if len(kept) > 1 else math.nan
+        return cls(float(np.mean(kept)), deviation, min(kept), max(kept), len(kept))
+
+
+@dataclass(frozen=True, slots=True)
+class SchemeWidths:
+    """Widths of one scheme: by all realisations together, and by each alone."""
+
+    together: FrequencyWidth
+    each: tuple[FrequencyWidth, ...]
+
+    @classmethod
+    def of(cls, found: FrequencyMap, scheme: int) -> SchemeWidths:
+        """Measure a scheme of a map by its number."""
+        plan = found.plan
+        *each, together = (
+            FrequencyWidth.of(
+                found.passive[scheme, n], found.fidelity[scheme, n], plan.stiffnesses, plan.dampings
+            )
+            for n in range(plan.realisations + 1)
+        )
+        return cls(together, tuple(each))
+
+    @property
+    def stiffness(self) -> Spread:
+        """K-width over realisations; one that holds nothing counts as 0."""
+        return Spread.of([width.stiffness for width in self.each])
+
+    @property
+    def damping(self) -> Spread:
+        """B-width over the realisations that hold something."""
+        return Spread.of([width.damping for width in self.each])
+
+    @property
+    def worst_fidelity(self) -> Spread:
+        """Largest error over the realisations that hold something, each over its own region."""
+        return Spread.of([width.worst_fidelity for width in self.each])
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "together": self.together.as_mapping(),
+            "each": [width.as_mapping() for width in self.each],
+            **{
+                name: plain(asdict(getattr(self, name)))
+                for name in ("stiffness", "damping", "worst_fidelity")
+            },
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +234,7 @@ class SchemeRow:
     tuned: tuple[str, ...]
     common: tuple[Spread, ...]
     common_mean: Spread
-    search: Comparison
+    search: GridSearch
     paper: Printed | None
 
 
@@ -121,7 +278,7 @@ class TableOne:
                     "tuned": list(row.tuned),
                     "common": [plain(asdict(spread)) for spread in row.common],
                     "common_mean": plain(asdict(row.common_mean)),
-                    "search": row.search.as_mapping(plan.stiffnesses, plan.dampings),
+                    "search": row.search.in_units(plan.stiffnesses, plan.dampings),
                     "paper": None if row.paper is None else asdict(row.paper),
                 }
                 for row in self.rows

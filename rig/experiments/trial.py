@@ -365,7 +365,7 @@ def _header(
         },
         clocks={
             "kind": "virtual" if device.link.clock.virtual else "monotonic",
-            **({} if clock is None else clock.as_mapping()),
+            **({} if clock is None else lossless(clock)),
         },
         seed=request.seed,
         protocol=f"{MAJOR}.{MINOR}",
@@ -401,7 +401,7 @@ def _trailer(
         "watched": end.watched,
         "parameter_sets": loop.parameter_sets(),
         "exchanges": [list(stamps) for stamps in exchanges.tolist()],
-        "clock": None if clock is None else clock.as_mapping(),
+        "clock": clock,
         "scheduling": realtime.report,
         **loop.findings(),
     }

@@ -1,8 +1,8 @@
 """Z-width in the time domain: for which walls (K, B) a rig stays stable, scheme by scheme, by hitting them.
 
-A map is a set of independent *climbs*: one scheme, one damping, one encoder offset, one repeat, and a search through
-the stiffnesses (`rig.experiments.ladder`). A climb is decided by its description alone, so a map is the same to the
-last bit on one core, on many, or on a cluster, and a stopped one goes on where it was.
+A map is a set of independent *series*: one scheme, one damping, one encoder offset, one repeat, and a search through
+the stiffnesses (`rig.experiments.searches`). A series is decided by its description alone, so a map is the same to the
+last bit on one core, on many, or on a cluster, and a stopped one resumes where it was.
 
 A wall fails under a criterion when its hit is unstable, or when what the criterion names (felt, heard, any) exceeds its
 threshold; every map holds all three. In simulation the truth decides unless the recorded signals are asked for; the
@@ -13,26 +13,25 @@ Source: Koul et al. 2013, section III (K raised until unstable, five repeats ave
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from rig import config
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.control.measure import NUMBERS
+from rig.control.measure import NUMBERS, UNITS
 from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
 from rig.core.errors import PlanError
+from rig.core.sample import unit_of
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.ladder import Limit, Outcomes, Search, limit_of
 from rig.experiments.plan import STANDS_FOR_DEVICE
+from rig.experiments.searches import Outcomes, Search, StiffnessLimit, check_values, drive, limit_of
 
 Judged = Literal["true", "recorded"]
 TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
@@ -40,8 +39,8 @@ _BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not sh
 
 
 @dataclass(frozen=True, slots=True)
-class Climb:
-    """One search through the stiffnesses: number of its scheme, damping, encoder offset, number of the repeat."""
+class Series:
+    """One search through the stiffnesses: index of its scheme, damping, encoder offset, index of the repeat."""
 
     scheme: int
     damping: float
@@ -71,7 +70,7 @@ class MapPlan:
     offsets
         Where position zero lies in its encoder cell (count): one count decides whether a stiff wall buzzes.
     repeats
-        Climbs of each damping and offset; they differ in where exactly the handle starts, and in a hand's tremor.
+        Series of each damping and offset; they differ in where exactly the handle starts, and in a hand's tremor.
     judged
         Whose signals decide: the simulation's truth, or what a rig records.
     """
@@ -84,70 +83,63 @@ class MapPlan:
     repeats: int = 1
     judged: Judged = "true"
 
+    work: ClassVar[str] = "rig.experiments.zwidth:run_series"
+    unit: ClassVar[str] = "ticks"
+
     def __post_init__(self) -> None:
-        """Raise `PlanError` for a map without climbs, or with the same one twice."""
-        _check_values("schemes", [scheme.text for scheme in self.schemes], "--scheme")
-        _check_values("dampings", self.dampings, "--damping", 0.0, math.inf)
-        _check_values("offsets", self.offsets, "--offsets", 0.0, 1.0)
+        """Raise `PlanError` for a map without series, or with the same one twice."""
+        check_values("schemes", [scheme.text for scheme in self.schemes], "--scheme")
+        check_values("dampings", self.dampings, "--damping")
+        check_values("offsets", self.offsets, "--offsets", below=1.0)
         if self.repeats < 1:
             raise PlanError(f"{self.repeats} repeats (--repeats)", remedy="give 1 or more")
 
-    def climbs(self) -> list[Climb]:
-        """Every climb, in the order of schemes, dampings, offsets, repeats."""
+    def series(self) -> list[Series]:
+        """Every series, in the order of schemes, dampings, offsets, repeats."""
         return [
-            Climb(number, damping, offset, repeat)
+            Series(number, damping, offset, repeat)
             for number in range(len(self.schemes))
             for damping in self.dampings
             for offset in self.offsets
             for repeat in range(self.repeats)
         ]
 
-    def experiment_of(self, climb: Climb, under: Experiment | None = None) -> Experiment:
-        """The experiment of a climb but for its stiffness; `under` is what its scheme makes of the plan's, if known."""
+    def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
+        """The experiment of a series but for its stiffness; `under` is the plan's under its scheme, if known."""
         changes = {
-            "rig.encoder.offset": climb.offset,
-            "trial.seed": self.experiment.trial.seed + climb.repeat,
-            "wall.damping": climb.damping,
+            "rig.encoder.offset": series.offset,
+            "trial.seed": self.experiment.trial.seed + series.repeat,
+            "wall.damping": series.damping,
         }
-        applied = self.schemes[climb.scheme].applied(self.experiment) if under is None else under
+        applied = self.schemes[series.scheme].applied(self.experiment) if under is None else under
         return config.override(applied, changes, "the map")
 
     def tasks(self) -> list[sweep.Task]:
-        """The climbs as they are sent to whoever runs them."""
+        """The series as they are sent to whoever runs them."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
-                climb.key,
+                series.key,
                 {
-                    "experiment": config.as_mapping(self.experiment_of(climb, applied[climb.scheme])),
+                    "experiment": config.as_mapping(self.experiment_of(series, applied[series.scheme])),
                     "search": asdict(self.search),
                     "judged": self.judged,
                 },
-                weight=float(self.schemes[climb.scheme].position_rate),
+                weight=float(self.schemes[series.scheme].position_rate),
             )
-            for climb in self.climbs()
+            for series in self.series()
         ]
 
+    def check(self) -> None:
+        """Hits are judged whatever they do: nothing to refuse."""
 
-def _check_values(
-    name: str, values: Sequence[Any], option: str, least: float = 0.0, below: float = math.inf
-) -> None:
-    """Some values, none twice, and numbers within least ≤ value < below."""
-    if not values:
-        raise PlanError(f"no {name} ({option}): nothing to map", remedy="give at least one")
-    twice = next((value for value, times in Counter(values).items() if times > 1), None)
-    if twice is not None:
-        raise PlanError(f"{name} ({option}): {twice} stands there twice", remedy="give each once")
-    wrong = [value for value in values if isinstance(value, int | float) and not least <= value < below]
-    if wrong:
-        raise PlanError(
-            f"{name} ({option}): {wrong[0]:g} is out of range",
-            remedy=f"choose at least {least:g}" + ("" if below == math.inf else f" and less than {below:g}"),
-        )
+    def found(self, results: Sequence[Any]) -> ZWidth:
+        """The map that the results of all tasks make."""
+        return ZWidth.of(self, results)
 
 
-def run_climb(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Run one climb in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
+def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Run one series in simulation; payload and result are JSON: a row for each hit, in the order of hits."""
     experiment = config.experiment_from_mapping(payload["experiment"], "a task of a map")
     simulator = HitSimulator(experiment)
     rows: list[dict[str, Any]] = []
@@ -157,19 +149,8 @@ def run_climb(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
         rows.append({"stiffness": stiffness} | row_of(done.recorded, "") | row_of(done.true, TRUE))
         return outcomes_of(rows[-1], payload["judged"])
 
-    hit_all(Search(**payload["search"]), hit)
+    drive(Search(**payload["search"]).walk(CRITERIA), hit)
     return rows
-
-
-def hit_all(search: Search, hit: Callable[[float], Outcomes]) -> None:
-    """Hit walls as a search wants them, until it ends."""
-    walk = search.walk(CRITERIA)
-    stiffness = next(walk)
-    while True:
-        try:
-            stiffness = walk.send(hit(stiffness))
-        except StopIteration:
-            return
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,11 +164,11 @@ class Boundary:
     lowest, highest
         Of the limits.
     capped
-        How many climbs ended before their wall did: the mean is then a lower bound.
+        How many series ended before a wall failed: the mean is then a lower bound.
     unknown
-        How many hits said nothing.
+        How many hits were invalid.
     limits
-        Of each climb, with its islands.
+        Of each series, with its islands.
     """
 
     scheme: int
@@ -199,10 +180,10 @@ class Boundary:
     highest: float
     capped: int
     unknown: int
-    limits: tuple[Limit, ...]
+    limits: tuple[StiffnessLimit, ...]
 
     @classmethod
-    def of(cls, scheme: int, damping: float, criterion: str, limits: Sequence[Limit]) -> Boundary:
+    def of(cls, scheme: int, damping: float, criterion: str, limits: Sequence[StiffnessLimit]) -> Boundary:
         """Summarise limits."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
@@ -235,12 +216,14 @@ class Width:
 
 @dataclass(frozen=True, slots=True)
 class ZWidth:
-    """A finished map: its plan, the boundaries, and every hit, climb by climb (read again from the journal, if any)."""
+    """A finished map: its plan, the boundaries, and every hit, series by series (read from the journal, if any)."""
+
+    table_name: ClassVar[str] = "hits.parquet"
 
     plan: MapPlan
     boundaries: tuple[Boundary, ...]
     hits: int
-    climbs: Sequence[list[dict[str, Any]]]  # rows of `run_climb`, in the order of `MapPlan.climbs`
+    series: Sequence[list[dict[str, Any]]]  # rows of `run_series`, in the order of `MapPlan.series`
     on_device: bool = False  # every hit ran over a link
 
     @property
@@ -249,17 +232,17 @@ class ZWidth:
         return self.plan.experiment.controller.loop == "device" and not self.on_device
 
     @classmethod
-    def of(cls, plan: MapPlan, climbs: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
-        """Find the boundaries in the hits of every climb."""
-        limits: dict[tuple[int, float, str], list[Limit]] = {}
+    def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
+        """Find the boundaries in the hits of every series."""
+        limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
-        for climb, rows in zip(plan.climbs(), climbs, strict=True):
+        for one, rows in zip(plan.series(), series, strict=True):
             hits += len(rows)
             for criterion in CRITERIA:
-                column = (climb.scheme, climb.damping, criterion)
+                column = (one.scheme, one.damping, criterion)
                 limits.setdefault(column, []).append(limit_of(_tried(rows, criterion, plan.judged)))
         boundaries = tuple(Boundary.of(*column, found) for column, found in limits.items())
-        return cls(plan, boundaries, hits, climbs, on_device)
+        return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
         """Boundaries of one scheme under one criterion, by damping."""
@@ -287,11 +270,11 @@ class ZWidth:
             range_capped=len(holds) == len(curve),
         )
 
-    def silent(self) -> dict[str, int]:
-        """Why hits said nothing, with how many each, the most common reason first."""
+    def invalid(self) -> dict[str, int]:
+        """Why hits were invalid, with how many each, the most common reason first."""
         limits, why = config.verdict_thresholds(self.plan.experiment), Counter[str]()
         suffix, column = TRUE if self.plan.judged == "true" else "", _passes("any", self.plan.judged)
-        for rows in self.climbs:
+        for rows in self.series:
             for row in rows:
                 if row[column] is None:
                     numbers: Any = {name: row[name + suffix] for name in NUMBERS.names or ()}
@@ -301,10 +284,19 @@ class ZWidth:
 
     def table(self) -> Iterator[dict[str, Any]]:
         """Every hit as a flat row: scheme, damping, offset, repeat, stiffness, kinds and numbers."""
-        for climb, rows in zip(self.plan.climbs(), self.climbs, strict=True):
-            of_climb = asdict(climb) | {"scheme": self.plan.schemes[climb.scheme].text}
+        for one, rows in zip(self.plan.series(), self.series, strict=True):
+            of_series = asdict(one) | {"scheme": self.plan.schemes[one.scheme].text}
             for row in rows:
-                yield of_climb | row
+                yield of_series | row
+
+    def units(self) -> dict[str, str]:
+        """Unit of each column of the table that has one."""
+        quantities: dict[str, Any] = {"damping": "damping", "stiffness": "stiffness", "offset": "count"}
+        for name, quantity in UNITS.items():
+            quantities[name] = quantities[name + TRUE] = quantity
+        return {
+            name: unit_of(quantity, self.plan.experiment.rig.motion) for name, quantity in quantities.items()
+        }
 
     def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON: the plan, the boundaries and the widths, without the single hits."""
@@ -330,48 +322,10 @@ class ZWidth:
             "repeats": plan.repeats,
             "judged": plan.judged,
             "hits": self.hits,
-            "silent": self.silent(),
+            "invalid": self.invalid(),
             "note": STANDS_FOR_DEVICE if self.of_device_loop else None,
             "experiment": config.as_mapping(plan.experiment),
         }
-
-
-def zwidth(
-    plan: MapPlan,
-    *,
-    journal: Path | None = None,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    watch: Callable[[sweep.Progress], None] | None = None,
-) -> ZWidth:
-    """Map a simulated rig.
-
-    Parameters
-    ----------
-    plan
-        What to map.
-    journal
-        File that keeps finished climbs; one of the same plan is gone on with.
-    scheduler, workers, watch
-        As in `rig.experiments.sweep.run`.
-
-    Raises
-    ------
-    ConfigError
-        A scheme that cannot run on this rig, or a journal of another plan.
-    StoppedError
-        Ctrl-C; what is done stays in the journal.
-    """
-    results = sweep.run(
-        "rig.experiments.zwidth:run_climb",
-        plan.tasks(),
-        journal=journal,
-        scheduler=scheduler,
-        workers=workers,
-        unit="ticks",
-        watch=watch,
-    )
-    return ZWidth.of(plan, results)
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:

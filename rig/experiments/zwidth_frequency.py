@@ -1,6 +1,6 @@
 """Z-width in the frequency domain, with fidelity: for which walls (K, B) the impedance is passive, and how true it is.
 
-    found = zwidth_frequency(frequency_plan(presets.load("chawda-linear")))
+    found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.maps, .ranges
     table_one(found)  # rig.experiments.table_one
 
 A map is an exhaustive grid. Each wall is excited by several realisations of the excitation, and every one of them is
@@ -17,11 +17,9 @@ Source: Chawda et al., section V, Figs. 5 to 8; verdict and fidelity are those o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +28,12 @@ from rig import config
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.errors import PlanError
 from rig.core.sample import unit_of
 from rig.experiments import sweep
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal
 from rig.experiments.impedance import ImpedanceResult, Judging, concluded, refuse_excitations
+from rig.experiments.searches import check_values
 
-WORK = "rig.experiments.zwidth_frequency:run_column"
 TOGETHER = -1  # number that stands for all realisations
 NUMBERS = (
     "margin",  # least Re Z + tolerance over the lines
@@ -77,16 +74,14 @@ class FrequencyPlan:
     judging: Judging = Judging()  # noqa: RUF009  (frozen)
     signal: Signal = "count"
 
+    work: ClassVar[str] = "rig.experiments.zwidth_frequency:run_column"
+    unit: ClassVar[str] = "runs"
+
     def __post_init__(self) -> None:
         """Raise `PlanError` for a map without walls, with the same scheme twice, or with values in no rising order."""
-        texts = [scheme.text for scheme in self.schemes]
-        if not texts:
-            raise PlanError("no schemes (--scheme): nothing to map", remedy="give at least one")
-        twice = next((text for text in texts if texts.count(text) > 1), None)
-        if twice is not None:
-            raise PlanError(f"schemes (--scheme): {twice} stands there twice", remedy="give each once")
-        _check_rising("stiffness", self.stiffnesses)
-        _check_rising("damping", self.dampings)
+        check_values("schemes", [scheme.text for scheme in self.schemes], "--scheme")
+        check_values("stiffnesses", self.stiffnesses, "--stiffness", rising=True)
+        check_values("dampings", self.dampings, "--damping", rising=True)
 
     @property
     def realisations(self) -> int:
@@ -126,6 +121,10 @@ class FrequencyPlan:
         refuse_excitations(
             [_walled(scheme.applied(config.excited(self.experiment)), *softest) for scheme in self.schemes]
         )
+
+    def found(self, results: Sequence[Any]) -> FrequencyMap:
+        """The map that the results of all tasks make."""
+        return FrequencyMap.of(self, results)
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -194,6 +193,8 @@ class FrequencyMap:
         The same of the fidelity's rms, NaN where the guard ended the run.
     """
 
+    table_name: ClassVar[str] = "walls.parquet"
+
     plan: FrequencyPlan
     columns: Sequence[list[dict[str, Any]]]
     passive: NDArray[np.bool_]
@@ -235,31 +236,21 @@ class FrequencyMap:
             **dict.fromkeys(("margin", "fidelity", "fidelity_deviation"), damping),
         }
 
-
-def zwidth_frequency(
-    plan: FrequencyPlan,
-    *,
-    journal: Path | None = None,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    watch: Callable[[sweep.Progress], None] | None = None,
-) -> FrequencyMap:
-    """Map a simulated rig without bytes; parameters as in `rig.experiments.zwidth.zwidth`.
-
-    Raises
-    ------
-    ConfigError
-        A scheme that cannot run on this rig, or a journal of another plan.
-    PlanError
-        An excitation that is too large: nothing was run.
-    StoppedError
-        Ctrl-C; what is done stays in the journal.
-    """
-    plan.check()
-    results = sweep.run(
-        WORK, plan.tasks(), journal=journal, scheduler=scheduler, workers=workers, unit="runs", watch=watch
-    )
-    return FrequencyMap.of(plan, results)
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON: everything but the single walls and Table I."""
+        plan, x = self.plan, self.plan.experiment
+        return {
+            "domain": "frequency",
+            "rig": x.rig.name,
+            "motion": x.rig.motion,
+            "stiffnesses": list(plan.stiffnesses),
+            "dampings": list(plan.dampings),
+            "judging": {**asdict(plan.judging), "band_hz": list(plan.band_hz)},
+            "excitation": {**config.as_mapping(x)["excitation"], **config.excitation_size(x)},
+            "signal": plan.signal,
+            "passive": self.passive[:, -1].tolist(),
+            "experiment": config.as_mapping(x),
+        }
 
 
 def _walled(experiment: Experiment, stiffness: float, damping: float) -> Experiment:
@@ -269,13 +260,3 @@ def _walled(experiment: Experiment, stiffness: float, damping: float) -> Experim
 def _judging(mapping: Mapping[str, Any]) -> Judging:
     band = mapping["band_hz"]
     return Judging(**{**mapping, "band_hz": None if band is None else tuple(band)})
-
-
-def _check_rising(name: str, values: Sequence[float]) -> None:
-    """Some finite values from zero up, in rising order."""
-    if not values:
-        raise PlanError(f"no value of --{name}: nothing to map", remedy="give at least one")
-    if not all(math.isfinite(value) and value >= 0.0 for value in values):
-        raise PlanError(f"--{name}: a value below zero, or none", remedy="give finite numbers from 0 up")
-    if any(second <= first for first, second in pairwise(values)):
-        raise PlanError(f"--{name}: not in rising order", remedy="give each value once, the lowest first")

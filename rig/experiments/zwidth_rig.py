@@ -1,41 +1,37 @@
-"""The same map on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
+"""A map of hits on a device: hit after hit, with homing, a person who agrees, and a motor that may cool in between.
 
-A hit is an ordinary one of `rig.experiments.hit`, with its checks, its recording and its verdict; a map is what their
-recordings say. A real device stays open all along, so that position zero stays where it was when the session began; a
-simulated one is a fresh one for each hit. A hit that says nothing is repeated; when it still does, or when the rig
-itself gives up, the session ends. Climbs that were finished stay in the journal, and the same command goes on after
-them.
+A map is what the recordings of its hits say. An invalid hit is repeated; when it stays invalid, or when the rig itself
+gives up, the session ends. Series that were finished stay in the journal, and the same command resumes after them.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rig import config, devices
+from rig import config
 from rig.config import Experiment
-from rig.control.verdict import Kind, Measured, decide
-from rig.core.errors import DeviceFaultError, GuardError, PlanError, RigError, StoppedError
+from rig.control.verdict import CRITERIA, Kind, Measured, decide
+from rig.core.check import refuse, refused
+from rig.core.errors import PlanError, RigError, StoppedError
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
-from rig.devices.local import opened
 from rig.experiments import sweep
-from rig.experiments.hit import HitRequest, Recorded, hit, left_by
-from rig.experiments.judgement import THREW_OUT, THROWN_OUT
-from rig.experiments.ladder import Outcomes, Search
+from rig.experiments.hit import Recorded
+from rig.experiments.judgement import thrown_out
+from rig.experiments.on_device import Ended, OnDevice, Trials, examined
 from rig.experiments.plan import device_checks, link_checks, plan_of
-from rig.experiments.planned import Outcome
+from rig.experiments.searches import Outcomes, Search, drive
 from rig.experiments.trial import prepared_on
-from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, hit_all, outcomes_of, row_of
+from rig.experiments.zwidth import TRUE, MapPlan, ZWidth, outcomes_of, row_of
 from rig.recording.data import Recording
 
-ATTEMPTS = 3  # at a hit that says nothing
+ATTEMPTS = 3  # at an invalid hit
 CALM_S = 0.5  # pause between hits, whatever the motor's heat
 
 
@@ -46,10 +42,10 @@ class Next:
     scheme: str
     stiffness: float
     damping: float
-    number: int  # of this climb's hits, from 1
-    climb: int  # from 1
-    climbs: int
-    attempt: int = 1  # more when the last one said nothing
+    number: int  # of this series' hits, from 1
+    series: int  # from 1
+    total: int  # series
+    attempt: int = 1  # more when the last one was invalid
     thrown_out: bool = False  # whether the last hit left the handle out of its window
 
 
@@ -59,24 +55,19 @@ class Session:
 
     Attributes
     ----------
-    url, realtime, verified
-        As in `rig.experiments.hit.HitRequest`; a real handle is at position zero when the session begins.
-    recordings
-        Directory for the recordings of all hits.
+    where
+        The device. Each wall is armed whatever its link: a map looks for the walls that fail, and a person agrees.
     agrees
         Asked before every hit; False ends the session.
-    tells
-        Told after every hit what came of it.
+    report
+        Called after every hit with its measurement.
     pause
         Waits between two hits for a number of seconds, longer when the motor has to cool.
     """
 
-    url: str
-    recordings: Path
+    where: OnDevice
     agrees: Callable[[Next], bool]
-    realtime: bool = False
-    verified: bool = False
-    tells: Callable[[Next, Measured], None] = field(default=lambda asked, done: None)
+    report: Callable[[Next, Measured], None] = field(default=lambda asked, done: None)
     pause: Callable[[float], None] = field(default=time.sleep)
 
 
@@ -89,38 +80,36 @@ def zwidth_on_rig(plan: MapPlan, session: Session, *, journal: Path | None = Non
         A plan for a simulation: judged by truth, or with several encoder offsets, which a device does not have; or a
         scheme or a wall that this device or its link must not or cannot run. Nothing has moved then.
     StoppedError
-        The person did not agree, or Ctrl-C; finished climbs stay in the journal.
+        The person did not agree, or Ctrl-C; finished series stay in the journal.
     RigError
-        Whatever ended a hit early, but for a wall that throws the handle out; or a hit that says nothing every time.
+        Whatever ended a hit early, but for a wall that throws the handle out; or a hit that is invalid every time.
     """
     _check(plan)
-    climbs, tasks = plan.climbs(), plan.tasks()
+    series, tasks = plan.series(), plan.tasks()
     numbers = {task.key: number for number, task in enumerate(tasks)}
+    where = replace(session.where, arm_anyway=True)
 
-    with _opened(plan, session) as device:
+    with examined(where, plan.experiment) as (device, trials):
         _check_hits(plan, device)
-        simulated = session.url.startswith("sim:")
-        zero = device.count() if session.verified and not simulated else 0
-        bench = _Bench(session, None if simulated else device, zero)
+        hits = _Hits(session, trials)
 
         def perform(task: sweep.Task) -> list[dict[str, Any]]:
-            climb = climbs[numbers[task.key]]
+            one = series[numbers[task.key]]
             first = Next(
-                scheme=plan.schemes[climb.scheme].label(plan.experiment),
+                scheme=plan.schemes[one.scheme].label(plan.experiment),
                 stiffness=plan.search.lowest,
-                damping=climb.damping,
+                damping=one.damping,
                 number=1,
-                climb=numbers[task.key] + 1,
-                climbs=len(tasks),
+                series=numbers[task.key] + 1,
+                total=len(tasks),
             )
             try:
-                return _climb(bench, plan.experiment_of(climb), Search(**task.payload["search"]), first)
+                return hits.series(plan.experiment_of(one), Search(**task.payload["search"]), first)
             except (KeyboardInterrupt, StoppedError) as stop:
                 raise _stopped(stop, first, journal) from stop
 
-        work = work_of(session.url, session.realtime)
-        climbs_done = sweep.run_here(work, perform, tasks, journal=journal)
-        return ZWidth.of(plan, climbs_done, on_device=True)
+        done = sweep.run_here(work_of(where.url, where.realtime), perform, tasks, journal=journal)
+        return ZWidth.of(plan, done, on_device=True)
 
 
 def work_of(url: str, realtime: bool) -> str:
@@ -128,54 +117,20 @@ def work_of(url: str, realtime: bool) -> str:
     return f"{url} in real time" if realtime else url
 
 
-@dataclass(slots=True)
-class _Bench:
-    """An open device, where its position zero is, and whether its handle is where the last hit should have left it."""
-
-    session: Session
-    device: FramedDevice | None  # None: a fresh simulated one for each hit
-    reference_count: int
-    thrown_out: bool = False
-
-
-def _opened(plan: MapPlan, session: Session) -> AbstractContextManager[FramedDevice]:
-    """Open the device of a session."""
-    experiment = plan.experiment
-    return opened(
-        devices.url_for(session.url, experiment.controller.loop),
-        config.rig_model(experiment),
-        in_real_time=session.realtime,
-        seed=experiment.trial.seed,
-        realtime=experiment.host.realtime,
-    )
-
-
-def _climb(bench: _Bench, experiment: Experiment, search: Search, first: Next) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = []
-
-    def one(stiffness: float) -> Outcomes:
-        asked = replace(first, stiffness=stiffness, number=len(rows) + 1)
-        rows.append(_row(bench, experiment, asked))
-        return outcomes_of(rows[-1], "recorded")
-
-    hit_all(search, one)
-    return rows
-
-
-def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
-    """Say how far a session came; climbs are done in their order."""
-    said = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
-    kept = f"{where.climb - 1} of {where.climbs} climbs are done" + (
-        f" and kept in {journal}" if journal else ""
-    )
-    error = StoppedError(f"{said}; {kept}", remedy="the same command goes on from there" if journal else "")
-    error.recording = getattr(stop, "recording", None)
-    return error
-
-
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
     """How long a motor must rest after a push so that its mean heat over both is that of its nominal effort (s)."""
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
+
+
+def _stopped(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
+    """Say how far a session came; series are done in their order."""
+    said = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
+    kept = f"{where.series - 1} of {where.total} series are done" + (
+        f" and kept in {journal}" if journal else ""
+    )
+    error = StoppedError(f"{said}; {kept}", remedy="the same command resumes from there" if journal else "")
+    error.recording = getattr(stop, "recording", None)
+    return error
 
 
 def _check(plan: MapPlan) -> None:
@@ -192,90 +147,75 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
     """Refuse what could not be hit, before anybody waits hours for it: the ends of the search under every scheme."""
     rungs = plan.search.rungs
     for number, scheme in enumerate(plan.schemes):
-        climb = next(climb for climb in plan.climbs() if climb.scheme == number)
-        under = plan.experiment_of(climb)
+        under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))
         checks = link_checks(under, device.dictionary.position_rate_maximum, device.link.bytes_per_second)
         for stiffness in (rungs[0], rungs[-1]):
-            run = prepared_on(device, config.override(under, _changes(under, stiffness), "the map"))
+            run = prepared_on(device, config.override(under, {"wall.stiffness": stiffness}, "the map"))
             checks += [*device_checks(run, device.dictionary), *plan_of(run).checks]
-        refused = {check.name: check for check in checks if check.outcome is Outcome.REFUSED}.values()
-        if refused:
-            raise PlanError(
-                f"scheme {scheme.text}, K from {rungs[0]:.4g} to {rungs[-1]:.4g}: "
-                + "; ".join(f"{check.name}: {check.text}" for check in refused),
-                remedy="; ".join(check.remedy for check in refused),
-            )
+        try:
+            refuse({check.name: check for check in refused(checks)}.values())
+        except PlanError as error:
+            where = f"scheme {scheme.text}, K from {rungs[0]:.4g} to {rungs[-1]:.4g}"
+            raise PlanError(f"{where}: {error.message}", remedy=error.remedy) from None
 
 
-def _row(bench: _Bench, experiment: Experiment, asked: Next) -> dict[str, Any]:
-    """Hit one wall until it says something, and return what it said."""
-    session = bench.session
-    for attempt in range(1, ATTEMPTS + 1):
-        asked = replace(asked, attempt=attempt, thrown_out=bench.thrown_out and bench.device is not None)
-        if not session.agrees(asked):
-            raise StoppedError("ended between two hits; the effort is zero")
-        left = _recorded_hit(bench, experiment, asked.stiffness)
-        recorded, true = left.judgement.measured, left.judgement.measured_true
-        session.tells(asked, recorded)
-        session.pause(CALM_S + _cooling_of(left.recording, experiment))
-        if recorded.passes("any") is not None:
-            row = {"stiffness": asked.stiffness} | row_of(recorded, "")
-            return row if true is None else row | row_of(true, TRUE)
-    _, reasons = decide(recorded.numbers, recorded.thresholds)
-    error = RigError(
-        f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} said nothing about the wall: "
-        f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
-        remedy="mend that; the same command goes on after the last whole climb",
-    )
-    error.recording = left.path
-    raise error
+@dataclass(slots=True)
+class _Hits:
+    """Hits on an open device, and whether its handle is where the last one should have left it."""
+
+    session: Session
+    trials: Trials
+    thrown_out: bool = False
+
+    def series(self, experiment: Experiment, search: Search, first: Next) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = []
+
+        def one(stiffness: float) -> Outcomes:
+            rows.append(self._row(experiment, replace(first, stiffness=stiffness, number=len(rows) + 1)))
+            return outcomes_of(rows[-1], "recorded")
+
+        drive(search.walk(CRITERIA), one)
+        return rows
+
+    def _row(self, experiment: Experiment, asked: Next) -> dict[str, Any]:
+        """Hit one wall until a hit is valid, and return its row."""
+        for attempt in range(1, ATTEMPTS + 1):
+            moved = self.thrown_out and self.trials.device is not None
+            asked = replace(asked, attempt=attempt, thrown_out=moved)
+            if not self.session.agrees(asked):
+                raise StoppedError("ended between two hits; the effort is zero")
+            left = self._hit(experiment, asked.stiffness)
+            recorded, true = left.judgement.measured, left.judgement.measured_true
+            self.session.report(asked, recorded)
+            self.session.pause(CALM_S + _cooling_of(left.recording, experiment))
+            if recorded.passes("any") is not None:
+                row = {"stiffness": asked.stiffness} | row_of(recorded, "")
+                return row if true is None else row | row_of(true, TRUE)
+        _, reasons = decide(recorded.numbers, recorded.thresholds)
+        error = RigError(
+            f"{ATTEMPTS} hits at K = {asked.stiffness:.4g}, B = {asked.damping:.4g} were invalid: "
+            f"{'; '.join(reasons) or recorded.kind}; the effort is zero",
+            remedy="remove this cause; the same command resumes after the last whole series",
+        )
+        error.recording = left.path
+        raise error
+
+    def _hit(self, experiment: Experiment, stiffness: float) -> Recorded:
+        """Run one hit. One that the wall ended by throwing the handle out is a hit like others; other ends raise."""
+        self.thrown_out = False
+        done = self.trials.run(experiment, {"wall.stiffness": stiffness})
+        if isinstance(done, Recorded):
+            return done
+        if not _by_the_wall(done):
+            raise done.error
+        self.thrown_out = True
+        return done.recorded
 
 
-def _recorded_hit(bench: _Bench, experiment: Experiment, stiffness: float) -> Recorded:
-    """Run one hit. One that the wall ended by throwing the handle out is a hit like others; other ends raise."""
-    request = HitRequest(
-        experiment=experiment,
-        url=bench.session.url,
-        realtime=bench.session.realtime,
-        device=bench.device,
-        reference_count=bench.reference_count,
-        changes=_changes(experiment, stiffness),
-        verified=bench.session.verified,
-        output=bench.session.recordings,
-        arm_anyway=True,  # a map looks for the walls that do not hold, and a person agrees to each hit
-    )
-    bench.thrown_out = False
-    try:
-        (result,) = hit(request)
-    except (GuardError, DeviceFaultError) as error:
-        left = left_by(error)
-        if left is None or not _thrown_out(left):
-            raise
-        bench.thrown_out = True
-        return left
-    return result.recorded
-
-
-def _thrown_out(left: Recorded) -> bool:
+def _by_the_wall(ended: Ended) -> bool:
     """Whether the wall threw the handle out: in the push, or in the release, which leaves the verdict of the push."""
-    early = left.judgement.early
-    if early is not None:
-        return early[0] is Kind.UNSTABLE
-    trailer = left.recording.trailer or {}
-    fault = (trailer.get("fault") or {}).get("name")
-    return trailer.get("reason") in THREW_OUT or fault in THROWN_OUT
-
-
-def _changes(experiment: Experiment, stiffness: float) -> Mapping[str, Any]:
-    """What the map says wins over what the experiment has for real time."""
-    controller = experiment.controller
-    return {
-        "controller.position_rate": controller.position_rate,
-        "controller.velocity_rate": controller.velocity_rate,
-        "wall.stiffness": stiffness,
-        "wall.damping": experiment.wall.damping,
-        "trial.repeats": 1,
-    }
+    early = ended.recorded.judgement.early
+    return early[0] is Kind.UNSTABLE if early is not None else thrown_out(ended.recorded.recording) != ""
 
 
 def _cooling_of(recording: Recording, experiment: Experiment) -> float:

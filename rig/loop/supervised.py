@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,6 +15,7 @@ from firmware_protocol.messages import NO_COMMAND_YET
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
 from rig.core.errors import RigError
+from rig.core.present import plain
 from rig.loop import supervise
 from rig.loop.parameter_update import update_of
 from rig.loop.run import LoopThread
@@ -63,10 +64,6 @@ class DeviceHostAgreement:
     bound_quanta: int
     beyond: int
     holds: bool
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
 
 
 class SupervisedThread(LoopThread):
@@ -139,7 +136,7 @@ class SupervisedThread(LoopThread):
 
     def findings(self) -> dict[str, Any]:
         """How the device followed the law (`DeviceHostAgreement`)."""
-        return {"device_host_agreement": self.agreement().as_mapping()}
+        return {"device_host_agreement": plain(self.agreement())}
 
     def handover(self) -> dict[str, int] | None:
         """As `LoopThread.handover`; commands leave before the first STATE comes."""

@@ -6,7 +6,7 @@ zlib)::
     file    = header  rows*  [end]
 
     header    0  8  magic  89 "RIGCAP" 0A
-              8  4  format version (1)
+              8  4  format version (`rig.recording.header.VERSION`)
              12  4  n, length of the JSON
              16  n  JSON, UTF-8, blanks at its end fill up to the multiple of 8
            16+n  4  CRC of all bytes before
@@ -25,8 +25,8 @@ zlib)::
 
 The integers of a block are 64 bits wide, so that compiled code writes them as it counts. The JSON of the
 header holds under ``schema`` the size of a row and the dtype, offset, unit and meaning of each column: a
-reader needs this page and a JSON parser. The envelope of the header stays the same in all versions, so that
-an old reader can say what it has met.
+reader needs this page and a JSON parser. The envelope of the header is the same in all versions, so that
+a reader can name the version that it refuses.
 
 A block's own CRC over its head lets a reader trust the length before it uses it. A damaged block is left out
 and reported, with its rows when its head is good or when the next block tells; after a damaged head reading
@@ -51,10 +51,9 @@ from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
-from rig.recording.header import dtype_of
+from rig.recording.header import VERSION, check_version, dtype_of
 
 SUFFIX = ".rigcap"
-VERSION = 1
 MAGIC = b"\x89RIGCAP\n"
 ROWS_MAGIC = b"\x89RIGROWS"
 END_MAGIC = b"\x89RIGEND\n"
@@ -143,7 +142,7 @@ def read_capture(path: Path) -> Recording:
     Raises
     ------
     RecordingError
-        No such file, not a capture, a damaged header, or a newer format.
+        No such file, not a capture, a damaged header, or another format version.
     """
     with plain_errors("read", path), open(path, "rb") as file:
         if not file.read(1):
@@ -172,10 +171,7 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
     end = _FILE_HEAD.size + length
     if end + _CRC.size > len(data) or _CRC.unpack(data[end : end + _CRC.size])[0] != zlib.crc32(data[:end]):
         raise damaged
-    if version > VERSION:
-        raise RecordingError(
-            f"{path} has format {version}, this version reads up to {VERSION}", remedy="update haptic-rig"
-        )
+    check_version(path, version)
     header = _json_object(data[_FILE_HEAD.size : end])
     if header is None:
         raise damaged

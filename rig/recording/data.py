@@ -42,8 +42,8 @@ class Recording:
     header
         Everything known before the trial (`rig.recording.header.make_header`).
     rows
-        Structured array, one row a tick; its fields are those of the file (`rig.core.sample.ROW`, in simulation
-        also the truth, and whatever columns another version of this package knew).
+        Structured array, one row a tick; its fields are those of the file: `rig.core.sample.ROW`, and in simulation
+        the truth.
     trailer
         How and why the trial ended, with its statistics; None when nobody could write it.
     complete

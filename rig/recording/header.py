@@ -23,6 +23,7 @@ from rig.core.sample import COLUMNS, Column, Motion, unit_of
 from rig.recording.canonical import lossless
 
 FORMAT = "haptic-rig recording"
+VERSION = 2  # of header, columns and trailer; a change of their meaning is another version
 VOLATILE = ("created", "host", "git")
 _SIMPLE_DTYPE = re.compile(r"[<|][iuf][1248]")
 
@@ -110,6 +111,7 @@ def make_header(
     header = lossless(
         {
             "format": FORMAT,
+            "version": VERSION,
             "rig": rig,
             "motion": motion,
             "experiment": experiment,
@@ -127,6 +129,15 @@ def make_header(
     )
     assert isinstance(header, dict)
     return header
+
+
+def check_version(path: Path, found: object) -> None:
+    """Refuse a recording of another format version with a `RecordingError`: one version reads its own recordings."""
+    if found != VERSION:
+        raise RecordingError(
+            f"{path} is a recording of format version {found}, and this version of haptic-rig reads version {VERSION}",
+            remedy="open it with the haptic-rig that recorded it, or record again",
+        )
 
 
 def repeatable(header: Mapping[str, Any]) -> dict[str, Any]:

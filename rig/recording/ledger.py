@@ -12,11 +12,10 @@ from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError, RigError
 from rig.recording.canonical import lossless
 from rig.recording.data import Recording
-from rig.recording.timing import NEEDED, Ledger, ledger, summarise
+from rig.recording.timing import Ledger, ledger, summarise
 
-CLOCK_KEY = "clock"  # of the trailer: `rig.core.clock_fit.ClockFit.as_mapping`
+CLOCK_KEY = "clock"  # of the trailer: a `rig.core.clock_fit.ClockFit`
 TIMING_KEY = "timing"  # of the trailer: `rig.recording.timing.TimingSummary.as_mapping`
-FITTED = ("sampled_at", "applied_at")
 
 _log = logging.getLogger(__name__)
 
@@ -24,11 +23,11 @@ _log = logging.getLogger(__name__)
 def with_ledger(recording: Recording) -> Recording:
     """Return the recording with its fitted columns filled in and the summary in its trailer.
 
-    A recording whose trailer has no clock, or whose rows lack a column of the ledger, is returned as it is. So is one
-    whose clock cannot be understood, with a warning: a recording is kept whatever is wrong with its clock.
+    A recording without rows, or without a clock in its trailer, is returned as it is. So is one with an invalid clock,
+    with a warning: a recording is kept whatever is wrong with its clock.
     """
     trailer = recording.trailer or {}
-    if CLOCK_KEY not in trailer or not {*NEEDED, *FITTED} <= set(recording.names) or not len(recording):
+    if CLOCK_KEY not in trailer or not len(recording):
         return recording
     try:
         found = ledger_of(recording)
@@ -47,16 +46,10 @@ def ledger_of(recording: Recording) -> Ledger:
     Raises
     ------
     RecordingError
-        A column is missing, or there are no rows.
+        There are no rows.
     RigError
         The clock of the trailer makes no sense.
     """
-    missing = [name for name in NEEDED if name not in recording.names]
-    if missing:
-        raise RecordingError(
-            f"the recording has no column {missing[0]}, and so no latency ledger",
-            remedy="it is from another version of this package; record anew to see its timing",
-        )
     if not len(recording):
         raise RecordingError(
             "the recording has no rows", remedy="its loop never saw a sample: nothing to time"

@@ -20,14 +20,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.faults import Input
-from rig.core.errors import RecordingError, RigError
+from rig.core.errors import RigError
+from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
 from rig.recording.canonical import lossless
 from rig.recording.data import Recording
@@ -35,7 +35,6 @@ from rig.recording.ledger import CLOCK_KEY, clock_of, period_ns_of
 from rig.recording.timing import device_times
 
 EDGES_KEY = "sync_edges"  # of the trailer
-NEEDED = ("tick", "elapsed_ticks", "device_time", "received_at", "phase", "flags")
 OUTPUTS = {"trial_out": Input.SYNC_TRIAL, "inside_out": Input.SYNC_INSIDE}
 
 _log = logging.getLogger(__name__)
@@ -64,27 +63,15 @@ class Mark:
     host_time: int | None
     tick: int
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
 
 def marks(recording: Recording) -> list[Mark]:
-    """Find what happened in a recording, in the order of the device's clock; of an older one what its columns tell.
+    """Find what happened in a recording, in the order of the device's clock.
 
     Raises
     ------
-    RecordingError
-        A column is missing without which there are no marks.
     RigError
         The clock of the trailer makes no sense.
     """
-    missing = [name for name in NEEDED if name not in recording.names]
-    if missing:
-        raise RecordingError(
-            f"the recording has no column {missing[0]}, and so no marks",
-            remedy="it was made by something else than `rig`; record anew",
-        )
     if not len(recording):
         return []
     found = [*_of_phases(recording.rows), *_of_edges(recording), *_of_outputs(recording)]
@@ -92,25 +79,25 @@ def marks(recording: Recording) -> list[Mark]:
 
 
 def sync_edges(recording: Recording) -> list[Mark]:
-    """Rising edges of the sync input that a recording tells; none from one that has no such column."""
+    """Rising edges of the sync input in a recording."""
     return _on_both_clocks(recording, _of_edges(recording))
 
 
 def with_sync_edges(recording: Recording) -> Recording:
     """Return the recording with the rising edges of the sync input in its trailer.
 
-    Without a clock in the trailer, or without the column, it is returned as it is; so is one whose clock cannot be
-    understood, since a recording is kept whatever is wrong with its clock.
+    Without a clock in the trailer it is returned as it is; so is one with an invalid clock, since a recording is kept
+    whatever is wrong with its clock.
     """
     trailer = recording.trailer or {}
-    if CLOCK_KEY not in trailer or "sync_time" not in recording.names:
+    if CLOCK_KEY not in trailer:
         return recording
     try:
         edges = sync_edges(recording)
     except RigError as error:
         _log.warning("%s: no edges of the sync input: %s", recording.path, error)
         return recording
-    listed = [{key: value for key, value in edge.as_mapping().items() if key != "name"} for edge in edges]
+    listed = [{key: value for key, value in plain(edge).items() if key != "name"} for edge in edges]
     return replace(recording, trailer={**trailer, EDGES_KEY: lossless(listed)})
 
 
@@ -136,19 +123,17 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
 
 
 def _of_edges(recording: Recording) -> list[_Found]:
-    """An edge that the first row tells was before the recording."""
-    if "sync_time" not in recording.names or not len(recording):
-        return []
+    """An edge that the first row already has was before the recording."""
     rows = recording.rows
-    told: _Ints = rows["sync_time"]
-    places = 1 + np.flatnonzero((told[1:] != told[:-1]) & (told[1:] != 0))
-    return [("sync", int(told[place]), int(rows["tick"][place])) for place in places]
+    edge: _Ints = rows["sync_time"]
+    places = 1 + np.flatnonzero((edge[1:] != edge[:-1]) & (edge[1:] != 0))
+    return [("sync", int(edge[place]), int(rows["tick"][place])) for place in places]
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
     """A pin that a sample shows rose with the current that was active up to it: a tick before."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
-    if loop != "host" or "inputs" not in recording.names:
+    if loop != "host":
         return
     rows = recording.rows
     period_ns = round(period_ns_of(recording))

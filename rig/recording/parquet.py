@@ -22,7 +22,7 @@ from rig.core.errors import RecordingError
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Loss, Recording
 from rig.recording.files import plain_errors
-from rig.recording.header import dtype_of
+from rig.recording.header import check_version, dtype_of
 
 KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
 CHECKSUM_KEY = b"rig.crc32"
@@ -122,6 +122,7 @@ def _recording(path: Path, table: Any, metadata: dict[bytes, bytes]) -> Recordin
     if _checksum(metadata, columns) != metadata[CHECKSUM_KEY]:
         raise ValueError("its checksum does not match")
     header, trailer, complete, lost = (json.loads(metadata[key]) for key in KEYS)
+    check_version(path, header.get("version"))
     rows = np.empty(table.num_rows, dtype_of(header["schema"]))
     for name in rows.dtype.names or ():
         rows[name] = columns[name]

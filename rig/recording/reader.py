@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.core.errors import RecordingError
+from rig.core.sample import COLUMNS
 from rig.recording.capture import read_capture
 from rig.recording.data import Recording
 from rig.recording.files import plain_errors
@@ -18,13 +20,18 @@ def open_recording(path: str | Path) -> Recording:
     Raises
     ------
     RecordingError
-        There is no such file, it is no recording, it is of a newer format, its header is damaged, or it needs
-        a library that is not installed. Damage after the header is no error: see `Recording.lost` and
-        `Recording.complete`.
+        There is no such file, it is no recording, it is of another format version, its header is damaged, it lacks a
+        column, or it needs a library that is not installed. Damage after the header is no error: see `Recording.lost`
+        and `Recording.complete`.
     """
     path = Path(path)
     with plain_errors("read", path), open(path, "rb") as file:
         magic = file.read(len(_PARQUET_MAGIC))
-    if magic == _PARQUET_MAGIC:
-        return read_parquet(path)
-    return read_capture(path)
+    recording = read_parquet(path) if magic == _PARQUET_MAGIC else read_capture(path)
+    missing = [column.name for column in COLUMNS if column.name not in recording.names]
+    if missing:
+        raise RecordingError(
+            f"{path} has no column {missing[0]!r}, which every recording has",
+            remedy="record again with `rig`",
+        )
+    return recording

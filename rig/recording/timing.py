@@ -34,10 +34,6 @@ from rig.core.clock_fit import ClockFit
 from rig.core.sample import RowFlag
 from rig.recording.quantiles import Quantile, quantile
 
-NEEDED = (
-    "tick", "sample_index", "elapsed_ticks", "device_time", "lateness", "command_age", "command_sequence",
-    "command_active", "execution_time", "flags", "received_at", "computed_at", "sent_at",
-)  # fmt: skip
 # Stage → the times between which it lies, and what it is.
 STAGES: dict[str, tuple[str, str, str]] = {
     "transport_in": ("sampled", "received", "sampled to received"),
@@ -209,7 +205,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     Parameters
     ----------
     rows
-        Rows with the columns `NEEDED`, in the order of the ticks; some may be missing.
+        Rows of a recording, in the order of the ticks; some may be missing.
     fit
         Host against device clock, or None when they were never compared.
     period_ns

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 from rig.bench.doctor import gate as gates
 from rig.config import Experiment
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Motion, unit_of
 from rig.devices.framed import FramedDevice
-from rig.experiments.planned import Check, Outcome
 from rig.session.conditions import Walls, own_rates
 from rig.session.protocol import BLINDED
 from rig.session.runner import RefusedWalls, TrialRunner, Wall

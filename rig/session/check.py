@@ -15,7 +15,7 @@ from typing import Any
 
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.planned import refuse
+from rig.core.check import refuse
 from rig.session.arming import arming_checks
 from rig.session.comparisons import (
     cap_checks,

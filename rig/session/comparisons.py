@@ -7,10 +7,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 from rig.config import Experiment
+from rig.core.check import Check, Outcome
 from rig.core.errors import RigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.plan import make_plan
-from rig.experiments.planned import Check, Outcome
 from rig.session.expected import Range
 from rig.session.plan import CellPlan
 from rig.session.protocol import Protocol

@@ -26,7 +26,7 @@ from rig.session.load import as_mapping, check_code
 from rig.session.log import Event, SessionLog, read, set_aside
 from rig.session.place import resume_command
 from rig.session.protocol import VERDICTS, Protocol
-from rig.session.state import AMENDABLE, FORMAT, State
+from rig.session.state import AMENDABLE, State
 
 OF_TRIAL = {"void": True, "counts": False}  # what an amendment may say of a trial itself
 WALL = WallClock()
@@ -116,7 +116,6 @@ def begin(
             file.write(text)
         log.append(
             "began",
-            format=FORMAT,
             protocol=as_mapping(protocol),
             protocol_sha256=sha256,
             experiment=config.as_mapping(experiment),

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from rig.config import Experiment
-from rig.experiments.planned import Check, refuse
+from rig.core.check import Check, refuse
 from rig.session.comparisons import SEVERITY
 from rig.session.conditions import Walls, own_rates
 from rig.session.runner import TrialRunner

@@ -16,6 +16,7 @@ from rig import config, devices
 from rig.bench.doctor.in_effect import in_effect
 from rig.config import Experiment
 from rig.control.verdict import CRITERIA, Kind
+from rig.core.check import Check
 from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.model import RigModel
 from rig.core.present import plain
@@ -26,7 +27,6 @@ from rig.experiments.baseline import baseline
 from rig.experiments.hit import HitRequest, Recorded, hit, left_by, vetted
 from rig.experiments.judgement import THREW_OUT, THROWN_OUT
 from rig.experiments.plan import device_checks, link_checks
-from rig.experiments.planned import Check
 from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
 from rig.recording.header import host_facts

@@ -4,6 +4,8 @@ A line (`rig.recording.lines`) holds an event::
 
     {"n": number from 0, "after": CRC of the line before (0 for the first), "at": seconds since 1970, "kind": …, …}
 
+The first line also has ``"log"``, the version of the format; a log of another version is refused.
+
 Nothing is ever changed or taken out: a correction is an event of its own. The chain of CRCs shows a line that somebody
 removed or replaced. What a dying process left of its last line is cut off, and its length is kept (`SessionLog.torn`).
 A damaged line is refused, because what follows was decided on it; the last one can be set aside
@@ -27,7 +29,8 @@ from rig.core.present import plain
 from rig.recording.files import plain_errors, whole_file
 from rig.recording.lines import LineFile, line_of, object_of
 
-RESERVED = ("n", "after", "at", "kind")
+VERSION = 2  # of events and their content; a change of their meaning is another version
+RESERVED = ("n", "after", "at", "kind", "log")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,8 @@ class SessionLog:
 
     def _line_of(self, event: Event) -> bytes:
         envelope = {"n": event.number, "after": self._last, "at": event.at, "kind": event.kind}
-        return line_of(json.dumps({**envelope, **event.content}, allow_nan=False))
+        version = {"log": VERSION} if event.number == 0 else {}
+        return line_of(json.dumps({**envelope, **version, **event.content}, allow_nan=False))
 
     def close(self) -> None:
         """Release the lock. What was appended is on disk already."""
@@ -209,6 +213,12 @@ def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], 
             raise RecordingError(
                 f"{path}, line {len(events) + 1}: a line before it was removed or changed",
                 remedy="restore the file from a copy; what follows was decided on that line",
+            )
+        if not events and found.get("log") != VERSION:
+            raise RecordingError(
+                f"{path}, line 1: a session log of format version {found.get('log')}, and this version of haptic-rig "
+                f"reads version {VERSION}",
+                remedy="read it with the haptic-rig that its first line names under versions",
             )
         content = {name: value for name, value in found.items() if name not in RESERVED}
         events.append(Event(found["n"], found["at"], found["kind"], content))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from rig.core.check import Check, Outcome
 from rig.core.sample import Motion
-from rig.experiments.planned import Check, Outcome
 from rig.session.expected import NOTHING, Expected, Range, Trials
 from rig.session.times import Heat, TrialTimes
 

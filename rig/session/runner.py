@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rig.config import Experiment
-from rig.experiments.planned import Check
+from rig.core.check import Check
 from rig.session.trial import Hit
 
 Watch = Callable[[int, int], None]

@@ -4,7 +4,7 @@ Nothing is remembered outside the log, so a session that was killed resumes as i
 reads what the session itself went by. The kinds of events, and what each holds:
 
 =============  ====================================================================================================
-``began``      format, protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal
+``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal
 ``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
 ``resumed``    where (trial, block), abandoned: recordings of trials that nobody logged
 ``block``      block: it begins
@@ -44,7 +44,6 @@ from rig.session.search import Answer, Probe, Rule
 from rig.session.times import cooling_s
 from rig.session.trial import REDONE, RESTARTED, Presented, Trial, trial_of
 
-FORMAT = 2  # of the log; others are refused
 # What a session without interruptions has once or not at all.
 BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended")
 AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
@@ -165,7 +164,7 @@ class State:
         Raises
         ------
         RecordingError
-            It does not begin with ``began``, or another version wrote it.
+            It does not begin with ``began``.
         ConfigError
             Its protocol is none.
         """
@@ -174,11 +173,6 @@ class State:
                 "the log of a session does not begin with its protocol", remedy="start the session again"
             )
         began = events[0].content
-        if began.get("format") != FORMAT:
-            raise RecordingError(
-                f"the session's log has format {began.get('format', 1)}, and this version reads format {FORMAT}",
-                remedy="use the version of haptic-rig that wrote it; the log's first line names it under versions",
-            )
         protocol = protocol_from_mapping(began["protocol"], "the protocol in the session's log")
         state = cls(
             protocol=protocol,

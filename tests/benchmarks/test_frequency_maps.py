@@ -15,8 +15,8 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.experiments.excitation_run import ExcitedRig
-from rig.experiments.frequency_ranges import frequency_plan
 from rig.experiments.impedance import Judging
+from rig.experiments.ranges import frequency_plan
 from rig.experiments.zwidth_frequency import run_column, wall_rows
 
 GOAL_S = 30.0

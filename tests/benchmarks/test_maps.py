@@ -13,8 +13,9 @@ from rig import config
 from rig.analysis import theory
 from rig.config import presets
 from rig.experiments import hit_simulator, ranges
-from rig.experiments.ladder import Search
-from rig.experiments.zwidth import MapPlan, run_climb, zwidth
+from rig.experiments.maps import zwidth
+from rig.experiments.searches import Search
+from rig.experiments.zwidth import MapPlan, run_series
 from sim_backend import hits
 
 HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})
@@ -22,7 +23,7 @@ HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "
 
 @pytest.fixture(scope="module")
 def figure_6():
-    """17 dampings, three schemes, a ladder of 6 %, two offsets, one repeat: 102 climbs."""
+    """17 dampings, three schemes, a ladder of 6 %, two offsets, one repeat: 102 series."""
     schemes = theory.default_schemes(HELD)
     dampings = ranges.dampings_for(HELD, schemes)
     return MapPlan(experiment=HELD, schemes=schemes, dampings=dampings, search=ranges.search_for(HELD))
@@ -35,14 +36,14 @@ def test_the_whole_map_of_figure_6(figure_6):
     found = zwidth(figure_6)
     cpu_s, wall_s = time.process_time() - started, time.perf_counter() - clock
     print(
-        f"\nFig. 6: {len(tasks)} climbs, {found.hits} hits: {cpu_s:.1f} s of CPU (goal 12 s), {wall_s:.1f} s of time, "
+        f"\nFig. 6: {len(tasks)} series, {found.hits} hits: {cpu_s:.1f} s of CPU (goal 12 s), {wall_s:.1f} s of time, "
         f"{found.hits / cpu_s:.0f} hits per second of a core; planning {planned_s:.2f} s"
     )
     assert planned_s < 2.0
     assert cpu_s < 60.0
 
 
-def test_python_takes_a_small_share_of_a_climb(figure_6, monkeypatch):
+def test_python_takes_a_small_share_of_a_series(figure_6, monkeypatch):
     inside = [0.0]
     compiled = hits.hit
 
@@ -53,10 +54,10 @@ def test_python_takes_a_small_share_of_a_climb(figure_6, monkeypatch):
         return ticks
 
     payloads = [json.loads(json.dumps(task.payload)) for task in figure_6.tasks()[::17]]
-    run_climb(payloads[0])
+    run_series(payloads[0])
     monkeypatch.setattr(hits, "hit", timed)
     started = time.thread_time()
-    count = sum(len(run_climb(payload)) for payload in payloads)
+    count = sum(len(run_series(payload)) for payload in payloads)
     whole = time.thread_time() - started
     print(
         f"\n{1e3 * whole / count:.2f} ms a hit, {100 * (whole - inside[0]) / whole:.0f} % of it outside compiled code"
@@ -82,7 +83,7 @@ def test_memory_does_not_grow_with_the_number_of_hits():
     assert many < 1.2 * few + 20_000
 
 
-def test_memory_of_a_map_does_not_grow_with_the_number_of_climbs(tmp_path):
+def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path):
     short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
 
     def peak(repeats):
@@ -105,4 +106,4 @@ def test_memory_of_a_map_does_not_grow_with_the_number_of_climbs(tmp_path):
     (few, few_hits), (many, many_hits) = peak(10), peak(100)
     grown = (many - few) / (many_hits - few_hits)
     print(f"\npeak of memory: {few / 1e6:.1f} MB for {few_hits} hits, {many / 1e6:.1f} MB for {many_hits}")
-    assert grown < 10_000.0  # bytes a hit: its climb's description, not its numbers
+    assert grown < 10_000.0  # bytes a hit: its series' description, not its numbers

@@ -18,7 +18,7 @@ from rig.session.load import as_mapping as protocol_as_mapping
 from rig.session.load import protocol_from_mapping
 from rig.session.log import SessionLog
 from rig.session.search.observer import Observer
-from rig.session.state import FORMAT, DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, State
+from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, State
 from rig.session.trial import Hit, Presented, event_of
 
 PRESET = "koul-compliant"
@@ -199,7 +199,6 @@ def sitting(
     with SessionLog(directory / "session.log", clock=lambda: now[0]) as log:
         log.append(
             "began",
-            format=FORMAT,
             protocol=dict(mapping),
             protocol_sha256="",
             experiment=as_mapping(presets.load(mapping["study"]["preset"])),

@@ -13,6 +13,7 @@ import numba
 import pytest
 
 from tests.conformance.started import started
+from tests.conformance.tolerance import tolerated
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
@@ -63,7 +64,7 @@ def test_without_schemes_the_rigs_own_are_mapped_in_its_units(run):
     assert code == 0
     facts = json.loads(out)
     assert [scheme["label"] for scheme in facts["schemes"]] == ["uniform 1 kHz, fdm-butterworth 100 Hz"]
-    assert facts["silent"] == {}
+    assert facts["invalid"] == {}
     peak = facts["schemes"][0]["widths"]["any"]["stiffness_peak"]
     assert 1e4 < peak < 1e6  # N/m
 
@@ -77,10 +78,10 @@ def test_what_is_only_a_bound_is_marked(run):
     assert "≥ before B" in out
 
 
-def test_hits_that_say_nothing_are_told_with_the_reason(run):
+def test_invalid_hits_are_counted_with_their_reason(run):
     code, out, _ = run("zwidth", *TINY, "--set", "rig.limits.slew=200", "--no-plot")
     assert code == 0
-    assert re.search(r"\d+ of \d+ hits said nothing: slew bound \(\d+\)", out)
+    assert re.search(r"\d+ of \d+ hits were invalid: slew bound \(\d+\)", out)
 
 
 def test_the_same_command_reads_a_finished_map(run, tmp_path):
@@ -129,11 +130,11 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run, tmp_path):
         (["-B", ""], r"--damping '': no numbers"),
         (["-B", "0:1:0"], r"a count of 1 to 10000"),
         (["-B", "0:1:100000000"], r"a count of 1 to 10000"),
-        (["-B", "0,0"], r"\(--damping\): 0.0 stands there twice"),
+        (["-B", "0,0"], r"\(--damping\): 0.0 is given twice"),
         (["-B", "-1"], r"\(--damping\): -1 is out of range.*at least 0"),
         (["--offsets", "1"], r"\(--offsets\): 1 is out of range.*at least 0 and less than 1"),
         (["--ratio", "1"], r"ratio of 1 between rungs is not in 1.0001 to 1e6 .*--ratio"),
-        (["--scheme", "uniform:10000"], r"\(--scheme\): uniform:10k stands there twice"),
+        (["--scheme", "uniform:10000"], r"\(--scheme\): uniform:10k is given twice"),
         (["--scheme", "uniform:10k,estimator=fmd"], r'estimator = "fmd".*fdm'),
         (["--scheme", "triple:1k"], r"no such kind of sampling\. write dual:20k/2k"),
         (["--operator", "strong"], r'operator.grip = "strong".*relaxed.*normal.*firm'),
@@ -200,7 +201,7 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
     assert process.returncode == 130
     assert out == ""
     assert re.search(
-        r"stopped; [1-5] of 6 tasks are done and kept in maps/.*the same command goes on from there", err
+        r"stopped; [1-5] of 6 tasks are done and kept in maps/.*the same command resumes from there", err
     )
 
     (journal,) = tmp_path.glob("maps/*/journal")
@@ -224,7 +225,7 @@ def test_a_device_is_hit_by_recorded_hits_and_the_same_command_goes_on(run, tmp_
     assert (facts["judged"], facts["offsets"]) == ("recorded", [0.1])
     place = Path(facts["directory"])
     assert len(list((place / "hits").glob("*.parquet"))) == facts["hits"]
-    assert "climb 1 of 1: uniform 10 kHz, fdm-butterworth 1000 Hz, B = 0.3 N·m·s/rad" in err
+    assert "series 1 of 1: uniform 10 kHz, fdm-butterworth 1000 Hz, B = 0.3 N·m·s/rad" in err
     assert "hit 1: K = 40 N·m/rad" in err
     assert re.search(r"(stable|unstable|limit cycle); passes: ", err)
 
@@ -242,8 +243,8 @@ def test_a_person_who_does_not_agree_ends_the_session(run, tmp_path, monkeypatch
         monkeypatch.setattr(sys, "stdin", answering)
         code, out, err = run("zwidth", "--url", "sim://", *ON_DEVICE, "--confirm", "each")
     assert (code, out) == (130, "")
-    assert "ended between two hits; the effort is zero; 0 of 1 climbs are done" in err
-    assert "Enter: go on, q: end" in err
+    assert "ended between two hits; the effort is zero; 0 of 1 series are done" in err
+    assert "Enter: continue, q: end" in err
     assert len(list(tmp_path.glob("maps/*/hits/*.parquet"))) == hits
 
 
@@ -252,11 +253,11 @@ def test_in_real_time_a_simulated_device_is_a_process(run, tmp_path):
     code, _, err = run(
         "zwidth", "--realtime", *BRIEF, *search, "--set", "verdict.late_fraction=0.9", "--no-plot", "--json"
     )
-    # On a computer that is too busy hits say nothing, or the device's watchdog ends one: the session ends and says so.
-    busy = (
-        "said nothing about the wall" in err or "the host fell silent" in err or "fell silent during" in err
-    )
+    # On a computer that is too busy hits are invalid, or the device's watchdog ends one: the session ends and says so.
+    busy = "were invalid" in err or "the host fell silent" in err or "fell silent during" in err
     assert code == 0 or busy, err
+    if code:
+        tolerated(err.strip().splitlines()[-1])
     recording = open_recording(next(tmp_path.glob("maps/*/hits/*.parquet")))
     assert recording.header["clocks"]["kind"] == "monotonic"
     assert recording.header["identity"]["url"].startswith("serial://")

@@ -91,7 +91,7 @@ def test_dual_rate_on_another_rig(run):
         (("--judged-band", "300:400"), "no line between 300 and 400 Hz", "1 to 250"),
         (("-K", "10:100"), "--stiffness '10:100'", "first:last:count"),
         (("-K", "100,10"), "not in rising order", "lowest first"),
-        (("--damping=-3",), "below zero", "from 0 up"),
+        (("--damping=-3",), "-3 is out of range", "at least 0"),
         (("--amplitude", "90"), "peak position", "reduce the excitation"),
         (("--amplitude", "500"), "rig.limits.effort, 100 N", "lower excitation.rms"),
         (("--realisations", "0"), "realisations", "1"),

@@ -15,6 +15,7 @@ from rig.core.errors import PlanError
 from rig.core.sample import Phase
 from rig.experiments import impedance, live, trial
 from rig.experiments.hit import HitRequest, hit
+from rig.experiments.on_device import OnDevice
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 
@@ -110,7 +111,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
     x = config.override(BOARD, changes)
 
     def measured(experiment):
-        where = impedance.OnDevice(url="sim://", recordings=tmp_path)
+        where = OnDevice(url="sim://", recordings=tmp_path)
         (result,) = impedance.measure_on_device(experiment, where)
         assert result.ended == ""
         return result

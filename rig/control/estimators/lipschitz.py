@@ -13,8 +13,7 @@ short stretch around the contact, and see that C does not change much with one s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,20 +55,9 @@ class LipschitzFit:
     frequencies_hz: Floats
     amplitudes: Floats
     phases: Floats
-    time_s: Floats
-    fitted: Floats
-    second_derivative: Floats
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the numbers without the curves, for JSON."""
-        return {
-            "lipschitz": self.lipschitz,
-            "residual_rms": self.residual_rms,
-            "offset": self.offset,
-            "frequencies_hz": self.frequencies_hz.tolist(),
-            "amplitudes": self.amplitudes.tolist(),
-            "phases": self.phases.tolist(),
-        }
+    time_s: Floats = field(repr=False)
+    fitted: Floats = field(repr=False)
+    second_derivative: Floats = field(repr=False)
 
 
 def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT_SINES) -> LipschitzFit:

@@ -204,7 +204,7 @@ def _raise_what_ended(
         error.add_note(failure.details)
         raise error
     if isinstance(interruption, KeyboardInterrupt):
-        remedy = "the same command goes on from there" if journal else "name a journal to be able to go on"
+        remedy = "the same command resumes from there" if journal else "name a journal to be able to resume"
         raise SweepStoppedError(
             f"stopped; {so_far}", remedy=remedy, total=total, results=results
         ) from interruption

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig.control.estimators import levant_regions
-from rig.experiments.frequency_widths import FrequencyWidth
+from rig.experiments.table_one import FrequencyWidth
 from rig.papers.chawda import rules
 from rig.papers.chawda.results import Chawda
 from rig.papers.chawda.rigs import ESTIMATORS, FDM, FILTERED, HBA_SC, LEVANT, LFBA

@@ -141,7 +141,7 @@ def claim_wider(chawda: Chawda) -> Claim:
 def claim_search(chawda: Chawda) -> Claim:
     """Where the boundary search ends."""
     searches = [chawda.search(name, m) for name in ESTIMATORS for m in range(chawda.map.grid.measurements)]
-    tests = float(np.mean([len(s.trace.tests) for s in searches]))
+    tests = float(np.mean([len(s.path) for s in searches]))
     columns = len(searches) * len(chawda.map.grid.dampings)
     return Claim(
         key="search",

@@ -21,9 +21,9 @@ from rig.config.schemes import Scheme
 from rig.control.estimators.lipschitz import identify_lipschitz
 from rig.experiments.compare import Start, simulate
 from rig.experiments.excitation_run import ExcitedRig
-from rig.experiments.frequency_ranges import passive_limit
-from rig.experiments.ladder import Search
 from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
+from rig.experiments.ranges import passive_limit
+from rig.experiments.searches import Search
 from rig.papers.chawda.readings import read
 from rig.papers.chawda.rigs import FIGURE_3_RATE, FILTERED_SCHEME, Reading, pushed_rig
 

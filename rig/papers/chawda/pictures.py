@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.analysis.impedance.ideal import ideal_wall
 from rig.core.deferred import colors
-from rig.experiments.boundary_search import connected
+from rig.experiments.searches import connected
 from rig.papers.chawda import text_more as chawda_text_more
 from rig.papers.chawda.claims_table import floors
 from rig.papers.chawda.results import Chawda, spread
@@ -139,11 +139,9 @@ def _figure_5(chawda: Chawda, path: Path) -> None:
             _edges(b), _edges(k), cells, cmap="Blues", vmin=0.0, vmax=2.5, edgecolor="white", linewidth=0.2
         )
         search = chawda.search(name)
-        path_b, path_k = zip(*search.trace.path, strict=True)
+        path_b, path_k = zip(*search.path, strict=True)
         axes.plot(path_b, path_k, "-", color=style.BAD, linewidth=1.2, marker=".", markersize=3)
-        axes.set_title(
-            f"{name}: {len(search.trace.tests)} of {search.cells} tests, {search.trace.ending}", fontsize=9
-        )
+        axes.set_title(f"{name}: {len(search.path)} of {search.cells} tests, {search.ending}", fontsize=9)
         _ticks(axes, chawda)
     style.save(figure, path)
 

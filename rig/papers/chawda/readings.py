@@ -20,10 +20,10 @@ from rig.analysis.impedance.ideal import ideal_wall
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.experiments.boundary_search import connected
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal
-from rig.experiments.frequency_widths import FrequencyWidth, Spread
+from rig.experiments.searches import connected
 from rig.experiments.sweep import Task
+from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading
 from rig.papers.frame import Part
 

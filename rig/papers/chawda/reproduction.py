@@ -21,8 +21,8 @@ import numpy as np
 from rig import config
 from rig.config.schemes import Scheme
 from rig.experiments.impedance import measure_impedance
-from rig.experiments.ladder import Search
 from rig.experiments.ranges import search_for
+from rig.experiments.searches import Search
 from rig.experiments.sweep import Progress
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.chawda import parts as chawda_parts
@@ -118,8 +118,8 @@ class _Plan:
     def parts(self) -> dict[str, Part]:
         """Everything that has to be computed."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
-        parts["hits"] = _climbs(self._hits)
-        parts["slow-hits"] = _climbs(self._slow_hits)
+        parts["hits"] = _series(self._hits)
+        parts["slow-hits"] = _series(self._slow_hits)
         for stiffness, damping in WALLS:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
             parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
@@ -232,10 +232,10 @@ class _Plan:
         return [float(b) for b in np.linspace(0.0, 400.0, self._scale.theory_points)]
 
 
-def _climbs(plan: MapPlan) -> Part:
+def _series(plan: MapPlan) -> Part:
     rate = plan.schemes[0].position_rate
     tasks = tuple(replace(task, weight=0.5 * len(plan.search.rungs) * rate / 10_000) for task in plan.tasks())
-    return Part(koul_parts.CLIMB, tasks)
+    return Part(koul_parts.SERIES, tasks)
 
 
 def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:

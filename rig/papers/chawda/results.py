@@ -12,10 +12,10 @@ from rig import config
 from rig.analysis.impedance.estimate import plain
 from rig.config import presets
 from rig.config.schemes import Scheme
-from rig.experiments.boundary_search import Comparison, trace_grid
-from rig.experiments.frequency_widths import FrequencyWidth, Spread
 from rig.experiments.impedance import ImpedanceResult
+from rig.experiments.searches import GridSearch, trace_grid
 from rig.experiments.sweep.executors import code_version
+from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.experiments.zwidth import ZWidth
 from rig.papers.chawda.readings import Readings
 from rig.papers.chawda.rigs import KOUL, MAIN, PUSH, READINGS, RIG, SCHEMES, SEED, Scale, excited_rig
@@ -76,7 +76,7 @@ class Chawda:
         """Widths of one of the four estimators, one for each measurement."""
         return [of[name] for of in self.read[reading :: len(READINGS)]]
 
-    def search(self, name: str, measurement: int = 0) -> Comparison:
+    def search(self, name: str, measurement: int = 0) -> GridSearch:
         """The paper's boundary search in one measurement's map, by the main reading."""
         return trace_grid(self.map.passive[measurement, MAIN, list(SCHEMES).index(name)])
 
@@ -116,7 +116,7 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
         "map": _grid(chawda.map, list(SCHEMES)),
         "searches": {
             name: [
-                chawda.search(name, m).as_mapping(chawda.map.grid.stiffnesses, chawda.map.grid.dampings)
+                chawda.search(name, m).in_units(chawda.map.grid.stiffnesses, chawda.map.grid.dampings)
                 for m in range(chawda.map.grid.measurements)
             ]
             for name in SCHEMES

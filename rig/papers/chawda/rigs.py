@@ -13,7 +13,7 @@ from typing import Any, Literal
 from rig import config
 from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
-from rig.experiments.frequency_ranges import PAPERS_SCHEMES
+from rig.experiments.ranges import PAPERS_SCHEMES
 from rig.experiments.table_one import PAPER, Printed
 
 RIG = "chawda-linear"

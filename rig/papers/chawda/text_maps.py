@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rig.experiments.frequency_widths import FrequencyWidth, Spread
-from rig.experiments.table_one import tuned_numbers
+from rig.experiments.table_one import FrequencyWidth, Spread, tuned_numbers
 from rig.papers.chawda.claims_fidelity import common_gains
 from rig.papers.chawda.results import Chawda, spread
 from rig.papers.chawda.rigs import AKF, FDM, FILTERS, FOAW, MAIN, PRINTED, READINGS, SCHEMES
@@ -37,13 +36,13 @@ def figure_5(chawda: Chawda) -> Section:
             rows.append(
                 (
                     f"{name}, measurement {measurement + 1}",
-                    f"{len(search.trace.tests)} of {search.cells}",
+                    f"{len(search.path)} of {search.cells}",
                     shown(stiffnesses[search.highest] / 1e3) if search.highest >= 0 else "–",
                     shown(chawda.widths(name)[measurement].stiffness / 1e3),
                     str(search.above),
                     str(search.below),
                     str(search.unseen),
-                    search.trace.ending,
+                    search.ending,
                 )
             )
     wrong = sum(int(row[4]) + int(row[5]) + int(row[6]) for row in rows)

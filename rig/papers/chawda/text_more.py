@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.config.schemes import Scheme
-from rig.experiments.boundary_search import connected
-from rig.experiments.frequency_widths import Spread
+from rig.experiments.searches import connected
+from rig.experiments.table_one import Spread
 from rig.papers.chawda import rules
 from rig.papers.chawda.claims_table import by_edge, closed_widths, floors
 from rig.papers.chawda.readings import Readings

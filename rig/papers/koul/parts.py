@@ -1,4 +1,4 @@
-"""Pieces of the reproduction of Koul et al.: what is neither a climb of a map nor a picture.
+"""Pieces of the reproduction of Koul et al.: what is neither a series of a map nor a picture.
 
 Each function is the work of a task of `rig.papers.frame`: plain data in, plain data out, nothing else decides.
 """
@@ -24,12 +24,12 @@ from rig.core.model import RigModel
 from rig.core.operators import GRIPS
 from rig.experiments.compare import simulate
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.ladder import Outcomes, Search, limit_of
+from rig.experiments.searches import Outcomes, Search, drive, limit_of
 from rig.experiments.sweep import Task
-from rig.experiments.zwidth import TRUE, hit_all, run_climb
+from rig.experiments.zwidth import TRUE, run_series
 from rig.papers.koul import compare as compare_koul
 
-CLIMB = "rig.papers.koul.parts:climb"
+SERIES = "rig.papers.koul.parts:series"
 RANGE = "rig.papers.koul.parts:damping_range"
 LINEAR = "rig.papers.koul.parts:linear_limits"
 PLANTS = "rig.papers.koul.parts:random_plants"
@@ -38,14 +38,14 @@ NOISE = "rig.papers.koul.parts:velocity_noise"
 
 PASSIVE_POINTS = 12  # of the curve below which walls are passive
 
-# --- a climb of a map ------------------------------------------------------------------------------------------
+# --- a series of a map -----------------------------------------------------------------------------------------
 
 _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion in CRITERIA))
 
 
-def climb(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A climb as `rig.experiments.zwidth.run_climb` has it, without the numbers that no section shows."""
-    return [{name: row[name] for name in _KEPT} for row in run_climb(payload)]
+def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A series as `rig.experiments.zwidth.run_series` has it, without the numbers that no section shows."""
+    return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
 
 
 # --- the range of damping of a soft wall, in simulation --------------------------------------------------
@@ -91,7 +91,7 @@ def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
             tried[criterion][damping] = passes
         return outcomes
 
-    hit_all(Search(**payload["search"]), hit)
+    drive(Search(**payload["search"]).walk(CRITERIA), hit)
     limits = {criterion: limit_of(rungs) for criterion, rungs in tried.items()}
     return {
         criterion: {"damping": limit.stiffness, "capped": limit.capped} for criterion, limit in limits.items()

@@ -1,6 +1,6 @@
 """Koul, Manivannan and Saha's dual-rate sampling, reproduced: every figure, every claim, and its open ideas.
 
-`reproduce_koul` plans some hundred climbs, ranges and pieces of theory, runs them as one sweep, and lets rules turn the
+`reproduce_koul` plans some hundred series, ranges and pieces of theory, runs them as one sweep, and lets rules turn the
 numbers into verdicts (`rig.papers.koul.claims`) and sentences (`rig.papers.koul.text`). Nothing is tuned
 here: rigs are the two presets, one of which is fitted on the paper and says so.
 
@@ -21,8 +21,8 @@ from rig.analysis import theory
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.experiments.kmax import KMax, kmax_plan
-from rig.experiments.ladder import Search, Way
 from rig.experiments.ranges import highest_stiffness, search_for
+from rig.experiments.searches import Search, Way
 from rig.experiments.sweep import Progress
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.frame import Part, Parts, Reproduction, part, run_parts
@@ -114,23 +114,23 @@ class _Plan:
         """Everything that has to be computed."""
         scale, parts = self._scale, {}
         for (preset, lag), plan in self._kmax.items():
-            parts[f"kmax/{preset}/{lag}"] = _climbs(plan)
+            parts[f"kmax/{preset}/{lag}"] = _series(plan)
             parts[f"kmax-theory/{preset}/{lag}"] = part(
                 koul_parts.LINEAR,
                 {"experiment": config.as_mapping(plan.experiment), "rates": scale.rates},
                 5.0 * len(scale.rates),
             )
         for name, plan in self._maps.items():
-            parts[f"map/{name}"] = _climbs(plan)
+            parts[f"map/{name}"] = _series(plan)
         for held in HELD:
             parts[f"range/{held.name}"] = self._ranges(held.experiment())
             for key, scheme in SCHEMES.items():
                 parts[f"linear/{held.name}/{key}"] = self._linear(held, scheme)
         for name, experiment in self._effects.items():
             parts[f"effect-range/{name}"] = self._ranges(experiment)
-            parts[f"effect/{name}"] = _climbs(self._effect_maps[name])
+            parts[f"effect/{name}"] = _series(self._effect_maps[name])
         for idea in self._ideas:
-            parts[f"idea/{idea.key}"] = _climbs(self._idea_maps[idea.key])
+            parts[f"idea/{idea.key}"] = _series(self._idea_maps[idea.key])
             parts[f"idea-linear/{idea.key}"] = part(
                 koul_parts.LINEAR,
                 {
@@ -293,13 +293,13 @@ def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
     return tuple(sorted({*ends, *(round(float(b), 4) for some in several for b in some)}))
 
 
-def _climbs(plan: MapPlan) -> Part:
+def _series(plan: MapPlan) -> Part:
     """The tasks of a map, weighed in hits of a 20 kHz rig."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
     tasks = tuple(replace(task, weight=float(hits) * task.weight / 20_000) for task in plan.tasks())
-    return Part(koul_parts.CLIMB, tasks)
+    return Part(koul_parts.SERIES, tasks)
 
 
-def _map(plan: MapPlan, climbs: Sequence[Any]) -> ZWidth:
-    return ZWidth.of(plan, climbs)
+def _map(plan: MapPlan, results: Sequence[Any]) -> ZWidth:
+    return ZWidth.of(plan, results)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from rig.experiments.ladder import Passes, limit_of
+from rig.experiments.searches import Passes, limit_of
 from rig.experiments.zwidth import TRUE, ZWidth
 
 
@@ -41,15 +41,15 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
     plan = found.plan
     wanted = plan.offsets[0] if offset is None else offset
     made = []
-    for climb, rows in zip(plan.climbs(), found.climbs, strict=True):
-        if (climb.scheme, climb.offset, climb.repeat) != (scheme, wanted, 0):
+    for one, rows in zip(plan.series(), found.series, strict=True):
+        if (one.scheme, one.offset, one.repeat) != (scheme, wanted, 0):
             continue
         tried = {row["stiffness"]: row[f"passes_{criterion}{TRUE}"] for row in rows}
         limit = limit_of(tried)
         walked = _bisected(found, tried, criterion)
         made.append(
             Column(
-                damping=climb.damping,
+                damping=one.damping,
                 offset=wanted,
                 tried=tried,
                 ladder=limit.stiffness,

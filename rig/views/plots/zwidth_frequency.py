@@ -19,8 +19,8 @@ import numpy as np
 from rig.analysis.impedance.signals import Floats
 from rig.core.deferred import colors
 from rig.core.sample import unit_of
-from rig.experiments.boundary_search import trace_grid
-from rig.experiments.frequency_widths import FrequencyWidth
+from rig.experiments.searches import trace_grid
+from rig.experiments.table_one import FrequencyWidth
 from rig.experiments.zwidth_frequency import FrequencyMap
 from rig.views.plots import style
 
@@ -51,7 +51,7 @@ def draw_frequency_map(
     picture
         PNG to write.
     theory
-        Curves by number of scheme, as `rig.experiments.frequency_ranges.linear_curves` gives them.
+        Curves by number of scheme, as `rig.experiments.ranges.linear_curves` gives them.
     search
         Whether to draw the path of the boundary search.
     realisation
@@ -134,14 +134,14 @@ def _draw_theory(axes: Any, curves: Curves | None) -> None:
 
 def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[float], passive: Any) -> None:
     found = trace_grid(passive)
-    path = found.trace.path
+    path = found.path
     b, k = np.array([dampings[cell[0]] for cell in path]), np.array([stiffnesses[cell[1]] for cell in path])
     axes.plot(b, k, color=SEARCH, linewidth=1.0, alpha=0.9)
-    ends = [(dampings[d], stiffnesses[s]) for d, s in found.trace.edge if s >= 0]
+    ends = [(dampings[d], stiffnesses[s]) for d, s in found.edge if s >= 0]
     if ends:
         axes.plot(*zip(*ends, strict=True), "o", color=SEARCH, markersize=3.0)
     axes.text(
-        0.02, 0.98, f"search: {len(path)} of {found.cells} walls, {found.trace.ending}",
+        0.02, 0.98, f"search: {len(path)} of {found.cells} walls, {found.ending}",
         transform=axes.transAxes, fontsize=7, va="top", color=SEARCH,
         bbox={"facecolor": "white", "alpha": 0.85, "linewidth": 0.0, "pad": 1.5},
     )  # fmt: skip

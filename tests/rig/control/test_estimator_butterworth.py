@@ -55,15 +55,6 @@ def test_order_two_is_one_biquad_to_the_bit(motion, cutoff_hz):
     assert velocities(butterworth(cutoff_hz=cutoff_hz), counts).tolist() == expected
 
 
-def test_order_two_keeps_the_layout_of_older_recordings():
-    """Five parameters of its own, and a memory of three numbers is enough: recordings made before there were orders."""
-    new, old = butterworth(), butterworth()
-    assert len(new.parameters) == 2 + 5
-    small = type(old)(old.estimator, old.parameters, np.zeros(3), old.state_i)
-    counts = [0, 3, 9, 9, 2]
-    assert velocities(small, counts).tolist() == velocities(new, counts).tolist()
-
-
 @pytest.mark.parametrize("order", ORDERS)
 def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order):
     sections = np.array(butterworth(order=order).parameters[2:]).reshape(-1, 5)

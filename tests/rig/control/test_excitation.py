@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from rig.control.excitation import Multisine, ramp
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 
 BAND = (1.0, 250.0)
 
@@ -137,7 +138,7 @@ def test_a_plan_gets_numbers_and_limits():
     assert by_name["peak position"].value == pytest.approx(multisine.position(whole).peak)
     assert not by_name["peak position"].holds  # 20 N move this wall further than 0.1 mm at its resonance
     assert by_name["peak motor effort"].value == pytest.approx(k * multisine.position(whole).peak)
-    assert json.loads(json.dumps([check.as_mapping() for check in checks]))[1]["holds"] is False
+    assert json.loads(json.dumps(plain(checks)))[1]["holds"] is False
     no_wall = multisine.check(m * s + b, channel="motor")
     assert no_wall[-1].value == pytest.approx(20.0)  # all the motor does is excite
     assert all(check.holds for check in no_wall)  # nothing to keep
@@ -176,7 +177,7 @@ def test_what_cannot_be_meant_is_refused(make, reason):
 
 
 def test_its_mapping_is_json():
-    mapping = json.loads(json.dumps(Multisine.schroeder((1.0, 3.0), rms=1.0).as_mapping()))
+    mapping = json.loads(json.dumps(plain(Multisine.schroeder((1.0, 3.0), rms=1.0))))
     again = Multisine(mapping["period_s"], mapping["lines_hz"], mapping["amplitudes"], mapping["phases"])
     assert again.crest_factor == pytest.approx(mapping["crest_factor"])
 

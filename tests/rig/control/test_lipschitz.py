@@ -8,6 +8,7 @@ import pytest
 from rig.control.estimators.arrays import quantise
 from rig.control.estimators.lipschitz import MARGIN, identify_lipschitz
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 
 QUANTUM = 1e-6
 
@@ -55,7 +56,7 @@ def test_the_reported_numbers_are_the_fitted_curve():
     rebuilt, second = chord(time_s - time_s[0], again)
     assert fit.fitted == pytest.approx(rebuilt + fit.offset, abs=1e-12)
     assert fit.second_derivative == pytest.approx(second, abs=1e-9 * fit.lipschitz)
-    assert set(fit.as_mapping()) == {
+    assert set(plain(fit)) == {
         "lipschitz", "residual_rms", "offset", "frequencies_hz", "amplitudes", "phases",
     }  # fmt: skip
 

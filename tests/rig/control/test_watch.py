@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from rig.config.sections import Limits
 from rig.control import watch
-from rig.control.step import Controller
 from rig.core.oscillation import OSCILLATION_S, OSCILLATIONS
 from rig.core.sample import Phase, RowFlag
 from tests.rig.control.test_step import DELTA, Tick
@@ -164,28 +163,6 @@ def test_lost_samples_count_as_time(elapsed, ends):
         tick(count, elapsed)
         seen.append(tick.has(RowFlag.VIOLENT))
     assert any(seen) == ends
-
-
-def test_a_controller_that_was_saved_before_there_was_a_watch_is_the_same_without_it():
-    saved = Tick(wall=STIFF).controller.as_mapping()
-    for part, names in (
-        ("control", ("energy_limit", "oscillation_limit", "oscillation_ticks", "oscillation_travel")),
-        (
-            "memory",
-            (
-                "energy",
-                "oscillations",
-                "oscillation_age",
-                "oscillation_armed",
-                "oscillation_lowest",
-                "oscillation_highest",
-            ),
-        ),
-    ):
-        for name in names:
-            assert saved[part].pop(name) == 0
-    again = Controller.from_mapping(saved)
-    assert again.as_mapping() == Tick(wall=STIFF).controller.as_mapping()
 
 
 def test_an_oscillation_is_what_the_constants_say():

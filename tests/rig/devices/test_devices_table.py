@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import sys
 from contextlib import contextmanager
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import pytest
 
@@ -16,7 +16,7 @@ from rig.config import presets
 from rig.core.errors import ConfigError, DeviceNotFoundError
 from rig.devices import local
 from rig.devices.device import DeviceUrl
-from rig.experiments import zwidth_rig
+from rig.experiments.on_device import OnDevice, examined
 from sim_backend.link import MemoryLink
 from tests.conformance.firmware import need_compiler
 from tests.conformance.rigs import rotary_rig
@@ -215,9 +215,7 @@ def test_nothing_is_served_in_virtual_time_and_nothing_that_is_real(served):
 
 def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_says_off(served, tmp_path):
     experiment = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
-    plan = SimpleNamespace(experiment=experiment)
-    session = zwidth_rig.Session(url="sim://", recordings=tmp_path, agrees=lambda hit: True, realtime=True)
-    with zwidth_rig._opened(plan, session):
+    with examined(OnDevice(url="sim://", recordings=tmp_path, realtime=True), experiment):
         pass
     assert served[0]["realtime"] == "off"
 

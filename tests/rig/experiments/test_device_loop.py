@@ -18,11 +18,11 @@ from rig.config import device_law, presets
 from rig.config.controller import prepared
 from rig.control import bilateral
 from rig.control.excitation_table import PHASES, ExcitationTable
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments import excitation_run, live
 from rig.experiments.identify import IdentifyRequest, plan_of
 from rig.experiments.plan import device_checks, link_checks, make_plan
-from rig.experiments.planned import Outcome
 from tests.rig.bench.test_doctor_gate import link
 
 RIGID = presets.load("koul-rigid")

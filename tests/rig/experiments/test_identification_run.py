@@ -16,6 +16,7 @@ from rig.analysis.identification.quality import IdentificationError
 from rig.analysis.identification.signs import check_signs
 from rig.config import controller, presets
 from rig.control.motions import nudging, tracing
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.sample import Phase
 from rig.devices.framed import FramedDevice
@@ -23,7 +24,6 @@ from rig.experiments import identify as identifying
 from rig.experiments import identify_motions as motions
 from rig.experiments.identified_file import file_text
 from rig.experiments.identify import IdentifyRequest, identify, trial_rows
-from rig.experiments.planned import Outcome
 from rig.recording.reader import open_recording
 from sim_backend.device import SimulatedDevice
 from sim_backend.hardware import Hardware

@@ -15,6 +15,7 @@ from rig.analysis.impedance.ideal import bare, rendered
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control import bilateral, laws
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.experiments import impedance as measuring
 from rig.experiments.excitation_run import (
@@ -26,10 +27,10 @@ from rig.experiments.excitation_run import (
     record_of,
     seen_at_ticks,
 )
-from rig.experiments.impedance import Judging, OnDevice, measure_impedance, measure_on_device, write_results
+from rig.experiments.impedance import Judging, measure_impedance, measure_on_device, write_results
 from rig.experiments.judgement import experiment_of
+from rig.experiments.on_device import OnDevice
 from rig.experiments.plan import make_plan
-from rig.experiments.planned import Outcome
 from rig.experiments.replay import replay
 from rig.recording.reader import open_recording
 
@@ -372,8 +373,9 @@ def test_what_ends_a_run_but_is_no_fault_of_the_wall_is_an_error(tmp_path):
 def test_a_person_may_decline_and_keeps_what_was_measured(tmp_path):
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
     answers = iter([True, False])
-    device = OnDevice(url="sim://", recordings=tmp_path, agrees=lambda experiment: next(answers))
-    results = list(measure_on_device(x, device, walls=[(10e3, 10.0), (5e3, 10.0)]))
+    device = OnDevice(url="sim://", recordings=tmp_path)
+    walls = [(10e3, 10.0), (5e3, 10.0)]
+    results = list(measure_on_device(x, device, walls=walls, agrees=lambda experiment: next(answers)))
     assert [r.wall for r in results] == [(10e3, 10.0)]
 
 

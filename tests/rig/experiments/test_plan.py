@@ -14,9 +14,9 @@ from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import pack
 from rig import config
 from rig.config import controller, presets
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.plan import LINK_SHARE, STATE_BYTES, link_checks, make_plan, predict_impact
-from rig.experiments.planned import Outcome
 from sim_backend import trial as bare
 from sim_backend.plant import DiscretePlant
 

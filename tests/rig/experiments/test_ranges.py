@@ -12,10 +12,10 @@ from rig import config
 from rig.analysis import theory
 from rig.config import presets, push_at_rest
 from rig.config.schemes import Scheme
+from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.experiments import ranges
 from rig.experiments.plan import make_plan
-from rig.experiments.planned import Outcome
 
 PUSHED = presets.load("koul-compliant")
 HELD = config.override(PUSHED, {"trial.kind": "human"})

@@ -251,16 +251,6 @@ def test_an_empty_recording_replays_to_nothing(finished):
     json.dumps(result.as_mapping(), allow_nan=False)
 
 
-@pytest.mark.parametrize("missing", ["count", "edge_age", "elapsed_ticks", "effort_sent"])
-def test_a_recording_without_a_column_is_refused_by_name(missing, finished):
-    kept = [name for name in finished.names if name != missing]
-    rows = np.zeros(len(finished), [(name, finished.rows.dtype[name]) for name in kept])
-    for name in kept:
-        rows[name] = finished.rows[name]
-    with pytest.raises(RecordingError, match=f"no column {missing}"):
-        replay(replace(finished, rows=rows))
-
-
 def test_a_lost_beginning_or_middle_is_refused(finished):
     with pytest.raises(RecordingError, match="begins at tick 5"):
         replay(replace(finished, rows=finished.rows[5:]))

@@ -342,7 +342,7 @@ def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes
     )
     assert f"{error.done} of 60 tasks are done" in error.message
     if journal is not None:
-        assert "the same command goes on" in error.remedy
+        assert "the same command resumes" in error.remedy
         assert list(sweep.run(MARKS, tasks, journal=journal, workers=2)) == [task.key for task in tasks]
         assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)  # none twice
 

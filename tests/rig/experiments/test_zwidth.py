@@ -16,8 +16,9 @@ from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.experiments import zwidth as maps
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.ladder import Search
-from rig.experiments.zwidth import MapPlan, ZWidth, zwidth
+from rig.experiments.maps import zwidth
+from rig.experiments.searches import Search
+from rig.experiments.zwidth import MapPlan, ZWidth
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 DUAL, UNIFORM = Scheme.parse("dual:20k/2k"), Scheme.parse("uniform:20k")
@@ -52,7 +53,7 @@ def planned(**changes):
 
 
 def hits_of(found):
-    return json.dumps([*found.climbs])
+    return json.dumps([*found.series])
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +142,7 @@ def test_without_damping_no_estimator_matters():
 
 
 def rows_of(outcomes, **numbers):
-    """Rows of one climb as `run_climb` gives them; `outcomes` by stiffness."""
+    """Rows of one series as `run_series` gives them; `outcomes` by stiffness."""
     measured = (
         dict.fromkeys(maps.NUMBERS.names, 0.0) | {"tail_begins_s": 0.1, "inside_ticks_in_tail": 1} | numbers
     )
@@ -182,7 +183,7 @@ def test_a_range_that_reaches_the_last_column_is_only_a_bound():
     assert (width.damping_range, width.range_capped, width.capped) == (1.0, True, False)
 
 
-def test_hits_that_say_nothing_are_counted_by_their_reason():
+def test_invalid_hits_are_counted_by_their_reason():
     found = ZWidth.of(
         one_scheme((0.0, 1.0)),
         [
@@ -190,8 +191,8 @@ def test_hits_that_say_nothing_are_counted_by_their_reason():
             rows_of({10.0: None}, contact_s=math.nan) + rows_of({20.0: True}),
         ],
     )
-    assert found.silent() == {"slew bound": 2, "never touched": 1}
-    assert found.as_mapping()["silent"] == found.silent()
+    assert found.invalid() == {"slew bound": 2, "never touched": 1}
+    assert found.as_mapping()["invalid"] == found.invalid()
     assert [b.unknown for b in found.curve(0, "any")] == [2, 1]
 
 
@@ -202,11 +203,11 @@ def test_hits_that_say_nothing_are_counted_by_their_reason():
     ("changes", "text"),
     [
         ({"schemes": ()}, r"no schemes \(--scheme\)"),
-        ({"schemes": (DUAL, Scheme.parse("dual:20000/2000"))}, r"dual:20k/2k stands there twice"),
+        ({"schemes": (DUAL, Scheme.parse("dual:20000/2000"))}, r"dual:20k/2k is given twice"),
         ({"dampings": ()}, r"no dampings \(--damping\)"),
         ({"dampings": (0.0, -1.0)}, r"dampings \(--damping\): -1 is out of range.*at least 0"),
         ({"dampings": (math.nan,)}, r"nan is out of range"),
-        ({"dampings": (0.5, 0.5)}, r"0.5 stands there twice"),
+        ({"dampings": (0.5, 0.5)}, r"0.5 is given twice"),
         ({"offsets": (1.0,)}, r"offsets \(--offsets\): 1 is out of range.*less than 1"),
         ({"repeats": 0}, r"0 repeats"),
     ],

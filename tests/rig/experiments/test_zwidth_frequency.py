@@ -16,19 +16,19 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
-from rig.experiments import frequency_files, sweep
-from rig.experiments.boundary_search import boundary_search, connected, trace, trace_grid
-from rig.experiments.frequency_ranges import (
+from rig.experiments import maps, sweep
+from rig.experiments.impedance import Judging
+from rig.experiments.maps import zwidth
+from rig.experiments.ranges import (
     PAPERS_ESTIMATORS,
     default_grid,
     default_schemes,
     frequency_plan,
     linear_curves,
 )
-from rig.experiments.frequency_widths import FrequencyWidth, Spread
-from rig.experiments.impedance import Judging
-from rig.experiments.table_one import PAPER, table_one, tuned_numbers
-from rig.experiments.zwidth_frequency import TOGETHER, WORK, FrequencyMap, zwidth_frequency
+from rig.experiments.searches import boundary_search, connected, drive, trace_grid
+from rig.experiments.table_one import PAPER, FrequencyWidth, Spread, table_one, tuned_numbers
+from rig.experiments.zwidth_frequency import TOGETHER, FrequencyMap
 from rig.views.plots.zwidth_frequency import draw_frequency_map
 
 CHAWDA = presets.load("chawda-linear")
@@ -62,7 +62,7 @@ def plan(experiment, schemes, stiffnesses, dampings, **others):
 @pytest.fixture(scope="module")
 def undamped():
     """Three linear estimators at B = 0, which none of them has a part in."""
-    return zwidth_frequency(plan(LINEAR, [FDM, FILTERED, KALMAN], [0.0, *range(20_000, 33_000, 2000)], [0.0]))
+    return zwidth(plan(LINEAR, [FDM, FILTERED, KALMAN], [0.0, *range(20_000, 33_000, 2000)], [0.0]))
 
 
 def test_without_damping_every_estimator_ends_at_2b_over_t(undamped):
@@ -82,14 +82,14 @@ def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped):
     part = undamped.plan
     halved = plan(LINEAR, [FDM], [0.0], [0.0], judging=Judging(band_hz=(1.0, 50.0)))
     exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f[:50]) ** 2))
-    assert zwidth_frequency(halved).fidelity[0, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
+    assert zwidth(halved).fidelity[0, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
     assert part.band_hz == (1.0, 250.0)
 
 
 def test_with_damping_the_edge_is_that_of_the_closed_form():
     """At B = 40 and 80 an unfiltered difference holds some 32 kN/m up to 250 Hz; stable it would be far beyond."""
     asked = plan(LINEAR, [FDM], np.arange(26e3, 40e3, 2e3), [40.0, 80.0])
-    found = zwidth_frequency(asked)
+    found = zwidth(asked)
     _, stable, passive = linear_curves(asked, 2)[0]
     edges = connected(found.passive[0, -1]).sum(axis=1)
     for edge, exact in zip(edges, passive, strict=True):
@@ -118,7 +118,7 @@ def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory():
 def rough():
     """The rig as it is: friction, 1 µm; four estimators, a coarse grid."""
     schemes = [scheme.text for scheme in default_schemes(CHAWDA)]
-    return zwidth_frequency(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
+    return zwidth(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
 
 
 def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough):
@@ -160,7 +160,7 @@ def test_table_one_stands_beside_the_papers(rough):
 
 def test_a_wall_that_throws_the_handle_out_says_so():
     tight = config.override(SHORT, {"rig.limits.speed": 0.3, "excitation.realisations": 1})
-    found = zwidth_frequency(plan(tight, [FDM], [5e3, 2e6], [100.0]))
+    found = zwidth(plan(tight, [FDM], [5e3, 2e6], [100.0]))
     soft, _, hard, _ = found.columns[0]
     assert soft["ended_s"] is None
     assert not hard["passive"]
@@ -185,7 +185,7 @@ def test_dual_rate_goes_through_the_same_plan():
         koul, [Scheme.parse("dual:20k/2k,estimator=kalman")], stiffnesses=[20.0], dampings=[0.0]
     )
     assert asked.signal == "truth"
-    found = zwidth_frequency(asked)
+    found = zwidth(asked)
     assert np.isfinite(found.fidelity).all()
     assert table_one(found).rows[0].paper is None
     for preset in ("koul-rigid", "koul-compliant"):
@@ -200,8 +200,8 @@ def test_dual_rate_goes_through_the_same_plan():
 
 def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path):
     asked = plan(SHORT, [FILTERED, "uniform:1k,estimator=foaw-best"], [5e3, 50e3], [0.0, 60.0])
-    one = zwidth_frequency(asked, workers=1)
-    two = zwidth_frequency(asked, workers=2)
+    one = zwidth(asked, workers=1)
+    two = zwidth(asked, workers=2)
     journal = tmp_path / "journal"
     tasks = asked.tasks()
 
@@ -210,8 +210,8 @@ def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(sweep.SweepStoppedError):
-        sweep.run(WORK, tasks, journal=journal, workers=1, unit="runs", watch=stop)
-    went_on = zwidth_frequency(asked, journal=journal)
+        sweep.run(asked.work, tasks, journal=journal, workers=1, unit="runs", watch=stop)
+    went_on = zwidth(asked, journal=journal)
     texts = {json.dumps(list(found.columns)) for found in (one, two, went_on)}
     assert len(texts) == 1
     assert len(one.columns) == 4
@@ -220,10 +220,10 @@ def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path):
 
 def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path):
     asked = plan(SHORT, [FILTERED], [5e3, 10e3], [60.0])
-    place = frequency_files.directory_for(asked, tmp_path)
-    first, _ = frequency_files.map_into(asked, place)
+    place = maps.directory_for(asked, tmp_path, "zwidth-frequency")
+    first = maps.map_into(asked, place)
     told = []
-    again, table = frequency_files.map_into(asked, place, watch=told.append)
+    again = maps.map_into(asked, place, watch=told.append)
     assert told[-1].kept == told[-1].total == 1
     assert (again.passive == first.passive).all()
     written = pq.read_table(place / "walls.parquet")
@@ -235,7 +235,7 @@ def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path):
     document = json.loads((place / "map.json").read_text())
     assert (
         document["table_one"]["rows"][0]["widths"]["together"]["stiffness"]
-        == table.rows[0].widths.together.stiffness
+        == table_one(again).rows[0].widths.together.stiffness
     )
     assert document["judging"]["band_hz"] == [1.0, 250.0]
     assert document["excitation"]["rms"] == 2.0  # ten times the friction, or a fiftieth of the limit
@@ -244,12 +244,12 @@ def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"stiffnesses": []}, "--stiffness: nothing to map"),
-        ({"stiffnesses": [2.0, 1.0]}, "--stiffness: not in rising order"),
-        ({"dampings": [0.0, 0.0]}, "--damping: not in rising order"),
-        ({"dampings": [-1.0]}, "--damping: a value below zero"),
-        ({"stiffnesses": [math.nan]}, "--stiffness: a value below zero, or none"),
-        ({"schemes": [FDM, FDM]}, "stands there twice"),
+        ({"stiffnesses": []}, r"stiffnesses \(--stiffness\): nothing to map"),
+        ({"stiffnesses": [2.0, 1.0]}, r"--stiffness\) are not in rising order"),
+        ({"dampings": [0.0, 0.0]}, r"dampings \(--damping\): 0.0 is given twice"),
+        ({"dampings": [-1.0]}, r"dampings \(--damping\): -1 is out of range"),
+        ({"stiffnesses": [math.nan]}, r"stiffnesses \(--stiffness\): nan is out of range"),
+        ({"schemes": [FDM, FDM]}, "is given twice"),
     ],
 )
 def test_an_impossible_map_is_refused(changes, message):
@@ -261,7 +261,7 @@ def test_an_impossible_map_is_refused(changes, message):
 def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs():
     loud = config.override(SHORT, {"excitation.rms": 60.0})
     with pytest.raises(PlanError, match="peak position"):
-        zwidth_frequency(plan(loud, [FDM], [1e3], [0.0]))
+        zwidth(plan(loud, [FDM], [1e3], [0.0]))
 
 
 def test_pictures_of_any_number_of_schemes(tmp_path, rough):
@@ -344,14 +344,14 @@ def test_where_each_damping_has_one_edge_the_search_finds_it(case):
     heights[0] = max(1, heights[0])
     passive = np.arange(stiffnesses) < np.array(heights)[:, None]
     found = trace_grid(passive)
-    path = found.trace.path
+    path = found.path
     assert len(set(path)) == len(path)
     ends = next((b for b, height in enumerate(heights) if height == 0), None)
     seen = heights if ends is None else heights[: ends + 1]
-    assert list(found.trace.edge) == [(b, height - 1) for b, height in enumerate(seen)]
-    assert found.trace.ending == ("last damping" if ends is None else "no stiffness left")
+    assert list(found.edge) == [(b, height - 1) for b, height in enumerate(seen)]
+    assert found.ending == ("last damping" if ends is None else "no stiffness left")
     assert found.above == found.below == 0
-    assert set(found.trace.capped) == {b for b, height in enumerate(seen) if height == stiffnesses}
+    assert set(found.capped) == {b for b, height in enumerate(seen) if height == stiffnesses}
     turns = sum(abs(second - first) for first, second in pairwise(seen))
     assert len(path) <= heights[0] + 2 * len(seen) + turns
 
@@ -360,20 +360,19 @@ def test_where_each_damping_has_one_edge_the_search_finds_it(case):
 def test_on_any_region_it_ends_and_asks_no_wall_twice(rows, looks):
     passive = np.array(rows)
     found = trace_grid(passive, looks=looks)
-    path = found.trace.path
+    path = found.path
     assert len(set(path)) == len(path) <= passive.size
     assert all(0 <= b < len(rows) and 0 <= k < 5 for b, k in path)
-    for b, k in found.trace.edge:
+    for b, k in found.edge:
         assert k == -1 or passive[b, k]
-    for cell, outcome in found.trace.tests:
-        assert outcome == passive[cell]
+    assert all(0 <= b < len(rows) for b, _ in path)
 
 
-def test_it_climbs_the_speckle():
+def test_it_moves_up_the_speckle():
     """From the first edge at 2 it meets an island above the next edge, and stays up there."""
     passive = region("###..... ##.###.. ##..##.. ##......")
     found = trace_grid(passive)
-    assert dict(found.trace.edge) == {0: 2, 1: 5, 2: 5, 3: 1}
+    assert dict(found.edge) == {0: 2, 1: 5, 2: 5, 3: 1}
     assert found.connected == (2, 1, 1, 1)
     assert (found.above, found.below, found.unseen) == (2, 0, 0)
     assert found.highest == 5
@@ -382,17 +381,17 @@ def test_it_climbs_the_speckle():
 def test_a_bad_start_ends_it_unless_it_may_look_for_another():
     passive = region(".### .##. ###. ##..")
     blind = trace_grid(passive, looks=False)
-    assert (len(blind.trace.tests), blind.trace.ending, blind.highest) == (1, "start not passive", -1)
+    assert (len(blind.path), blind.ending, blind.highest) == (1, "start not passive", -1)
     assert blind.unseen == 2
     found = trace_grid(passive)
-    assert found.trace.edge == ((0, -1), (1, -1), (2, 2), (3, 1))
-    assert found.trace.path[:3] == [(0, 0), (1, 0), (2, 0)]
-    assert trace_grid(region("... ...")).trace.ending == "start not passive"
+    assert found.edge == ((0, -1), (1, -1), (2, 2), (3, 1))
+    assert found.path[:3] == ((0, 0), (1, 0), (2, 0))
+    assert trace_grid(region("... ...")).ending == "start not passive"
 
 
 def test_it_dies_where_a_whole_column_fails_and_never_sees_what_lies_beyond():
     found = trace_grid(region("###. .... ####"))
-    assert found.trace.ending == "no stiffness left"
+    assert found.ending == "no stiffness left"
     assert found.unseen == 1
 
 
@@ -402,17 +401,17 @@ def test_of_the_papers_size_it_takes_a_tenth_of_the_tests():
     heights = np.rint(22 + 14 * np.sin(np.pi * b / 15)).astype(int)
     found = trace_grid(np.arange(60) < heights[:, None])
     assert found.cells == 960
-    assert len(found.trace.tests) < 96
+    assert len(found.path) < 96
 
 
-def test_the_oracle_is_asked_one_wall_at_a_time():
+def test_it_asks_for_one_wall_at_a_time():
     asked = []
 
-    def oracle(b, k):
-        asked.append((b, k))
-        return k <= 1
+    def passive(wall):
+        asked.append(wall)
+        return wall[1] <= 1
 
-    found = trace(boundary_search(2, 4, (0, 1)), oracle)
-    assert asked == found.path == [(0, 1), (0, 2), (1, 2), (1, 1)]
-    document = trace_grid(region("##.. ##..")).as_mapping([1.0, 2.0, 3.0, 4.0], [0.0, 5.0])
+    drive(boundary_search(2, 4, (0, 1)), passive)
+    assert asked == [(0, 1), (0, 2), (1, 2), (1, 1)]
+    document = trace_grid(region("##.. ##..")).in_units([1.0, 2.0, 3.0, 4.0], [0.0, 5.0])
     assert document["edge"] == document["grid"] == [[0.0, 2.0], [5.0, 2.0]]

@@ -13,10 +13,12 @@ from rig import config, devices
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, GuardError, LinkLostError, PlanError, RigError, StoppedError
-from rig.experiments import zwidth_rig
+from rig.experiments import on_device, zwidth_rig
 from rig.experiments.hit_simulator import HitSimulator
-from rig.experiments.ladder import Search
-from rig.experiments.zwidth import TRUE, MapPlan, zwidth
+from rig.experiments.maps import zwidth
+from rig.experiments.on_device import OnDevice
+from rig.experiments.searches import Search
+from rig.experiments.zwidth import TRUE, MapPlan
 from rig.experiments.zwidth_rig import Session, cooling_s, zwidth_on_rig
 from rig.recording.reader import open_recording
 
@@ -45,12 +47,10 @@ class Person:
 
     def session(self, directory, url="sim://", **others):
         return Session(
-            url=url,
-            recordings=directory / "hits",
+            where=OnDevice(url=url, recordings=directory / "hits", **others),
             agrees=self._agrees,
-            tells=lambda asked, done: self.told.append(str(done.kind)),
+            report=lambda asked, done: self.told.append(str(done.kind)),
             pause=self.waited_s.append,
-            **others,
         )
 
     def _agrees(self, asked):
@@ -98,7 +98,7 @@ def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path):
     zwidth_on_rig(planned(), person.session(tmp_path))
     first, second = person.asked[:2]
     assert first.scheme == "dual 5/1 kHz, fdm-butterworth 100 Hz"
-    assert (first.stiffness, first.damping, first.number, first.climb, first.climbs) == (20.0, 0.1, 1, 1, 2)
+    assert (first.stiffness, first.damping, first.number, first.series, first.total) == (20.0, 0.1, 1, 1, 2)
     assert second.number == 2
     assert {asked.damping for asked in person.asked} == {0.1, 0.4}
 
@@ -107,18 +107,18 @@ def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path):
     journal = tmp_path / "journal"
     whole = Person()
     uninterrupted = zwidth_on_rig(planned(), whole.session(tmp_path / "a"))
-    of_first_climb = sum(asked.climb == 1 for asked in whole.asked)
+    of_first_series = sum(asked.series == 1 for asked in whole.asked)
 
-    person = Person(patience=of_first_climb + 1)
+    person = Person(patience=of_first_series + 1)
     with pytest.raises(
-        StoppedError, match=r"1 of 2 climbs are done and kept in .*journal.*goes on from there"
+        StoppedError, match=r"1 of 2 series are done and kept in .*journal.*resumes from there"
     ):
         zwidth_on_rig(planned(), person.session(tmp_path / "b"), journal=journal)
-    assert len(person.told) == of_first_climb + 1, "nothing moves once somebody has declined"
+    assert len(person.told) == of_first_series + 1, "nothing moves once somebody has declined"
 
     again = Person()
     found = zwidth_on_rig(planned(), again.session(tmp_path / "b"), journal=journal)
-    assert again.asked[0].climb == 2
+    assert again.asked[0].series == 2
     assert kinds(found) == kinds(uninterrupted)
 
 
@@ -127,7 +127,7 @@ def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path):
         raise KeyboardInterrupt
 
     session = replace(Person().session(tmp_path), agrees=interrupted)
-    with pytest.raises(StoppedError, match="0 of 2 climbs are done"):
+    with pytest.raises(StoppedError, match="0 of 2 series are done"):
         zwidth_on_rig(planned(), session)
 
 
@@ -152,7 +152,7 @@ def test_a_guard_that_trips_before_the_wall_ends_the_session(tmp_path, monkeypat
     def tripped(request):
         raise GuardError("the start was not reached in time")
 
-    monkeypatch.setattr(zwidth_rig, "hit", tripped)
+    monkeypatch.setattr(on_device, "hit", tripped)
     with pytest.raises(GuardError, match="the start was not reached"):
         zwidth_on_rig(planned(), Person().session(tmp_path))
 
@@ -161,7 +161,7 @@ def test_a_lost_link_ends_the_session(tmp_path, monkeypatch):
     def lost(request):
         raise LinkLostError("gone")
 
-    monkeypatch.setattr(zwidth_rig, "hit", lost)
+    monkeypatch.setattr(on_device, "hit", lost)
     with pytest.raises(LinkLostError):
         zwidth_on_rig(planned(), Person().session(tmp_path))
 
@@ -171,7 +171,7 @@ def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tm
     person = Person()
     rungs = Search(lowest=400.0, highest=420.0, ratio=1.5)
     plan = planned({"rig.limits.slew": 200.0}, dampings=(0.0,), search=rungs)
-    with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 said nothing.*slew limit bound") as caught:
+    with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 were invalid.*slew limit bound") as caught:
         zwidth_on_rig(plan, person.session(tmp_path))
     assert not isinstance(caught.value, StoppedError)
     assert [asked.attempt for asked in person.asked] == [1, 2, 3]

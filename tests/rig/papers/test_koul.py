@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.analysis import theory
-from rig.experiments.ladder import Search
+from rig.experiments.searches import Search
 from rig.experiments.zwidth import MapPlan, ZWidth
 from rig.papers.frame import Finding, Status, finite, run_parts, shown, verdict_over, within
 from rig.papers.koul import ideas as koul_ideas

@@ -28,6 +28,7 @@ from rig.recording.capture import (
     write_capture,
 )
 from rig.recording.data import Loss, Recording
+from rig.recording.header import VERSION
 from rig.recording.reader import open_recording
 from tests.conformance.recording import example_header, example_rows
 
@@ -64,7 +65,7 @@ def test_a_reader_needs_only_the_description() -> None:
     version, length = struct.unpack("<II", data[8:16])
     header = json.loads(data[16 : 16 + length])
     (crc,) = struct.unpack("<I", data[16 + length : 20 + length])
-    assert (version, crc) == (1, zlib.crc32(data[: 16 + length]))
+    assert (version, crc) == (VERSION, zlib.crc32(data[: 16 + length]))
     assert header == HEADER
     place = 20 + length
     taken = b""
@@ -243,10 +244,11 @@ def test_a_torn_header_is_an_error(path: Path, size: int) -> None:
         read_bytes(path, pack_header(HEADER)[:size])
 
 
-def test_a_newer_format_is_named(path: Path) -> None:
+@pytest.mark.parametrize("other", [VERSION - 1, VERSION + 1])
+def test_another_format_version_is_refused(path: Path, other: int) -> None:
     data = bytearray(pack_header(HEADER)[:-4])
-    data[8] = 2
-    with pytest.raises(RecordingError, match=r"has format 2, this version reads up to 1\. update haptic-rig"):
+    data[8] = other
+    with pytest.raises(RecordingError, match=f"format version {other}, .* reads version {VERSION}"):
         read_bytes(path, bytes(data) + struct.pack("<I", zlib.crc32(data)))
 
 

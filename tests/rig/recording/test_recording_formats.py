@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from rig.core.errors import RecordingError
+from rig.core.sample import COLUMNS
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
 from rig.recording.export import export
-from rig.recording.header import dtype_of
+from rig.recording.header import VERSION, dtype_of
 from rig.recording.reader import open_recording
-from tests.conformance.recording import Limits, check_recording_format
+from tests.conformance.recording import Limits, check_recording_format, example_header, example_rows
 
 
 def write_rigcap(recording: Recording, path: Path) -> None:
@@ -70,3 +73,26 @@ def test_format_keeps_what_a_recording_is(name: str, tmp_path: Path) -> None:
         return path
 
     check_recording_format(write_somewhere, read, limits)
+
+
+@pytest.mark.parametrize("name", ["rigcap", "parquet"])
+def test_a_recording_without_a_column_is_refused(name: str, tmp_path: Path) -> None:
+    columns = [column for column in COLUMNS if column.name != "edge_age"]
+    dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
+    path = tmp_path / f"lacking.{name}"
+    FORMATS[name][0](Recording(example_header(columns=columns), example_rows(5, dtype=dtype), {}), path)
+    with pytest.raises(RecordingError, match=r"lacking.* has no column 'edge_age'"):
+        open_recording(path)
+
+
+def test_a_sealed_recording_of_another_format_version_is_refused(tmp_path: Path) -> None:
+    header = {**example_header(), "version": VERSION + 1}
+    path = export(Recording(header, example_rows(5), {}), tmp_path / "other.parquet")
+    with pytest.raises(RecordingError, match=f"format version {VERSION + 1}, .* reads version {VERSION}"):
+        open_recording(path)
+
+
+def test_a_change_of_the_columns_is_another_format_version() -> None:
+    """Whoever changes a column raises `rig.recording.header.VERSION`, and then this number."""
+    described = [(column.name, column.dtype, column.unit) for column in COLUMNS]
+    assert (VERSION, len(COLUMNS), zlib.crc32(repr(described).encode())) == (2, 36, 1874533501)

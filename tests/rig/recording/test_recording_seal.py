@@ -16,6 +16,7 @@ from pyarrow import parquet
 
 from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError
+from rig.core.present import plain
 from rig.core.sample import COLUMNS, TRUTH_COLUMNS
 from rig.recording import seal as seal_module
 from rig.recording.capture import write_capture
@@ -91,7 +92,7 @@ def timed(**trailer: Any) -> Recording:
 
 
 def test_the_ledger_is_filled_in_where_clocks_were_compared(tmp_path: Path) -> None:
-    recording = timed(clock=CLOCK.as_mapping())
+    recording = timed(clock=plain(CLOCK))
     found = open_recording(sealed_file(write(tmp_path / "trial.rigcap", recording)))
     device = recording.rows["device_time"]
     assert found.column("sampled_at").tolist() == CLOCK.host_of(device).tolist()
@@ -104,12 +105,12 @@ def test_the_ledger_is_filled_in_where_clocks_were_compared(tmp_path: Path) -> N
     assert timing["stages"]["law"]["quantiles"]["p50"]["value"] == 2_000
     assert timing["stages"]["transport_in"]["maximum"] == pytest.approx(80_000, abs=2_100)
     assert (timing["counts"]["late"], timing["counts"]["stale"], timing["counts"]["lost"]) == (3, 1, None)
-    assert timing["clock"] == CLOCK.as_mapping()
-    assert found.trailer["clock"] == CLOCK.as_mapping()
+    assert timing["clock"] == plain(CLOCK)
+    assert found.trailer["clock"] == plain(CLOCK)
 
 
 def test_a_ledger_sealed_twice_or_after_a_crash_is_the_same(tmp_path: Path) -> None:
-    recording = timed(clock=CLOCK.as_mapping())
+    recording = timed(clock=plain(CLOCK))
     files = [sealed_file(write(tmp_path / f"{run}.rigcap", recording), keep_capture=True) for run in range(2)]
     before = files[0].read_bytes()
     assert files[1].read_bytes() == before

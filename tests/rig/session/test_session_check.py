@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.config import override
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.experiments.plan import predict_impact
-from rig.experiments.planned import Check, Outcome
 from rig.session import disk, state
 from rig.session import times as session_times
 from rig.session.check import check

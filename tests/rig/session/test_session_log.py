@@ -19,14 +19,13 @@ from rig.core.errors import RecordingError
 from rig.recording import files, lines
 from rig.session import log as log_module
 from rig.session.log import (
+    VERSION,
     DamagedLineError,
-    Event,
     SessionLog,
     read,
     set_aside,
     set_damaged_line_aside,
 )
-from rig.session.state import FORMAT, State
 from tests.conformance.started import die_with_parent
 
 SAID = [
@@ -112,15 +111,25 @@ def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path):
 def test_a_line_taken_out_or_changed_is_noticed(tmp_path, place):
     path = written(tmp_path / "log")
     kept = path.read_bytes().splitlines(keepends=True)
-    forged = lines.line_of(f'{{"n": {place}, "after": 0, "at": 1, "kind": "forged"}}')
+    forged = lines.line_of(f'{{"n": {place}, "after": 0, "at": 1, "kind": "forged", "log": {VERSION}}}')
     taken_out, replaced = [*kept[:place], *kept[place + 1 :]], [*kept[:place], forged, *kept[place + 1 :]]
     if place == 3:  # the last line gone is a session that ended earlier: no chain can tell
         path.write_bytes(b"".join(taken_out))
         assert told(path) == SAID[:3]
     else:
         _assert_refused(path, taken_out, place + 1)
-    # A first line with a good CRC may be anything: the second one tells that it is another.
+    # A first line with a good CRC may be anything: the second one shows that it is another.
     _assert_refused(path, replaced, max(place + 1, 2))
+
+
+def test_a_log_of_another_format_version_is_refused(tmp_path):
+    path = written(tmp_path / "log")
+    first = lines.object_of(path.read_bytes().splitlines(keepends=True)[0])
+    assert first["log"] == VERSION
+    path.write_bytes(lines.line_of(json.dumps({**first, "log": VERSION + 1})))
+    for reader in (SessionLog, read):
+        with pytest.raises(RecordingError, match=f"format version {VERSION + 1}.*reads version {VERSION}"):
+            reader(path)
 
 
 def _assert_refused(path, changed, number):
@@ -334,9 +343,3 @@ def test_a_number_that_json_lacks_is_null_in_the_file_and_in_the_event(tmp_path,
 def test_no_log_is_said_plainly(tmp_path):
     with pytest.raises(RecordingError, match="no session log"):
         read(tmp_path / "none")
-
-
-@pytest.mark.parametrize("began", [{"format": FORMAT + 1}, {}])
-def test_a_log_of_another_format_is_refused_by_both_numbers(began):
-    with pytest.raises(RecordingError, match=rf"has format {began.get('format', 1)}.* reads format {FORMAT}"):
-        State.of([Event(0, 0.0, "began", began)])

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import optimize, stats
 
 from rig.session.analysis import agreement, effects, kmax, mixed, psychometric
 from rig.session.analysis.rows import Limit, RunRow, TrialRow
 from rig.session.analysis.trials import half_way
 from rig.session.search.catching import CatchTrials
 from rig.session.search.observer import Observer
+from tests.benchmarks import null_studies
 
 # ---------------------------------------------------------------------- rows to work on
 
@@ -461,7 +462,7 @@ def test_for_two_conditions_and_equal_repeats_the_mixed_model_is_the_paired_test
     model = model_of(rows)
     (paired,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
     (contrast,) = model.contrasts
-    assert [name for name, _ in model.deviations] == ["participant", "what is left"]
+    assert [name for name, _ in model.deviations] == ["participant", mixed.RESIDUAL]
     assert model.degrees == 8
     assert contrast.difference == pytest.approx(paired.difference)
     assert (contrast.low, contrast.high) == pytest.approx((paired.low, paired.high), rel=1e-3)
@@ -523,7 +524,7 @@ def test_the_mixed_model_is_that_of_the_formula():
     )
     assert all(math.isnan(slope.low) for slope in model.slopes)
     deviations = [math.sqrt(value) for value in (theirs.cov_re.iloc[0, 0], *theirs.vcomp, theirs.scale)]
-    assert [name for name, _ in model.deviations] == [*mixed.PARTS, "what is left"]
+    assert [name for name, _ in model.deviations] == [*mixed.PARTS, mixed.RESIDUAL]
     assert [value for _, value in model.deviations] == pytest.approx(deviations, rel=0.02)
     without = [f"limit ~ {what} + order + block" for what in ("damping", "condition", "condition + damping")]
     whole, *others = (
@@ -536,6 +537,83 @@ def test_the_mixed_model_is_that_of_the_formula():
         assert test.p == pytest.approx(stats.chi2.sf(2 * (whole - other), degrees), rel=1e-2)
 
 
+def deviance(variances: np.ndarray, limits: np.ndarray, fixed: np.ndarray, parts: list[np.ndarray]) -> float:
+    """−2 log likelihood (ML) at these variances, in units of the residual's, which is profiled out."""
+    covariance = np.eye(len(limits)) + sum(
+        v * part @ part.T for v, part in zip(variances, parts, strict=True)
+    )
+    root = np.linalg.cholesky(covariance)
+    left, right = np.linalg.solve(root, fixed), np.linalg.solve(root, limits)
+    residual = right - left @ np.linalg.lstsq(left, right)[0]
+    size = len(limits)
+    logarithms = 2.0 * np.log(np.diag(root)).sum() + size * math.log(
+        2.0 * math.pi * residual @ residual / size
+    )
+    return float(logarithms + size)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4, 10, 13])
+def test_likelihood_ratios_are_those_of_the_largest_likelihoods(seed: int) -> None:
+    """Studies of which an optimiser on square roots of variances stops up to 0.13 short of the optimum."""
+    rows = runs_of_people(
+        repeats=5, dampings=(0.0, 1.0, 3.0), effect=0.0, between=20.0 * (seed % 2), scatter=25.0, seed=seed
+    )
+    frame = import_module("pandas").DataFrame(
+        [(row.participant, row.condition, row.damping, row.order, row.limits["rule"].value) for row in rows],
+        columns=["participant", "condition", "damping", "order", "limit"],
+    )
+    frame = frame.groupby(["participant", "condition", "damping"], as_index=False).mean()
+    dummies = import_module("pandas").get_dummies
+
+    def columns(*names: str) -> np.ndarray:
+        return dummies(frame[[*names]].astype(str).agg("/".join, axis=1)).to_numpy(float)
+
+    parts = [columns("participant", *factor) for factor in ((), ("condition",), ("damping",))]
+    order = (frame["order"] - frame["order"].mean()).to_numpy()[:, None]
+
+    def least(factors: np.ndarray) -> float:
+        fixed, limits = np.hstack([factors, order]), ((frame["limit"] - 400.0) / 30.0).to_numpy()
+        return min(
+            optimize.minimize(
+                deviance,
+                np.full(3, start),
+                args=(limits, fixed, parts),
+                method="L-BFGS-B",
+                bounds=[(0.0, None)] * 3,
+                options={"ftol": 1e-13},
+            ).fun
+            for start in (0.01, 1.0)
+        )
+
+    condition, damping = columns("condition"), columns("damping")
+    whole = least(columns("condition", "damping"))
+    expected = [least(of) - whole for of in (damping, condition, np.hstack([condition, damping[:, 1:]]))]
+    assert [test.statistic for test in model_of(rows).tests] == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata(seed: int) -> None:
+    """The closed form by which `null_studies` counts how often a ratio finds what is not there."""
+    drawn = np.random.default_rng(seed)
+    means = 400.0 + null_studies.study(9, drawn)
+    rows = [
+        run_row(f"P{person:02d}", "ab"[condition], float(damping), float(value))
+        for (person, condition, damping), value in np.ndenumerate(means)
+    ]
+    values = null_studies.in_strata(means)
+    whole = null_studies.fit(values).deviance
+    expected = {
+        factor: null_studies.fit(values, without).deviance - whole
+        for factor, without in null_studies.FACTORS.items()
+    }
+    model = model_of(rows)
+    assert {test.factor: test.statistic for test in model.tests} == pytest.approx(expected, abs=2e-3)
+    variances = null_studies.fit(values, reml=True).variances
+    over = next(contrast for contrast in model.contrasts if contrast.damping is None)
+    half = stats.t.ppf(0.975, 8) * math.sqrt(2.0 * variances[True, False] / 3.0 / 9.0)
+    assert (over.high - over.low) / 2.0 == pytest.approx(half, rel=1e-3)
+
+
 def test_repeats_of_one_person_are_no_more_people():
     """Each run five times over, as alike as can be: nothing is known better of what people have in common."""
     rows = [
@@ -543,13 +621,7 @@ def test_repeats_of_one_person_are_no_more_people():
         for row in runs_of_people(repeats=1, dampings=(0.0, 1.0, 3.0), scatter=25.0)
     ]
     once, often = model_of(rows), model_of(rows * 5)
-    # Means over repeats are the same but for rounding, which may send an optimiser another way. Any way ends `_NOTHING`
-    # or less below the largest log likelihood, which moves a ratio of two by twice as much, and p by as much of itself:
-    # χ²'s hazard is at most ½ from two degrees of freedom on.
-    assert [test.p for test in often.tests] == pytest.approx(
-        [test.p for test in once.tests], rel=2 * mixed._NOTHING
-    )
-    # An optimiser stops at a slope of 1e-5 for each value, where the curvature is 0.03: deviations are known to 3e-4.
+    assert [test.p for test in often.tests] == pytest.approx([test.p for test in once.tests], rel=1e-3)
     for one, other in zip(once.contrasts, often.contrasts, strict=True):
         assert (other.low, other.high) == pytest.approx((one.low, one.high), abs=1e-3 * (one.high - one.low))
     assert (once.runs, often.runs) == (48, 240)
@@ -598,9 +670,6 @@ def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing():
     model = model_of(rows)
     none = [name for name, value in model.deviations if value == 0.0]
     assert none
-    assert all(
-        value == 0.0 or value**2 >= 0.01 * model.deviations[-1][1] ** 2 for _, value in model.deviations
-    )
     assert f"the variance of {' and of '.join(none)} is estimated as zero" in model.notes
 
 
@@ -614,11 +683,11 @@ def test_the_tests_of_factors_find_the_factor_that_is_there():
     assert p["condition × damping"][1] > 0.01
 
 
-def test_an_order_that_cannot_be_told_from_the_conditions_is_left_out():
+def test_an_order_that_cannot_be_separated_from_the_conditions_is_left_out():
     rows = [replace(row, order=1 + (row.condition == "b"), block=1) for row in runs_of_people()]
     model = model_of(rows)
     assert model.slopes == ()
-    assert any("order cannot be told from the conditions" in note for note in model.notes)
+    assert any("order cannot be separated from the conditions" in note for note in model.notes)
 
 
 def test_limits_beyond_the_levels_are_said():

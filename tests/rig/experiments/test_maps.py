@@ -1,6 +1,7 @@
 """A map on disk: units, a table that others open, and a finished map that is read instead of computed."""
 
 import json
+from dataclasses import replace
 
 import numba
 import pytest
@@ -15,8 +16,8 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import RecordingError
-from rig.experiments import map_files, zwidth
-from rig.experiments.ladder import Search
+from rig.experiments import maps, zwidth
+from rig.experiments.searches import Search
 from rig.experiments.sweep import executors
 from rig.experiments.zwidth import MapPlan
 
@@ -32,14 +33,14 @@ PLAN = MapPlan(
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    directory = map_files.directory_for(PLAN, tmp_path_factory.mktemp("maps"), "zwidth")
-    map_files.map_into(PLAN, directory)
+    directory = maps.directory_for(PLAN, tmp_path_factory.mktemp("maps"), "zwidth")
+    maps.map_into(PLAN, directory)
     return directory
 
 
 def test_the_table_opens_with_pandas_and_has_a_row_for_each_hit(place):
-    table = pd.read_parquet(place / map_files.TABLE)
-    summary = json.loads((place / map_files.SUMMARY).read_text())
+    table = pd.read_parquet(place / "hits.parquet")
+    summary = json.loads((place / maps.SUMMARY).read_text())
     assert len(table) == summary["hits"]
     assert set(table["damping"]) == {0.0, 0.3}
     assert table["passes_any_true"].dtype == bool
@@ -47,7 +48,7 @@ def test_the_table_opens_with_pandas_and_has_a_row_for_each_hit(place):
 
 
 def test_columns_carry_their_units(place):
-    schema = pq.read_schema(place / map_files.TABLE)
+    schema = pq.read_schema(place / "hits.parquet")
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
     assert units["stiffness"] == "N·m/rad"
     assert units["damping"] == "N·m·s/rad"
@@ -56,36 +57,32 @@ def test_columns_carry_their_units(place):
 
 
 def test_the_summary_holds_the_whole_experiment(place):
-    summary = json.loads((place / map_files.SUMMARY).read_text())
+    summary = json.loads((place / maps.SUMMARY).read_text())
     assert config.experiment_from_mapping(summary["experiment"], "map.json") == PLAN.experiment
 
 
 def test_a_finished_map_is_read_again_without_a_hit(place, monkeypatch):
-    monkeypatch.setattr(zwidth, "run_climb", None)
+    monkeypatch.setattr(zwidth, "run_series", None)
     monkeypatch.setattr(executors, "find_work", None)
-    found = map_files.map_into(PLAN, place)
-    assert found.hits == json.loads((place / map_files.SUMMARY).read_text())["hits"]
+    found = maps.map_into(PLAN, place)
+    assert found.hits == json.loads((place / maps.SUMMARY).read_text())["hits"]
 
 
 def test_the_place_depends_on_all_that_decides_and_on_the_device(tmp_path):
-    first = map_files.directory_for(PLAN, tmp_path, "zwidth")
-    assert first == map_files.directory_for(PLAN, tmp_path, "zwidth")
+    first = maps.directory_for(PLAN, tmp_path, "zwidth")
+    assert first == maps.directory_for(PLAN, tmp_path, "zwidth")
     assert first.name.startswith("zwidth-koul-compliant-")
     other = config.override(PLAN.experiment, {"trial.seed": 7})
     places = {
         first,
-        map_files.directory_for(PLAN, tmp_path, "zwidth", "serial:///dev/ttyACM0"),
-        map_files.directory_for(MapPlan(**{**_fields(PLAN), "experiment": other}), tmp_path, "zwidth"),
-        map_files.directory_for(MapPlan(**{**_fields(PLAN), "repeats": 2}), tmp_path, "zwidth"),
+        maps.directory_for(PLAN, tmp_path, "zwidth", "serial:///dev/ttyACM0"),
+        maps.directory_for(replace(PLAN, experiment=other), tmp_path, "zwidth"),
+        maps.directory_for(replace(PLAN, repeats=2), tmp_path, "zwidth"),
     }
     assert len(places) == 4
-
-
-def _fields(plan):
-    return {name: getattr(plan, name) for name in plan.__dataclass_fields__}
 
 
 def test_a_place_that_cannot_be_made_is_one_clear_error(tmp_path):
     (tmp_path / "maps").write_text("in the way")
     with pytest.raises(RecordingError, match="cannot make"):
-        map_files.map_into(PLAN, tmp_path / "maps" / "zwidth")
+        maps.map_into(PLAN, tmp_path / "maps" / "zwidth")

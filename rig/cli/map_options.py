@@ -14,8 +14,8 @@ from rig.cli import options
 from rig.config import Experiment
 from rig.config.schemes import parse_rates
 from rig.core.errors import ConfigError
-from rig.experiments.ladder import Search
 from rig.experiments.ranges import search_for
+from rig.experiments.searches import Search
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.experiments.ladder import Search, limit_of
+from rig.experiments.searches import Search, limit_of
 
 RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 

@@ -1,0 +1,129 @@
+"""A device that runs one recorded trial after another, for measurements that take many.
+
+A real device stays open all along, so that position zero stays where it was when the measurement began; a simulated one
+is a fresh one for each trial. A trial is an ordinary hit (`rig.experiments.hit`), with its checks and its recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig import config, devices
+from rig.config import Experiment
+from rig.control.law import Law
+from rig.core.errors import DeviceFaultError, GuardError
+from rig.devices.framed import FramedDevice
+from rig.devices.local import opened
+from rig.experiments.hit import HitRequest, Recorded, hit, left_by
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OnDevice:
+    """Which device, and how.
+
+    Attributes
+    ----------
+    url, realtime, verified, arm_anyway
+        As in `rig.experiments.hit.HitRequest`; a real handle is at position zero when the measurement begins.
+    recordings
+        Directory of the recordings.
+    """
+
+    url: str
+    recordings: Path = Path("recordings")
+    realtime: bool = False
+    verified: bool = False
+    arm_anyway: bool = False
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is made anew for each trial."""
+        return self.url.startswith("sim:")
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A trial that the guard or the device ended early: its error, and what it left."""
+
+    error: GuardError | DeviceFaultError
+    recorded: Recorded
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Trials on a device that is kept open; `device` is None where each has a fresh one."""
+
+    where: OnDevice
+    device: FramedDevice | None
+    reference_count: int | None
+
+    def run(
+        self,
+        experiment: Experiment,
+        changes: Mapping[str, Any],
+        law: Law | Callable[[float], Law] | None = None,
+    ) -> Recorded | Ended:
+        """Run one trial; `changes` win over what the experiment has for real time. Errors as `rig.experiments.hit.hit`.
+
+        One that the guard or the device ended with a recording is returned as `Ended`.
+        """
+        request = HitRequest(
+            experiment=experiment,
+            url=self.where.url,
+            realtime=self.where.realtime,
+            device=self.device,
+            reference_count=self.reference_count,
+            changes={**_asked_for(experiment), **changes},
+            verified=self.where.verified,
+            output=self.where.recordings,
+            arm_anyway=self.where.arm_anyway,
+            law=law,
+        )
+        try:
+            (result,) = hit(request)
+        except (GuardError, DeviceFaultError) as error:
+            left = left_by(error)
+            if left is None:
+                raise
+            return Ended(error, left)
+        return result.recorded
+
+
+@contextmanager
+def kept_open(where: OnDevice) -> Iterator[Trials]:
+    """Keep a real device open, with its position zero, from trial to trial."""
+    if where.simulated:
+        yield Trials(where, None, None)
+        return
+    with devices.open_device(where.url) as device:
+        yield Trials(where, device, device.count() if where.verified else 0)
+
+
+@contextmanager
+def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
+    """As `kept_open`, with the device of an experiment to look at before anything moves, a simulated one included."""
+    with opened(
+        devices.url_for(where.url, experiment.controller.loop),
+        config.rig_model(experiment),
+        in_real_time=where.realtime,
+        seed=experiment.trial.seed,
+        realtime=experiment.host.realtime,
+    ) as device:
+        zero = device.count() if where.verified and not where.simulated else 0
+        yield device, Trials(where, None if where.simulated else device, zero)
+
+
+def _asked_for(experiment: Experiment) -> dict[str, Any]:
+    """Rates and wall, which a measurement varies."""
+    controller, wall = experiment.controller, experiment.wall
+    return {
+        "controller.position_rate": controller.position_rate,
+        "controller.velocity_rate": controller.velocity_rate,
+        "wall.stiffness": wall.stiffness,
+        "wall.damping": wall.damping,
+        "trial.repeats": 1,
+    }

@@ -1,0 +1,319 @@
+"""Which wall to try next, and how far the walls reach that pass: searches through one damping and through a grid.
+
+A search is a generator: it yields a wall and is sent the outcome, whoever finds that out; `drive` runs one.
+
+* **ladder** (one damping): upwards from the lowest rung until everything has failed, as in Koul et al., section III.
+  It finds the end of the range that is connected with soft walls, and costs most where walls are stable.
+* **bisection** (one damping): halves the rungs between a pass and a failure. A few trials, but it assumes that a wall
+  stiffer than a failing one fails too, which does not hold near the largest damping.
+* **grid** (one damping): every rung. Shows islands: stiff walls that pass where a softer one does not.
+* **boundary search** (a whole grid): along the edge of the passive walls, Chawda et al., section V and Fig. 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.errors import PlanError
+
+Way = Literal["ladder", "bisection", "grid"]
+Passes = bool | None  # None: the trial is invalid
+Outcomes = Mapping[str, Passes]  # by criterion
+Cell = tuple[int, int]  # index of the damping, index of the stiffness
+Flags = NDArray[np.bool_]
+Ending = Literal["no stiffness left", "last damping", "start not passive"]
+
+Wall = TypeVar("Wall")
+Answer = TypeVar("Answer")
+Found = TypeVar("Found")
+
+
+def check_values(
+    name: str, values: Sequence[Any], option: str, *, below: float = math.inf, rising: bool = False
+) -> None:
+    """Refuse the values of an axis of a map: none, one of them twice, or numbers not within 0 ≤ value < below."""
+    if not values:
+        raise PlanError(f"no {name} ({option}): nothing to map", remedy="give at least one")
+    twice = next((value for value, times in Counter(values).items() if times > 1), None)
+    if twice is not None:
+        raise PlanError(f"{name} ({option}): {twice} is given twice", remedy="give each once")
+    wrong = [value for value in values if isinstance(value, int | float) and not 0.0 <= value < below]
+    if wrong:
+        raise PlanError(
+            f"{name} ({option}): {wrong[0]:g} is out of range",
+            remedy="choose finite numbers of at least 0"
+            + ("" if below == math.inf else f" and less than {below:g}"),
+        )
+    if rising and list(values) != sorted(values):
+        raise PlanError(f"{name} ({option}) are not in rising order", remedy="give the lowest first")
+
+
+def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]) -> Found:
+    """Test walls as a search asks for them until it ends; returns its result."""
+    try:
+        wall = next(search)
+        while True:
+            wall = search.send(test(wall))
+    except StopIteration as end:
+        found: Found = end.value
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """Rungs of equal ratio from the lowest stiffness to the highest, and the way through them."""
+
+    way: Way = "ladder"
+    lowest: float
+    highest: float
+    ratio: float = 1.06
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.lowest < self.highest < math.inf:
+            raise ValueError(f"stiffness from {self.lowest:g} to {self.highest:g} is no range above zero")
+        if not 1.0001 <= self.ratio <= 1e6:
+            raise ValueError(f"a ratio of {self.ratio:g} between rungs is not in 1.0001 to 1e6")
+
+    @property
+    def rungs(self) -> list[float]:
+        """All stiffnesses, ascending; the last one does not exceed the highest."""
+        steps = math.floor(math.log(self.highest / self.lowest) / math.log(self.ratio) + 1e-9)
+        return [self.lowest * self.ratio**step for step in range(steps + 1)]
+
+    def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
+        """Yield the next stiffness to try and receive its outcomes, until every criterion has its limit."""
+        rungs = self.rungs
+        if self.way == "bisection":
+            yield from _bisect(rungs, criteria)
+            return
+        failed: set[str] = set()
+        for stiffness in rungs:
+            outcomes = yield stiffness
+            failed |= {criterion for criterion in criteria if outcomes[criterion] is False}
+            if self.way == "ladder" and failed.issuperset(criteria):
+                return
+
+
+def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
+    """For each criterion in turn between its highest pass and its lowest failure; no rung is tried twice."""
+    tried: dict[int, Outcomes] = {}
+    for criterion in criteria:
+        # The ends first: most dampings have a stable wall, and a cap that is reached needs no search.
+        low, high, ends = -1, len(rungs), [0, len(rungs) - 1]
+        while high - low > 1:
+            index = ends.pop(0) if ends else (low + high) // 2
+            if index not in tried:
+                tried[index] = yield rungs[index]
+            if tried[index][criterion] is False:
+                high = min(high, index)
+            else:
+                low = max(low, index)
+
+
+@dataclass(frozen=True, slots=True)
+class StiffnessLimit:
+    """Where walls of one damping stop passing, from the stiffnesses that were tried.
+
+    Attributes
+    ----------
+    stiffness
+        Highest one that passed below every failure; 0 when none did.
+    failed_at
+        Lowest one that failed; None when none did: the limit is then only a cap.
+    islands
+        Ranges that pass above a failure, (lowest, highest).
+    unknown
+        How many trials were invalid: these neither end a range nor count as a limit.
+    """
+
+    stiffness: float
+    failed_at: float | None
+    islands: tuple[tuple[float, float], ...]
+    unknown: int
+
+    @property
+    def capped(self) -> bool:
+        """Whether the search ended before the range did: some wall passed and none failed."""
+        return self.failed_at is None and self.stiffness > 0.0
+
+
+def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
+    """Find the limit in the outcomes by stiffness."""
+    stiffness, failed_at = 0.0, None
+    islands: list[tuple[float, float]] = []
+    connected = False  # whether the last valid outcome belongs to the current island
+    for rung in sorted(tried):
+        passes = tried[rung]
+        if passes is None:
+            continue
+        if not passes:
+            failed_at = rung if failed_at is None else failed_at
+            connected = False
+        elif failed_at is None:
+            stiffness = rung
+        elif connected:
+            islands[-1] = (islands[-1][0], rung)
+        else:
+            islands.append((rung, rung))
+            connected = True
+    unknown = sum(passes is None for passes in tried.values())
+    return StiffnessLimit(stiffness, failed_at, tuple(islands), unknown)
+
+
+def connected(passive: Flags) -> Flags:
+    """Walls that are passive together with all softer ones of their damping; ``passive[..., damping, stiffness]``."""
+    return np.logical_and.accumulate(passive, axis=-1)
+
+
+# Boundary search ------------------------------------------------------------------------------------
+
+
+Traced = tuple[tuple[tuple[int, int], ...], tuple[int, ...], Ending]  # edge, capped, ending of a `GridSearch`
+
+
+def boundary_search(
+    dampings: int, stiffnesses: int, start: Cell = (0, 0), *, looks: bool = True
+) -> Generator[Cell, bool, Traced]:
+    """Walk along the boundary of a grid: yields walls, each once, and is sent whether each is passive.
+
+    Stiffness rises until a wall is not passive; the damping then rises by a step, and from there stiffness falls until
+    a wall is passive or rises until one is not; and so on, until no stiffness is left. It needs a tenth of the tests of
+    a grid and assumes two things for it: that the start is passive, and that each damping has one edge. Where a
+    measured map is speckled it moves from island to island.
+
+    Parameters
+    ----------
+    dampings, stiffnesses
+        How many there are.
+    start
+        A wall that should be passive.
+    looks
+        Whether a start that is not passive may be followed by others with more damping.
+
+    Notes
+    -----
+    Not in the paper: what happens at the upper ends of the ranges (here: the edge is capped there, and the walk ends at
+    the last damping), and how a passive start is found (here, if asked for: the damping rises until the start's
+    stiffness is passive; these tests count).
+    """
+    damping, stiffness = start
+    edge: list[tuple[int, int]] = []
+    capped: list[int] = []
+    while not (yield damping, stiffness):
+        edge.append((damping, -1))
+        damping += 1
+        if not looks or damping == dampings:
+            return tuple(edge), (), "start not passive"
+    passive, fresh = True, False  # of the wall (damping, stiffness); whether it still has to be tested
+    while True:
+        if fresh:
+            passive = yield damping, stiffness
+        if passive:
+            while passive and stiffness + 1 < stiffnesses:
+                stiffness += 1
+                passive = yield damping, stiffness
+            edge.append((damping, stiffness if passive else stiffness - 1))
+            if passive:
+                capped.append(damping)
+        else:
+            while not passive and stiffness > 0:
+                stiffness -= 1
+                passive = yield damping, stiffness
+            edge.append((damping, stiffness if passive else -1))
+            if not passive:
+                return tuple(edge), tuple(capped), "no stiffness left"
+        damping, fresh = damping + 1, True
+        if damping == dampings:
+            return tuple(edge), tuple(capped), "last damping"
+
+
+@dataclass(frozen=True, slots=True)
+class GridSearch:
+    """The boundary search in a finished grid, beside the grid's own edge.
+
+    Attributes
+    ----------
+    path
+        The walls in the order of their tests.
+    edge
+        Highest stiffness that the search takes for passive at each damping from the start's on; −1: none.
+    capped
+        Dampings whose highest stiffness of all was passive: their edge lies beyond.
+    ending
+        Why the search ended.
+    cells
+        How many walls the grid has.
+    connected
+        The grid's own edge at each damping; −1: none.
+
+    Walls are indices of damping and stiffness.
+    """
+
+    path: tuple[Cell, ...]
+    edge: tuple[tuple[int, int], ...]
+    capped: tuple[int, ...]
+    ending: Ending
+    cells: int
+    connected: tuple[int, ...]
+
+    @property
+    def highest(self) -> int:
+        """Largest stiffness on the edge that the search found; −1 if none."""
+        return max(stiffness for _, stiffness in self.edge)
+
+    @property
+    def above(self) -> int:
+        """At how many dampings the search ends above the edge of the connected region: on an island."""
+        return sum(k > self.connected[b] for b, k in self.edge)
+
+    @property
+    def below(self) -> int:
+        """At how many it ends below that edge."""
+        return sum(k < self.connected[b] for b, k in self.edge)
+
+    @property
+    def unseen(self) -> int:
+        """Dampings with passive walls that it never came to."""
+        seen = dict(self.edge)
+        return sum(b not in seen and k >= 0 for b, k in enumerate(self.connected))
+
+    def in_units(self, stiffnesses: Sequence[float], dampings: Sequence[float]) -> dict[str, Any]:
+        """Plain values, for JSON, in SI units; None for an edge that is not there."""
+
+        def walls(edge: Sequence[tuple[int, int]]) -> list[list[float | None]]:
+            return [[dampings[b], stiffnesses[k] if k >= 0 else None] for b, k in edge]
+
+        return {
+            "tests": len(self.path),
+            "of": self.cells,
+            "ending": self.ending,
+            "highest": stiffnesses[self.highest] if self.highest >= 0 else None,
+            "above": self.above,
+            "below": self.below,
+            "unseen": self.unseen,
+            "path": walls(self.path),
+            "edge": walls(self.edge),
+            "capped": [dampings[b] for b in self.capped],
+            "grid": walls(list(enumerate(self.connected))),
+        }
+
+
+def trace_grid(passive: Flags, start: Cell = (0, 0), *, looks: bool = True) -> GridSearch:
+    """Search in a finished grid of verdicts, ``passive[damping, stiffness]``, and compare."""
+    path: list[Cell] = []
+
+    def test(cell: Cell) -> bool:
+        path.append(cell)
+        return bool(passive[cell])
+
+    dampings, stiffnesses = passive.shape
+    found = drive(boundary_search(dampings, stiffnesses, start, looks=looks), test)
+    edges = (connected(passive).sum(axis=1) - 1).tolist()
+    return GridSearch(tuple(path), *found, cells=passive.size, connected=tuple(edges))
