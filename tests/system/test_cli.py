@@ -164,7 +164,7 @@ def test_devices_asks_the_port_as_well_as_the_device_behind_it(run):
         assert told["device"] == "koul-compliant"
         assert told["port"]["device"] == url.removeprefix("serial://")
         assert told["port"]["hangs_up"] is False
-        assert told["problems"] == []
+        assert told["messages"] == []
         code, out, _ = run("devices", url)
         assert code == 0
         assert "port device" in out
