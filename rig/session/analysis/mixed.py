@@ -1,47 +1,37 @@
 """Differences between conditions over participants: a linear mixed model of their limits, by statsmodels.
 
-    K = mean(condition, damping) + order + block
-        + participant + participant × condition + participant × damping + residual
+    limit ~ 0 + condition:damping + order + block
+            + (1 | participant) + (1 | participant:condition) + (1 | participant:damping)
 
-A value is the mean over the repeats of a participant in a cell (a condition at a damping): repeats of one person are no
-more people, and what a person has of their own in a cell belongs to the residual. Condition and damping are factors,
-each pair with a mean of its own. *Order* (place in the block) and *block* are straight lines that take out what order
-and fatigue do; they are no findings (those are in `rig.session.analysis.effects`), and one that cannot be told from
-conditions and participants is left out. The random parts of condition and damping are there where there are several
-dampings and several conditions; else they are the residual.
+A value is the mean over the repeats of a participant in a cell, a condition at a damping: repeats of one person are no
+more people. Each cell has a mean of its own. *Order* (place in the block) and *block* are straight lines that take out
+what order and fatigue do; one that cannot be separated from conditions and participants is left out. The random parts
+of condition and damping are there where each person has several values of them; else they are the residual. A cell of
+which most limits are censored is left out: its mean is the end of the levels.
 
 Means and differences are REML estimates with Student's intervals, which for two conditions are the paired test. Degrees
 of freedom are participants − 1, or what values leave beside participants and fixed parts where that is less (a
-crossover whose order is taken out leaves participants − 2).
-
-Whether a factor matters at all is a likelihood ratio of ML fits, from eight participants on. Without any difference, in
-2000 simulated studies of 2 conditions × 3 dampings × 5 repeats in which each person has a cell of their own (SD 20,
-participant × condition 15, residual 12), p was below 0.05 for the condition, the damping and their interaction in 9, 8
-and 8 % with 8 participants, 9, 7 and 8 % with 12, 7, 6 and 7 % with 20. Repeats that count as people gave 57, 89 and
-60 % with 8. With one damping and two conditions it is 12, 9, 8 and 7 % with 4, 6, 8 and 12 participants, by the paired
-test that it amounts to. Intervals of differences held zero in 97 % of 150 studies of the first kind with 8
-participants, at a damping and over all of them.
-
-A cell of which most limits are censored is left out: its mean is the end of the levels, and it scatters as little as
-that. There is no model for censored values (Tobit).
+crossover whose order is taken out leaves participants − 2). Whether a factor matters at all is a likelihood ratio of ML
+fits. `rig/session/README.md` says how often intervals and ratios hold what they promise.
 
 statsmodels comes with the extra ``haptic-rig[report]`` and is imported on use. Without it, or where the model cannot be
-had, the reason is said, and the paired tests of `rig.session.analysis.kmax` remain.
+had, `Mixed.problem` says why, and the paired tests of `rig.session.analysis.kmax` remain.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.deferred import mixed_linear_model, stats
+from rig.core.deferred import linear_model, mixed_linear_model, optimize, pandas, stats
 from rig.session.analysis.kmax import NONE_BEYOND, Beyond, Bound, Cell, beyond_of, bound_of, holm
 from rig.session.analysis.rows import Measure, Observed
 
@@ -50,10 +40,19 @@ Floats = NDArray[np.float64]
 LEAST_PARTICIPANTS = 3
 FEW_PARTICIPANTS = 6
 ENOUGH_PARTICIPANTS = 8  # for likelihood ratios
-PARTS = ("participant", "participant × condition", "participant × damping")  # random
-_OPTIMISERS = ["bfgs", "lbfgs", "powell"]
-_NOTHING = 0.01  # of log likelihood: a variance that gains no more is none
-_ZERO = 0.01  # of the residual's variance: an optimiser that stops at less has found zero
+PARTS = {  # random: what each person has of their own, as a formula within a person
+    "participant": "1",
+    "participant × condition": "0 + condition",
+    "participant × damping": "0 + damping",
+}
+RESIDUAL = "residual"
+_STARTS = (0.01, 1.0)  # of every variance, in the residual's
+_LEAST, _MOST = (
+    1e-7,
+    1e7,
+)  # of a variance, in the residual's: statsmodels inverts it; nothing is left beyond the most
+_ZERO = 1e-4  # of the residual's variance: below it a variance is printed as zero
+_LOST = 1e-3  # of log likelihood, that statsmodels may end below the optimum that was found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +109,7 @@ class Mixed:
     notes
         What must be known beside the numbers.
     participants, runs, beyond
-        That it is of; and how many of its limits are censored, and enter with the end of the levels.
+        Behind it; and how many of its limits are censored, and enter with the end of the levels.
     degrees
         Of freedom, of all intervals.
     means
@@ -122,8 +121,8 @@ class Mixed:
     tests
         Likelihood ratios; none below `ENOUGH_PARTICIPANTS`.
     deviations
-        Standard deviation of each random part (`PARTS`, as far as they can be told; 0 where the estimate is zero), and
-        of the residual.
+        Standard deviation of each random part (`PARTS`, as far as they can be estimated; 0 where the estimate is zero),
+        and of the residual.
     """
 
     measure: Measure
@@ -145,133 +144,67 @@ def mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str
 
     `conditions` are in the order in which they are compared: each with those before it.
     """
-    data = _Data.of(values, conditions)
-    problem = _problem(data)
+    beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
+    kept = [one for one in values if not beyond[one.condition, one.damping].mostly]
+    cells = _sorted({(one.condition, one.damping) for one in kept}, conditions)
+    problem = _problem(kept, cells, censored=len(cells) < len(beyond))
     if problem:
         return Mixed(measure=measure, problem=problem)
-    model = _fitted(data)
-    if isinstance(model, str):
-        return Mixed(measure=measure, problem=model)
-    contrasts = _contrasts(data, model)
-    size, cells = len(model.mean), len(data.cells)
+    design = _Design.of(kept, cells)
+    if design.degrees < 1:
+        return Mixed(
+            measure=measure,
+            problem=f"{len(design.frame)} values are too few for {design.participants} participants and {len(cells)} "
+            "conditions and dampings",
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of steps on the way; whether the optimum is reached is looked at
+        model = _Model.of(design)
+        tests = _tests(design) if design.participants >= ENOUGH_PARTICIPANTS else ()
+    if model is None:
+        return Mixed(measure=measure, problem="the mixed model did not converge; the paired tests remain")
+    contrasts = _contrasts(design, model, beyond, conditions)
+    notes = _notes(measure, design.participants, beyond, cells, _sorted(beyond, conditions))
+    if not contrasts:
+        notes.append("there are no two conditions to compare at the same damping")
     return Mixed(
         measure=measure,
-        notes=(*model.notes, *_notes(data, contrasts, measure)),
-        participants=data.participants,
-        runs=data.runs,
-        beyond=sum((data.beyond[cell] for cell in data.cells), NONE_BEYOND),
-        degrees=model.degrees,
-        means=tuple((cell, model.term(_name(cell), _unit(size, i))) for i, cell in enumerate(data.cells)),
+        notes=(*design.notes, *model.notes, *notes),
+        participants=design.participants,
+        runs=sum(one.runs for one in kept),
+        beyond=sum((beyond[cell] for cell in cells), NONE_BEYOND),
+        degrees=design.degrees,
+        means=tuple((cell, model.term(_name(cell), design.weights({cell: 1.0}))) for cell in cells),
         slopes=tuple(
-            Term(name=name, value=float(model.mean[cells + i])) for i, name in enumerate(model.covariates)
+            Term(name=name, value=float(value))
+            for name, value in zip(design.covariates, model.mean[len(cells) :], strict=True)
         ),
         contrasts=contrasts,
-        tests=_tests(data, model),
+        tests=tests,
         deviations=model.deviations,
     )
 
 
-# ------------------------------------------------------------------------------------------------ what is modelled
+def _sorted(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
+    return sorted(cells, key=lambda cell: (conditions.index(cell[0]), cell[1]))
 
 
-@dataclass(frozen=True)
-class _Data:
-    """Arrays of equal length, an element for each participant and cell; of cells whose limits are mostly known."""
-
-    limits: Floats  # means over repeats, as the following two
-    order: Floats
-    block: Floats
-    codes: tuple[str, ...]
-    of_cell: tuple[Cell, ...]
-    conditions: tuple[str, ...]  # in the order in which they are compared
-    beyond: dict[Cell, Beyond]  # of all cells, also those that are left out
-    runs: int  # behind the limits
-
-    @classmethod
-    def of(cls, values: Sequence[Observed], conditions: Sequence[str]) -> _Data:
-        """Means, participant by participant."""
-        beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
-        groups: dict[tuple[str, Cell], list[Observed]] = {}
-        for one in sorted(values, key=lambda one: one.participant):
-            cell = (one.condition, one.damping)
-            if not beyond[cell].mostly:
-                groups.setdefault((one.participant, cell), []).append(one)
-        return cls(
-            limits=np.array([_mean(one.limit.value for one in of) for of in groups.values()]),
-            order=np.array([_mean(one.order for one in of) for of in groups.values()]),
-            block=np.array([_mean(one.block for one in of) for of in groups.values()]),
-            codes=tuple(code for code, _ in groups),
-            of_cell=tuple(cell for _, cell in groups),
-            conditions=tuple(conditions),
-            beyond=beyond,
-            runs=sum(one.runs for of in groups.values() for one in of),
-        )
-
-    @property
-    def participants(self) -> int:
-        """How many."""
-        return len(set(self.codes))
-
-    @property
-    def cells(self) -> list[Cell]:
-        """Pairs of condition and damping that the model has, in order."""
-        return self._sorted(self.of_cell)
-
-    @property
-    def left_out(self) -> list[Cell]:
-        """Those of which most limits are censored."""
-        return self._sorted(cell for cell, beyond in self.beyond.items() if beyond.mostly)
-
-    def _sorted(self, cells: Iterable[Cell]) -> list[Cell]:
-        return sorted(set(cells), key=lambda cell: (self.conditions.index(cell[0]), cell[1]))
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Random parts that can be told: of a factor, where each person has it at several values of the other one."""
-        told = [PARTS[0]]
-        for part, place in ((PARTS[1], 0), (PARTS[2], 1)):
-            pairs = {(code, cell[place]) for code, cell in zip(self.codes, self.of_cell, strict=True)}
-            several = len({cell[place] for cell in self.of_cell}) > 1
-            if several and len(pairs) < len(self.codes):
-                told.append(part)
-        return tuple(told)
-
-    @property
-    def people(self) -> Floats:
-        """A column for each participant."""
-        return _indicators(self.codes, sorted(set(self.codes)))
-
-
-def _mean(values: Iterable[float]) -> float:
-    of = list(values)
-    return sum(of) / len(of)
-
-
-def _indicators(keys: Sequence[Any], values: Sequence[Any]) -> Floats:
-    """A column for each value: 1 where a limit has it."""
-    return np.array([[float(key == value) for value in values] for key in keys])
-
-
-def _problem(data: _Data) -> str:
+def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
     """Why there can be no model; empty when there can."""
+    participants = len({one.participant for one in kept})
     problem = ""
-    if data.left_out and not data.cells:
+    if censored and not cells:
         problem = "most limits lie beyond the levels"
-    elif data.participants < LEAST_PARTICIPANTS:
+    elif participants < LEAST_PARTICIPANTS:
         problem = (
-            f"{data.participants} participant{'' if data.participants == 1 else 's'} with a limit, where "
-            f"differences between people need {LEAST_PARTICIPANTS} or more"
+            f"{participants} participant{'' if participants == 1 else 's'} with a limit, where differences between "
+            f"people need {LEAST_PARTICIPANTS} or more"
         )
-    elif len(data.cells) < 2:
+    elif len(cells) < 2:
         problem = "there are no two conditions or dampings to compare"
-        if data.left_out:
-            problem = f"most limits lie beyond the levels, save those of {_name(data.cells[0])}"
-    elif _degrees(data, _indicators(data.of_cell, data.cells)) < 1:
-        problem = (
-            f"{len(data.limits)} values are too few for {data.participants} participants and {len(data.cells)} "
-            "conditions and dampings"
-        )
-    elif float(np.ptp(data.limits)) == 0.0:
+        if censored:
+            problem = f"most limits lie beyond the levels, save those of {_name(cells[0])}"
+    elif len({one.limit.value for one in kept}) == 1:
         problem = "all limits are alike"
     elif not _installed():
         problem = "statsmodels is not installed: pip install 'haptic-rig[report]'"
@@ -285,13 +218,154 @@ def _installed() -> bool:
         return False
 
 
-def _degrees(data: _Data, design: Floats) -> int:
-    """Degrees of freedom of a difference within participants: what people leave, or values where that is less."""
-    taken = int(np.linalg.matrix_rank(np.column_stack([design, data.people])))
-    return min(data.participants - 1, len(data.limits) - taken)
+# ------------------------------------------------------------------------------------------------ what is modelled
+
+
+@dataclass(frozen=True)
+class _Design:
+    """What is modelled: a row of `frame` for each participant and cell, with limits in units of their deviation.
+
+    Attributes
+    ----------
+    cells
+        In the order of their labels in the frame.
+    middle, scale
+        Mean and standard deviation of the limits, in stiffness.
+    covariates
+        Of order and block, those that can be separated from cells and participants.
+    notes
+        Which could not.
+    """
+
+    frame: Any
+    cells: Sequence[Cell]
+    middle: float
+    scale: float
+    covariates: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
+        """Means over the repeats of each participant in each cell."""
+        where: list[Cell] = [(one.condition, one.damping) for one in values]
+        conditions = list(dict.fromkeys(name for name, _ in cells))
+        dampings = sorted({damping for _, damping in cells})
+        each = pandas.DataFrame(  # factors by number, which keeps their order and any name out of the formula
+            {
+                "participant": [one.participant for one in values],
+                "cell": [f"{cells.index(cell):03}" for cell in where],
+                "condition": [f"{conditions.index(name):03}" for name, _ in where],
+                "damping": [f"{dampings.index(damping):03}" for _, damping in where],
+                "limit": [one.limit.value for one in values],
+                "order": [one.order for one in values],
+                "block": [one.block for one in values],
+            }
+        )
+        frame = each.groupby(["participant", "cell", "condition", "damping"], as_index=False).mean()
+        middle, scale = frame["limit"].mean(), frame["limit"].std(ddof=0) or 1.0
+        frame["limit"] = (frame["limit"] - middle) / scale
+        design = cls(frame, cells, float(middle), float(scale))
+        for name in ("order", "block"):
+            frame[name] -= frame[name].mean()
+            if np.ptp(frame[name]) == 0.0:
+                continue
+            before = design.rank("cell", "participant", *design.covariates)
+            after = design.rank("cell", "participant", *design.covariates, name)
+            if before < after < len(frame):
+                design.covariates.append(name)
+            else:
+                design.notes.append(
+                    f"{name} cannot be separated from the conditions and participants, and is left out"
+                )
+        return design
+
+    def columns(self, *terms: str) -> Floats:
+        """The columns that these terms of a formula make."""
+        model = linear_model.OLS.from_formula(f"limit ~ 0 + {' + '.join(terms)}", self.frame)
+        return np.asarray(model.exog, dtype=np.float64)
+
+    def rank(self, *terms: str) -> int:
+        """Rank of these columns."""
+        return int(np.linalg.matrix_rank(self.columns(*terms)))
+
+    @cached_property
+    def participants(self) -> int:
+        """How many."""
+        return int(self.frame["participant"].nunique())
+
+    @cached_property
+    def degrees(self) -> int:
+        """Degrees of freedom of a difference within participants: what people leave, or values where that is less."""
+        taken = self.rank("cell", "participant", *self.covariates)
+        return min(self.participants - 1, len(self.frame) - taken)
+
+    @cached_property
+    def parts(self) -> list[str]:
+        """Random parts that can be estimated: of a factor, where each person has several values of it, repeatedly."""
+        found = ["participant"]
+        for part in list(PARTS)[1:]:
+            factor = part.split()[-1]
+            pairs = self.frame.groupby(["participant", factor]).ngroups
+            if self.frame[factor].nunique() > 1 and pairs < len(self.frame):
+                found.append(part)
+        return found
+
+    def weights(self, of: Mapping[Cell, float]) -> Floats:
+        """A linear combination of the fixed effects, by weights of the cells."""
+        return np.array([*(of.get(cell, 0.0) for cell in self.cells), *(0.0 for _ in self.covariates)])
 
 
 # ------------------------------------------------------------------------------------------------ the fit
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """The largest (log) likelihood, and variances of the random parts there, in units of the residual's."""
+
+    likelihood: float
+    variances: Mapping[str, float]
+
+
+def _linear(design: _Design, fixed: Sequence[str], parts: Iterable[str], *, reml: bool = True) -> Any:
+    """The model of statsmodels with these fixed terms and random parts."""
+    model = mixed_linear_model.MixedLM.from_formula(
+        f"limit ~ 0 + {' + '.join(fixed)}",
+        design.frame,
+        groups="participant",
+        vc_formula={part: PARTS[part] for part in parts},
+    )
+    model.reml, model.cov_pen = reml, None  # as its `fit` sets them
+    return model
+
+
+def _at(variances: Sequence[float] | Floats) -> Any:
+    """Variances as `statsmodels` takes them; the fixed effects follow from them."""
+    return mixed_linear_model.MixedLMParams.from_components(
+        np.zeros(0), cov_re=np.zeros((0, 0)), vcomp=np.asarray(variances)
+    )
+
+
+def _optimum(design: _Design, fixed: Sequence[str], *, reml: bool = True) -> _Optimum | None:
+    """Search for the largest likelihood; None where the search does not converge.
+
+    The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
+    zero, and often stop short of the optimum. So the variances themselves are varied, within bounds, from two starts.
+    """
+    model, size = _linear(design, fixed, design.parts, reml=reml), len(design.parts)
+    found = [
+        optimize.minimize(
+            lambda variances: -model.loglike(_at(variances)),
+            np.full(size, start),
+            method="L-BFGS-B",
+            bounds=[(_LEAST, _MOST)] * size,
+            options={"ftol": 1e-13, "gtol": 1e-7},
+        )
+        for start in _STARTS
+    ]
+    best = min(found, key=lambda one: float(one.fun))
+    if not math.isfinite(best.fun) or max(best.x) >= _MOST:  # nothing is left for the residual
+        return None
+    return _Optimum(-float(best.fun), dict(zip(design.parts, best.x.tolist(), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -300,147 +374,75 @@ class _Model:
 
     mean: Floats
     covariance: Floats
-    covariates: tuple[str, ...]
-    parts: tuple[str, ...]
     deviations: tuple[tuple[str, float], ...]
     degrees: int
-    notes: tuple[str, ...]
+    notes: list[str]
+
+    @classmethod
+    def of(cls, design: _Design) -> _Model | None:
+        """REML estimates of statsmodels at the optimum, without the parts whose variance is zero there."""
+        fixed = ["cell", *design.covariates]
+        optimum = _optimum(design, fixed)
+        if optimum is None:
+            return None
+        parts = [part for part, variance in optimum.variances.items() if variance >= _ZERO]
+        none = [part for part in design.parts if part not in parts]
+        if parts:
+            start = _at([optimum.variances[part] for part in parts])
+            fit = _linear(design, fixed, parts).fit(start_params=start, method=["bfgs", "lbfgs"])
+            variances = dict(zip(parts, fit.vcomp.tolist(), strict=True))
+            if not fit.llf > optimum.likelihood - _LOST:
+                return None
+        else:
+            fit = linear_model.OLS.from_formula(f"limit ~ 0 + {' + '.join(fixed)}", design.frame).fit()
+            variances = {}
+        mean = np.array(fit.params[: len(design.cells) + len(design.covariates)]) * design.scale
+        mean[: len(design.cells)] += design.middle
+        covariance = np.asarray(fit.cov_params())[: len(mean), : len(mean)] * design.scale**2
+        deviations = {part: math.sqrt(variances.get(part, 0.0)) * design.scale for part in design.parts}
+        return cls(
+            mean=mean,
+            covariance=covariance,
+            deviations=(*deviations.items(), (RESIDUAL, math.sqrt(fit.scale) * design.scale)),
+            degrees=design.degrees,
+            notes=[f"the variance of {' and of '.join(none)} is estimated as zero"] if none else [],
+        )
 
     def term(self, name: str, weights: Floats) -> Term:
         """A linear combination of the fixed effects."""
-        value = float(weights @ self.mean)
-        half = float(stats.t.ppf(0.975, self.degrees)) * self.deviation(weights)
-        return Term(name=name, value=value, low=value - half, high=value + half)
+        value, deviation = float(weights @ self.mean), self.deviation(weights)
+        low, high = stats.t.interval(0.95, self.degrees, value, deviation)
+        return Term(name=name, value=value, low=float(low), high=float(high))
 
     def p(self, weights: Floats) -> float:
         """Two-sided p that a linear combination is zero."""
-        deviation = self.deviation(weights)
-        if deviation == 0.0:
-            return math.nan
-        return float(2.0 * stats.t.sf(abs(float(weights @ self.mean)) / deviation, self.degrees))
+        return float(
+            2.0 * stats.t.sf(abs(float(weights @ self.mean)) / self.deviation(weights), self.degrees)
+        )
 
     def deviation(self, weights: Floats) -> float:
         """Standard error of a linear combination."""
-        return math.sqrt(max(float(weights @ self.covariance @ weights), 0.0))
-
-
-def _fitted(data: _Data) -> _Model | str:
-    """The model, or a sentence that says why there is none."""
-    design, covariates, notes = _design(data, _indicators(data.of_cell, data.cells))
-    middle, scale = float(data.limits.mean()), float(data.limits.std())
-    cells = len(data.cells)
-    fit, parts = _structured(data, design)
-    if fit is None:
-        return "the mixed model did not converge; the paired tests remain"
-    mean = np.asarray(fit.fe_params, dtype=np.float64) * scale
-    mean[:cells] += middle
-    size = len(mean)
-    residual = float(fit.scale)
-    variances = dict(zip(parts, [float(np.asarray(fit.cov_re)[0, 0]), *fit.vcomp], strict=True))
-    told = {part: value if value >= _ZERO * residual else 0.0 for part, value in variances.items()}
-    none = [part for part in data.parts if told.get(part, 0.0) == 0.0]
-    if none:
-        notes = (*notes, f"the variance of {' and of '.join(none)} is estimated as zero")
-    return _Model(
-        mean=mean,
-        covariance=np.asarray(fit.cov_params(), dtype=np.float64)[:size, :size] * scale**2,
-        covariates=covariates,
-        parts=parts,
-        deviations=(
-            *((part, math.sqrt(told.get(part, 0.0)) * scale) for part in data.parts),
-            ("what is left", math.sqrt(residual) * scale),
-        ),
-        degrees=_degrees(data, design),
-        notes=notes,
-    )
-
-
-def _design(data: _Data, factors: Floats) -> tuple[Floats, tuple[str, ...], tuple[str, ...]]:
-    """Columns of the factors and of the covariates that can be told from them and from people; and what could not."""
-    design = factors
-    names: list[str] = []
-    notes: list[str] = []
-    for name, values in (("order", data.order), ("block", data.block)):
-        if float(np.ptp(values)) == 0.0:
-            continue
-        wider = np.column_stack([design, values - values.mean()])
-        ranks = [int(np.linalg.matrix_rank(np.column_stack([one, data.people]))) for one in (design, wider)]
-        if ranks[1] > ranks[0] and len(data.limits) > ranks[1]:
-            design, names = wider, [*names, name]
-        else:
-            notes.append(f"{name} cannot be told from the conditions and participants, and is left out")
-    return design, tuple(names), tuple(notes)
-
-
-def _structured(data: _Data, design: Floats) -> tuple[Any, tuple[str, ...]]:
-    """The fit with as many of the random parts as converge, and these parts; None where that would lose something."""
-    best = -math.inf
-    for parts in _simpler(data.parts):
-        fit = _fit(data, design, parts)
-        if fit is None:
-            continue
-        if _converged(fit):
-            return (fit, parts) if best - float(fit.llf) <= _NOTHING else (None, ())
-        best = max(best, float(fit.llf))
-    return None, ()
-
-
-def _simpler(parts: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """All sets of random parts, the largest first; the participant is in all of them."""
-    further = parts[1:]
-    return [
-        (parts[0], *some) for count in range(len(further), -1, -1) for some in combinations(further, count)
-    ]
-
-
-def _fit(data: _Data, design: Floats, parts: Sequence[str], *, reml: bool = True) -> Any:
-    """A fit by statsmodels of limits in units of their deviation, None when it breaks down."""
-    limits = (data.limits - data.limits.mean()) / data.limits.std()
-    codes = np.array(data.codes)
-    names: list[str] = []
-    labels: list[list[list[str]]] = []
-    columns: list[list[Floats]] = []
-    for part in parts[1:]:
-        keys = np.array([cell[PARTS.index(part) - 1] for cell in data.of_cell])
-        each = [keys[codes == code] for code in dict.fromkeys(data.codes)]  # sorted, as `_Data.of` has them
-        names.append(part)
-        labels.append([[str(value) for value in np.unique(of)] for of in each])
-        columns.append([np.asarray(of[:, None] == np.unique(of), dtype=np.float64) for of in each])
-    components = mixed_linear_model.VCSpec(names, labels, columns) if names else None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what they say is looked up: `_converged`
-        try:
-            model = mixed_linear_model.MixedLM(
-                limits, design, codes, exog_re=np.ones((len(limits), 1)), exog_vc=components
-            )
-            fit = model.fit(reml=reml, method=_OPTIMISERS)
-            return fit if math.isfinite(float(fit.llf)) and np.isfinite(fit.cov_params()).any() else None
-        except (np.linalg.LinAlgError, ValueError, FloatingPointError):
-            return None
-
-
-def _converged(fit: Any) -> bool:
-    return fit is not None and bool(fit.converged)
+        return math.sqrt(float(weights @ self.covariance @ weights))
 
 
 # ------------------------------------------------------------------------------------------------ what it says
 
 
-def _contrasts(data: _Data, model: _Model) -> tuple[Contrast, ...]:
-    cells = data.cells
-    conditions = [name for name in data.conditions if name in {condition for condition, _ in cells}]
-    dampings: list[float | None] = [*sorted({damping for _, damping in cells})]
+def _contrasts(
+    design: _Design, model: _Model, beyond: Mapping[Cell, Beyond], conditions: Sequence[str]
+) -> tuple[Contrast, ...]:
+    dampings: list[float | None] = [*sorted({damping for _, damping in design.cells})]
     if len(dampings) > 1:
         dampings.append(None)
     found: list[Contrast] = []
     for damping in dampings:
         for against, condition in combinations(conditions, 2):
-            weights = _difference(data, len(model.mean), condition, against, damping)
-            if weights is None:
+            of = _difference(beyond, condition, against, damping)
+            if not of or not set(of) <= set(design.cells):
                 continue
+            weights = design.weights(of)
             term = model.term("", weights)
-            of = [cell for cell, weight in zip(cells, weights, strict=False) if weight]
-            behind = {cell: data.beyond[cell] for cell in of}
+            behind = {cell: beyond[cell] for cell in of}
             found.append(
                 Contrast(
                     condition=condition,
@@ -459,103 +461,81 @@ def _contrasts(data: _Data, model: _Model) -> tuple[Contrast, ...]:
     return tuple(replace(one, holm=p) for one, p in zip(found, corrected, strict=True))
 
 
-def _difference(data: _Data, size: int, condition: str, against: str, damping: float | None) -> Floats | None:
-    """Weights of the fixed effects for a difference.
+def _difference(
+    cells: Iterable[Cell], condition: str, against: str, damping: float | None
+) -> dict[Cell, float]:
+    """Weights of the cells in a difference; empty where there is no such damping, or no two of them for their mean."""
+    of = {name: {b for other, b in cells if other == name} for name in (condition, against)}
+    both = of[condition] & of[against]
+    if damping is not None:
+        both &= {damping}
+    elif len(both) < 2:
+        return {}
+    return {(name, b): (1.0 if name == condition else -1.0) / len(both) for name in of for b in both}
 
-    None without a damping in common; for their mean with fewer than two, or where one of them had to be left out.
+
+def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
+    """Likelihood ratios of the full model against those without condition, damping, and their interaction.
+
+    A factor that cannot be separated from the rest has none, and one of which a fit does not converge.
     """
-    of = {name: {b for other, b in data.beyond if other == name} for name in (condition, against)}
-    both = {damping} if damping is not None else of[condition] & of[against]
-    cells = data.cells
-    wanted = [(name, b) for name in (condition, against) for b in both]
-    if len(both) < (2 if damping is None else 1) or not set(wanted) <= set(cells):
-        return None
-    weights = np.zeros(size)
-    for cell in wanted:
-        weights[cells.index(cell)] = (1.0 if cell[0] == condition else -1.0) / len(both)
-    return weights
-
-
-def _tests(data: _Data, model: _Model) -> tuple[LikelihoodRatio, ...]:
-    """Likelihood ratios of the full model against those without condition, damping, and their interaction."""
-    if data.participants < ENOUGH_PARTICIPANTS:
-        return ()
-    conditions, dampings = zip(*data.of_cell, strict=True)
-    by_condition = _indicators(conditions, sorted(set(conditions)))
-    by_damping = _indicators(dampings, sorted(set(dampings)))
-    lines = {"order": data.order, "block": data.block}
-    covariates = [lines[name] - lines[name].mean() for name in model.covariates]
-
-    def with_lines(factors: Floats) -> Floats:
-        return np.column_stack([factors, *covariates])
-
-    full = with_lines(_indicators(data.of_cell, data.cells))
-    several = by_condition.shape[1] > 1 and by_damping.shape[1] > 1
+    several = design.frame["condition"].nunique() > 1 and design.frame["damping"].nunique() > 1
     reduced = {
-        "condition" + (", at any damping" if several else ""): by_damping,
-        "damping" + (", in any condition" if several else ""): by_condition,
-        "condition × damping": np.column_stack([by_condition, by_damping[:, 1:]]),
+        "condition" + (", at any damping" if several else ""): ["damping"],
+        "damping" + (", in any condition" if several else ""): ["condition"],
+        "condition × damping": ["condition", "damping"],
     }
-    whole = _fit(data, full, model.parts, reml=False)
-    told = [
-        _likelihood_ratio(data, model, factor, whole, full, with_lines(of)) for factor, of in reduced.items()
-    ]
-    return tuple(test for test in told if test is not None)
+    whole = _optimum(design, ["cell", *design.covariates], reml=False)
+    found = []
+    for factor, terms in reduced.items():
+        fixed = [*terms, *design.covariates]
+        rank = design.rank(*fixed)
+        degrees = len(design.cells) + len(design.covariates) - rank
+        if degrees <= 0 or rank < design.columns(*fixed).shape[1]:
+            continue
+        without = _optimum(design, fixed, reml=False)
+        if whole is None or without is None:
+            continue
+        statistic = max(2.0 * (whole.likelihood - without.likelihood), 0.0)
+        p = float(stats.chi2.sf(statistic, degrees))
+        found.append(LikelihoodRatio(factor=factor, statistic=statistic, degrees=degrees, p=p))
+    return tuple(found)
 
 
-def _likelihood_ratio(
-    data: _Data, model: _Model, factor: str, whole: Any, full: Floats, reduced: Floats
-) -> LikelihoodRatio | None:
-    """None where the factor cannot be told from the rest, or a fit does not converge."""
-    rank = int(np.linalg.matrix_rank(reduced))
-    degrees = full.shape[1] - rank
-    if degrees <= 0 or rank < reduced.shape[1] or not _converged(whole):
-        return None
-    fit = _fit(data, reduced, model.parts, reml=False)
-    if not _converged(fit):
-        return None
-    statistic = max(2.0 * (float(whole.llf) - float(fit.llf)), 0.0)
-    return LikelihoodRatio(
-        factor=factor, statistic=statistic, degrees=degrees, p=float(stats.chi2.sf(statistic, degrees))
-    )
-
-
-def _notes(data: _Data, contrasts: Sequence[Contrast], measure: Measure) -> list[str]:
-    told = []
+def _notes(
+    measure: Measure,
+    participants: int,
+    beyond: Mapping[Cell, Beyond],
+    cells: Sequence[Cell],
+    of_all: Sequence[Cell],
+) -> list[str]:
+    notes = []
     if measure != "rule":
-        told.append(
-            "K50 is told from all verdicts of a participant under a condition at a damping, one value for each"
+        notes.append(
+            "K50 is estimated from all verdicts of a participant under a condition at a damping, one value for each"
         )
-    if data.participants < FEW_PARTICIPANTS:
-        told.append(
-            f"{data.participants} participants: the variance between people is hardly known, and p and intervals "
-            "are rough"
+    if participants < FEW_PARTICIPANTS:
+        notes.append(
+            f"{participants} participants: the variance between people is hardly known, and p and intervals are rough"
         )
-    if data.participants < ENOUGH_PARTICIPANTS:
-        told.append(
+    if participants < ENOUGH_PARTICIPANTS:
+        notes.append(
             f"likelihood ratios of factors are left out: with fewer than {ENOUGH_PARTICIPANTS} participants they find "
             "differences too often"
         )
-    for cell in data.left_out:
-        beyond = data.beyond[cell]
-        told.append(
-            f"{beyond.count} of {beyond.limits} limits of {_name(cell)} lie beyond the levels, and it is left out"
-        )
-    within = sum((data.beyond[cell] for cell in data.cells), NONE_BEYOND)
+    for cell in of_all:
+        if cell not in cells:
+            one = beyond[cell]
+            notes.append(
+                f"{one.count} of {one.limits} limits of {_name(cell)} lie beyond the levels, and it is left out"
+            )
+    within = sum((beyond[cell] for cell in cells), NONE_BEYOND)
     if within.count:
-        told.append(
+        notes.append(
             f"{within.count} of {within.limits} limits lie beyond the levels and enter with the end of them: "
             "differences are biased, usually towards zero; unequal spread can make a difference out of nothing"
         )
-    if not contrasts:
-        told.append("there are no two conditions to compare at the same damping")
-    return told
-
-
-def _unit(size: int, place: int) -> Floats:
-    weights = np.zeros(size)
-    weights[place] = 1.0
-    return weights
+    return notes
 
 
 def _name(cell: Cell) -> str:

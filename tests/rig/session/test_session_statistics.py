@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import optimize, stats
 
 from rig.session.analysis import agreement, effects, kmax, mixed, psychometric
 from rig.session.analysis.rows import Limit, RunRow, TrialRow
 from rig.session.analysis.trials import half_way
 from rig.session.search.catching import CatchTrials
 from rig.session.search.observer import Observer
+from tests.benchmarks import null_studies
 
 # ---------------------------------------------------------------------- rows to work on
 
@@ -44,10 +45,10 @@ def run_row(participant="P01", condition="a", damping=0.0, value=400.0, **change
         "state": "complete",
         "trials": 20,
         "invalid": 0,
-        "void": 0,
+        "voided": 0,
         "hits": 20,
         "caught": CatchTrials(),
-        "middle": 10.0,
+        "middle_trial": 10.0,
     }
     return RunRow(**{**plain, **changes})
 
@@ -114,18 +115,25 @@ def trial_row(participant="P01", verdict="stable", automatic="stable", passes=Tr
         "catch": False,
         "practice": False,
         "automatic": automatic,
-        "passes": passes,
+        "automatic_stable": passes,
         "verdict": verdict,
-        "by": "person",
-        "took_s": 1.0,
+        "judged_by": "person",
+        "response_time_s": 1.0,
         "void": "",
         "amended": False,
         "ended": "finished",
         "aborted": "",
-        "started_s": 0.0,
+        "since_begin_s": 0.0,
         "heat": 0.0,
         "recording": "",
         "recorded": "none",
+        "seed": 0,
+        "sha256": "",
+        "rows_sha256": "",
+        "reasons": (),
+        "passes": {},
+        "numbers": {},
+        "baseline": None,
         **empty,
     }
     return TrialRow(**{**plain, **changes})
@@ -188,7 +196,7 @@ def test_what_goes_into_which_table():
         trial_row(verdict="stable", automatic="stable", passes=None),
         trial_row(verdict="stable", void="redone"),
         trial_row(verdict="stable", practice=True),
-        trial_row(verdict="stable", by="automatic"),
+        trial_row(verdict="stable", judged_by="automatic"),
     ]
     two, linear, quadratic, four = agreement.agreements(rows)
     assert two.counts == ((1, 0), (1, 2))
@@ -200,7 +208,10 @@ def test_what_goes_into_which_table():
 
 
 def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa():
-    assert agreement.agreements([trial_row(by="automatic"), trial_row(by="", void="not judged")]) == ()
+    assert (
+        agreement.agreements([trial_row(judged_by="automatic"), trial_row(judged_by="", void="not judged")])
+        == ()
+    )
     two = agreement.agreements([trial_row() for _ in range(5)])[0]
     assert (two.share, two.kappa, two.low) == (1.0, None, None)
     assert (two.positive, two.negative) == (1.0, None)
@@ -451,7 +462,7 @@ def test_for_two_conditions_and_equal_repeats_the_mixed_model_is_the_paired_test
     model = model_of(rows)
     (paired,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
     (contrast,) = model.contrasts
-    assert [name for name, _ in model.deviations] == ["participant", "what is left"]
+    assert [name for name, _ in model.deviations] == ["participant", mixed.RESIDUAL]
     assert model.degrees == 8
     assert contrast.difference == pytest.approx(paired.difference)
     assert (contrast.low, contrast.high) == pytest.approx((paired.low, paired.high), rel=1e-3)
@@ -513,7 +524,7 @@ def test_the_mixed_model_is_that_of_the_formula():
     )
     assert all(math.isnan(slope.low) for slope in model.slopes)
     deviations = [math.sqrt(value) for value in (theirs.cov_re.iloc[0, 0], *theirs.vcomp, theirs.scale)]
-    assert [name for name, _ in model.deviations] == [*mixed.PARTS, "what is left"]
+    assert [name for name, _ in model.deviations] == [*mixed.PARTS, mixed.RESIDUAL]
     assert [value for _, value in model.deviations] == pytest.approx(deviations, rel=0.02)
     without = [f"limit ~ {what} + order + block" for what in ("damping", "condition", "condition + damping")]
     whole, *others = (
@@ -526,6 +537,83 @@ def test_the_mixed_model_is_that_of_the_formula():
         assert test.p == pytest.approx(stats.chi2.sf(2 * (whole - other), degrees), rel=1e-2)
 
 
+def deviance(variances: np.ndarray, limits: np.ndarray, fixed: np.ndarray, parts: list[np.ndarray]) -> float:
+    """−2 log likelihood (ML) at these variances, in units of the residual's, which is profiled out."""
+    covariance = np.eye(len(limits)) + sum(
+        v * part @ part.T for v, part in zip(variances, parts, strict=True)
+    )
+    root = np.linalg.cholesky(covariance)
+    left, right = np.linalg.solve(root, fixed), np.linalg.solve(root, limits)
+    residual = right - left @ np.linalg.lstsq(left, right)[0]
+    size = len(limits)
+    logarithms = 2.0 * np.log(np.diag(root)).sum() + size * math.log(
+        2.0 * math.pi * residual @ residual / size
+    )
+    return float(logarithms + size)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4, 10, 13])
+def test_likelihood_ratios_are_those_of_the_largest_likelihoods(seed: int) -> None:
+    """Studies of which an optimiser on square roots of variances stops up to 0.13 short of the optimum."""
+    rows = runs_of_people(
+        repeats=5, dampings=(0.0, 1.0, 3.0), effect=0.0, between=20.0 * (seed % 2), scatter=25.0, seed=seed
+    )
+    frame = import_module("pandas").DataFrame(
+        [(row.participant, row.condition, row.damping, row.order, row.limits["rule"].value) for row in rows],
+        columns=["participant", "condition", "damping", "order", "limit"],
+    )
+    frame = frame.groupby(["participant", "condition", "damping"], as_index=False).mean()
+    dummies = import_module("pandas").get_dummies
+
+    def columns(*names: str) -> np.ndarray:
+        return dummies(frame[[*names]].astype(str).agg("/".join, axis=1)).to_numpy(float)
+
+    parts = [columns("participant", *factor) for factor in ((), ("condition",), ("damping",))]
+    order = (frame["order"] - frame["order"].mean()).to_numpy()[:, None]
+
+    def least(factors: np.ndarray) -> float:
+        fixed, limits = np.hstack([factors, order]), ((frame["limit"] - 400.0) / 30.0).to_numpy()
+        return min(
+            optimize.minimize(
+                deviance,
+                np.full(3, start),
+                args=(limits, fixed, parts),
+                method="L-BFGS-B",
+                bounds=[(0.0, None)] * 3,
+                options={"ftol": 1e-13},
+            ).fun
+            for start in (0.01, 1.0)
+        )
+
+    condition, damping = columns("condition"), columns("damping")
+    whole = least(columns("condition", "damping"))
+    expected = [least(of) - whole for of in (damping, condition, np.hstack([condition, damping[:, 1:]]))]
+    assert [test.statistic for test in model_of(rows).tests] == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata(seed: int) -> None:
+    """The closed form by which `null_studies` counts how often a ratio finds what is not there."""
+    drawn = np.random.default_rng(seed)
+    means = 400.0 + null_studies.study(9, drawn)
+    rows = [
+        run_row(f"P{person:02d}", "ab"[condition], float(damping), float(value))
+        for (person, condition, damping), value in np.ndenumerate(means)
+    ]
+    values = null_studies.in_strata(means)
+    whole = null_studies.fit(values).deviance
+    expected = {
+        factor: null_studies.fit(values, without).deviance - whole
+        for factor, without in null_studies.FACTORS.items()
+    }
+    model = model_of(rows)
+    assert {test.factor: test.statistic for test in model.tests} == pytest.approx(expected, abs=2e-3)
+    variances = null_studies.fit(values, reml=True).variances
+    over = next(contrast for contrast in model.contrasts if contrast.damping is None)
+    half = stats.t.ppf(0.975, 8) * math.sqrt(2.0 * variances[True, False] / 3.0 / 9.0)
+    assert (over.high - over.low) / 2.0 == pytest.approx(half, rel=1e-3)
+
+
 def test_repeats_of_one_person_are_no_more_people():
     """Each run five times over, as alike as can be: nothing is known better of what people have in common."""
     rows = [
@@ -533,13 +621,7 @@ def test_repeats_of_one_person_are_no_more_people():
         for row in runs_of_people(repeats=1, dampings=(0.0, 1.0, 3.0), scatter=25.0)
     ]
     once, often = model_of(rows), model_of(rows * 5)
-    # Means over repeats are the same but for rounding, which may send an optimiser another way. Any way ends `_NOTHING`
-    # or less below the largest log likelihood, which moves a ratio of two by twice as much, and p by as much of itself:
-    # χ²'s hazard is at most ½ from two degrees of freedom on.
-    assert [test.p for test in often.tests] == pytest.approx(
-        [test.p for test in once.tests], rel=2 * mixed._NOTHING
-    )
-    # An optimiser stops at a slope of 1e-5 for each value, where the curvature is 0.03: deviations are known to 3e-4.
+    assert [test.p for test in often.tests] == pytest.approx([test.p for test in once.tests], rel=1e-3)
     for one, other in zip(once.contrasts, often.contrasts, strict=True):
         assert (other.low, other.high) == pytest.approx((one.low, one.high), abs=1e-3 * (one.high - one.low))
     assert (once.runs, often.runs) == (48, 240)
@@ -588,9 +670,6 @@ def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing():
     model = model_of(rows)
     none = [name for name, value in model.deviations if value == 0.0]
     assert none
-    assert all(
-        value == 0.0 or value**2 >= 0.01 * model.deviations[-1][1] ** 2 for _, value in model.deviations
-    )
     assert f"the variance of {' and of '.join(none)} is estimated as zero" in model.notes
 
 
@@ -604,11 +683,11 @@ def test_the_tests_of_factors_find_the_factor_that_is_there():
     assert p["condition × damping"][1] > 0.01
 
 
-def test_an_order_that_cannot_be_told_from_the_conditions_is_left_out():
+def test_an_order_that_cannot_be_separated_from_the_conditions_is_left_out():
     rows = [replace(row, order=1 + (row.condition == "b"), block=1) for row in runs_of_people()]
     model = model_of(rows)
     assert model.slopes == ()
-    assert any("order cannot be told from the conditions" in note for note in model.notes)
+    assert any("order cannot be separated from the conditions" in note for note in model.notes)
 
 
 def test_limits_beyond_the_levels_are_said():
@@ -669,7 +748,10 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
     drawn = np.random.default_rng(4)
     rows = [
         trial_row(
-            f"P{p}", condition=c, trial=int(n), took_s=math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3))
+            f"P{p}",
+            condition=c,
+            trial=int(n),
+            response_time_s=math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3)),
         )
         for p in range(4)
         for c, n in zip("ab" * 10, drawn.permutation(20), strict=True)
@@ -679,7 +761,9 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
     for person in range(4):
         own = [row for row in rows if row.participant == f"P{person}"]
         design = [[float(row.condition == "a"), float(row.condition == "b"), row.trial] for row in own]
-        theirs.append(ordinary([math.log(row.took_s) for row in own], np.array(design)).fit().params[-1])
+        theirs.append(
+            ordinary([math.log(row.response_time_s) for row in own], np.array(design)).fit().params[-1]
+        )
     expected = stats.ttest_1samp(theirs, 0.0)
     found = next(slope for slope in effects.slopes([], rows) if slope.of == "response time")
     assert (found.participants, found.count) == (4, 80)
@@ -738,7 +822,7 @@ def test_people_who_change_at_their_own_pace_widen_the_interval_of_a_slope():
 )
 def test_a_slope_without_an_interval_says_why(people, pace, why):
     rows = [
-        trial_row(f"P{person}", trial=n, took_s=math.exp(pace * n + person))
+        trial_row(f"P{person}", trial=n, response_time_s=math.exp(pace * n + person))
         for person in range(people)
         for n in range(1, 9)
     ]
@@ -762,10 +846,11 @@ def test_fatigue_is_found_and_what_cannot_be_told_is_said():
 def test_slopes_are_corrected_within_a_quantity():
     drawn = np.random.default_rng(8)
     rows = [
-        replace(row, middle=float(drawn.uniform(1.0, 99.0))) for row in runs_of_people(people=8, block=-3.0)
+        replace(row, middle_trial=float(drawn.uniform(1.0, 99.0)))
+        for row in runs_of_people(people=8, block=-3.0)
     ]
     timed = [
-        trial_row(f"P{p}", trial=n, took_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
+        trial_row(f"P{p}", trial=n, response_time_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
         for p in range(5)
         for n in range(1, 30)
     ]
@@ -779,10 +864,10 @@ def test_slopes_are_corrected_within_a_quantity():
 
 def test_blocks_count_what_happened_in_them():
     rows = [
-        trial_row(took_s=1.0),
-        trial_row(took_s=3.0, verdict="unsure"),
-        trial_row(void="invalid", verdict="", by="", took_s=None),
-        trial_row(void="redone", aborted="violence", by="", took_s=None),
+        trial_row(response_time_s=1.0),
+        trial_row(response_time_s=3.0, verdict="unsure"),
+        trial_row(void="invalid", verdict="", judged_by="", response_time_s=None),
+        trial_row(void="redone", aborted="violence", judged_by="", response_time_s=None),
         trial_row(block=0, practice=True),
     ]
     (block,) = effects.blocks(rows)
@@ -792,7 +877,9 @@ def test_blocks_count_what_happened_in_them():
 
 def test_slower_answers_show_in_the_slope_of_their_logarithm():
     rows = [
-        trial_row(f"P{person}", trial=n, took_s=math.exp((0.01 + 0.001 * person) * n), repeat=1 + n % 3)
+        trial_row(
+            f"P{person}", trial=n, response_time_s=math.exp((0.01 + 0.001 * person) * n), repeat=1 + n % 3
+        )
         for person in range(3)
         for n in range(1, 40)
     ]
