@@ -8,12 +8,14 @@ import gc
 import os
 import signal
 import uuid
+from collections.abc import Generator
 from contextlib import suppress
 from multiprocessing import forkserver, resource_tracker
 
 import pytest
 from hypothesis import settings
 
+from tests.conformance import tolerance
 from tests.conformance.census import still_there
 
 RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
@@ -49,3 +51,22 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if left:
         session.shouldfail = f"left running, and killed: {'; '.join(left.values())}"
         session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Keep with each report what its test put up with."""
+    report = yield
+    report.user_properties += tolerance.taken()
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print what this machine had no time for."""
+    reports = [
+        one for some in terminalreporter.stats.values() for one in some if isinstance(one, pytest.TestReport)
+    ]
+    if lines := tolerance.summary(reports):
+        terminalreporter.section("tolerated on this machine")
+        for line in lines:
+            terminalreporter.line(line)

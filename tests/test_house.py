@@ -124,7 +124,7 @@ def test_modules_are_imported_by_name_in_few_places():
         "rig/__init__.py", "rig/cli/lazy.py", "rig/core/deferred.py",
         "rig/control/laws.py", "rig/control/estimators/__init__.py", "rig/control/estimators/family.py",
         "rig/devices/__init__.py",
-        "rig/experiments/sweep/executors.py", "rig/papers/frame.py",
+        "rig/experiments/sweep/executors.py", "rig/papers/parts.py",
         "rig/experiments/sweep/cluster.py", "rig/session/lsl/library.py",
     }  # fmt: skip
 

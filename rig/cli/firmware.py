@@ -1,10 +1,8 @@
-"""``rig firmware``: build an image for a board and a rig, look at it, flash it, and have a device test itself."""
+"""``rig firmware``: build an image for a board and a rig, inspect it, flash it, and have a device test itself."""
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +10,11 @@ import click
 
 from rig import config
 from rig.bench.firmware import boards
-from rig.bench.firmware.boards import Board, Setting
-from rig.bench.firmware.build import BuildRequest, BuildResult
+from rig.bench.firmware.build import BuildRequest
 from rig.bench.firmware.build import build as build_image
 from rig.bench.firmware.flash import flash as copy_image
-from rig.bench.firmware.info import LAWS, FirmwareInfo
 from rig.bench.firmware.info import info as look
-from rig.bench.firmware.selftest import SelfTest, SelfTestRequest, failure
+from rig.bench.firmware.selftest import SelfTestRequest, failure
 from rig.bench.firmware.selftest import selftest as run
 from rig.cli import options, output
 from rig.config import Experiment
@@ -27,12 +23,12 @@ from rig.core.model import RigModel
 from rig.devices import open_device
 
 DEFAULT_BOARD = "rp2040"
-_MARKS = {"ok": ("ok", "green"), "skipped": ("--", "yellow"), "failed": ("no", "red")}
+_LISTED = ("name", "description", "rate_maximum", "settings")
 
 
 @click.group()
 def firmware() -> None:
-    """The firmware of a controller board: build it for a rig, look at it, flash it, test it."""
+    """The firmware of a controller board: build it for a rig, inspect it, flash it, test it."""
 
 
 @firmware.command()
@@ -77,37 +73,46 @@ def build(
     settings_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Build the firmware of a board for one rig: ELF, BIN, UF2 where the board takes it, and what they are as JSON.
+    """Build the firmware of a board for one rig: ELF, BIN, UF2 where the board takes it, and a description as JSON.
 
     Needs the cross compiler of the distribution (gcc-arm-none-eabi, libnewlib-arm-none-eabi). The same inputs give the
     same bytes.
     """
     if board == "list":
-        _list([boards.load(name) for name in boards.names()], as_json)
+        found = [boards.load(name) for name in boards.names()]
+        if as_json:
+            output.print_json([{name: getattr(one, name) for name in _LISTED} for one in found])
+        else:
+            output.show(item for one in found for item in one.items())
         return
     chosen = {**_settings(settings_file), **options.key_values(sets)}
     request = BuildRequest(model=_rig(preset), board=board, output=directory, settings=chosen)
-    with Progress(quiet=as_json) as progress:
-        built = build_image(request, progress.told)
+    with output.Status(quiet=as_json) as status:
+        built = build_image(request, status.on_progress)
     if as_json:
-        output.print_json(built.as_mapping())
+        output.print_json(built)
         return
-    _print_built(built)
+    output.print_rows(built.rows())
+    for path in (built.elf, built.bin, built.uf2, built.facts):
+        if path is not None:
+            click.echo(str(path))
+    if built.uf2 is not None:
+        click.echo(f"rig: next: rig firmware flash {built.uf2}", err=True)
 
 
 @firmware.command()
 @click.argument("source", metavar="FILE|URL")
 @options.json_option
 def info(source: str, as_json: bool) -> None:
-    """Say what an image, or the device at a URL, is, and whether this package can speak to it.
+    """Show what an image, or the device at a URL, is, and whether this package can run it.
 
     Exits with 4 when it cannot.
     """
     found = look(source)
     if as_json:
-        output.print_json(found.as_mapping())
+        output.print_json(found)
     else:
-        _print_info(found)
+        output.show(found.items())
     if not found.compatible:
         refused = IncompatibleDeviceError(
             f"this package cannot run the firmware of {source}",
@@ -130,10 +135,10 @@ def flash(image: Path, drive: Path | None, as_json: bool) -> None:
 
     Hold BOOTSEL while you plug the board in: its drive appears. Motor power must be off.
     """
-    with Progress(quiet=as_json) as progress:
-        done = copy_image(image, drive, progress.told)
+    with output.Status(quiet=as_json) as status:
+        done = copy_image(image, drive, status.on_progress)
     if as_json:
-        output.print_json({**asdict(done), "image": str(done.image), "drive": str(done.drive)})
+        output.print_json(done)
         return
     click.echo(
         f"the drive at {done.drive} took the image: {done.board}, {done.firmware}, for the rig {done.rig}. "
@@ -173,37 +178,16 @@ def selftest(
     if move and not as_json:
         click.echo("move the handle by hand until the test has ended", err=True)
     request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)
-    with open_device(url, request.model) as device, Progress(quiet=as_json) as progress:
-        found = run(device, request, progress.told)
+    with open_device(url, request.model) as device, output.Status(quiet=as_json) as status:
+        found = run(device, request, status.on_progress)
     if as_json:
-        output.print_json(found.as_mapping())
+        output.print_json(found)
     else:
-        _print_selftest(found)
+        output.show(found.items())
     error = failure(found)
     if error is not None:
         error.reported = as_json
         raise error
-
-
-class Progress:
-    """What is being done, on one line of standard error, on a terminal only."""
-
-    def __init__(self, quiet: bool) -> None:
-        self._shown = not quiet and sys.stderr is not None and sys.stderr.isatty()
-        self._said = False
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._said:
-            click.echo("\r\033[K", nl=False, err=True)
-
-    def told(self, what: str, share: float) -> None:
-        """Show it."""
-        if self._shown:
-            self._said = True
-            click.echo(f"\r\033[K{what} … {100 * share:.0f} %", nl=False, err=True)
 
 
 def _rig(preset: str) -> RigModel:
@@ -225,78 +209,3 @@ def _settings(path: Path | None) -> dict[str, Any]:
         raise ConfigError(
             f"{path} cannot be read: {error}", remedy="write lines like enable_pin = 6"
         ) from None
-
-
-def _list(found: list[Board], as_json: bool) -> None:
-    if as_json:
-        output.print_json(
-            [
-                {
-                    "name": board.name,
-                    "description": board.description,
-                    "rate_maximum": board.rate_maximum,
-                    "settings": {name: asdict(setting) for name, setting in board.settings.items()},
-                }
-                for board in found
-            ]
-        )
-        return
-    for board in found:
-        click.echo(f"{board.name}: {board.description}, up to {board.rate_maximum / 1e3:g} kHz")
-        output.print_pairs([_setting_pair(setting) for setting in board.settings.values()])
-
-
-def _setting_pair(setting: Setting) -> tuple[str, str]:
-    unit = f" ({setting.unit})" if setting.unit else ""
-    return f"{setting.name} = {setting.default}", f"{setting.meaning}{unit}"
-
-
-def _print_built(built: BuildResult) -> None:
-    output.print_pairs(
-        [
-            ("firmware", built.firmware),
-            ("rig", built.rig),
-            ("protocol", f"{built.protocol}, dictionary {built.dictionary_hash}"),
-            ("flash", _share(built.flash_bytes, built.flash_room)),
-            ("memory", _share(built.ram_bytes, built.ram_room)),
-            ("compiler", built.compiler),
-            *((f"{name}", str(value)) for name, value in built.settings.items()),
-        ]
-    )
-    for path in (built.elf, built.bin, built.uf2, built.facts):
-        if path is not None:
-            click.echo(str(path))
-    if built.uf2 is not None:
-        click.echo(f"rig: next: rig firmware flash {built.uf2}", err=True)
-
-
-def _share(taken: int, room: int) -> str:
-    return f"{taken} bytes, {100 * taken / room:.3g} % of {room // 1024} KiB"
-
-
-def _print_info(found: FirmwareInfo) -> None:
-    facts = found.facts or {}
-    pairs = [
-        ("firmware", found.firmware),
-        ("rig", found.device + (" (simulated)" if found.simulated else "")),
-        ("protocol", f"{found.protocol}, dictionary {found.dictionary_hash}"),
-        ("rates", f"{found.position_rate_default} Hz, up to {found.position_rate_maximum} Hz"),
-        ("law on the device", LAWS.get(found.law, f"up to kind {found.law}")),
-        ("current quantum", f"{found.current_quantum_a:g} A"),
-    ]
-    if facts:
-        pairs.insert(0, ("board", facts["board"]))
-        pairs += [(name, str(value)) for name, value in facts["settings"].items()]
-    verdict = click.style("yes", fg="green") if found.compatible else click.style("no", fg="red")
-    output.print_pairs(
-        [*pairs, ("compatible", verdict), *(("", text) for text in (*found.problems, *found.notes))]
-    )
-
-
-def _print_selftest(found: SelfTest) -> None:
-    click.echo(f"{found.device}, firmware {found.firmware}")
-    for check in found.checks:
-        mark, colour = _MARKS[check.outcome]
-        click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {check.text}")
-        if check.remedy:
-            click.echo(f"     {check.remedy}")

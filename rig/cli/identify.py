@@ -93,7 +93,7 @@ def identify(
     plan = _plan(request)
     if only_plan:
         if as_json:
-            output.print_json(plan.as_mapping())
+            output.print_json(plan)
         else:
             _print_plan(plan)
         return
@@ -104,7 +104,7 @@ def identify(
     written = _write(found, file_out) if file_out is not None else None
     if as_json:
         more = {"picture": picture, "file": None if written is None else str(written)}
-        output.print_json({**found.as_mapping(), **more, "plan": plan.as_mapping()})
+        output.print_json({**found.as_mapping(), **more, "plan": plan})
         return
     _print(found, picture, written)
 
@@ -115,11 +115,7 @@ def _plan(request: IdentifyRequest) -> Plan:
 
 def _print_plan(plan: Plan) -> None:
     click.echo(f"{plan.rig}: identification, {plan.duration_s:.0f} s at most, homing aside")
-    for step in plan.steps:
-        click.echo(f"  {step.name:<8}  {step.text} ({step.duration_s:.3g} s)")
-    for check in plan.checks:
-        more = "" if check.outcome == "ok" else f"; {check.remedy}"
-        click.echo(f"  {check.outcome:<8}  {check.name}: {check.text}{more}")
+    output.show(plan.items())
 
 
 def _draw(found: Identification) -> str | None:

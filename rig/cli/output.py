@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import click
 
@@ -106,3 +106,28 @@ def error_facts(error: RigError) -> dict[str, Any]:
         "messages": list(error.messages),
         "exit_code": error.exit_code,
     }
+
+
+class Status:
+    """What is being done, on one line of standard error; a line for each step where that is no terminal."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet
+        self._shown = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._shown and on_terminal():
+            click.echo("\r\033[K", nl=False, err=True)
+
+    def on_progress(self, what: str, share: float) -> None:
+        """Show a step, and the share of it (or of all) that is done."""
+        if self._quiet:
+            return
+        if on_terminal():
+            click.echo(f"\r\033[K{what} … {100 * share:.0f} %", nl=False, err=True)
+        elif what != self._shown:
+            click.echo(f"{what} …", err=True)
+        self._shown = what

@@ -9,10 +9,9 @@ import click
 
 from rig import config
 from rig.cli import hit_output, options, output
+from rig.core.check import refused
 from rig.core.errors import PlanError
 from rig.experiments.plan import make_plan
-
-_MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
 
 
 @click.command()
@@ -33,15 +32,9 @@ def plan(file: Path | None, preset: str | None, realtime: bool, as_json: bool, *
     config.check_plugins(experiment, str(file or preset or options.DEFAULT_PRESET))
     planned = make_plan(experiment)
     if as_json:
-        output.print_json(planned.as_mapping())
+        output.print_json(planned)
     else:
-        click.echo(hit_output.headline(experiment))
-        output.print_pairs([(step.name, step.text) for step in planned.steps])
-        click.echo(f"  {planned.repeats} × at most {planned.duration_s / planned.repeats:.4g} s")
-        for check in planned.checks:
-            mark, colour = _MARKS[check.outcome]
-            remedy = "" if check.outcome == "ok" else f": {check.remedy}"
-            click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {check.text}{remedy}")
+        output.show([hit_output.headline(experiment), *planned.items()])
     if not planned.ok:
-        refused = [check.name for check in planned.checks if check.outcome == "refused"]
-        raise PlanError(f"refused: {', '.join(refused)}", remedy="see the checks")
+        names = ", ".join(check.name for check in refused(planned.checks))
+        raise PlanError(f"refused: {names}", remedy="see the checks")

@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from rig.cli import options, output
 from rig.cli.progress import SweepBar
-from rig.papers.chawda import rigs as chawda_rigs
-from rig.papers.chawda.pictures import draw_chawda
-from rig.papers.chawda.reproduction import reproduce_chawda
-from rig.papers.frame import Reproduction
-from rig.papers.koul import rigs as koul_rigs
-from rig.papers.koul.pictures import draw_koul
-from rig.papers.koul.reproduction import reproduce_koul
-from rig.papers.page import write_report
+from rig.papers import reproduction
+from rig.papers.chawda.reproduction import CHAWDA
+from rig.papers.koul.reproduction import KOUL
+from rig.papers.reproduction import Reproduction, write_report
 from rig.recording.files import plain_errors
 
 WIDEST = 56  # characters of a cell
 
 
-@dataclass(frozen=True, slots=True)
-class _Paper:
-    """How much there is to compute, what computes it, and what draws it."""
-
-    quick: Any
-    full: Any
-    reproduce: Callable[..., Reproduction]
-    draw: Callable[[Any], Mapping[str, bytes]]
-
-
-PAPERS = {
-    "koul": _Paper(koul_rigs.QUICK, koul_rigs.FULL, reproduce_koul, draw_koul),
-    "chawda": _Paper(chawda_rigs.QUICK, chawda_rigs.FULL, reproduce_chawda, draw_chawda),
-}
+PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 
 
 @click.command()
@@ -68,10 +48,14 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     known = PAPERS[paper]
     scale = known.quick if quick else known.full
     with SweepBar(f"reproducing {paper}", unit="parts", plain=as_json) as bar:
-        found: Reproduction = known.reproduce(
-            scale, journal=directory / f"{paper}-{scale.name}.journal", workers=workers, watch=bar.watch
+        found = reproduction.reproduce(
+            known,
+            scale,
+            journal=directory / f"{paper}-{scale.name}.journal",
+            workers=workers,
+            watch=bar.watch,
         )
-    page, numbers = write_report(found, known.draw(found.results), directory)
+    page, numbers = write_report(found, directory)
     if as_json:
         output.print_json({**found.as_mapping(), "report": str(page), "json": str(numbers)})
         return
@@ -85,9 +69,9 @@ def _print(found: Reproduction) -> None:
     click.echo(f"{found.title} ({found.source})")
     for claim in found.claims:
         click.echo(f"  {claim.claim}")
-        click.echo(f"    paper {claim.paper}; here {_short(claim.finding.ours)}")
-        colour = {"reproduced": "green", "not reproduced": "red"}.get(claim.finding.status, "yellow")
-        click.echo(f"    {click.style(_short(claim.finding.verdict), fg=colour, bold=True)}")
+        click.echo(f"    paper {claim.paper}; here {_short(claim.ours)}")
+        colour = {"reproduced": "green", "not reproduced": "red"}.get(claim.status, "yellow")
+        click.echo(f"    {click.style(_short(claim.verdict), fg=colour, bold=True)}")
 
 
 def _short(text: str) -> str:

@@ -48,6 +48,11 @@ class Check:
     why: str = ""
     numbers: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def sentence(self) -> str:
+        """Text and remedy, for a message of its own."""
+        return ". ".join(filter(None, (self.text, self.remedy)))
+
 
 def refused(checks: Iterable[Check]) -> tuple[Check, ...]:
     """Return the checks that refuse."""

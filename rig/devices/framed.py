@@ -32,7 +32,9 @@ from rig.devices.device import Link
 
 STOP_FRAMES = 5
 SUPERVISE_EVERY_S = 0.005  # a quarter of what a law on the device goes on without a word
-EXCHANGES = 8  # of the clock, when nobody says how many
+EXCHANGES = 8  # of the clock, unless told otherwise
+DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
+DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
 GOLDEN = 0.6180339887498949  # multiples of it modulo 1 are as odd as can be
 COUNT_TIMEOUT_S = 0.5
 READY_S, READY_AGAIN_S = 60.0, 0.05  # a small processor works out a long excitation in seconds
@@ -340,6 +342,11 @@ class FramedDevice:
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
         """Host clock against device clock, by `exchange_clock`; without `over_s` the drift stays unknown."""
         return fit_clock(self.exchange_clock(exchanges, over_s=over_s))
+
+    def drift(self) -> ClockFit:
+        """Host clock against device clock, with the drift to a few ppm: about a second in real time."""
+        over_s = DRIFT_VIRTUAL_S if self.link.clock.virtual else DRIFT_S
+        return self.clock(DRIFT_EXCHANGES, over_s=over_s)
 
     def statistics(self) -> m.Statistics:
         """Return what the device has counted on its end of the link since it started."""

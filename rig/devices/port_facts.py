@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from rig.core.check import Check, Outcome
 from rig.devices import tty
 
 FTDI_VENDOR = "0403"
 LONGEST_LATENCY_MS = 1  # of an FTDI adapter: it keeps what it has received for so long, hoping for more
 NO_TIMER_DRIVERS = frozenset({"cdc_acm"})  # the board itself decides when a packet leaves
+WHY = "a port that holds bytes back delays every command; one that others can open loses some"
 _PSEUDO = ("/dev/pts/", "/dev/pty")
 
 
@@ -59,35 +60,30 @@ class PortFacts:
     hangs_up: bool | None = None
     dtr: bool | None = None
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the facts for JSON."""
-        return {**asdict(self), "by_id": list(self.by_id)}
-
-    def problems(self) -> list[str]:
-        """Return what costs time or safety, each as ``what is wrong. Mend it with: command``."""
+    def problems(self) -> list[Check]:
+        """Return what costs time or safety, each with the command that removes it."""
         found = []
         if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
             found.append(
-                f"{self.port}: the FTDI adapter keeps bytes back for up to {self.latency_timer_ms} ms (for good: rig "
-                "doctor --print-udev). Mend it with: "
-                f"echo {LONGEST_LATENCY_MS} | sudo tee {latency_timer_path(self.device)}"
+                self._problem(
+                    f"the FTDI adapter holds bytes back for up to {self.latency_timer_ms} ms",
+                    f"echo {LONGEST_LATENCY_MS} | sudo tee {latency_timer_path(self.device)}; for good: rig doctor "
+                    "--print-udev",
+                )
             )
         elif self.low_latency is False and self.driver is not None and self.driver.startswith("serial"):
-            found.append(
-                f"{self.port}: the driver {self.driver} refused the low-latency mode. Mend it with: "
-                f"sudo setserial {self.device} low_latency"
-            )
+            text = f"the driver {self.driver} refused the low-latency mode"
+            found.append(self._problem(text, f"sudo setserial {self.device} low_latency"))
         if self.exclusive is False and not is_pseudo(self.device):
-            found.append(
-                f"{self.port}: other programs can open the port and take bytes away; close those that are named. "
-                f"Mend it with: fuser -v {self.device}"
-            )
+            text = "other programs can open the port and take bytes away"
+            found.append(self._problem(text, f"close those that this lists: fuser -v {self.device}"))
         if self.hangs_up:
-            found.append(
-                f"{self.port}: closing the port will drop DTR, which resets many boards. Mend it with: "
-                f"stty -F {self.device} -hupcl"
-            )
+            text = "closing the port will drop DTR, which resets many boards"
+            found.append(self._problem(text, f"stty -F {self.device} -hupcl"))
         return found
+
+    def _problem(self, text: str, remedy: str) -> Check:
+        return Check("port", Outcome.REFUSED, f"{self.port}: {text}", remedy, WHY)
 
 
 def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/")) -> PortFacts:

@@ -12,7 +12,7 @@ which the compiled loop and Python share. What a port answers is set, and read b
 * DTR and RTS are asserted, as the kernel does at opening, and never move while the link is open. A board that they
   hold in reset is opened with ``?dtr=off``, which takes both back in one step right after opening.
 
-What could not be obtained stands in `SerialLink.messages`, with the command that mends it.
+What could not be obtained is in `SerialLink.messages`, with its remedy.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[
     tty.set_low_latency(descriptor)
     asserted = tty.set_dtr_rts(descriptor, dtr)
     facts = port_facts(place, descriptor)
-    messages = facts.problems()
+    messages = [problem.sentence for problem in facts.problems()]
     if asserted is not None and asserted != dtr:
         messages.append(f"{place}: DTR is {'on' if asserted else 'off'} although it was set otherwise")
     return facts, messages

@@ -35,6 +35,7 @@ from rig.devices.usb_handle import Bus, handle_of, unsuitable
 from rig.devices.usb_plain import PlainTransfers
 from rig.devices.usb_queue import QueuedTransfers
 from rig.realtime.clock import Clock, MonotonicClock
+from rig.realtime.scheduling.refusals import RULES_COMMAND
 
 OPTIONS = ("transfers",)
 TRANSFERS = ("queued", "plain")
@@ -249,14 +250,7 @@ def _release(device: Any, pipes: _Pipes, detached: bool) -> None:
 def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
     number = error_number(error)
     if number in (errno.EACCES, errno.EPERM):
-        rule = (
-            f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{device.idVendor:04x}", '
-            f'ATTR{{idProduct}}=="{device.idProduct:04x}", TAG+="uaccess"'
-        )
-        remedy = (
-            f"allow it: echo '{rule}' | sudo tee /etc/udev/rules.d/70-haptic-rig.rules && "
-            "sudo udevadm control --reload && sudo udevadm trigger, then plug the device in again"
-        )
+        remedy = f"run, then plug the device in again: {RULES_COMMAND}"
         return DeviceNotFoundError(f"no permission to open {url.text}", remedy=remedy)
     if number == errno.EBUSY:
         node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 from rig.config import Experiment, controller, device_law
 from rig.core.check import Check, refused
+from rig.core.present import Item, Row, reported, written
 
 ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
 
@@ -31,28 +31,22 @@ class Plan:
     repeats: int
     steps: tuple[Step, ...]
     checks: tuple[Check, ...]
-    run: controller.Run | None = None
+    run: controller.Run | None = field(default=None, repr=False)
 
-    @property
+    @reported
     def duration_s(self) -> float:
         """Longest time that everything may take (s)."""
         return self.repeats * sum(step.duration_s for step in self.steps)
 
-    @property
+    @reported
     def ok(self) -> bool:
         """Whether nothing is refused."""
         return not refused(self.checks)
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "rig": self.rig,
-            "repeats": self.repeats,
-            "steps": [asdict(step) for step in self.steps],
-            "checks": [asdict(check) for check in self.checks],
-            "duration_s": self.duration_s,
-            "ok": self.ok,
-        }
+    def items(self) -> list[Item]:
+        """The steps, how long they take at most, and the checks, for people."""
+        longest = Row("", f"{self.repeats} × at most {written(self.duration_s / self.repeats)} s")
+        return [*(Row(step.name, step.text) for step in self.steps), longest, *self.checks]
 
 
 def where_it_runs(x: Experiment) -> str:

@@ -18,6 +18,7 @@ from rig.bench.firmware import boards
 from rig.bench.firmware.build import BuildRequest, BuildResult, build, sources_hash
 from rig.bench.firmware.toolchain import COMPILER, find_compiler
 from rig.config import presets
+from rig.core.present import plain
 from rig.realtime.kernel import CACHE_DIRECTORY, cache_key
 from rig.realtime.source_files import source_files
 from tests.firmware.build import FIRMWARE
@@ -55,13 +56,15 @@ def image(board: str, application: str = "device", rig: str = RIG) -> BuildResul
 
     def make(output: Path) -> None:
         request = BuildRequest(model=model, board=board, output=output, application=application)
-        told = build(request).as_mapping()
-        (output / "built.json").write_text(json.dumps(told))
+        written = plain(build(request))
+        (output / "built.json").write_text(json.dumps(written))
 
     made = cached(f"image {board} {application} {rig} {sources_of(board)} {find_compiler()}", make)
-    told = json.loads((made / "built.json").read_text())
-    paths = {kind: made / Path(told[kind]).name for kind in ("elf", "bin", "uf2", "facts") if told[kind]}
-    return BuildResult(**{**told, **paths})
+    written = json.loads((made / "built.json").read_text())
+    paths = {
+        kind: made / Path(written[kind]).name for kind in ("elf", "bin", "uf2", "facts") if written[kind]
+    }
+    return BuildResult(**{**written, **paths})
 
 
 def sources_of(board: str) -> str:

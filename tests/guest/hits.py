@@ -13,8 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from firmware_protocol.connection import State
 from rig import config
 from rig.config import Experiment, presets
@@ -22,6 +20,7 @@ from rig.core.errors import DeviceFaultError, GuardError, LinkLostError, RigErro
 from rig.devices import open_device
 from rig.experiments.hit import HitRequest, hit
 from rig.recording.reader import open_recording
+from tests.conformance.tolerance import too_busy
 from tests.conformance.trials import trial_on
 from tests.guest.far_end import RATE, FarEnd
 
@@ -118,7 +117,7 @@ def _ended(run: Callable[[], Path]) -> Ended:
         ended = Ended(error, path, time.monotonic() - started)
         if path is not None or not isinstance(error, LinkLostError):
             return ended
-    pytest.skip(f"this machine is too slow to ask the device anything, {ATTEMPTS} times: {error}")
+    too_busy(f"no answer to {ATTEMPTS} requests: {error}")
 
 
 def check_ended_safely(ended: Ended, far_end: FarEnd, *kinds: type[RigError]) -> None:

@@ -13,6 +13,7 @@ import numba
 import pytest
 
 from tests.conformance.started import started
+from tests.conformance.tolerance import tolerated
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
@@ -255,6 +256,8 @@ def test_in_real_time_a_simulated_device_is_a_process(run, tmp_path):
     # On a computer that is too busy hits are invalid, or the device's watchdog ends one: the session ends and says so.
     busy = "were invalid" in err or "the host fell silent" in err or "fell silent during" in err
     assert code == 0 or busy, err
+    if code:
+        tolerated(err.strip().splitlines()[-1])
     recording = open_recording(next(tmp_path.glob("maps/*/hits/*.parquet")))
     assert recording.header["clocks"]["kind"] == "monotonic"
     assert recording.header["identity"]["url"].startswith("serial://")

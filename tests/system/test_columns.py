@@ -24,6 +24,7 @@ from sim_backend.device import SimulatedDevice
 from sim_backend.firmware import FirmwareDevice
 from sim_backend.link import MemoryLink
 from tests.conformance.firmware import need_compiler
+from tests.conformance.tolerance import too_busy
 from tests.conformance.trials import trial_on
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
@@ -81,7 +82,7 @@ def rows_of_real_time(directory: Path, run: Callable[..., Any]) -> Rows:
     run("hit", *options, "-o", directory)
     for path in directory.glob("*.parquet"):
         return np.asarray(open_recording(path).rows)
-    pytest.skip("the link was lost before the first tick: this machine has no time for a loop")
+    too_busy("the link was lost before the first tick")
 
 
 def test_any_two_columns_differ_somewhere(tmp_path: Path, run: Callable[..., Any]) -> None:

@@ -36,6 +36,7 @@ from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend.channel import Direction, FrameFault, Kind
 from tests.conformance.far_end import PORTS, FarEnd, HostProcess, Script
+from tests.conformance.tolerance import tolerated, too_busy
 from tests.conformance.trials import trial_on
 
 BOUND_S = 15.0  # of everything that a host does after a fault, on a loaded machine
@@ -124,7 +125,7 @@ def skip_unless_begun(path, error, device):
     """On a machine so busy that not even the questions before arming are answered in time nothing can be shown."""
     if not path.exists() and (error == "LinkLostError" or isinstance(error, LinkLostError)):
         assert device["peak"] == 0
-        pytest.skip(f"too busy to begin: {error}")
+        too_busy(error)
 
 
 def broken(kind, direction, frame=0):
@@ -152,6 +153,8 @@ def test_without_a_fault_it_completes_or_says_that_the_machine_was_too_busy(far_
         assert device["peak"] > 0, "it did push"
         assert device["bad_frames"] == 0
         assert run.counters["bad_frames"] == 0
+    else:
+        tolerated(run.error)
 
 
 @pytest.mark.parametrize("direction", Direction)
@@ -162,7 +165,7 @@ def test_one_bad_frame_costs_itself_and_is_counted_where_it_should_have_come(
     device = far_end(broken(kind, direction))
     run = Run(device, tmp_path).check(LinkLostError)
     if run.error is not None:
-        return  # the machine was too busy for this one
+        return tolerated(run.error)
     assert device["acted"] == 1
     if kind is not Kind.DELAY:
         counters = device if direction is Direction.TO_DEVICE else run.counters
@@ -192,6 +195,8 @@ def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end, tmp_p
     run.check(LinkLostError)
     if run.error is None:
         assert run.counters["bad_frames"] > 10
+    else:
+        tolerated(run.error)
 
 
 # ---------------------------------------------------------------------- the device

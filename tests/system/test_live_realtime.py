@@ -23,6 +23,7 @@ from rig.realtime.ring import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
 from tests.conformance.started import started
+from tests.conformance.tolerance import tolerated, too_busy
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="the loop is compiled")
 
@@ -53,7 +54,7 @@ def stepping(process: subprocess.Popen[str]) -> RunningLoop:
                 return loop
         time.sleep(0.02)
     if process.poll() in LOST:
-        pytest.skip("the link was lost before a thousand steps: this machine has no time for a loop")
+        too_busy("the link was lost before a thousand steps")
     process.kill()
     raise AssertionError(f"no loop: {process.communicate()}")
 
@@ -78,13 +79,13 @@ def test_another_terminal_changes_the_wall_and_stops_the_loop(
         try:
             done = change_wall({"stiffness": 120.0, "damping": 0.3}, process.pid, patience_s=PATIENCE_S)
             stopped = stop(process.pid, patience_s=PATIENCE_S)
-        except RigError:
+        except RigError as error:
             assert process.wait(PATIENCE_S) in LOST
-            return
+            return tolerated(error)
         out, err = process.communicate(timeout=PATIENCE_S)
         assert process.returncode in (StoppedError.exit_code, *LOST), err
         if process.returncode in LOST:
-            return
+            return tolerated(err.strip().splitlines()[-1])
         assert [one.ended for one in stopped] == [True]
         assert done.active
         assert json.loads(out)["error"]["kind"] == "StoppedError"

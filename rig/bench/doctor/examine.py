@@ -1,4 +1,4 @@
-"""One run that says what this machine and a link can do: `rig doctor` as a function."""
+"""Everything that `rig doctor` examines: machine, ports, and the link to a device, as one function."""
 
 from __future__ import annotations
 
@@ -7,45 +7,27 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from firmware_protocol.messages import MAJOR, MINOR
 from rig import config, devices
-from rig.bench.doctor.finding import Finding, Outcome
-from rig.bench.doctor.gate import Gate, Reason, gate
+from rig.bench.answers import question, refused
+from rig.bench.doctor.gate import Gate, gate
 from rig.bench.doctor.in_effect import in_effect
 from rig.bench.doctor.machine import machine_checks
-from rig.bench.doctor.ports import Port, look_at_port, ports_here
+from rig.bench.doctor.ports import Port, ports_here, serial_port
 from rig.bench.doctor.round_trip import LinkMeasurement, measure_link
-from rig.bench.doctor.walls import Supported, supported_walls
+from rig.bench.doctor.walls import Supported, supported_walls, wall_items
 from rig.config import Experiment
+from rig.core.check import Check
 from rig.core.errors import RealtimeError, RigError
+from rig.core.present import Item, Row, reported
+from rig.core.sample import unit_of
+from rig.devices.device_facts import DeviceFacts
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
 from rig.realtime.scheduling import obtained
 
 SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
 
-Told = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DeviceFacts:
-    """Who answers at a URL."""
-
-    url: str
-    device: str
-    firmware: str
-    protocol: str
-    our_protocol: str
-    simulated: bool
-    state: str
-    fault: str | None
-    position_rate_default: int
-    position_rate_maximum: int
-    messages: tuple[str, ...]  # what the link did not obtain when it was opened
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {name: getattr(self, name) for name in self.__slots__} | {"messages": list(self.messages)}
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,47 +36,51 @@ class Examination:
 
     Attributes
     ----------
-    findings
-        Of the machine, its ports, and the scheduling that was asked for.
+    checks
+        Of the machine, its ports, and the scheduling that was requested.
     ports
-        That are here.
-    device, measurement, walls, gate
-        Of the device that was asked about; None or empty without one, or as far as it got.
+        That are connected.
+    device, link, walls, gate
+        Of the device that was examined; None or empty without one, or as far as it got.
     experiment
         As it would run there.
     error
         Why the device could not be examined to the end.
     """
 
-    findings: tuple[Finding, ...]
+    checks: tuple[Check, ...]
     ports: tuple[Port, ...]
     device: DeviceFacts | None = None
-    experiment: Experiment | None = None
-    measurement: LinkMeasurement | None = None
+    experiment: Experiment | None = field(default=None, repr=False)
+    link: LinkMeasurement | None = None
     walls: tuple[Supported, ...] = ()
     gate: Gate | None = None
-    error: RigError | None = None
+    error: RigError | None = field(default=None, repr=False)
 
-    @property
-    def armable(self) -> bool:
-        """Whether nothing was found that forbids the experiment's wall; a simulated device forbids nothing."""
-        return self.gate is None or self.gate.armable or self.gate.simulated
+    @reported
+    def armable(self) -> bool | None:
+        """Whether the experiment's wall may be armed (a simulated device forbids nothing); None: not measured."""
+        return None if self.gate is None else self.gate.armable or self.gate.simulated
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-
-        def of(part: DeviceFacts | LinkMeasurement | Gate | None) -> dict[str, Any] | None:
-            return None if part is None else part.as_mapping()
-
-        return {
-            "findings": [finding.as_mapping() for finding in self.findings],
-            "ports": [port.as_mapping() for port in self.ports],
-            "device": of(self.device),
-            "link": of(self.measurement),
-            "walls": [row.as_mapping() for row in self.walls],
-            "gate": of(self.gate),
-            "armable": None if self.gate is None else self.armable,  # None: nothing was measured
-        }
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        found: list[Item] = []
+        if self.checks:
+            found += ["machine", *self.checks]
+        if self.ports:
+            found += ["ports", *(Row(port.url, port.description) for port in self.ports)]
+        if self.device is not None:
+            found += ["device", *self.device.rows()]
+        if self.link is not None:
+            found += ["link", *self.link.rows()]
+        x = self.experiment
+        if x is not None and self.walls:
+            found += wall_items(x, self.walls)
+        if x is not None and self.gate is not None:
+            stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+            wall = f"K = {x.wall.stiffness:g} {stiffness}, B = {x.wall.damping:g} {damping}"
+            found += [f"arming {x.rig.name} with {wall} at {self.gate.rate_hz:g} Hz", *self.gate.items()]
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,13 +94,13 @@ class Question:
     changes
         Keys that the user set by hand.
     url
-        Of the device; None looks at machine and ports only.
+        Of the device; with None, machine and ports only.
     realtime
         Without a URL, or with one of a simulation: measure against a simulated device that is a process of its own.
     seconds
         How long to measure.
     machine
-        Whether to look at machine and ports, too.
+        Whether to examine machine and ports, too.
     """
 
     experiment: Experiment
@@ -125,35 +111,32 @@ class Question:
     machine: bool = True
 
 
-def examine(question: Question, told: Told = lambda what, share: None) -> Examination:
-    """Look at the machine and its ports, and, with a device, measure its link and say which walls that supports.
+def examine(question: Question, on_progress: Progress = lambda what, share: None) -> Examination:
+    """Examine the machine and its ports, and, with a device, measure its link and compute the walls that it supports.
 
     Parameters
     ----------
     question
-        What to look at.
-    told
+        What to examine.
+    on_progress
         Called with what is being done and the share of it that is done, 0 … 1.
 
     Raises
     ------
     ConfigError
-        Changes that cannot be; the rest, a device that is not there included, stands in the result.
+        Changes that are not allowed. All other errors, a missing device included, are in the result.
     """
     host = config.override(question.experiment, question.changes).host
-    findings: list[Finding] = []
-    ports: list[Port] = []
+    seen = Examination(checks=(), ports=())
     if question.machine:
-        told("looking at the machine", 0.0)
-        findings += machine_checks(host)
-        ports, found = ports_here()
-        findings += found
-    seen = Examination(findings=tuple(findings), ports=tuple(ports))
+        on_progress("examining the machine", 0.0)
+        ports, problems = ports_here()
+        seen = Examination(checks=(*machine_checks(host), *problems), ports=tuple(ports))
     if question.url is None and not question.realtime:
         return seen
     try:
         with _opened(question) as device:
-            return _with_device(question, device, seen, told)
+            return _with_device(question, device, seen, on_progress)
     except RigError as error:
         return replace(seen, error=error)
 
@@ -172,47 +155,41 @@ def _opened(question: Question) -> Iterator[FramedDevice]:
         yield device
 
 
-def _with_device(question: Question, device: FramedDevice, seen: Examination, told: Told) -> Examination:
-    told("asking who is there", 0.0)
-    facts = _facts(device)
-    seen = replace(seen, device=facts)
-    findings = list(seen.findings)
-    if device.link.url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
-        findings += look_at_port(device.link.url.place)[1]
-    experiment = in_effect(question.experiment, device, question.changes)
-    refused: Reason | None = None
+def _with_device(
+    asked: Question, device: FramedDevice, seen: Examination, on_progress: Progress
+) -> Examination:
+    on_progress("identifying the device", 0.0)
+    facts, link_url = DeviceFacts.of(device), device.link.url
+    seen = replace(seen, device=facts, experiment=in_effect(asked.experiment, device, asked.changes))
+    if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
+        problems = serial_port(link_url.place)[1].problems()
+        seen = replace(seen, checks=(*seen.checks, *problems))
+    experiment = seen.experiment
+    assert experiment is not None
+    scheduling: tuple[Check, ...] = ()
 
     def shown(share: float) -> None:
-        told("measuring the link", share)
+        on_progress("measuring the link", share)
 
     try:
-        measurement = _measured(device, experiment, question.seconds, shown)
-    except RealtimeError as error:
-        findings.append(_refused_scheduling(error))
-        refused = Reason(error.message, error.remedy)
-        plain = replace(experiment, host=replace(experiment.host, realtime="off"))
         try:
-            measurement = _measured(device, plain, question.seconds, shown)
-        except RigError as lost:
-            return replace(seen, findings=tuple(findings), experiment=experiment, error=lost)
+            link = _measured(device, experiment, asked.seconds, shown)
+        except RealtimeError as error:
+            scheduling = (_not_scheduled(error),)
+            seen = replace(seen, checks=(*seen.checks, *scheduling))
+            plain = replace(experiment, host=replace(experiment.host, realtime="off"))
+            link = _measured(device, plain, asked.seconds, shown)
     except RigError as lost:
-        return replace(seen, findings=tuple(findings), experiment=experiment, error=lost)
+        return replace(seen, error=lost)
     rows = supported_walls(
         experiment,
-        measurement,
+        link,
         device.dictionary.position_rate_maximum,
-        lambda share: told("computing walls", share),
+        lambda share: on_progress("computing walls", share),
     )
-    passed = gate(experiment, measurement)
-    if refused is not None:
-        passed = replace(passed, armable=False, reasons=(*passed.reasons, refused))
+    found = gate(experiment, link)
     return replace(
-        seen,
-        findings=tuple(findings),
-        experiment=experiment,
-        measurement=measurement,
-        walls=tuple(rows),
-        gate=passed,
+        seen, link=link, walls=tuple(rows), gate=replace(found, checks=(*found.checks, *scheduling))
     )
 
 
@@ -220,36 +197,12 @@ def _measured(
     device: FramedDevice, experiment: Experiment, seconds: float, progress: Callable[[float], None]
 ) -> LinkMeasurement:
     virtual = device.link.clock.virtual
-    rate = (
-        experiment.controller.position_rate if virtual else None
-    )  # virtual time passes between questions only
+    # Virtual time passes between questions only.
+    rate = experiment.controller.position_rate if virtual else None
     with obtained(experiment.host, virtual=virtual) as realtime:
         return measure_link(device, seconds, rate, realtime=realtime, progress=progress)
 
 
-def _facts(device: FramedDevice) -> DeviceFacts:
-    dictionary = device.dictionary
-    fault = device.fault_report() if device.connection.state.name == "FAULT" else None
-    return DeviceFacts(
-        url=device.link.url.text,
-        device=dictionary.device,
-        firmware=dictionary.firmware,
-        protocol=f"{dictionary.major}.{dictionary.minor}",
-        our_protocol=f"{MAJOR}.{MINOR}",
-        simulated=dictionary.simulated,
-        state=device.connection.state.name,
-        fault=None if fault is None else f"{fault.text}; {fault.remedy}",
-        position_rate_default=dictionary.position_rate_default,
-        position_rate_maximum=dictionary.position_rate_maximum,
-        messages=tuple(device.link.messages),
-    )
-
-
-def _refused_scheduling(error: RealtimeError) -> Finding:
-    return Finding(
-        name="real-time scheduling",
-        outcome=Outcome.PROBLEM,
-        text=error.message,
-        why='host.realtime = "enforce" demands it: no run begins without',
-        command=error.remedy,
-    )
+@question("real-time scheduling", 'host.realtime = "enforce" demands it: no run begins without')
+def _not_scheduled(error: RealtimeError) -> Check:
+    return refused(error.message, error.remedy)

@@ -1,54 +1,50 @@
 """The arming gate: whether a wall may be rendered on a device, as its link was measured.
 
-Refused is, on a real device,
+On a real device it refuses
 
-* a way there and back that in 99.9 % of all cases takes more than half of a command's lifetime: the device would drop
-  the wall in the middle of a touch, again and again;
-* more questions lost than `LOST_SHARE`;
-* a wall that linear theory finds unstable at the loop's rate with the delay that was measured, in no hand or in any of
-  those that may hold it (`rig.bench.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
+* a link that in 99.9 % of all cases takes more than half of a command's lifetime there and back: the device would drop
+  the wall in the middle of a contact, again and again;
+* more lost questions than `LOST_SHARE`;
+* a wall that linear theory finds unstable at the loop's rate with the measured delay, in no hand or in any of those
+  that may hold it (`rig.bench.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
 
-A law that the device runs itself answers within the tick: what delays it is the device's own execution time, which is
-less than a tick or the device says so (missed ticks), and the amplifier's input, such as the period of a pulse width.
-Its wall is judged without delay, and what a whole tick would make of it is said. The link only has to bring a word
+A law that the device runs itself answers within the tick: its delay is the device's own execution time, which is less
+than a tick or the device reports missed ticks, and the amplifier's input, such as the period of a pulse width. Its wall
+is judged without delay, and the result with a whole tick of delay is reported. The link only has to bring a command
 within the lifetime of that loop, which is longer.
 
-Linear theory leaves out Coulomb friction, which holds walls that it calls unstable; the gate does not count on it. That
-the wall is passive is not asked, but said. A simulated device is never refused.
+Linear theory leaves out Coulomb friction, which stabilises walls that it finds unstable; the gate does not count on it.
+Passivity is reported and not required. A simulated device is never refused.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from rig.analysis.theory import k_max, passivity_bound
+from rig.analysis.theory import passivity_bound
 from rig.analysis.theory.loop import NO_OPERATOR
-from rig.bench.doctor.late_loops import LateLoops, loop_delay_ticks
+from rig.bench.answers import ok, question, refused, skipped, warning
+from rig.bench.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks, unstable_hands
 from rig.bench.doctor.round_trip import ENOUGH, LinkMeasurement, Progress, measure_link
 from rig.config import Experiment
 from rig.config.controller import command_lifetime_s, supervise_lifetime_s
 from rig.config.sections import Host
+from rig.core import check
+from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError, PlanError
+from rig.core.present import Item, Row, reported
 from rig.core.sample import unit_of
 from rig.devices.framed import FramedDevice
 from rig.realtime.scheduling import obtained
 
-LIFETIME_SHARE = 0.5  # of a command's lifetime that the way there and back may take
-LOST_SHARE = 0.001  # of the questions: a loop loses one command in a thousand and does not notice
+LIFETIME_SHARE = 0.5  # of a command's lifetime that the link may take there and back
+LOST_SHARE = 0.001  # of the questions: a loop loses one command in a thousand without effect
 SHORTEST_S, LONGEST_S = 1.0, 4.0  # of a measurement before arming; as long as bounding p99.9 takes
-SIMULATED_S = 0.5  # on a simulated device, which is told and never refused
-
-
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """Why a wall must not be armed, and what can be done about it."""
-
-    text: str
-    remedy: str
+SIMULATED_S = 0.5  # on a simulated device, which is never refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,16 +53,12 @@ class Gate:
 
     Attributes
     ----------
-    armable
-        Whether nothing speaks against it.
-    reasons
-        Everything that does.
-    notes
-        What is worth knowing beside: what is not computed or stands in, what homing and passivity say.
+    checks
+        Delay, losses, stability and what else is worth knowing; one that refuses forbids arming.
     rate_hz, delay_ticks
         Rate of the loop, and the delay that the link gives it.
     travel_s
-        Upper bound of the way there and back in 99.9 % of all cases, or the longest seen (s).
+        Upper bound of the link's time there and back in 99.9 % of all cases, or the longest one measured (s).
     lifetime_s
         Of a command (s).
     loss_share
@@ -83,9 +75,7 @@ class Gate:
         The device is a simulated one; the user arms anyway. Neither is refused.
     """
 
-    armable: bool
-    reasons: tuple[Reason, ...]
-    notes: tuple[str, ...]
+    checks: tuple[Check, ...]
     rate_hz: float
     delay_ticks: int
     travel_s: float
@@ -99,61 +89,66 @@ class Gate:
     simulated: bool
     forced: bool = False
 
+    @reported
+    def armable(self) -> bool:
+        """Whether no check refuses."""
+        return not self.refused
+
     @property
-    def remedy(self) -> str:
-        """What to do, all of it."""
-        return "; ".join(dict.fromkeys(reason.remedy for reason in self.reasons))
+    def refused(self) -> tuple[Check, ...]:
+        """The checks that refuse."""
+        return check.refused(self.checks)
 
     @property
     def text(self) -> str:
-        """All reasons."""
-        return "; ".join(reason.text for reason in self.reasons)
+        """All reasons against arming."""
+        return "; ".join(one.text for one in self.refused)
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON and for the header of a recording."""
-        return asdict(self) | {"spectral_radius": dict(self.spectral_radius), "k_max": dict(self.k_max)}
+    @property
+    def remedy(self) -> str:
+        """What to do, all of it."""
+        return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        verdict = Check("arming", Outcome.OK, "this wall may be armed")
+        if not self.armable:
+            verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")
+            if self.simulated:
+                verdict = Check(
+                    "arming", Outcome.WARNING, "a real rig would be refused; this one is simulated"
+                )
+        radius = ", ".join(f"{hand_text(hand)} {value:.4g}" for hand, value in self.spectral_radius.items())
+        rows = [Row("spectral radius", radius, note=f"delay {_ticks(self.delay_ticks)}")] if radius else []
+        return [verdict, *self.checks, *rows]
 
 
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
     """Judge one experiment on one measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
-    on_the_device = experiment.controller.loop == "device"
     delay = loop_delay_ticks(experiment, measurement, rate)
-    travel_s, lifetime_s = measurement.travel.almost_all, _lifetime_s(experiment)
-    reasons = _of_the_link(experiment, measurement)
-    notes: list[str] = []
-    if measurement.travel.p999.high is None and not measurement.virtual:
-        notes.append(
-            f"{measurement.travel.number} exchanges bound p{100 * measurement.travel.bounded:.5g} only (p99.9 needs "
-            f"{ENOUGH}): the longest one counts"
-        )
     radius: dict[str, float] = {}
     limits: dict[str, float] = {}
     passive: float | None = None
+    found = _link_checks(experiment, measurement)
     try:
         loops = LateLoops.of(experiment, delay)
         radius = loops.radius(wall.stiffness, wall.damping)
-        limits = _limits(loops, wall.damping)
-        homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)
+        (limits,) = loops.k_max([wall.damping])
         passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
     except ConfigError as error:
-        notes.append(f"stability is not computed: {error.message}")
+        found.append(_not_computed(error))
     else:
-        notes += [loops.stand_in] if loops.stand_in else []
-        notes += _on_homing(homing, delay)
-        notes.append(_on_passivity(experiment, passive))
-        notes += _on_execution(experiment) if on_the_device and not measurement.virtual else []
-    unstable = _unstable_hands(radius, wall.stiffness)
-    if unstable:
-        reasons.append(_unstable(experiment, delay, unstable, radius, limits))
+        found.append(_stability(experiment, delay, radius, limits))
+        found += _theory_checks(experiment, loops, passive)
+        if experiment.controller.loop == "device" and not measurement.virtual:
+            found.append(_execution(experiment))
     return Gate(
-        armable=not reasons,
-        reasons=tuple(reasons),
-        notes=tuple(notes),
+        checks=tuple(found),
         rate_hz=rate,
         delay_ticks=delay,
-        travel_s=travel_s,
-        lifetime_s=lifetime_s,
+        travel_s=measurement.travel_s.almost_all,
+        lifetime_s=_lifetime_s(experiment),
         loss_share=measurement.loss_share,
         stiffness=wall.stiffness,
         damping=wall.damping,
@@ -169,61 +164,31 @@ def refused_among(
 ) -> tuple[float, ...]:
     """Which of these stiffnesses `gate` refuses, at the experiment's damping; the same answer in far less time."""
     walls = tuple(stiffnesses)
-    if _of_the_link(experiment, measurement):
+    if check.refused(_link_checks(experiment, measurement)):
         return walls
     rate, damping = experiment.controller.position_rate, experiment.wall.damping
     try:
         loops = LateLoops.of(experiment, loop_delay_ticks(experiment, measurement, rate))
     except ConfigError:
         return ()
-    return tuple(k for k in walls if _unstable_hands(loops.radius(k, damping), k))
-
-
-def _of_the_link(experiment: Experiment, measurement: LinkMeasurement) -> list[Reason]:
-    """What speaks against any wall on this link."""
-    travel_s, lifetime_s = measurement.travel.almost_all, _lifetime_s(experiment)
-    reasons = []
-    if travel_s > LIFETIME_SHARE * lifetime_s:
-        ticks = measurement.delay_ticks(experiment.controller.position_rate, experiment.host.pacing)
-        reasons.append(_too_slow(travel_s, lifetime_s, ticks, experiment.controller.loop == "device"))
-    if measurement.loss_share > LOST_SHARE:
-        reasons.append(_too_many_lost(measurement))
-    return reasons
-
-
-def _lifetime_s(experiment: Experiment) -> float:
-    on_the_device = experiment.controller.loop == "device"
-    return (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
-
-
-def _limits(loops: LateLoops, damping: float) -> dict[str, float]:
-    """Largest stable stiffness for each hand."""
-    return {
-        hand: min(k_max(loop, damping=damping).stiffness for loop in of_hand)
-        for hand, of_hand in loops.by_hand.items()
-    }
-
-
-def _unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
-    # without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift
-    return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
+    return tuple(k for k in walls if unstable_hands(loops.radius(k, damping), k))
 
 
 def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
-    """Refuse a wall for a loop that runs where it would have been refused before arming.
+    """Refuse a wall for a running loop where it would have been refused before arming.
 
     Parameters
     ----------
     experiment
         With the new wall.
     armed
-        Of `Gate.as_mapping`, as the loop was armed: ``delay_ticks``, ``simulated`` and ``forced``.
+        Of the JSON of `Gate`, as the loop was armed: ``delay_ticks``, ``simulated`` and ``forced``.
 
     Raises
     ------
     PlanError
-        Linear theory finds it unstable with the delay that was measured then. A simulated device is never refused, nor
-        whoever armed anyway, nor a law of which theory does not speak.
+        Linear theory finds it unstable with the delay that was measured then. Nothing is refused on a simulated
+        device, after arming anyway, or for a law that theory does not cover.
     """
     if armed["simulated"] or armed["forced"]:
         return
@@ -233,47 +198,86 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
     except ConfigError:
         return
     radius = loops.radius(wall.stiffness, wall.damping)
-    if unstable := _unstable_hands(radius, wall.stiffness):
-        reason = _unstable(experiment, delay, unstable, radius, _limits(loops, wall.damping))
-        raise PlanError(f"this wall must not be rendered here: {reason.text}", remedy=reason.remedy)
+    if unstable_hands(radius, wall.stiffness):
+        found = _stability(experiment, delay, radius, loops.k_max([wall.damping])[0])
+        raise PlanError(f"this wall must not be rendered here: {found.text}", remedy=found.remedy)
 
 
-def _too_slow(travel_s: float, lifetime_s: float, delay: int, on_the_device: bool) -> Reason:
-    return Reason(
-        f"the way to the device and back takes up to {1e3 * travel_s:.3g} ms ({delay} ticks), more than half of a "
-        f"command's lifetime of {1e3 * lifetime_s:.3g} ms",
-        "run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or "
-        + ("lengthen controller.supervise_lifetime_s" if on_the_device else "choose a lower rate"),
+def _lifetime_s(experiment: Experiment) -> float:
+    on_the_device = experiment.controller.loop == "device"
+    return (supervise_lifetime_s if on_the_device else command_lifetime_s)(experiment)
+
+
+def _ticks(number: int) -> str:
+    return f"{number} tick{'' if number == 1 else 's'}"
+
+
+def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
+    """What holds for any wall on this link."""
+    found = [_delay(experiment, measurement), _losses(measurement)]
+    times = measurement.travel_s
+    if times.p999.high is None and not measurement.virtual:
+        found.append(_short(times.number, times.bounded))
+    return found
+
+
+@question("delay", "a command that arrives after the lifetime of the one before finds the wall dropped")
+def _delay(experiment: Experiment, measurement: LinkMeasurement) -> Check:
+    travel_s, lifetime_s = measurement.travel_s.almost_all, _lifetime_s(experiment)
+    ticks = measurement.delay_ticks(experiment.controller.position_rate, experiment.host.pacing)
+    text = f"the link takes up to {1e3 * travel_s:.3g} ms both ways ({_ticks(ticks)})"
+    limit = f"half of a command's lifetime of {1e3 * lifetime_s:.3g} ms"
+    if travel_s <= LIFETIME_SHARE * lifetime_s:
+        return ok(f"{text}, less than {limit}")
+    longer = "lengthen controller.supervise_lifetime_s"
+    other = longer if experiment.controller.loop == "device" else "choose a lower rate"
+    return refused(
+        f"{text}, more than {limit}",
+        f"run `rig doctor --url …`, which names what delays it, grant real-time scheduling, or {other}",
     )
 
 
-def _too_many_lost(measurement: LinkMeasurement) -> Reason:
-    return Reason(
-        f"{measurement.lost} of {measurement.sent} questions were lost ({100 * measurement.loss_share:.2g} %, "
-        f"{100 * LOST_SHARE:g} % are allowed)",
-        "check the cable, its length and the baud rate, and whether another program reads the port",
+@question("losses", "a lost command is one tick without a new effort")
+def _losses(measurement: LinkMeasurement) -> Check:
+    share = f"{100 * measurement.loss_share:.2g} %, allowed {100 * LOST_SHARE:g} %"
+    text = f"{measurement.lost} of {measurement.sent} questions were lost ({share})"
+    if measurement.loss_share <= LOST_SHARE:
+        return ok(text)
+    return refused(
+        text, "check the cable, its length and the baud rate, and whether another program reads the port"
     )
 
 
-def _unstable(
-    experiment: Experiment,
-    delay: int,
-    hands: list[str],
-    radius: Mapping[str, float],
-    limits: Mapping[str, float],
-) -> Reason:
+@question("measurement")
+def _short(number: int, bounded: float) -> Check:
+    return warning(
+        f"{number} answers bound p{100 * bounded:.5g} only: the longest one counts",
+        f"measure longer: bounding p99.9 needs {ENOUGH} answers",
+    )
+
+
+@question("stability")
+def _not_computed(error: ConfigError) -> Check:
+    return skipped(f"not computed: {error.message}")
+
+
+@question("stability")
+def _stability(
+    experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
+) -> Check:
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
-    worst = max(radius.values())
-    where = ", ".join("no hand" if hand == NO_OPERATOR else f"{hand} hand" for hand in hands)
-    largest = min(limits.values())
+    hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
+    what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"
+    where = f"at {experiment.controller.position_rate} Hz with {_ticks(delay)} of delay"
+    limit = f"spectral radius {max(radius.values()):.4g}; largest stable K = {largest:.4g}"
+    if not hands:
+        return ok(f"{what} is stable {where} in every hand ({limit})")
     less = (
         f"choose --stiffness below {_rounded_down(largest)}" if largest > 0.0 else "choose another --damping"
     )
-    return Reason(
-        f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g} is unstable at "
-        f"{experiment.controller.position_rate} Hz with {delay} tick{'' if delay == 1 else 's'} of delay ({where}; "
-        f"spectral radius {worst:.4g}, it holds up to K = {largest:.4g})",
-        f"{less}, or a quicker link or another rate; `rig doctor --url …` lists what holds",
+    return refused(
+        f"{what} is unstable {where} ({', '.join(map(hand_text, hands))}; {limit})",
+        f"{less}, or a faster link or another rate; `rig doctor --url …` lists the stable walls",
     )
 
 
@@ -283,35 +287,31 @@ def _rounded_down(value: float) -> str:
     return f"{math.floor(value / scale) * scale:.12g}"
 
 
-def _on_homing(radius: Mapping[str, float], delay: int) -> list[str]:
-    worst = max(radius, key=lambda hand: radius[hand])
-    if radius[worst] < 1.0:
-        return []
-    held = "no hand" if worst == NO_OPERATOR else f"a {worst} hand"
-    return [
-        f"homing would oscillate in {held} with a delay of {delay} (spectral radius {radius[worst]:.4g}), within "
-        "homing.effort"
-    ]
-
-
-def _on_execution(experiment: Experiment) -> list[str]:
-    """What a whole tick of delay would make of the wall: some two thirds of one is the device's at its highest rate."""
-    wall = experiment.wall
-    says = "the law runs on the device, within the tick"
-    late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
-    if _unstable_hands(late, wall.stiffness):
-        return [
-            f"{says}; with a whole tick of delay this wall would oscillate (spectral radius {max(late.values()):.4g})"
-        ]
-    return [f"{says}; with a whole tick of delay this wall would hold, too"]
-
-
-def _on_passivity(experiment: Experiment, passive: float) -> str:
+def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
+    """What else theory says: the stand-in for an estimator, homing, passivity."""
+    if loops.stand_in:
+        yield replace(warning(loops.stand_in), name="estimator")
+    homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)
+    worst = max(homing, key=lambda hand: homing[hand])
+    if homing[worst] >= 1.0:
+        radius = f"spectral radius {homing[worst]:.4g}"
+        text = f"homing would oscillate in {hand_text(worst)} ({radius}), within homing.effort"
+        yield replace(warning(text), name="homing")
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
-    says = "passive" if wall.stiffness <= passive else "not passive (which is not asked)"
-    return (
-        f"the wall is {says}: up to K = {max(0.0, passive):.4g} {unit} it would be, at this damping and delay"
-    )
+    kind = "passive" if wall.stiffness <= passive else "not passive, which is not required"
+    limit = f"the largest passive K at this damping and delay is {max(0.0, passive):.4g} {unit}"
+    yield replace(ok(f"the wall is {kind}: {limit}"), name="passivity")
+
+
+@question("execution")
+def _execution(experiment: Experiment) -> Check:
+    """The wall under a whole tick of delay: at its highest rate the device needs about two thirds of one."""
+    wall = experiment.wall
+    late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
+    text = "the law runs on the device, within the tick; with a whole tick of delay this wall would be"
+    if unstable_hands(late, wall.stiffness):
+        return warning(f"{text} unstable (spectral radius {max(late.values()):.4g})")
+    return ok(f"{text} stable, too")
 
 
 # By device; scheduling is a part of what was measured.
@@ -356,9 +356,9 @@ def check_armable(
     experiment
         As it is about to run.
     anyway
-        The user takes the responsibility: nothing is refused, everything is said and recorded.
+        The user takes the responsibility: nothing is refused, everything is reported and recorded.
     progress
-        Told the share of the measurement that is done.
+        Called with the share of the measurement that is done.
 
     Returns
     -------

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import time
 
-from rig.bench.doctor.finding import Finding
-from rig.bench.doctor.subject import Machine, ok, problem, warning
-from rig.realtime.scheduling import facts
+from rig.bench.answers import ok, question, refused, warning
+from rig.bench.doctor.subject import Machine
+from rig.core.check import Check
+from rig.realtime.scheduling import facts, refusals
 from rig.realtime.scheduling.facts import text_of
 
 PREEMPT_FILE = "/sys/kernel/debug/sched/preempt"
@@ -19,94 +20,86 @@ _HYPERVISORS = re.compile(
 )
 
 
-def preemption(machine: Machine) -> Finding:
+@question("kernel", "the loop waits for whatever the kernel does not interrupt")
+def preemption(machine: Machine) -> Check:
     """How the kernel lets a real-time thread interrupt what runs."""
-    name, why = "kernel", "what the kernel does not interrupt, the loop waits for"
     kind = facts.preemption(machine.root)
     if kind == "PREEMPT_RT":
-        return ok(name, "PREEMPT_RT: almost everything gives way", why)
+        return ok("PREEMPT_RT: almost everything can be interrupted")
     if kind in ("PREEMPT_DYNAMIC (none)", "PREEMPT_DYNAMIC (voluntary)"):
-        text = f"{kind}: the kernel's own work does not give way"
-        return warning(name, text, why, f"echo full | sudo tee {PREEMPT_FILE}")
+        text = f"{kind}: the kernel's own work is not interrupted"
+        return warning(text, f"echo full | sudo tee {PREEMPT_FILE}")
     if kind == "none":
-        command = "sudo apt-get install linux-image-rt-amd64"
-        return warning(
-            name, "it does not preempt its own work (on Debian, after the command: reboot)", why, command
-        )
-    return ok(
-        name, f"{kind}: most of it gives way; the longest waits are those that PREEMPT_RT would shorten", why
-    )
+        remedy = "on Debian, run, then reboot: sudo apt-get install linux-image-rt-amd64"
+        return warning("the kernel's own work is not interrupted", remedy)
+    return ok(f"{kind}: most of it can be interrupted; PREEMPT_RT would shorten the longest waits")
 
 
-def timer(machine: Machine) -> Finding:
+@question("timers", "coarse timers wake the loop at multiples of 1 to 10 ms only")
+def timer(machine: Machine) -> Check:
     """Whether timers are finer than the kernel's tick."""
-    name, why = "timers", "coarse timers wake the loop at multiples of 1 to 10 ms only"
     listed = re.search(r"\.resolution:\s*(\d+) nsecs", text_of(machine.root / "proc/timer_list"))
     resolution = int(listed[1]) if listed else round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9)
     if resolution <= COARSE_NS:
-        return ok(name, f"high resolution ({resolution} ns)", why)
-    return problem(
-        name, f"their resolution is {resolution / 1e6:g} ms (booted with highres=off or nohz=off?)", why
+        return ok(f"high resolution ({resolution} ns)")
+    return refused(
+        f"their resolution is {resolution / 1e6:g} ms",
+        "remove highres=off and nohz=off from the kernel's command line and reboot",
     )
 
 
-def clock(machine: Machine) -> Finding:
+@question(
+    "clock", "the loop reads the clock several times a tick, and a slow counter costs microseconds each time"
+)
+def clock(machine: Machine) -> Check:
     """Whether reading the clock is cheap."""
-    name, why = (
-        "clock",
-        "the loop reads the clock several times a tick; a slow counter costs microseconds each time",
-    )
     source = facts.clock_source(machine.root)
     if source not in SLOW_CLOCKS:
-        return ok(name, source or "not told", why)
+        return ok(source or "not known")
     fast = [other for other in facts.clock_sources(machine.root) if other not in SLOW_CLOCKS]
-    text = f"{source} is slow" + ("" if fast else ": the kernel found the processor's own counter not steady")
-    return warning(name, text, why, f"echo {fast[0]} | sudo tee {CLOCK_FILE}" if fast else "")
+    if fast:
+        return warning(f"{source} is slow", f"echo {fast[0]} | sudo tee {CLOCK_FILE}")
+    return warning(f"{source} is slow: the kernel found the processor's own counter not steady")
 
 
-def governor(machine: Machine) -> Finding:
+@question("frequency", "a processor that slows down between two ticks computes the next one late")
+def governor(machine: Machine) -> Check:
     """Whether processors stay at their full frequency."""
-    name, why = "frequency", "a processor that slows down between two ticks computes the next one late"
     chosen = facts.governors(machine.root)
-    others = {cpu: by for cpu, by in chosen.items() if by != "performance"}
+    others = sorted(by for by in chosen.values() if by != "performance")
     if not chosen:
-        return ok(name, "nothing here changes it", why)
+        return ok("it is fixed, or not visible on this machine")
     if not others:
-        return ok(name, f"performance on {len(chosen)} processors", why)
-    text = ", ".join(
-        f"{by} on {sum(other == by for other in others.values())}" for by in sorted(set(others.values()))
-    )
+        return ok(f"performance on {len(chosen)} processors")
+    text = ", ".join(f"{by} on {others.count(by)}" for by in dict.fromkeys(others))
     file = "/sys/devices/system/cpu/cpu*/cpufreq/scaling_governor"
-    return warning(name, f"{text} of {len(chosen)} processors", why, f"echo performance | sudo tee {file}")
+    return warning(f"{text} of {len(chosen)} processors", f"echo performance | sudo tee {file}")
 
 
-def isolation(machine: Machine) -> Finding:
+@question(refusals.PROCESSOR, "on a processor of its own the loop shares neither time nor caches")
+def isolation(machine: Machine) -> Check:
     """Whether the loop's processor is its own."""
-    name, why = "processor", "on a processor of its own the loop shares neither time nor caches"
     cpu, isolated = machine.request.cpu, sorted(facts.isolated_cpus(machine.root))
     online = sorted(facts.online_cpus(machine.root))
     if cpu is None:
-        free = f"; isolated: {', '.join(map(str, isolated))}, which host.cpu could name" if isolated else ""
-        return ok(name, f"the loop may run on any of {len(online) or 'the'} processors{free}", why)
+        free = f"; host.cpu could be an isolated one: {', '.join(map(str, isolated))}" if isolated else ""
+        return ok(f"the loop may run on any of {len(online) or 'the'} processors{free}")
     if online and cpu not in online:
-        running = ", ".join(map(str, online))
-        return problem(name, f"processor {cpu} of host.cpu is not running: this machine has {running}", why)
+        return refusals.of_processor(cpu, 0, machine.root)
     if cpu in isolated:
-        return ok(name, f"processor {cpu} is isolated", why)
-    command = (
-        f"""sudo sed -i 's/^GRUB_CMDLINE_LINUX="/&isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} /' /etc/default/grub"""
-        " && sudo update-grub"
+        return ok(f"processor {cpu} is isolated")
+    edit = f's/^GRUB_CMDLINE_LINUX="/&isolcpus={cpu} nohz_full={cpu} rcu_nocbs={cpu} /'
+    return warning(
+        f"processor {cpu} is not isolated: other programs run there too",
+        f"run, then reboot: sudo sed -i '{edit}' /etc/default/grub && sudo update-grub",
     )
-    text = f"processor {cpu} is not isolated: other programs run there too (after the command: reboot)"
-    return warning(name, text, why, command)
 
 
-def virtual_machine(machine: Machine) -> Finding:
-    """Whether there is another kernel below this one."""
-    name, why = (
-        "virtual machine",
-        "the machine below may stop this one for milliseconds, and nobody here can forbid it",
-    )
+@question(
+    "virtual machine", "its host may stop this machine for milliseconds, and nothing here can prevent that"
+)
+def virtual_machine(machine: Machine) -> Check:
+    """Whether this machine is a virtual one."""
     flags = re.search(r"^flags\s*:.*\bhypervisor\b", text_of(machine.root / "proc/cpuinfo"), re.MULTILINE)
     below = text_of(machine.root / "sys/hypervisor/type") or text_of(
         machine.root / "proc/device-tree/hypervisor/compatible"
@@ -115,5 +108,5 @@ def virtual_machine(machine: Machine) -> Finding:
         text_of(machine.root / "sys/class/dmi/id" / part) for part in ("sys_vendor", "product_name")
     )
     if flags or below or _HYPERVISORS.search(dmi):
-        return warning(name, f"this is one ({below or dmi.strip() or 'by its processor flags'})", why)
-    return ok(name, "no sign of one", why)
+        return warning(f"this machine is one ({below or dmi.strip() or 'by its processor flags'})")
+    return ok("no sign of one")

@@ -1,19 +1,19 @@
-"""Linear theory of an experiment whose commands act so many ticks late, in every hand that may hold it.
+"""Linear theory of an experiment whose commands act a number of ticks late, in every hand that may hold the handle.
 
-What theory knows of: the spring and damper of the built-in walls, estimators that are linear. For one that is not, the
-usual filtered difference at the same rates stands in, and everything computed with it says so: without damping an
-estimator plays no part at all, and with damping one that adapts has at best a little less lag than this filter, which
-was made for the same noise. Two velocity rates that take turns are looked at one by one. A law that is not a
-spring and damper is not computed.
+Theory covers the spring and damper of the built-in walls with linear estimators. For an estimator that is not linear,
+the usual filtered difference at the same rates stands in, and every result computed with it says so: without damping
+the estimator has no effect, and with damping an adaptive one has at best a little less lag than this filter, which was
+designed for the same noise. Two velocity rates that alternate are computed one by one. A law that is not a spring and
+damper is not computed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, linear_loop
+from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, k_max_curve, linear_loop
 from rig.analysis.theory.loop import NO_OPERATOR
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import Experiment
@@ -22,7 +22,7 @@ from rig.core.errors import ConfigError
 from rig.core.model import Operator
 from rig.core.operators import GRIPS
 
-LARGEST_DELAY = 40  # ticks: whatever is later than that has lost its command's lifetime long before
+LARGEST_DELAY = 40  # ticks: at a longer delay a command's lifetime has long ended
 STAND_IN = "fdm-butterworth"
 SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall is K and B, excitation aside
 
@@ -34,6 +34,11 @@ def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
     if experiment.trial.kind == "human" and GRIPS.get(own.grip) != own:
         hands["the experiment's own"] = own
     return hands
+
+
+def hand_text(name: str) -> str:
+    """``no hand``, ``relaxed hand``."""
+    return "no hand" if name == NO_OPERATOR else f"{name} hand"
 
 
 def late_by(experiment: Experiment, ticks: int) -> Experiment:
@@ -69,18 +74,18 @@ class LateLoops:
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
         """Find what is linear about an experiment.
 
-        Raises `ConfigError` for a law or a delay that theory does not speak of.
+        Raises `ConfigError` for a law or a delay that theory does not cover.
         """
         law = experiment.wall.law
         if law not in SPRING_AND_DAMPER:
             raise ConfigError(
-                f"the law {law} is no spring and damper",
-                remedy="nothing is computed for it: begin with little effort",
+                f"the law {law} is not a spring and damper",
+                remedy="its stability is not computed: begin with little effort",
             )
         if delay_ticks > LARGEST_DELAY:
             raise ConfigError(
-                f"a delay of {delay_ticks} ticks is beyond what is computed ({LARGEST_DELAY})",
-                remedy="choose a lower rate or a quicker link",
+                f"a delay of {delay_ticks} ticks is not computed (at most {LARGEST_DELAY})",
+                remedy="choose a lower rate or a faster link",
             )
         late = late_by(experiment, delay_ticks)
         schemes, reason = _linear_schemes(late)
@@ -104,6 +109,23 @@ class LateLoops:
             name: max(float(loop.radius(stiffness, damping)) for loop in loops)
             for name, loops in self.by_hand.items()
         }
+
+    def k_max(self, dampings: Sequence[float]) -> list[dict[str, float]]:
+        """Largest stable stiffness for each hand, the smaller of the rates, at each damping."""
+        curves = {
+            hand: [k_max_curve(loop, None, dampings) for loop in loops]
+            for hand, loops in self.by_hand.items()
+        }
+        return [
+            {hand: min(curve[i].stiffness for curve in of_hand) for hand, of_hand in curves.items()}
+            for i in range(len(dampings))
+        ]
+
+
+def unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
+    """Return the hands in which a wall of this stiffness is unstable, by its spectral radius in each."""
+    # Without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift.
+    return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
 
 
 def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:

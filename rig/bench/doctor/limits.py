@@ -4,68 +4,68 @@ from __future__ import annotations
 
 import errno
 
-from rig.bench.doctor.finding import Finding, Outcome
-from rig.bench.doctor.subject import Machine, ok, warning
+from rig.bench.answers import ok, question, refused, warning
+from rig.bench.doctor.subject import Machine
+from rig.core.check import Check, Outcome
 from rig.realtime.scheduling import idle, refusals
 from rig.realtime.scheduling.facts import rt_period_us, rt_runtime_us, status_kilobytes, text_of
 
 
-def priority(machine: Machine) -> Finding:
+@question(
+    refusals.PRIORITY,
+    "an ordinary thread waits behind other programs, for milliseconds when the machine is busy",
+)
+def priority(machine: Machine) -> Check:
     """Whether SCHED_FIFO is granted: limits and control group say why not, and a thread that ends at once tries it."""
-    name = "real-time priority"
-    why = "an ordinary thread waits behind other programs, for milliseconds when the machine is busy"
     wanted = machine.request.priority
     if not machine.rights.may_schedule(wanted):
-        refusal = refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root)
-        return machine.refused(name, refusal, why)
-    group = refusals.group_refusal(f"SCHED_FIFO {wanted} is refused", machine.root)
-    refused = [group] if group else machine.tried(wanted, None)[1]
-    return (
-        machine.refused(name, refused[0], why)
-        if refused
-        else ok(name, f"SCHED_FIFO {wanted} is granted", why)
-    )
+        return machine.judged(refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root))
+    group = refusals.group_refusal(wanted, machine.root)
+    found = [group] if group else machine.tried(wanted, None)[1]
+    return machine.judged(found[0]) if found else ok(f"SCHED_FIFO {wanted} is granted")
 
 
-def memory(machine: Machine) -> Finding:
+@question(refusals.MEMORY, "a page that has to be read back from a disk stops the loop for milliseconds")
+def memory(machine: Machine) -> Check:
     """Whether all of the program's memory may be locked."""
-    why = "a page that has to be read back from a disk stops the loop for milliseconds"
     if machine.rights.may_lock(status_kilobytes("VmSize", machine.root) * 1024 + refusals.ROOM):
-        return ok("locked memory", "the program may lock its memory", why)
-    return machine.refused("locked memory", refusals.of_memory(machine.rights, root=machine.root), why)
+        return ok("the program may lock its memory")
+    return machine.judged(refusals.of_memory(machine.rights, root=machine.root))
 
 
-def idle_states(machine: Machine) -> Finding:
+@question(refusals.IDLE, "waking from deep sleep takes 0.1 ms or more")
+def idle_states(machine: Machine) -> Check:
     """Whether processors can be kept from deep sleep."""
-    name, why = "idle processors", "waking from deep sleep takes 0.1 ms and more"
     device = machine.root / idle.DEVICE
     if device.exists() and machine.openable(device):
-        return ok(name, "they can be kept from deep sleep (/dev/cpu_dma_latency)", why)
+        return ok("they can be kept from deep sleep (/dev/cpu_dma_latency)")
     refusal = refusals.of_idle(errno.EACCES if device.exists() else errno.ENOENT, machine.root)
-    return machine.refused(name, refusal, why) if refusal else ok(name, "they do not sleep deeply here", why)
+    return machine.judged(refusal) if refusal else ok("they do not sleep deeply on this machine")
 
 
-def swap(machine: Machine) -> Finding:
+@question("swap", "what was moved to a disk has to be read back before the loop continues")
+def swap(machine: Machine) -> Check:
     """Whether memory may be moved to a disk."""
-    why = "what was moved to a disk has to be read back before the loop goes on"
     areas = [line.split() for line in text_of(machine.root / "proc/swaps").splitlines()[1:]]
     used = sum(int(area[3]) for area in areas if len(area) > 3 and area[3].isdecimal()) // 1024
     if not areas:
-        return ok("swap", "there is none", why)
+        return ok("there is none")
     if memory(machine).outcome == Outcome.OK:
-        return ok("swap", f"{used} MiB are in use; the loop's memory is locked and stays", why)
-    return warning("swap", f"{used} MiB are in use, and memory cannot be locked", why, "sudo swapoff -a")
+        return ok(f"{used} MiB are in use; the loop's memory is locked and stays")
+    return warning(f"{used} MiB are in use, and memory cannot be locked", "sudo swapoff -a")
 
 
-def real_time_share(machine: Machine) -> Finding:
+@question(
+    "real-time share", "the share that the kernel keeps back saves a processor from a loop that never waits"
+)
+def real_time_share(machine: Machine) -> Check:
     """Return how much of a second real-time threads may run."""
-    name, command = "real-time share", "sudo sysctl -w kernel.sched_rt_runtime_us=950000"
-    why = "the share that is kept back is what saves a processor from a loop that never waits"
+    remedy = "sudo sysctl -w kernel.sched_rt_runtime_us=950000"
     runtime, period = rt_runtime_us(machine.root), rt_period_us(machine.root) or 1_000_000
     if runtime is None:
-        return ok(name, "the kernel keeps nothing back that it tells of", why)
+        return ok("the kernel reports no limit")
     if runtime < 0:
-        return warning(name, "real-time threads may run without end", why, command)
+        return warning("real-time threads may run without end", remedy)
     if runtime == 0:
-        return machine.refused(name, refusals.Refusal("real-time threads may not run at all", command), why)
-    return ok(name, f"real-time threads may run {runtime / period:.0%} of each {period / 1e6:g} s", why)
+        return machine.judged(refused("real-time threads may not run at all", remedy))
+    return ok(f"real-time threads may run {runtime / period:.0%} of each {period / 1e6:g} s")

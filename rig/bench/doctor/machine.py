@@ -1,19 +1,16 @@
-"""Everything about this computer that decides how well the loop runs; the link is another matter."""
+"""Everything about this computer that decides how well the loop runs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from rig.bench.doctor import access, kernel, limits, wake_up
-from rig.bench.doctor.finding import Finding
 from rig.bench.doctor.subject import Machine
-from rig.bench.doctor.udev import udev_rules
 from rig.config.sections import Host
+from rig.core.check import Check
 from rig.realtime.scheduling import Request
 
-__all__ = ["CHECKS", "machine_checks", "udev_rules"]
-
-CHECKS: tuple[Callable[[Machine], Finding], ...] = (
+CHECKS: tuple[Callable[[Machine], Check], ...] = (
     limits.priority,
     limits.memory,
     limits.idle_states,
@@ -34,20 +31,20 @@ CHECKS: tuple[Callable[[Machine], Finding], ...] = (
 
 def machine_checks(
     host: Request | None = None, *, machine: Machine | None = None, seconds: float = 1.0
-) -> list[Finding]:
-    """Look at everything, and measure wake-ups.
+) -> list[Check]:
+    """Run all checks, and measure wake-ups.
 
     Parameters
     ----------
     host
-        What an experiment asks for (``experiment.host``); left out: the defaults.
+        What an experiment requests (``experiment.host``); the defaults when left out.
     machine
-        What to look at instead of this machine; it brings its own `host`.
+        What to examine instead of this machine; it brings its own `host`.
     seconds
-        How long wake-ups are measured; 0: not at all.
+        How long wake-ups are measured; not at all when 0.
     """
     machine = machine or Machine(request=host or Host())
-    findings = [check(machine) for check in CHECKS]
+    checks = [check(machine) for check in CHECKS]
     if seconds > 0:
-        findings.append(wake_up.finding_of(wake_up.measure(machine.request, seconds)))
-    return findings
+        checks.append(wake_up.judged(wake_up.measure(machine.request, seconds)))
+    return checks

@@ -1,65 +1,48 @@
-"""The ports and USB devices that are here, and what costs time or safety on them. Nothing is opened."""
+"""The ports and USB devices that are connected, and what costs time or safety on them. Nothing is opened."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-from rig.bench.doctor.finding import Finding, Outcome
+from rig.bench.answers import question, warning
+from rig.bench.doctor.udev import RIGS, udev_rules
+from rig.core.check import Check
+from rig.devices.port_facts import PortFacts
 from rig.devices.serial import available_ports, port_facts
-from rig.devices.usb import available_devices
-
-_WHY = "a port that keeps bytes back delays every command; one that others can open loses some"
+from rig.devices.usb import UsbDevice, available_devices
 
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A way to a device: the URL that opens it, what it says of itself, and all that is known of it."""
+    """A way to a device: the URL that opens it, its description, and all that is known of it."""
 
     url: str
     description: str
-    facts: dict[str, Any]
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {"url": self.url, "description": self.description, "facts": self.facts}
+    facts: PortFacts | UsbDevice
 
 
-def ports_here() -> tuple[list[Port], list[Finding]]:
-    """List serial ports and USB devices, with a finding for each thing that is wrong with one."""
-    ports: list[Port] = []
-    findings: list[Finding] = []
-    for name, description in available_ports():
-        port, found = look_at_port(name, description)
-        ports.append(port)
-        findings += found
-    ports += _usb_devices()
-    if not ports:
-        findings.append(
-            Finding(
-                name="ports",
-                outcome=Outcome.WARNING,
-                text="no serial port and no USB rig is here",
-                why="without one there is nothing to run on but the simulation",
-                command="plug the rig in, then: rig devices",
-            )
-        )
-    return ports, findings
+def ports_here() -> tuple[list[Port], list[Check]]:
+    """List serial ports and USB rigs, with a check for each thing that is wrong with one."""
+    ports = [serial_port(name, description) for name, description in available_ports()]
+    checks = [problem for _, facts in ports for problem in facts.problems()]
+    rigs = [Port(device.url, device.product, device) for device in available_devices() if device.is_rig]
+    if not ports and not rigs:
+        checks.append(_nothing_here())
+    return [*(port for port, _ in ports), *rigs], checks
 
 
-def look_at_port(name: str, description: str = "") -> tuple[Port, list[Finding]]:
-    """What is known of one serial port, and what is wrong with it."""
+def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
+    """What is known of one serial port."""
     facts = port_facts(name)
-    found = [_finding(name, sentence) for sentence in facts.problems()]
-    return Port(f"serial://{name}", description or facts.product or "", facts.as_mapping()), found
+    return Port(f"serial://{name}", description or facts.product or "", facts), facts
 
 
-def _finding(name: str, sentence: str) -> Finding:
-    """Make a finding of ``what is wrong. Mend it with: command``."""
-    text, _, command = sentence.partition(". Mend it with: ")
-    return Finding(name=name, outcome=Outcome.PROBLEM, text=text, why=_WHY, command=command)
+@question("ports", "without a rig only the simulation can be run")
+def _nothing_here() -> Check:
+    return warning("no serial port and no USB rig is connected", "plug the rig in, then run: rig devices")
 
 
-def _usb_devices() -> list[Port]:
-    rigs = [device for device in available_devices() if device.is_rig]
-    return [Port(device.url, device.product, {"path": device.path}) for device in rigs]
+def rules_for_rigs() -> str:
+    """Return the udev rules for the rigs that this package knows, and for those that are connected."""
+    connected = ((device.vid, device.pid) for device in available_devices() if device.is_rig)
+    return udev_rules((*RIGS, *connected))

@@ -1,9 +1,9 @@
 """The round trip of a link, measured: how long a question and its answer take, how many are lost, what rate it carries.
 
-The device says how long it kept a question (two of the four stamps of a clock exchange). What is left of the round trip
-is the way there and back: what a sample and the command that answers it need in a loop, and what decides its delay. A
-simulated device answers at its next tick, so its round trip is about a tick and its way a fraction of one; a board
-answers at once, and the two are the same.
+The device reports how long it kept a question (two of the four stamps of a clock exchange). The rest of the round trip
+is the link's: what a sample and the command that answers it need in a loop, and what decides its delay. A simulated
+device answers at its next tick, so its round trip is about a tick and the link's share a fraction of one; a board
+answers at once, and the two are equal.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +21,10 @@ from numpy.typing import NDArray
 from firmware_protocol import messages
 from rig.bench.doctor.ping import EXCHANGE, TALLY, PingBuffers, ping
 from rig.core.errors import LinkLostError
-from rig.core.present import plain
+from rig.core.present import Row, reported
 from rig.devices.framed import FramedDevice
 from rig.realtime.scheduling import Realtime
-from rig.recording.quantiles import Distribution, values_needed
+from rig.recording.quantiles import Distribution, Quantile, values_needed
 
 ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
 TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trial`)
@@ -54,18 +53,18 @@ class LinkMeasurement:
     asked_rate_hz
         Questions a second that were allowed at most; None for as fast as answers come.
     sent, lost, late, unsent, bad_frames
-        Questions; those without an answer in `TIMEOUT_S`; answers after that; those that the line did not take; frames
-        that were broken.
-    round_trip
+        Questions; those without an answer in `TIMEOUT_S`; answers after that; those that the line did not take; bad
+        frames.
+    round_trip_s
         From the question to its answer (s).
-    travel
-        The same without the time that the device kept the question (s): there and back.
+    travel_s
+        The same without the time that the device kept the question (s): the link alone.
     stamps_trusted
-        Whether the device's stamps make sense; if not, `travel` is the whole round trip.
-    bytes_to_device, bytes_to_host
-        Bytes a second that moved, frames sent unasked included.
-    capacity
-        Bytes a second that the link can carry each way, or None.
+        Whether the device's stamps are possible; if not, `travel_s` is the whole round trip.
+    bytes_to_device_per_s, bytes_to_host_per_s
+        Bytes that moved, frames that the device sent on its own included.
+    capacity_bytes_per_s
+        What the link can carry each way, or None.
     states
         STATE frames that came meanwhile.
     exchanges
@@ -82,24 +81,24 @@ class LinkMeasurement:
     late: int
     unsent: int
     bad_frames: int
-    round_trip: Distribution
-    travel: Distribution
+    round_trip_s: Distribution
+    travel_s: Distribution
     stamps_trusted: bool
-    bytes_to_device: float
-    bytes_to_host: float
-    capacity: float | None
+    bytes_to_device_per_s: float
+    bytes_to_host_per_s: float
+    capacity_bytes_per_s: float | None
     states: int
-    exchanges: NDArray[np.int64]
+    exchanges: NDArray[np.int64] = field(repr=False)
 
-    @property
+    @reported
     def loss_share(self) -> float:
         """Share of the questions that got no answer in time."""
         return self.lost / self.sent
 
-    @property
+    @reported
     def loop_rate_hz(self) -> float:
         """Highest rate at which 99.9 % of the commands are there within one period (Hz); infinite in virtual time."""
-        return 1.0 / self.travel.almost_all if self.travel.almost_all > 0.0 else math.inf
+        return 1.0 / self.travel_s.almost_all if self.travel_s.almost_all > 0.0 else math.inf
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
         """Ticks from a sample to its command at a rate (Hz), in 99.9 % of all cases: one at least in real time.
@@ -109,31 +108,41 @@ class LinkMeasurement:
         """
         if self.virtual:
             return 0
-        return max(1, math.ceil(self.travel.almost_all * rate)) + (1 if pacing == "host" else 0)
+        return max(1, math.ceil(self.travel_s.almost_all * rate)) + (1 if pacing == "host" else 0)
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON; without the single exchanges."""
-        return {
-            "url": self.url,
-            "virtual": self.virtual,
-            "simulated": self.simulated,
-            "duration_s": self.duration_s,
-            "asked_rate_hz": self.asked_rate_hz,
-            "sent": self.sent,
-            "lost": self.lost,
-            "late": self.late,
-            "unsent": self.unsent,
-            "bad_frames": self.bad_frames,
-            "loss_share": self.loss_share,
-            "round_trip_s": plain(self.round_trip),
-            "travel_s": plain(self.travel),
-            "stamps_trusted": self.stamps_trusted,
-            "loop_rate_hz": self.loop_rate_hz if math.isfinite(self.loop_rate_hz) else None,
-            "bytes_to_device_per_s": self.bytes_to_device,
-            "bytes_to_host_per_s": self.bytes_to_host,
-            "capacity_bytes_per_s": self.capacity,
-            "states": self.states,
-        }
+    def rows(self) -> list[Row]:
+        """Return it for people."""
+        asked = "as fast as it answers" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
+        known = (
+            _times(self.travel_s)
+            if self.stamps_trusted
+            else "not known: the device's time stamps are invalid"
+        )
+        carries = (
+            "" if self.capacity_bytes_per_s is None else f"of {self.capacity_bytes_per_s / 1e3:.1f} kB/s"
+        )
+        there, back = self.bytes_to_device_per_s / 1e3, self.bytes_to_host_per_s / 1e3
+        lost = f"{100 * self.loss_share:.2g} %; {self.late} late, {self.unsent} not sent, {self.bad_frames} bad frames"
+        rate = f"{self.loop_rate_hz:.0f} Hz with one tick of delay for 99.9 % of the commands"
+        return [
+            Row("questions", self.sent, note=f"in {self.duration_s:.1f} s, {asked}"),
+            Row("round trip", _times(self.round_trip_s)),
+            Row("of it the link", known),
+            *([] if self.virtual else [Row("loop rate", f"up to {rate}")]),
+            Row("lost", self.lost, note=lost),
+            Row("bytes", f"{there:.1f} kB/s to the device, {back:.1f} kB/s to the host", note=carries),
+        ]
+
+
+def _times(times: Distribution) -> str:
+    """Quantiles with their bounds, and the longest (ms)."""
+    named = (("p50", times.p50), ("p99", times.p99), ("p99.9", times.p999))
+    return f"{', '.join(f'{name} {_time(q)}' for name, q in named)}, longest {1e3 * times.maximum:.3g} ms"
+
+
+def _time(quantile: Quantile) -> str:
+    low, high = ("?" if bound is None else f"{1e3 * bound:.3g}" for bound in (quantile.low, quantile.high))
+    return f"{1e3 * quantile.value:.3g} ms ({low} … {high})"
 
 
 def measure_link(
@@ -157,7 +166,7 @@ def measure_link(
     realtime
         Scheduling for the thread that asks, as the loop would have it (`rig.realtime.scheduling.obtained`).
     progress
-        Told the share that is done, 0 … 1, some times a second.
+        Called with the share that is done, 0 … 1, some times a second.
 
     Raises
     ------
@@ -172,7 +181,7 @@ def measure_link(
 
 
 class _Run:
-    """Buffers, the thread, and what came of it."""
+    """Buffers, the thread, and the result."""
 
     def __init__(self, device: FramedDevice, seconds: float, rate: float | None) -> None:
         self._device = device
@@ -193,7 +202,7 @@ class _Run:
         self._error: BaseException | None = None
 
     def warm_up(self) -> None:
-        """Some exchanges that do not count."""
+        """Make some exchanges that do not count."""
         few = np.zeros((WARM_UP, len(EXCHANGE)), np.int64)
         self._ping(few, self._clock.now_ns() + round(4 * TIMEOUT_S * 1e9))
         kept = (
@@ -258,7 +267,7 @@ class _Run:
             ) from failure
 
     def _give_back(self) -> None:
-        """Tell the connection where the stream of STATE stands, so that what passed here counts as no loss."""
+        """Give the connection the place in the stream of STATE, so that frames read here are not counted as lost."""
         connection, newest = self._device.connection, int(self._tally[TALLY.state_sequence])
         if newest >= 0:
             self._device.take_back(
@@ -269,7 +278,7 @@ class _Run:
             )
 
     def measured(self, simulated: bool, time_unit_ns: float) -> LinkMeasurement:
-        """Make numbers of the exchanges."""
+        """Compute the result."""
         tally = dict(zip(TALLY._fields, self._tally.tolist(), strict=True))
         if not tally["answered"]:
             raise LinkLostError(
@@ -296,12 +305,12 @@ class _Run:
             late=tally["late"],
             unsent=tally["unsent"],
             bad_frames=tally["bad_frames"],
-            round_trip=Distribution.of(whole_ns * 1e-9),
-            travel=Distribution.of(travel_ns * 1e-9),
+            round_trip_s=Distribution.of(whole_ns * 1e-9),
+            travel_s=Distribution.of(travel_ns * 1e-9),
             stamps_trusted=trusted,
-            bytes_to_device=tally["bytes_out"] / duration_s,
-            bytes_to_host=tally["bytes_in"] / duration_s,
-            capacity=self._device.link.bytes_per_second,
+            bytes_to_device_per_s=tally["bytes_out"] / duration_s,
+            bytes_to_host_per_s=tally["bytes_in"] / duration_s,
+            capacity_bytes_per_s=self._device.link.bytes_per_second,
             states=tally["states"],
             exchanges=exchanges,
         )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from rig.bench.doctor.finding import Finding, Outcome
+from rig.bench.answers import ok, question, warning
+from rig.core.check import Check
 from rig.realtime.kernel import kernel
 from rig.realtime.scheduling import Request, ThreadState, obtained
 from rig.realtime.system import monotonic_now, sleep_until
@@ -50,7 +51,7 @@ class WakeUps:
 
 @dataclass(frozen=True, slots=True)
 class _Trying:
-    """The same request, but content with what is granted."""
+    """The same request, satisfied with what is granted."""
 
     priority: int
     cpu: int | None
@@ -87,25 +88,15 @@ def measure(request: Request, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> W
     )
 
 
-def finding_of(woken: WakeUps) -> Finding:
-    """Say what was measured."""
+@question("wake-ups", "the time that waking takes is missing from each period, and varies from tick to tick")
+def judged(woken: WakeUps) -> Check:
+    """Judge a measurement."""
     thread = woken.thread
     policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
-    micro = [f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s)]
-    text = f"{woken.count} at {woken.rate_hz / 1000:g} kHz as {policy}: half within {micro[0]}, 99 % within {micro[1]}"
-    text += f", worst {micro[2]}" + (f"; {woken.skipped} periods slept through" if woken.skipped else "")
+    p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))
+    text = f"{woken.count} at {woken.rate_hz / 1000:g} kHz as {policy}: 50 % within {p50}, 99 % within {p99}"
+    text += f", longest {worst}" + (f"; {woken.skipped} periods missed" if woken.skipped else "")
     text += "".join(f"; {refusal}" for refusal in woken.refusals)
-    return Finding(
-        name="wake-ups",
-        outcome=Outcome.WARNING if woken.p99_s > LATE_S or woken.skipped else Outcome.OK,
-        text=text,
-        why="what waking takes is missing from each period, and varies from tick to tick",
-        numbers={
-            "count": woken.count,
-            "rate_hz": woken.rate_hz,
-            "p50_s": woken.p50_s,
-            "p99_s": woken.p99_s,
-            "worst_s": woken.worst_s,
-            "skipped": woken.skipped,
-        },
-    )
+    found = warning(text) if woken.p99_s > LATE_S or woken.skipped else ok(text)
+    names = ("count", "rate_hz", "p50_s", "p99_s", "worst_s", "skipped")
+    return replace(found, numbers={name: getattr(woken, name) for name in names})

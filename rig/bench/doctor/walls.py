@@ -1,32 +1,32 @@
 """Which walls a measured link supports: the largest stable stiffness at some dampings and rates, in every hand.
 
-The rates: what the device does at most, what the link carries, what the round trip allows with one tick of delay, and
-the experiment's. At each the delay in ticks follows from the measured way there and back, and linear theory says what
-holds (`rig.analysis.theory`, `rig.bench.doctor.late_loops`), uniform and dual-rate, with the experiment's estimator.
+The rates: the device's highest, what the link carries, what it allows with one tick of delay, and the experiment's. At
+each the delay in ticks follows from the measured link, and the stiffness from linear theory
+(`rig.bench.doctor.late_loops`), uniform and dual-rate, with the experiment's estimator.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 from firmware_protocol import messages
 from firmware_protocol.packing import encoded_bytes
-from rig.analysis.theory import k_max_curve
-from rig.bench.doctor.late_loops import LateLoops, loop_delay_ticks
+from rig.bench.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.core.present import Item, Table
+from rig.core.sample import unit_of
 
 DIVIDER = 10  # position samples for one of velocity, where the experiment is uniform
 LOWEST_HZ, HIGHEST_HZ = 100, 200_000
-LINK_SHARE = 0.7  # of a link's capacity that a loop may use, as in `rig.experiments.plan`
-STATE_BYTES = encoded_bytes(messages.State)  # of a loop's larger frame, on the wire
+LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and retries
+STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 
-Told = Callable[[float], None]
+Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,24 +37,38 @@ class Rate:
     because: str
 
 
+@dataclass(frozen=True, slots=True)
+class Largest:
+    """At one damping: by hand, the largest stable stiffness."""
+
+    damping: float
+    by_hand: Mapping[str, float]
+
+    @property
+    def least(self) -> tuple[str, float]:
+        """Hand in which it is smallest, and its value there."""
+        hand = min(self.by_hand, key=lambda name: self.by_hand[name])
+        return hand, self.by_hand[hand]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supported:
-    """One row: what holds under one scheme.
+    """One row: the stable walls under one scheme.
 
     Attributes
     ----------
     because
         Why this rate.
     scheme, label
-        Text form, and what a table calls it.
+        Text form, and its name in a table.
     position_rate, velocity_rate
         Of the scheme (Hz).
     delay_ticks
         That the link gives at this rate.
     k_max
-        Damping and, by hand, the largest stable stiffness there.
+        At each damping.
     reason
-        Why there is nothing, or what stands in; else empty.
+        Why there is nothing, or what stands in for the estimator; else empty.
     """
 
     because: str
@@ -63,27 +77,35 @@ class Supported:
     position_rate: int
     velocity_rate: int
     delay_ticks: int
-    k_max: tuple[tuple[float, Mapping[str, float]], ...]
+    k_max: tuple[Largest, ...]
     reason: str = ""
 
-    def least(self, number: int) -> tuple[str, float]:
-        """Hand in which the least stiffness holds at the damping of this number, and that stiffness."""
-        by_hand = self.k_max[number][1]
-        hand = min(by_hand, key=lambda name: by_hand[name])
-        return hand, by_hand[hand]
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        rows = [{"damping": damping, "by_hand": dict(by_hand)} for damping, by_hand in self.k_max]
-        return asdict(self) | {"k_max": rows}
+def wall_items(experiment: Experiment, rows: Sequence[Supported]) -> list[Item]:
+    """Return the table for people, with the reasons below it."""
+    motion = experiment.rig.motion
+    dampings = dampings_of(experiment)
+    units = unit_of("stiffness", motion), unit_of("damping", motion)
+    table = Table(
+        ["scheme", "rate is", "delay (ticks)", *(f"B = {b:g}" for b in dampings)],
+        [[row.label, row.because, row.delay_ticks, *_cells(row, len(dampings))] for row in rows],
+        f"walls: largest stable K ({units[0]}) in the hand where it is smallest, by damping B ({units[1]})",
+        words=2,
+    )
+    return [table, *(f"  {reason}" for reason in dict.fromkeys(row.reason for row in rows if row.reason))]
+
+
+def _cells(row: Supported, columns: int) -> list[str]:
+    found = [largest.least for largest in row.k_max]
+    return [f"{value:.4g} ({hand_text(hand)})" for hand, value in found] or ["–"] * columns
 
 
 def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int) -> list[Rate]:
     """Return the rates worth looking at, the slowest first, each once."""
     found = [Rate(experiment.controller.position_rate, "the experiment's")]
     fastest, on_the_device = rate_maximum, experiment.controller.loop == "device"
-    if measurement.capacity is not None and not on_the_device:
-        carried = int(LINK_SHARE * measurement.capacity // STATE_BYTES)
+    if measurement.capacity_bytes_per_s is not None and not on_the_device:
+        carried = int(LINK_SHARE * measurement.capacity_bytes_per_s // STATE_BYTES)
         if carried < rate_maximum:
             found.append(Rate(_round(carried), "what the link carries"))
             fastest = carried
@@ -110,7 +132,7 @@ def supported_walls(
     experiment: Experiment,
     measurement: LinkMeasurement,
     rate_maximum: int,
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> list[Supported]:
     """Compute the table.
 
@@ -123,7 +145,7 @@ def supported_walls(
     rate_maximum
         Of the device (Hz).
     progress
-        Told the share that is done.
+        Called with the share that is done.
     """
     rates = candidate_rates(experiment, measurement, rate_maximum)
     wanted = [(rate, scheme) for rate in rates for scheme in _schemes(experiment, rate.hertz)]
@@ -152,19 +174,12 @@ def _schemes(experiment: Experiment, rate: int) -> list[Scheme]:
 def _row(experiment: Experiment, scheme: Scheme, because: str, delay: int) -> Supported:
     dampings = dampings_of(experiment)
     label, reason = scheme.text, ""
-    k_max: tuple[tuple[float, Mapping[str, float]], ...] = ()
+    k_max: tuple[Largest, ...] = ()
     try:
         label = scheme.label(experiment)
         loops = LateLoops.of(scheme.applied(experiment), delay)
         reason = loops.stand_in
-        curves = {
-            hand: [k_max_curve(loop, None, dampings) for loop in of_hand]
-            for hand, of_hand in loops.by_hand.items()
-        }
-        k_max = tuple(
-            (b, {hand: min(curve[i].stiffness for curve in of_hand) for hand, of_hand in curves.items()})
-            for i, b in enumerate(dampings)
-        )
+        k_max = tuple(map(Largest, dampings, loops.k_max(dampings)))
     except ConfigError as error:
         reason = error.message
     return Supported(

@@ -15,6 +15,7 @@ from typing import Any
 
 import firmware_protocol
 from rig.core.errors import ConfigError
+from rig.core.present import Item, Row
 
 FIRMWARE = Path(firmware_protocol.__file__).with_name("firmware")
 BOARDS = FIRMWARE / "boards"
@@ -101,6 +102,14 @@ class Board:
     drive: str
     settings: Mapping[str, Setting]
     reserved_pins: Mapping[int, str]
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        named = [
+            Row(f"{name} = {one.default}", f"{one.meaning}{f' ({one.unit})' if one.unit else ''}")
+            for name, one in self.settings.items()
+        ]
+        return [f"{self.name}: {self.description}, up to {self.rate_maximum / 1e3:g} kHz", *named]
 
     def sources(self, application: str) -> tuple[Path, ...]:
         """C and assembler files of one of its programs: those of the port by name, then the program's own."""

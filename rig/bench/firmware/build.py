@@ -12,7 +12,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from rig.bench.firmware.toolchain import Compiler, find_compiler
 from rig.bench.firmware.uf2 import write_uf2
 from rig.core.errors import ConfigError, RecordingError, ToolchainError
 from rig.core.model import RigModel
+from rig.core.present import Row, plain
 
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror")
 # Floats must round as on the host: no contraction, no reassociation.
@@ -47,7 +48,7 @@ LINK = (
 SHARED = ("core", "law")  # directories whose C files belong to every image
 DEVICE = "device"  # the program that is the firmware
 
-Told = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,21 +113,31 @@ class BuildResult:
     ram_room: int
     sha256: str
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return it for JSON."""
-        return {
-            name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()
-        }
+    def rows(self) -> list[Row]:
+        """Return it for people."""
+        return [
+            Row("firmware", self.firmware),
+            Row("rig", self.rig),
+            Row("protocol", self.protocol, note=f"dictionary {self.dictionary_hash}"),
+            Row("flash", self.flash_bytes, "bytes", _share(self.flash_bytes, self.flash_room)),
+            Row("memory", self.ram_bytes, "bytes", _share(self.ram_bytes, self.ram_room)),
+            Row("compiler", self.compiler),
+            *(Row(name, value) for name, value in self.settings.items()),
+        ]
 
 
-def build(request: BuildRequest, told: Told = lambda _what, _share: None) -> BuildResult:
+def _share(taken: int, room: int) -> str:
+    return f"{100 * taken / room:.3g} % of {room // 1024} KiB"
+
+
+def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: None) -> BuildResult:
     """Build an image.
 
     Parameters
     ----------
     request
         What to build.
-    told
+    on_progress
         Called with what is being done and the share of the work that is done.
 
     Raises
@@ -150,7 +161,7 @@ def build(request: BuildRequest, told: Told = lambda _what, _share: None) -> Bui
     sources = (*shared_sources(), *board.sources(request.application))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with tempfile.TemporaryDirectory(prefix="haptic-rig-") as scratch:
-        content = _compiled(compiler, board, sources, config, Path(scratch), told)
+        content = _compiled(compiler, board, sources, config, Path(scratch), on_progress)
     segments = read_segments(content, "the new program")
     return _written(request, board, compiler, config, content, segments)
 
@@ -184,11 +195,14 @@ def _compiled(
     sources: tuple[Path, ...],
     config: BoardConfig,
     scratch: Path,
-    told: Told,
+    on_progress: Progress,
 ) -> bytes:
     """Return the program. Everything is named relative to the scratch directory, so that no path gets into it."""
     tree = scratch / "firmware"
-    tree.symlink_to(FIRMWARE, target_is_directory=True) if os.name == "posix" else _copied(FIRMWARE, tree)
+    if os.name == "posix":
+        tree.symlink_to(FIRMWARE, target_is_directory=True)
+    else:
+        shutil.copytree(FIRMWARE, tree)
     (scratch / "board_config.h").write_text(config.header, encoding="utf-8")
     (scratch / "board_config.c").write_text(config.source, encoding="utf-8")
     names = [f"firmware/{path.relative_to(FIRMWARE).as_posix()}" for path in sources] + ["board_config.c"]
@@ -201,22 +215,18 @@ def _compiled(
     def compile_one(number: int) -> None:
         compiler.run([*common, "-c", names[number], "-o", objects[number]], scratch)
         done.append(number)
-        told("compiling", len(done) / (len(names) + 1))
+        on_progress("compiling", len(done) / (len(names) + 1))
 
     done: list[int] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for _ in pool.map(compile_one, range(len(names))):
             pass
-    told("linking", len(names) / (len(names) + 1))
+    on_progress("linking", len(names) / (len(names) + 1))
     script = ["-T", f"{here}/{board.linker_script}"]
     flags = [*board.processor, "-mthumb", *board.compile, *LINK, f"-L{here}", *board.link]
     compiler.run([*flags, *script, "-o", "program.elf", *objects, "-lm"], scratch)
-    told("linking", 1.0)
+    on_progress("linking", 1.0)
     return (scratch / "program.elf").read_bytes()
-
-
-def _copied(source: Path, target: Path) -> None:
-    shutil.copytree(source, target)
 
 
 def _written(
@@ -253,17 +263,15 @@ def _written(
         ram_room=board.ram.bytes,
         sha256=hashlib.sha256(image).hexdigest(),
     )
-    said = {
-        name: value
-        for name, value in result.as_mapping().items()
-        if name not in ("elf", "bin", "uf2", "facts")
+    facts = {
+        name: value for name, value in plain(result).items() if name not in ("elf", "bin", "uf2", "facts")
     }
     try:
         paths["elf"].write_bytes(content)
         paths["bin"].write_bytes(image)
         if board.uf2_family is not None:
             paths["uf2"].write_bytes(write_uf2(pieces, board.uf2_family))
-        paths["json"].write_text(json.dumps(said, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        paths["json"].write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise _not_written(request.output, error) from None
     return result

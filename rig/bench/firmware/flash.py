@@ -29,7 +29,7 @@ _LOOK_S = 0.05
 _CHUNK = 64 * 1024
 HOLD = "hold BOOTSEL while the board is plugged in, wait for its drive to appear, and start the command again"
 
-Told = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,9 @@ class FlashResult:
     bytes: int
 
 
-def flash(image: Path, drive: Path | None = None, told: Told = lambda _what, _share: None) -> FlashResult:
+def flash(
+    image: Path, drive: Path | None = None, on_progress: Progress = lambda _what, _share: None
+) -> FlashResult:
     """Copy an image to a board's drive, and wait until the board has taken it and started it.
 
     Parameters
@@ -63,7 +65,7 @@ def flash(image: Path, drive: Path | None = None, told: Told = lambda _what, _sh
         A UF2 of `rig.bench.firmware.build`.
     drive
         Where the boot ROM's drive is; None finds it.
-    told
+    on_progress
         Called with what is being done and the share of it that is done.
 
     Raises
@@ -79,8 +81,8 @@ def flash(image: Path, drive: Path | None = None, told: Told = lambda _what, _sh
     target = _only(find_drives()) if drive is None else drive_at(drive)
     _check_family(image, content, target)
     _check_board(image, record, target)
-    _copy(content, target, image.name, told)
-    _wait_until_gone(target, told)
+    _copy(content, target, image.name, on_progress)
+    _wait_until_gone(target, on_progress)
     return FlashResult(
         image=image,
         drive=target.path,
@@ -193,14 +195,14 @@ def _check_board(image: Path, record: Record, drive: Drive) -> None:
         )
 
 
-def _copy(content: bytes, drive: Drive, name: str, told: Told) -> None:
+def _copy(content: bytes, drive: Drive, name: str, on_progress: Progress) -> None:
     """Write the file; the board may vanish once it has every byte, before the system is done: that is success."""
     at = 0
     try:
         with (drive.path / name).open("wb", buffering=0) as file:
             while at < len(content):
                 at += file.write(content[at : at + _CHUNK])
-                told("writing", at / len(content))
+                on_progress("writing", at / len(content))
             with suppress(OSError):
                 os.fsync(file.fileno())
     except OSError as error:
@@ -226,7 +228,7 @@ def _is_there(drive: Drive) -> bool:
         return False
 
 
-def _wait_until_gone(drive: Drive, told: Told) -> None:
+def _wait_until_gone(drive: Drive, on_progress: Progress) -> None:
     """Wait for the board to restart: nothing else says that it has taken the image."""
     deadline = time.monotonic() + VANISH_S
     while _is_there(drive):
@@ -236,5 +238,5 @@ def _wait_until_gone(drive: Drive, told: Told) -> None:
                 f"the board at {drive.path} did not take the image: its drive is still there after {VANISH_S:g} s",
                 remedy="unplug the board, hold BOOTSEL while plugging it in, and flash again",
             )
-        told("waiting for the board to start", 1.0 - left / VANISH_S)
+        on_progress("waiting for the board to start", 1.0 - left / VANISH_S)
         time.sleep(_LOOK_S)

@@ -1,23 +1,27 @@
-"""What an image or a connected device says of itself, and whether this package can speak to it."""
+"""What an image or a connected device is, and whether this package can run it."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from firmware_protocol.dictionary import Dictionary, ParameterInfo
 from firmware_protocol.messages import MAJOR, MINOR
 from firmware_protocol.parameter import Parameter
 from firmware_protocol.parameters import PARAMETERS
 from rig.bench.firmware.flash import read_image
+from rig.bench.firmware.record import ImageFacts
+from rig.core.check import Check, Outcome, refused
+from rig.core.present import Item, Row, reported
 from rig.devices import open_device
+from rig.devices.device_facts import FirmwareFacts, stated
 
-LAWS = {0: "none: the law runs on the host", 1: "in integers", 2: "in integers and in float32"}
+FLASH = "flash the firmware of this package"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FirmwareInfo:
+@dataclass(frozen=True, kw_only=True)
+class FirmwareInfo(FirmwareFacts):
     """What is known of a firmware.
 
     Attributes
@@ -25,41 +29,30 @@ class FirmwareInfo:
     source
         The file or the device's URL.
     facts
-        What its build knew (`rig.bench.firmware.record.ImageFacts`); None of a connected device, which does not tell.
-    law
-        Laws that it runs itself: highest value of parameter ``law``.
-    problems
-        Why this package cannot run it as it is; empty when it can.
-    notes
-        What differs without harm.
+        What its build knew; None of a connected device, which does not report them.
+    checks
+        What differs from this package; one that refuses keeps this package from running it.
     """
 
     source: str
-    device: str
-    firmware: str
-    simulated: bool
-    protocol: str
-    dictionary_hash: str
-    position_rate_default: int
-    position_rate_maximum: int
-    current_quantum_a: float
-    law: int
-    facts: dict[str, Any] | None
-    problems: tuple[str, ...]
-    notes: tuple[str, ...]
+    facts: ImageFacts | None
+    checks: tuple[Check, ...]
 
-    @property
+    @reported
     def compatible(self) -> bool:
         """Whether this package can run it."""
-        return not self.problems
+        return not refused(self.checks)
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return it for JSON."""
-        return {**asdict(self), "compatible": self.compatible}
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        board = [Row("board", self.facts.board)] if self.facts else []
+        settings = self.facts.settings if self.facts else {}
+        named = [Row(name, value) for name, value in settings.items()]
+        return [*board, *self.rows(), *named, Row("compatible", self.compatible), *self.checks]
 
 
 def info(source: str) -> FirmwareInfo:
-    """Look at an image (a file) or ask a device (a URL).
+    """Read an image (a file) or ask a device (a URL).
 
     Raises
     ------
@@ -70,63 +63,44 @@ def info(source: str) -> FirmwareInfo:
     """
     if "://" not in source:
         record = read_image(Path(source))[1]
-        return about(source, record.dictionary, record.dictionary_hash, asdict(record.facts))
+        return about(source, record.dictionary, record.dictionary_hash, record.facts)
     with open_device(source) as device:
         return about(source, device.dictionary, device.dictionary_hash, None)
 
 
-def about(source: str, dictionary: Dictionary, hash_: int, facts: dict[str, Any] | None) -> FirmwareInfo:
-    """Judge what a dictionary says against this package."""
-    problems, notes = compatibility(dictionary)
-    law = dictionary.parameter("law")
-    return FirmwareInfo(
-        source=source,
-        device=dictionary.device,
-        firmware=dictionary.firmware,
-        simulated=dictionary.simulated,
-        protocol=f"{dictionary.major}.{dictionary.minor}",
-        dictionary_hash=f"{hash_:016x}",
-        position_rate_default=dictionary.position_rate_default,
-        position_rate_maximum=dictionary.position_rate_maximum,
-        current_quantum_a=dictionary.current_quantum_a,
-        law=0 if law is None else int(law.maximum),
-        facts=facts,
-        problems=tuple(problems),
-        notes=tuple(notes),
-    )
+def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | None) -> FirmwareInfo:
+    """Compare a dictionary with this package."""
+    checks = tuple(compatibility(dictionary))
+    return FirmwareInfo(**stated(dictionary, hash_), source=source, facts=facts, checks=checks)
 
 
-def compatibility(dictionary: Dictionary) -> tuple[list[str], list[str]]:
-    """Say why this package cannot run a firmware, and what else differs."""
-    problems, notes = [], []
+def compatibility(dictionary: Dictionary) -> Iterator[Check]:
+    """Why this package cannot run a firmware, and what else differs; nothing where all is equal."""
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
+    versions = f"it speaks protocol {theirs}, this package {ours}"
     if dictionary.major != MAJOR:
-        problems.append(
-            f"it speaks protocol {theirs}, this package {ours}: flash the firmware of this package"
-        )
+        yield Check("protocol", Outcome.REFUSED, versions, FLASH)
     elif dictionary.minor != MINOR:
-        notes.append(
-            f"it speaks protocol {theirs}, this package {ours}: what only one of them knows stays unused"
-        )
+        text = f"{versions}: what only one of them knows stays unused"
+        yield Check("protocol", Outcome.WARNING, text, FLASH)
     known = {info.id: info for info in dictionary.parameters}
     for parameter in PARAMETERS:
-        mismatch = _mismatch(parameter, known.pop(parameter.id, None))
-        if mismatch:
-            problems.append(mismatch)
+        if mismatch := _mismatch(parameter, known.pop(parameter.id, None)):
+            yield Check("parameters", Outcome.REFUSED, mismatch, FLASH)
     if known:
-        notes.append(
+        text = (
             f"it has {len(known)} parameters that this package does not know: {_listed(list(known.values()))}"
         )
-    return problems, notes
+        yield Check("parameters", Outcome.WARNING, text)
 
 
 def _mismatch(ours: Parameter, theirs: ParameterInfo | None) -> str:
     if theirs is None:
-        return f"it does not know parameter {ours.id}, {ours.name}: flash the firmware of this package"
+        return f"it does not know parameter {ours.id}, {ours.name}"
     if (theirs.name, theirs.ctype, theirs.unit) != (ours.name, ours.ctype, ours.unit):
         return (
             f"its parameter {ours.id} is {theirs.name} ({theirs.ctype} {theirs.unit}), here it is {ours.name} "
-            f"({ours.ctype} {ours.unit}): flash the firmware of this package"
+            f"({ours.ctype} {ours.unit})"
         )
     return ""
 

@@ -1,14 +1,14 @@
 """A device tests itself and its link; nothing moves.
 
-Everything goes over the link that a loop would use. Each check has a name, an outcome and a remedy; one that fails
-does not keep the others from running. Only without an answer to the first question there is nobody to ask.
+Everything goes over the link that a loop would use. A check that fails does not keep the others from running; only when
+the first question has no answer there is nothing to test.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from firmware_protocol import messages as m
@@ -17,19 +17,20 @@ from firmware_protocol.faults import Input, Status
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME
 from rig import config
-from rig.bench.firmware.check import Check
-from rig.bench.firmware.info import compatibility
+from rig.bench.answers import ok, refused, skipped
+from rig.bench.firmware.info import FLASH, compatibility
 from rig.bench.firmware.stream import judge_stream
 from rig.config import Experiment
 from rig.config.controller import prepared
+from rig.core import check
 from rig.core.board import describe
+from rig.core.check import Check
 from rig.core.errors import DeviceRefusedError, RigError
 from rig.core.model import RigModel
+from rig.core.present import Item, reported
 from rig.core.sample import unit_of
 from rig.devices.framed import FramedDevice
 
-EXCHANGES, EXCHANGES_S = 20, 1.0
-VIRTUAL_S = 0.1  # where time costs computing
 DRIFT_LIMIT_PPM = 300.0  # two crystals differ by less than 200; an RC oscillator by thousands
 RATE_LIMIT_PPM = 300.0
 JITTER_LIMIT = 0.05  # of a period: the time between two samples is what a velocity is divided by
@@ -39,7 +40,7 @@ MOVE_LOOK_S, REST_S = 0.1, 0.5
 MOVE_LOOKS = 2_000  # STATE frames of an unarmed device: twenty seconds
 _SESSION = 0xFF  # asked for by an ARM that must be refused
 
-Told = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,9 +73,12 @@ class SelfTestRequest:
         return None if self.experiment is None else config.rig_model(self.experiment)
 
 
+Step = Callable[[FramedDevice, SelfTestRequest], Check]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfTest:
-    """What a device answered."""
+    """The result of a self test."""
 
     url: str
     device: str
@@ -82,64 +86,68 @@ class SelfTest:
     simulated: bool
     checks: tuple[Check, ...]
 
-    @property
+    @reported
     def passed(self) -> bool:
         """Whether no check failed."""
-        return all(check.outcome != "failed" for check in self.checks)
+        return not check.refused(self.checks)
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return it for JSON."""
-        return {**asdict(self), "passed": self.passed}
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        return [f"{self.device}, firmware {self.firmware}", *self.checks]
 
 
 def failure(found: SelfTest) -> DeviceRefusedError | None:
-    """Return the error of a test that found one."""
-    failed = [check for check in found.checks if check.outcome == "failed"]
+    """Return the error of a test in which a check failed."""
+    failed = check.refused(found.checks)
     if not failed:
         return None
     return DeviceRefusedError(
-        f"the device at {found.url} fails its self test: {', '.join(check.name for check in failed)}",
+        f"the device at {found.url} fails its self test: {', '.join(one.name for one in failed)}",
         remedy=failed[0].remedy or "keep motor power off",
     )
 
 
 def selftest(
-    device: FramedDevice, request: SelfTestRequest, told: Told = lambda _what, _share: None
+    device: FramedDevice, request: SelfTestRequest, on_progress: Progress = lambda _what, _share: None
 ) -> SelfTest:
     """Test a device that is connected.
 
     Parameters
     ----------
     device
-        Open; it is left as it was found, but for a fault that was latched, which is told and cleared.
+        Open; it is left as it was found, except for a latched fault, which is reported and cleared.
     request
         What to test.
-    told
-        Called with what is being done and the share of it that is done.
+    on_progress
+        Called with the check that runs and the share of all that is done.
 
     Raises
     ------
     LinkLostError, IncompatibleDeviceError
-        There is nobody to test.
+        No device answers, or one that this package does not understand.
     """
     dictionary = device.dictionary
-    steps: list[tuple[str, Callable[[FramedDevice, SelfTestRequest], Check]]] = [
-        ("protocol", _protocol),
-        ("rig", _rig),
-        ("fault memory", _fault_memory),
-        ("parameters", _parameters),
-        ("refusals", _refusals),
-        ("clock", _clock),
-        ("ticks", _ticks),
-        ("inputs", _inputs),
-        ("encoder", _encoder),
-        ("stream", _stream),
-        ("link", _link),
-    ]
+    steps: dict[str, Step] = {
+        "protocol": _protocol,
+        "rig": _rig,
+        "fault memory": _fault_memory,
+        "parameters": _parameters,
+        "refusals": _refusals,
+        "clock": _clock,
+        "ticks": _ticks,
+        "inputs": _inputs,
+        "encoder": _encoder,
+        "stream": _stream,
+        "link": _link,
+    }
     checks = []
-    for number, (name, step) in enumerate(steps):
-        told(name, number / len(steps))
-        checks.append(_checked(name, step, device, request))
+    for number, (name, step) in enumerate(steps.items()):
+        on_progress(name, number / len(steps))
+        try:
+            answer = step(device, request)
+        except RigError as error:
+            answer = refused(error.message, error.remedy)
+        checks.append(replace(answer, name=name))
     return SelfTest(
         url=device.link.url.text,
         device=dictionary.device,
@@ -149,37 +157,22 @@ def selftest(
     )
 
 
-def _checked(
-    name: str,
-    step: Callable[[FramedDevice, SelfTestRequest], Check],
-    device: FramedDevice,
-    request: SelfTestRequest,
-) -> Check:
-    try:
-        return step(device, request)
-    except RigError as error:
-        return Check(name, "failed", error.message, error.remedy)
-
-
 # ------------------------------------------------------------------ who it is
 
 
 def _protocol(device: FramedDevice, _request: SelfTestRequest) -> Check:
     dictionary = device.dictionary
-    problems, notes = compatibility(dictionary)
+    differences = tuple(compatibility(dictionary))
     text = f"{dictionary.major}.{dictionary.minor}, dictionary {device.dictionary_hash:016x}"
-    if problems:
-        return Check(
-            "protocol", "failed", f"{text}: {'; '.join(problems)}", "build and flash this package's firmware"
-        )
-    return Check("protocol", "ok", "; ".join([text, *notes]))
+    text = "; ".join([text, *(one.text for one in differences)])
+    return refused(text, FLASH) if check.refused(differences) else ok(text)
 
 
 def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     dictionary = device.dictionary
     model = request.model
     if model is None:
-        return Check("rig", "skipped", f"it says {dictionary.device}; --rig compares it with yours")
+        return skipped(f"its name is {dictionary.device}; --rig compares it with yours")
     ours = describe(
         model,
         firmware=dictionary.firmware,
@@ -200,8 +193,8 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     ]
     if differ:
         remedy = f"build the image for this rig: rig firmware build --rig {model.name}, and flash it"
-        return Check("rig", "failed", f"the image is for {dictionary.device}: {', '.join(differ)}", remedy)
-    return Check("rig", "ok", f"{dictionary.device}, of the same scales and limits as {model.name}")
+        return refused(f"the image is for {dictionary.device}: {', '.join(differ)}", remedy)
+    return ok(f"{dictionary.device}, of the same scales and limits as {model.name}")
 
 
 def _most(dictionary: Any, name: str) -> float:
@@ -216,13 +209,11 @@ def _fault_memory(device: FramedDevice, _request: SelfTestRequest) -> Check:
     device.identify()  # brings its state
     report = device.fault_report()
     if not _is_faulty(device):
-        return Check("fault memory", "ok", f"nothing is latched, {len(report.entries)} ticks are remembered")
+        return ok(f"nothing is latched, {len(report.entries)} ticks are logged")
     device.disarm(clear_fault=True)
     if _is_faulty(device):
-        return Check("fault memory", "failed", f"{report.text} stays latched", report.remedy)
-    return Check(
-        "fault memory", "ok", f"an earlier run had left {report.name} latched: {report.text}; cleared"
-    )
+        return refused(f"{report.text} stays latched", report.remedy)
+    return ok(f"{report.name} was latched by an earlier run ({report.text}) and is now cleared")
 
 
 def _is_faulty(device: FramedDevice) -> bool:
@@ -236,12 +227,8 @@ def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
     changed = device.configure({**kept, "ramp_us": other})
     back = device.configure(kept)
     if changed.values != {**before, "ramp_us": other} or back.values != before:
-        return Check(
-            "parameters", "failed", "what is read back is not what was set", "flash the device again"
-        )
-    return Check(
-        "parameters",
-        "ok",
+        return refused("what is read back is not what was set", "flash the device again")
+    return ok(
         f"{len(before)} active; a change and its undoing were read back",
     )
 
@@ -263,30 +250,25 @@ def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
             if error.status != Status.OUT_OF_RANGE:
                 raise
     if taken:
-        return Check(
-            "refusals",
-            "failed",
+        return refused(
             f"it takes {' and '.join(taken)}",
             "keep motor power off; flash it again",
         )
     if device.active_parameters() != before:
-        return Check(
-            "refusals", "failed", "a block that was refused has changed something", "flash the device again"
-        )
-    return Check("refusals", "ok", "a wrong ARM and a current out of range are refused, and change nothing")
+        return refused("a block that was refused has changed something", "flash the device again")
+    return ok("a wrong ARM and a current out of range are refused, and change nothing")
 
 
 # ------------------------------------------------------------------ its time
 
 
 def _clock(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    virtual = device.link.clock.virtual
-    fit = device.clock(EXCHANGES, over_s=VIRTUAL_S if virtual else EXCHANGES_S)
+    fit = device.drift()
     drift = f"drift {fit.drift_ppm:.1f} ± {fit.drift_sd_ppm:.1f} ppm"
     text = f"{drift}, round trip {fit.round_trip_ns / 1e3:.0f} µs at least"
     if abs(fit.drift_ppm) - 3.0 * fit.drift_sd_ppm > DRIFT_LIMIT_PPM:
-        return Check("clock", "failed", text, "check the board's crystal: the device's time is not real time")
-    return Check("clock", "ok", text)
+        return refused(text, "check the board's crystal: the device's time is not real time")
+    return ok(text)
 
 
 def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
@@ -294,9 +276,7 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
     with _at_rate(device, rate):
         states = device.states(request.seconds)
     if len(states) < 3:
-        return Check(
-            "ticks", "failed", f"{len(states)} samples came in {request.seconds:g} s", "update its firmware"
-        )
+        return refused(f"{len(states)} samples arrived in {request.seconds:g} s", "update its firmware")
     unit_s = device.dictionary.time_unit_ns * 1e-9
     indices = [(state.sample_index - states[0].sample_index) % 2**32 for state in states]
     times = [(state.device_time - states[0].device_time) % 2**32 * unit_s for state in states]
@@ -313,10 +293,8 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
         f"{missed} missed, the longest tick took {100 * load:.2g} % of a period"
     )
     if abs(counted / rate - 1.0) > RATE_LIMIT_PPM * 1e-6 or missed or jitter_s * rate > JITTER_LIMIT:
-        return Check(
-            "ticks", "failed", text, f"run it slower: rig firmware selftest … --rate {max(50, rate // 2)}"
-        )
-    return Check("ticks", "ok", text)
+        return refused(text, f"run it slower: rig firmware selftest … --rate {max(50, rate // 2)}")
+    return ok(text)
 
 
 @contextmanager
@@ -331,24 +309,24 @@ def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
         device.configure({**kept, "position_rate": before["position_rate"]})
 
 
-# ------------------------------------------------------------------ its senses, and its line
+# ------------------------------------------------------------------ its inputs, encoder and link
 
 
 def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
     looks = (device.states(INPUTS_S) for _ in range(INPUTS_LOOKS))
     states = next((found for found in looks if found), [])
     if not states:
-        return Check("inputs", "failed", "no STATE came", "update its firmware")
+        return refused("no STATE frame arrived", "update its firmware")
     inputs = states[-1].inputs
     stop = "pressed" if inputs & Input.EMERGENCY_STOP else "not pressed"
     held = "held" if inputs & Input.HOLD_TO_RUN else "released"
-    return Check("inputs", "ok", f"emergency stop {stop}, hold-to-run switch {held}")
+    return ok(f"emergency stop {stop}, hold-to-run switch {held}")
 
 
 def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
     first = device.count()
     if not request.move:
-        return Check("encoder", "skipped", f"it reads {first}; --move looks for the counts of a hand")
+        return skipped(f"it reads {first}; --move looks for the counts of a hand")
     counts = [first]
     while max(counts) - min(counts) < MOVE_COUNTS and len(counts) < MOVE_LOOKS:
         counts += [state.count for state in device.states(MOVE_LOOK_S)] or [counts[-1]]
@@ -356,15 +334,13 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
     least, most = min(counts), max(counts)
     if _is_faulty(device):
         report = device.fault_report()
-        return Check("encoder", "failed", report.text, report.remedy)
+        return refused(report.text, report.remedy)
     if most == least:
         remedy = "move the handle when asked; else check the encoder's supply and both of its wires"
-        return Check("encoder", "failed", f"it read {first} all the time", remedy)
+        return refused(f"it read {first} all the time", remedy)
     if most - least == 1:
-        return Check(
-            "encoder", "failed", "one count toggles", "one channel is missing: check both encoder wires"
-        )
-    return Check("encoder", "ok", _way(first, counts[-1], most - least, request.model))
+        return refused("one count toggles", "check both encoder wires: one channel is missing")
+    return ok(_way(first, counts[-1], most - least, request.model))
 
 
 def _until_rest(device: FramedDevice, last: int) -> list[int]:
@@ -379,7 +355,7 @@ def _until_rest(device: FramedDevice, last: int) -> list[int]:
 
 
 def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
-    """Say how far the handle went, and which way, as far as the rig is known."""
+    """Distance and direction of the handle, as far as the rig is known."""
     text = f"from {first} to {last}, through {span} counts"
     if model is None or first == last:
         return text
@@ -394,9 +370,9 @@ def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
 def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
     law = device.dictionary.parameter("law")
     if law is None or law.maximum == 0:
-        return Check("stream", "skipped", "it has no law of its own")
+        return skipped("it has no law of its own")
     if not request.stream or request.experiment is None:
-        return Check("stream", "skipped", "--stream with --rig runs its law with a current limit of zero")
+        return skipped("--stream with --rig runs its law with a current limit of zero")
     experiment = config.override(request.experiment, {"controller.loop": "device"})
     before = device.active_parameters()
     wanted = prepared(
@@ -427,6 +403,8 @@ def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:
     wrong = [f"{count} {what}" for what, count in bad.items() if count]
     text = f"{said.frames} frames there, {ours.frames} back"
     if wrong:
-        remedy = "check cable, ground and baud rate; noise that came before the link was opened counts, too: try again"
-        return Check("link", "failed", f"{text}; {', '.join(wrong)}", remedy)
-    return Check("link", "ok", f"{text}, none damaged")
+        remedy = (
+            "check cable, ground and baud rate; try again, since noise from before the opening counts, too"
+        )
+        return refused(f"{text}; {', '.join(wrong)}", remedy)
+    return ok(f"{text}, none damaged")

@@ -1,48 +1,49 @@
-"""What a law on the device has told of its ticks: whether it is whole, and agrees with what else the device says."""
+"""The samples that a law on the device sends: whether they are complete, and agree with its STATE frames."""
 
 from __future__ import annotations
 
 from firmware_protocol import messages as m
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.packing import unpack_batch_samples
-from rig.bench.firmware.check import Check
+from rig.bench.answers import ok, question, refused
+from rig.core.check import Check
 
-STREAM_SHARE = 0.9  # of the ticks must be told: the rest is beginning and end
+STREAM_SHARE = 0.9  # of the ticks must be received: the rest is beginning and end
 LOAD_LIMIT = 0.8  # of a period: a tick that takes longer leaves nothing for what the check does not run
 
 
-def judge_stream(said: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
-    """Judge what a supervised device has said while it was to run so many ticks, at a rate (Hz), without a current."""
-    batches = [message for message in said if isinstance(message, m.Batch)]
-    states = {message.sample_index: message for message in said if isinstance(message, m.State)}
+@question("stream")
+def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
+    """Judge what a supervised device has sent in so many ticks at a rate (Hz), while its current limit was zero."""
+    batches = [message for message in received if isinstance(message, m.Batch)]
+    states = {message.sample_index: message for message in received if isinstance(message, m.State)}
     rows, gaps = _rows(batches)
     remedy = "flash the device again; keep motor power off"
     faults = [dictionary.explain_fault(code) for code in {state.fault for state in states.values()} if code]
     if faults:
-        return Check("stream", "failed", "; ".join(fault.text for fault in faults), faults[0].remedy)
+        return refused("; ".join(fault.text for fault in faults), faults[0].remedy)
     if any(current for _, current in rows.values()):
-        return Check("stream", "failed", "it drove a current although the limit was zero", remedy)
+        return refused("it drove a current although the limit was zero", remedy)
     differ = [index for index, state in states.items() if index in rows and rows[index][0] != state.count]
     if differ:
-        return Check(
-            "stream", "failed", f"BATCH and STATE tell different counts in {len(differ)} ticks", remedy
-        )
+        return refused(f"BATCH and STATE have different counts in {len(differ)} ticks", remedy)
     text = f"{len(rows)} samples in {len(batches)} frames, {gaps} gaps"
     worst = max((state.execution_time for state in states.values()), default=0)
     load = worst * dictionary.time_unit_ns * 1e-9 * rate
-    of_what = "homing only, as nothing moves: no contact, no release"
-    timed = f"the longest tick took {100 * load:.2g} % of a period ({of_what})"
+    timed = f"the longest tick took {100 * load:.2g} % of a period (homing only: no contact, no release)"
     if gaps or len(rows) < STREAM_SHARE * ticks:
-        slower = "take a lower rate, a faster link, or free the computer: rig doctor says what it can do"
-        return Check("stream", "failed", f"{text}, where {ticks:.0f} ticks passed", slower)
+        slower = (
+            "choose a lower rate or a faster link, or free the computer: rig doctor measures what it can do"
+        )
+        return refused(f"{text}, where {ticks:.0f} ticks passed", slower)
     if load > LOAD_LIMIT:
-        slower = "take a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
-        return Check("stream", "failed", f"{text}; {timed}", slower)
-    return Check("stream", "ok", f"{text}; no current; {timed}")
+        slower = "choose a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
+        return refused(f"{text}; {timed}", slower)
+    return ok(f"{text}; no current; {timed}")
 
 
 def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
-    """Return count and current by sample index, and how often an index was left out."""
+    """Return count and current by sample index, and the number of gaps."""
     rows: dict[int, tuple[int, int]] = {}
     gaps = 0
     for number, batch in enumerate(batches):

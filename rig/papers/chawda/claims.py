@@ -1,38 +1,268 @@
-"""The claims of Chawda et al. with their verdicts: which numbers of the results go into which rule."""
+"""The claims of Chawda et al.: which numbers of the results go into which rule."""
 
 from __future__ import annotations
 
-from rig.papers.chawda import claims_fidelity as fidelity
-from rig.papers.chawda import claims_hits as hits
-from rig.papers.chawda import claims_table as table
-from rig.papers.chawda import claims_widths as widths
-from rig.papers.chawda.results import Chawda
-from rig.papers.frame import Claim
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rig.control.estimators import levant_regions
+from rig.papers.chawda import derived, rules
+from rig.papers.chawda.parts import fidelity_without_wall
+from rig.papers.chawda.results import Chawda, spread
+from rig.papers.chawda.rigs import (
+    AKF,
+    CONTROL_BAND,
+    ESTIMATORS,
+    FDM,
+    FILTERED,
+    FILTERS,
+    FOAW,
+    GAINS,
+    HBA_SC,
+    HIGHEST_HZ,
+    LEVANT,
+    LFBA,
+    PRINTED,
+    RENDERING_HZ,
+)
+from rig.papers.rules import MOST, Ruling, judge, judge_share, over
 
 
-def claims(chawda: Chawda) -> tuple[Claim, ...]:
-    """Every claim with its verdict."""
-    return (
-        hits.claim_regions(),
-        hits.claim_stiffer_levant(chawda),
-        hits.claim_stiffer_below(chawda),
-        hits.claim_filter_holds(chawda),
-        hits.claim_limited(chawda),
-        hits.claim_sharp(chawda),
-        hits.claim_where_it_drops(chawda),
-        widths.claim_order(chawda),
-        widths.claim_levant_stiffest(chawda),
-        widths.claim_akf_over_fdm(chawda),
-        widths.claim_fdm_over_foaw(chawda),
-        widths.claim_damping_width(chawda),
-        fidelity.claim_lowest_error(chawda),
-        fidelity.claim_common_error(chawda),
-        fidelity.claim_error_grows(chawda),
-        table.claim_widths(chawda),
-        table.claim_errors(chawda),
-        table.claim_both(chawda),
-        table.claim_wider(chawda),
-        table.claim_search(chawda),
-        table.claim_undamped(chawda),
-        table.claim_bare(chawda),
+def rulings(chawda: Chawda) -> dict[str, Ruling]:
+    """On every claim, by key."""
+    drops = derived.drops(chawda)
+    fits = [fit for of in derived.by_edge(chawda).values() for fit in of]
+    mass, damping = derived.mass_and_damping()
+    controls = {
+        what: {name: control[what] for name, control in chawda.controls.items()}
+        for what in ("stiffness", "fidelity")
+    }
+    return {
+        "regions": _regions(),
+        "levant-stiffer": _stiffer_levant(chawda),
+        "levant-stiffer-below": _stiffer_below(chawda),
+        "filter-holds": judge({"": drops[FILTERED] > rules.FILTER_HOLDS}, drop=drops[FILTERED]),
+        "levant-limited": _limited(chawda),
+        "sharp-drop": _sharp(chawda),
+        "where-it-drops": rules.drops_at(
+            {
+                HBA_SC: (drops[HBA_SC], rules.DROP),
+                LFBA: (drops[LFBA], rules.DROP),
+                chawda.adjusted: (drops[chawda.adjusted], rules.DROP_ADJUSTED),
+            },
+            [value for name, value in drops.items() if name != FILTERED],
+        ),
+        "order": _order(chawda),
+        "levant-stiffest": _levant_stiffest(chawda),
+        "akf-over-fdm": _akf_over_fdm(chawda),
+        "fdm-over-foaw": rules.mostly_larger(
+            {
+                f"{name}, {allowed}": count
+                for name, found in (("friction", chawda.map), ("no friction", chawda.frictionless))
+                for allowed, count in derived.larger_first(found).items()
+            }
+        ),
+        "damping-width": _damping_width(chawda),
+        "lowest-error": _lowest_error(chawda),
+        "common-error": rules.lower(derived.common_gains_by_edge(chawda)),
+        "error-grows": _error_grows(chawda),
+        "widths": judge_share(
+            sum(widths for widths, _ in fits),
+            len(fits),
+            closed=list(
+                zip(HIGHEST_HZ, *(derived.closed_widths(chawda, name) for name in (FDM, AKF)), strict=True)
+            ),
+        ),
+        "errors": judge_share(
+            sum(errors for _, errors in fits),
+            len(fits),
+            floors=list(derived.floors().items()),
+            edges=[
+                (name, PRINTED[name].worst_fidelity, derived.edge_of(PRINTED[name].worst_fidelity))
+                for name in (FOAW, FDM)
+            ],
+        ),
+        "both": _both(chawda),
+        "wider": rules.wider(
+            {
+                name: over(spread(chawda.widths(name), "stiffness").mean, PRINTED[name].stiffness)
+                for name in ESTIMATORS
+            }
+        ),
+        "search": _search(chawda),
+        "control-undamped": rules.controlled(controls["stiffness"], 2.0 * damping * RENDERING_HZ),
+        "control-bare": rules.controlled(
+            controls["fidelity"], fidelity_without_wall(mass, damping, CONTROL_BAND)
+        ),
+    }
+
+
+def _regions() -> Ruling:
+    gains = levant_regions.NAMED_GAINS["hba-sc"]
+    inside = levant_regions.in_hba(*gains) or levant_regions.in_lfba(*gains)
+    extra, missed = GAINS[LFBA], (2.0, 4.0)
+    extends = levant_regions.in_lfba(*extra) and not levant_regions.in_hba(*extra)
+    misses = levant_regions.in_hba(*missed) and not levant_regions.in_lfba(*missed)
+    return judge(
+        {"": not inside and extends and misses},
+        crossing=levant_regions.crossing(),
+        gains=gains,
+        inside=inside,
+        points=[[*extra], [*missed]],
+    )
+
+
+def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
+    """At how many dampings nothing can be said, because both walls are stiffer than the search."""
+    dampings = sum(0.0 < b <= up_to for b in chawda.scale.hit_dampings)
+    beyond = [(name, dampings - len(derived.over_filtered(chawda, name, up_to))) for name in names]
+    return {
+        "dampings": dampings,
+        "top": max(chawda.hits.plan.search.rungs),
+        "beyond": [(name, count) for name, count in beyond if count],
+    }
+
+
+def _stiffer_levant(chawda: Chawda) -> Ruling:
+    best = {
+        name: max(derived.over_filtered(chawda, name), default=0.0)
+        for name in chawda.hit_names
+        if name != FILTERED
+    }
+    winner = max(best, key=lambda name: best[name])
+    return judge(
+        {"": best[winner] >= rules.STIFFER * chawda.scale.hit_ratio},
+        adjusted=chawda.adjusted,
+        ratios=derived.over_filtered(chawda, chawda.adjusted),
+        winner=winner,
+        best=best[winner],
+    ).having(**_beyond(chawda, [chawda.adjusted]))
+
+
+def _stiffer_below(chawda: Chawda) -> Ruling:
+    names = (HBA_SC, LFBA)
+    cases = {name: derived.over_filtered(chawda, name, rules.BETTER_UP_TO) for name in names}
+    known = {name: ratios for name, ratios in cases.items() if ratios}
+    found = rules.stiffer(known, chawda.scale.hit_ratio)
+    return found.having(**_beyond(chawda, names, rules.BETTER_UP_TO))
+
+
+def _limited(chawda: Chawda) -> Ruling:
+    excited, hit = {}, {}
+    for name in (FDM, LEVANT):
+        values = [width.damping for width in chawda.widths(name) if math.isfinite(width.damping)]
+        excited[name] = float(np.mean(values)) if values else 0.0
+        hit[name] = chawda.slow_hits.width(ESTIMATORS.index(name), "felt").damping_range
+    return rules.limited(
+        {"excited": excited[LEVANT], "hit at 1 kHz": hit[LEVANT]}, min(excited[FDM], hit[FDM])
+    )
+
+
+def _sharp(chawda: Chawda) -> Ruling:
+    names = (HBA_SC, LFBA, chawda.adjusted)
+    falls = {name: rules.sharpness(derived.curve(chawda, name)) for name in names}
+    filtered = rules.sharpness(derived.curve(chawda, FILTERED))
+    cases = {name: fall >= rules.SHARP and fall > filtered for name, fall in falls.items()}
+    return judge(cases, falls=list(falls.items()), filtered=filtered)
+
+
+def _stiffnesses(chawda: Chawda) -> list[dict[str, float]]:
+    return [{name: width.stiffness for name, width in of.items()} for of in chawda.read]
+
+
+def _order(chawda: Chawda) -> Ruling:
+    widths = _stiffnesses(chawda)
+    count = sum(rules.in_order([k[LEVANT], k[AKF], k[FDM], k[FOAW]]) for k in widths)
+    return judge_share(count, len(widths))
+
+
+def _levant_stiffest(chawda: Chawda) -> Ruling:
+    widths, variants = _stiffnesses(chawda), derived.variant_widths(chawda)
+    best = max(variants, key=lambda name: variants[name].stiffness)
+    return judge_share(
+        sum(k[LEVANT] > max(k[name] for name in FILTERS) for k in widths),
+        len(widths),
+        lowest=sum(k[LEVANT] <= min(k[name] for name in FILTERS) for k in widths),
+        variants=len(variants),
+        best=best,
+        stiffness=variants[best].stiffness,
+        levant=spread(chawda.widths(LEVANT), "stiffness").mean,
+        fdm=spread(chawda.widths(FDM), "stiffness").mean,
+        constant=min(identified["lipschitz"] for identified in chawda.constants),
+    )
+
+
+def _akf_over_fdm(chawda: Chawda) -> Ruling:
+    widths = _stiffnesses(chawda)
+    differ = [k for k in widths if k[AKF] != k[FDM]]
+    above = sum(k[AKF] > k[FDM] for k in differ)
+    ratios = derived.akf_over_fdm(chawda)
+    steps = dict(zip(ratios, (1.0, chawda.scale.hit_ratio**0.5), strict=True))
+    cases = {name: rules.mostly_stiffer(values, steps[name]) for name, values in ratios.items()}
+    cases["excited"] = bool(differ) and above >= MOST * len(differ)
+    return judge(
+        cases,
+        ratios=list(ratios.items()),
+        highest=chawda.linear_dampings[-1],
+        above=above,
+        differ=len(differ),
+        total=len(widths),
+    )
+
+
+def _damping_width(chawda: Chawda) -> Ruling:
+    every = [
+        {name: float(np.nan_to_num(width.damping, nan=-1.0)) for name, width in of.items()}
+        for of in chawda.read
+    ]
+    some = [of for of in every if max(of.values()) >= 0.0]
+    return judge_share(
+        sum(of[FDM] > max(value for name, value in of.items() if name != FDM) for of in some),
+        len(some),
+        widest=sum(of[FDM] >= max(of.values()) for of in some),
+    )
+
+
+def _lowest_error(chawda: Chawda) -> Ruling:
+    errors = [{name: width.worst_fidelity for name, width in of.items()} for of in chawda.read]
+    some = [of for of in errors if all(math.isfinite(of[name]) for name in FILTERS)]
+    return judge_share(sum(of[FOAW] < min(of[FDM], of[AKF]) for of in some), len(some))
+
+
+def _error_grows(chawda: Chawda) -> Ruling:
+    found = derived.errors_of_quarters(chawda)
+    return judge(
+        {name: stiff >= rules.STIFFER * soft for name, (soft, stiff) in found.items()},
+        errors=[(name, *of) for name, of in found.items()],
+    )
+
+
+def _both(chawda: Chawda) -> Ruling:
+    foaw = PRINTED[FOAW].worst_fidelity
+    closed = zip(HIGHEST_HZ, *(derived.closed_widths(chawda, name) for name in (FDM, AKF)), strict=True)
+    largest = max(printed.stiffness for printed in PRINTED.values())
+    return judge(
+        {
+            f"a band up to {high:g} Hz": any(widths and errors for widths, errors in of)
+            for high, of in derived.by_edge(chawda).items()
+        },
+        foaw=foaw,
+        edge=derived.edge_of(foaw),
+        largest=largest,
+        needed=next((high for high, *widths in closed if min(widths) <= largest), math.inf),
+    )
+
+
+def _search(chawda: Chawda) -> Ruling:
+    searches = [chawda.search(name, m) for name in ESTIMATORS for m in range(chawda.map.grid.measurements)]
+    return rules.traced(
+        sum(search.above for search in searches),
+        sum(search.below for search in searches),
+        sum(search.unseen for search in searches),
+        len(searches) * len(chawda.map.grid.dampings),
+        tests=float(np.mean([len(search.path) for search in searches])),
+        cells=searches[0].cells,
     )

@@ -1,6 +1,6 @@
 """Parts of the reproduction of Chawda et al. neither excited wall nor hit: theory, C from a hit, controls.
 
-Each function is the work of a task of `rig.papers.frame`: plain data in, plain data out, nothing else decides.
+Each function is the work of a task of `rig.papers.parts`: plain data in, plain data out, nothing else decides.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,7 @@ import numpy as np
 from rig.analysis.impedance.ideal import ideal_wall
 from rig.core.deferred import colors
 from rig.experiments.searches import connected
-from rig.papers.chawda import text_more as chawda_text_more
-from rig.papers.chawda.claims_table import floors
+from rig.papers.chawda import derived
 from rig.papers.chawda.results import Chawda, spread
 from rig.papers.chawda.rigs import (
     AKF,
@@ -43,17 +41,6 @@ DAMPING, STIFFNESS = "damping B (N·s/m)", "stiffness K (kN/m)"
 ORDER = list(SCHEMES)
 COLOUR = dict(zip(ORDER, style.SERIES, strict=False))
 NOT_PASSIVE = "#ececec"
-
-
-def draw_chawda(chawda: Chawda) -> dict[str, bytes]:
-    """Draw every picture of the report; returns PNGs by name."""
-    pictures = {}
-    with TemporaryDirectory(prefix="rig-chawda-") as place:
-        for name, draw in _PICTURES.items():
-            path = Path(place) / "picture.png"
-            draw(chawda, path)
-            pictures[name] = path.read_bytes()
-    return pictures
 
 
 def _figure_1(_: Chawda, path: Path) -> None:
@@ -219,14 +206,14 @@ def _ticks(axes: Any, chawda: Chawda) -> None:
 def _readings(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(12.0, 7.0)
     panels = figure.subplots(2, len(SCHEMES), sharex=True, sharey="row")
-    least = floors()
+    least = derived.floors()
     for column, name in enumerate(SCHEMES):
         for number, (tolerance, kind) in enumerate(TOLERANCES):
             read = [
                 READINGS.index(Reading(low_hz=LOWEST_HZ[0], high_hz=high, tolerance=tolerance, kind=kind))
                 for high in HIGHEST_HZ
             ]
-            label = READINGS[read[0]].text.split(", ")[1]
+            label = READINGS[read[0]].allowed
             for row, what in enumerate(("stiffness", "worst_fidelity")):
                 found = [spread(chawda.widths(name, one), what) for one in read]
                 scale = 1e3 if row == 0 else 1.0
@@ -276,7 +263,7 @@ def _dual(chawda: Chawda, path: Path) -> None:
     for axes, preset in zip(panels, KOUL, strict=True):
         width = 0.8 / len(DUAL_READINGS)
         for number, reading in enumerate(DUAL_READINGS):
-            rows = {row.scheme.text: row for row in chawda_text_more.ranked(chawda.dual[preset], number)}
+            rows = {row.scheme.text: row for row in derived.ranked(chawda.dual[preset], number)}
             axes.barh(
                 place + (1 - number) * width,
                 [rows[text].area.mean for text in texts],
@@ -301,7 +288,7 @@ def _by_damping(axes: Any, title: str, label: str) -> None:
     style.tidy(axes, label)
 
 
-_PICTURES: Mapping[str, Callable[[Chawda, Path], None]] = {
+PICTURES: Mapping[str, Callable[[Chawda, Path], None]] = {
     "figure-1": _figure_1,
     "figure-3": _figure_3,
     "figure-3-gains": _figure_3_gains,

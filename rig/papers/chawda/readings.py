@@ -25,7 +25,7 @@ from rig.experiments.searches import connected
 from rig.experiments.sweep import Task
 from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.papers.chawda.rigs import COHERENCE, RESIDUAL, Reading
-from rig.papers.frame import Part
+from rig.papers.parts import Part
 
 COLUMN = "rig.papers.chawda.readings:column"
 

@@ -1,36 +1,40 @@
 """Chawda, Celik and O'Malley's comparison of velocity estimators, reproduced: its figures, Table I, and every claim.
 
-`reproduce_chawda` excites some ten thousand walls and hits some thousand more, as one sweep, and lets rules turn the
-numbers into verdicts (`rig.papers.chawda.claims`) and sentences (`rig.papers.chawda.text`). The paper
-leaves band and tolerance of its passivity test open, and both decide everything: so each wall is read in many ways
-(`rig.papers.chawda.readings`), and claims are counted over readings. Nothing is tuned to Table I.
+Some ten thousand walls are excited and some thousand more hit, as one sweep; rules turn the numbers into verdicts, and
+templates into sentences. The paper leaves band and tolerance of its passivity test open, and both decide everything: so
+each wall is read in many ways (`rig.papers.chawda.readings`), and claims are counted over readings. Nothing is tuned to
+Table I.
 
 Source: Chawda et al., "Evaluation of Velocity Estimation Methods Based on their Effect on Haptic Device Performance".
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig import config
+from rig.config import presets
 from rig.config.schemes import Scheme
+from rig.control.estimators import levant_regions
+from rig.experiments import excitation_run
 from rig.experiments.impedance import measure_impedance
+from rig.experiments.lipschitz import AFTER_CONTACT_S, BEFORE_CONTACT_S
 from rig.experiments.ranges import search_for
 from rig.experiments.searches import Search
-from rig.experiments.sweep import Progress
 from rig.experiments.zwidth import MapPlan, ZWidth
+from rig.papers.chawda import derived, rigs, rules
 from rig.papers.chawda import parts as chawda_parts
-from rig.papers.chawda.claims import claims
+from rig.papers.chawda.claims import rulings
+from rig.papers.chawda.pictures import PICTURES
 from rig.papers.chawda.readings import Grid, Readings
 from rig.papers.chawda.results import Chawda, numbers, provenance, read_all
 from rig.papers.chawda.rigs import (
     AKF,
+    CONTROL_BAND,
     DUAL_READINGS,
     FDM,
     FIGURE_3_RATE,
@@ -46,7 +50,9 @@ from rig.papers.chawda.rigs import (
     LOWEST_HZ,
     LOWEST_STIFFNESS,
     MAIN,
+    QUICK,
     READINGS,
+    RIG,
     SCHEMES,
     VARIANT_CONSTANTS,
     VARIANT_DAMPINGS,
@@ -59,9 +65,10 @@ from rig.papers.chawda.rigs import (
     levant,
     pushed_rig,
 )
-from rig.papers.chawda.text import sections, summary
-from rig.papers.frame import Part, Parts, Reproduction, part, run_parts
 from rig.papers.koul import parts as koul_parts
+from rig.papers.parts import Part, Parts, part
+from rig.papers.reproduction import Paper
+from rig.papers.rules import MOST
 
 WALLS = (
     (20_000.0, 60.0),
@@ -69,38 +76,10 @@ WALLS = (
     (100_000.0, 100.0),
 )  # at which C is identified, the nominal one first
 SHOWN_WALL = (20_000.0, 60.0)  # of figures 4 and 6: inside the main reading's region of three estimators
-CONTROL_BAND = (1.0, 400.0)
 CONTROL_SEARCH = Search(way="bisection", lowest=13_000.0, highest=53_000.0, ratio=1.005)
 
 
-def reproduce_chawda(
-    scale: Scale = FULL,
-    *,
-    journal: Path | None = None,
-    workers: int | None = None,
-    watch: Callable[[Progress], None] | None = None,
-) -> Reproduction:
-    """Reproduce the paper; parameters and errors as `rig.papers.koul.reproduction.reproduce_koul`."""
-    plan = _Plan(scale)
-    done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
-    chawda = plan.results(done)
-    judged = claims(chawda)
-    return Reproduction(
-        name="chawda",
-        title="Velocity estimators and virtual walls",
-        source="Chawda, Celik and O'Malley, velocity estimation methods and haptic device performance",
-        summary=summary(chawda, judged),
-        claims=judged,
-        sections=sections(chawda),
-        numbers=numbers(chawda),
-        provenance=provenance(chawda),
-        seconds=done.seconds,
-        kept=done.kept,
-        results=chawda,
-    )
-
-
-class _Plan:
+class ChawdaPlan:
     """All parts of the work, by name, and the way back from their results."""
 
     def __init__(self, scale: Scale) -> None:
@@ -249,3 +228,32 @@ def _impedances(scale: Scale) -> tuple[Any, ...]:
     rig = excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[SCHEMES[FDM]])
     return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(SCHEMES.values())))
+
+
+def words(chawda: Chawda) -> dict[str, Any]:
+    """What the templates call for."""
+    return {
+        "chawda": chawda,
+        "rigs": rigs,
+        "rules": rules,
+        "of": derived,
+        "most": MOST,
+        "acquisition_hz": excitation_run.ACQUISITION_HZ,
+        "levant": levant_regions,
+        "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S),
+        "nominal_wall": WALLS[0],
+        "verdict": presets.load(RIG).verdict,
+    }
+
+
+CHAWDA = Paper(
+    name="chawda",
+    quick=QUICK,
+    full=FULL,
+    plan=ChawdaPlan,
+    rulings=rulings,
+    words=words,
+    numbers=numbers,
+    provenance=provenance,
+    pictures=PICTURES,
+)

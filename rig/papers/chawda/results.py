@@ -18,7 +18,40 @@ from rig.experiments.sweep.executors import code_version
 from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.experiments.zwidth import ZWidth
 from rig.papers.chawda.readings import Readings
-from rig.papers.chawda.rigs import KOUL, MAIN, PUSH, READINGS, RIG, SCHEMES, SEED, Scale, excited_rig
+from rig.papers.chawda.rigs import (
+    FILTERED,
+    HBA_SC,
+    KOUL,
+    LFBA,
+    MAIN,
+    PUSH,
+    READINGS,
+    RIG,
+    SCHEMES,
+    SEED,
+    Scale,
+    excited_rig,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """The boundary search in the map of one estimator and measurement.
+
+    Attributes
+    ----------
+    found, width
+        The stiffest wall that it finds (N/m; None for none), and the K-width of the grid.
+    wrong
+        At how many dampings it ends elsewhere than the edge of the connected region.
+    """
+
+    name: str
+    measurement: int
+    search: GridSearch
+    found: float | None
+    width: float
+    wrong: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +112,31 @@ class Chawda:
     def search(self, name: str, measurement: int = 0) -> GridSearch:
         """The paper's boundary search in one measurement's map, by the main reading."""
         return trace_grid(self.map.passive[measurement, MAIN, list(SCHEMES).index(name)])
+
+    @property
+    def figure_3(self) -> list[str]:
+        """The schemes that the paper has in Fig. 3."""
+        return list(dict.fromkeys((FILTERED, HBA_SC, LFBA, self.adjusted)))
+
+    def searches(self) -> list[Search]:
+        """The boundary search in every map of the four estimators."""
+        stiffnesses = self.map.grid.stiffnesses
+        return [
+            Search(
+                name=name,
+                measurement=m + 1,
+                search=(search := self.search(name, m)),
+                found=stiffnesses[search.highest] if search.highest >= 0 else None,
+                width=width.stiffness,
+                wrong=search.above + search.below + search.unseen,
+            )
+            for name in SCHEMES
+            for m, width in enumerate(self.widths(name))
+        ]
+
+    def islands(self, name: str) -> list[int]:
+        """How many islands the map of an estimator has, by measurement."""
+        return [len(width.islands) for width in self.widths(name)]
 
     @property
     def runs(self) -> int:

@@ -28,8 +28,10 @@ FILTERS = (FDM, FOAW, AKF)
 PRINTED: Mapping[str, Printed] = dict(zip(ESTIMATORS, PAPER.values(), strict=True))  # Table I, by estimator
 
 FRICTIONLESS: Mapping[str, Any] = {"rig.mechanics.motor_coulomb": 0.0}
+RENDERING_HZ = 1000.0
 EXCITATION_RMS = 2.0  # N, ten times Coulomb friction, and the same where there is none
 HIGHEST_LINE = 400.0  # Hz: 0.4 of the rendering rate
+CONTROL_BAND = (1.0, HIGHEST_LINE)  # of what theory fixes
 
 # --- readings: how a measured impedance may be read, of which the paper says nothing but ±90° --------------------
 
@@ -50,13 +52,17 @@ class Reading:
     kind: Kind = "deviations"
 
     @property
+    def allowed(self) -> str:
+        """The phase that it allows, in words."""
+        if not self.tolerance:
+            return "strictly ±90°"
+        unit = " standard deviations" if self.kind == "deviations" else "°"
+        return f"±90° and {self.tolerance:g}{unit}"
+
+    @property
     def text(self) -> str:
         """In words."""
-        allowed = "strictly ±90°"
-        if self.tolerance:
-            unit = "standard deviations" if self.kind == "deviations" else "°"
-            allowed = f"±90° and {self.tolerance:g}{' ' if unit != '°' else ''}{unit}"
-        return f"{self.low_hz:g} to {self.high_hz:g} Hz, {allowed}"
+        return f"{self.low_hz:g} to {self.high_hz:g} Hz, {self.allowed}"
 
 
 LOWEST_HZ = (1.0, 2.0, 5.0, 10.0)

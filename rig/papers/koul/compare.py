@@ -37,6 +37,7 @@ FLOAT, FIXED = "floating point", "fixed point"
 ESTIMATORS = {FLOAT: "fdm-butterworth", FIXED: "fdm-butterworth-fixed"}
 COEFFICIENT_BITS, STATE_BITS, ROUNDING = 14, 4, "zero"
 FIRST_IMPACT_S = 0.05
+LIKE_NONE, BETWEEN, MUCH_LESS = 0.95, 0.1, 0.6  # peaks over those of another wall: what the paper shows
 
 EARLY, LATE = (1.0, 0.25), (0.25, 0.02)  # parts of the impact, by speed over that of the first contact
 
@@ -83,9 +84,9 @@ class WordLength:
         """
         fast, slow = POSITION_RATES
         return (
-            self.uniform[fast] >= 0.95 * self.none[fast]
-            and 1.1 * self.dual[slow] <= self.uniform[slow] <= 0.9 * self.none[slow]
-            and all(self.dual[rate] <= 0.6 * self.none[rate] for rate in POSITION_RATES)
+            self.uniform[fast] >= LIKE_NONE * self.none[fast]
+            and (1.0 + BETWEEN) * self.dual[slow] <= self.uniform[slow] <= (1.0 - BETWEEN) * self.none[slow]
+            and all(self.dual[rate] <= MUCH_LESS * self.none[rate] for rate in POSITION_RATES)
         )
 
     def as_mapping(self) -> dict[str, Any]:

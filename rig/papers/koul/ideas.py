@@ -7,10 +7,10 @@ tuned for this rig, so a low rank is one of its defaults.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import takewhile
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,12 +21,14 @@ from rig.control.verdict import CRITERIA
 from rig.experiments.zwidth import Width, ZWidth
 from rig.papers.koul.parts import Range
 from rig.papers.koul.rigs import COMPLIANT, RIGID, Held
+from rig.papers.rules import over
 
 DUAL_RATES = "dual:20k/2k"
 T2_RATES = ("500", "1k", "2k", "4k", "5k", "10k", "20k")
 CUTOFFS_HZ = (50, 100, 200, 400, 800)
 LINES = ((1000, 1), (1000, 4), (2000, 4), (8000, 4), (40_000, 4))
-USUAL_LINES = (1000, 4)
+USUAL_LINES, FINEST_LINES = (1000, 4), (40_000, 4)
+SAME = 0.05  # a change of an area by less is none
 REFERENCE = "reference"
 
 
@@ -94,6 +96,44 @@ class Tried:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What an idea changes against another: ratios of K at B = 0, peak, range and area, criterion any."""
+
+    undamped: float
+    peak: float
+    damping: float
+    area: float
+
+    @classmethod
+    def of(cls, tried: Tried, reference: Tried) -> Change:
+        """Compare two ideas."""
+        new, old = tried.width("any"), reference.width("any")
+        return cls(
+            over(new.stiffness_undamped or 0.0, old.stiffness_undamped or 0.0),
+            over(new.stiffness_peak, old.stiffness_peak),
+            over(tried.ranges["any"].damping, reference.ranges["any"].damping),
+            over(tried.area("any"), reference.area("any")),
+        )
+
+
+def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
+    """What some ideas do to the area, all together."""
+    areas = [change.area for change in changes]
+    if all(area > 1.0 + SAME for area in areas):
+        return "wider"
+    if all(area < 1.0 - SAME for area in areas):
+        return "narrower"
+    return "same" if all(abs(area - 1.0) <= SAME for area in areas) else "both"
+
+
+def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
+    """Key of a scheme with an encoder of so many lines and decoding."""
+    if (preset, scheme, lines) == (COMPLIANT, "dual", USUAL_LINES):
+        return REFERENCE
+    return f"encoder-{preset}-{scheme}-{lines[0]}x{lines[1]}"
+
+
 def ideas() -> tuple[Idea, ...]:
     """Everything that is tried; the first is the dual-rate wall of the paper, with which all others are compared."""
     return (
@@ -130,13 +170,14 @@ def _encoders() -> list[Idea]:
     for preset in (COMPLIANT, RIGID):
         for name, text in (("dual", DUAL_RATES), ("uniform", "uniform:20k")):
             for lines, decoding in LINES:
-                if (preset, name, (lines, decoding)) == (COMPLIANT, "dual", USUAL_LINES):
-                    continue  # the reference
+                key = encoder_key(preset, name, (lines, decoding))
+                if key == REFERENCE:
+                    continue
                 if preset == RIGID and (lines, decoding) not in (USUAL_LINES, LINES[-1]):
                     continue
                 tried.append(
                     Idea(
-                        key=f"encoder-{preset}-{name}-{lines}x{decoding}",
+                        key=key,
                         group="encoder",
                         label=f"{name}, {lines} × {decoding}",
                         scheme=Scheme.parse(text),

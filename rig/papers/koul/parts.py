@@ -1,6 +1,6 @@
 """Pieces of the reproduction of Koul et al.: what is neither a series of a map nor a picture.
 
-Each function is the work of a task of `rig.papers.frame`: plain data in, plain data out, nothing else decides.
+Each function is the work of a task of `rig.papers.parts`: plain data in, plain data out, nothing else decides.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -36,17 +35,6 @@ from rig.views.plots.zwidth import draw_boundaries, draw_zwidth
 STIFFNESS, DAMPING = "stiffness K (N·m/rad)", "damping B (N·m·s/rad)"
 ORDER = list(SCHEMES)
 COLOUR = dict(zip(ORDER, style.SERIES, strict=False))
-
-
-def draw_koul(koul: Koul) -> dict[str, bytes]:
-    """Draw every picture of the report; returns PNGs by name."""
-    pictures = {}
-    with TemporaryDirectory(prefix="rig-koul-") as place:
-        for name, draw in _PICTURES.items():
-            path = Path(place) / "picture.png"
-            draw(koul, path)
-            pictures[name] = path.read_bytes()
-    return pictures
 
 
 def _figure_5(koul: Koul, path: Path) -> None:
@@ -259,7 +247,7 @@ def _label(axes: Any, title: str) -> None:
     style.lighten(axes)
 
 
-_PICTURES: dict[str, Callable[[Koul, Path], None]] = {
+PICTURES: dict[str, Callable[[Koul, Path], None]] = {
     "figure-5": _figure_5,
     **{f"figure-6-{preset}": partial(_figure_6, preset=preset) for preset in PRESETS},
     "hands": _hands,

@@ -1,39 +1,38 @@
 """Koul, Manivannan and Saha's dual-rate sampling, reproduced: every figure, every claim, and its open ideas.
 
-`reproduce_koul` plans some hundred series, ranges and pieces of theory, runs them as one sweep, and lets rules turn the
-numbers into verdicts (`rig.papers.koul.claims`) and sentences (`rig.papers.koul.text`). Nothing is tuned
-here: rigs are the two presets, one of which is fitted on the paper and says so.
+Some hundred searches, ranges and pieces of theory run as one sweep; rules turn the numbers into verdicts, and templates
+into sentences. Nothing is tuned here: rigs are the two presets, one of which is fitted to the paper and says so.
 
 Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-rate sampling" (2013), Figs. 5 to 8.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig import config
 from rig.analysis import theory
-from rig.config import Experiment
+from rig.config import Experiment, presets
 from rig.config.schemes import Scheme
 from rig.experiments.kmax import KMax, kmax_plan
 from rig.experiments.ranges import highest_stiffness, search_for
 from rig.experiments.searches import Search, Way
-from rig.experiments.sweep import Progress
 from rig.experiments.zwidth import MapPlan, ZWidth
-from rig.papers.frame import Part, Parts, Reproduction, part, run_parts
 from rig.papers.koul import compare as compare_koul
 from rig.papers.koul import ideas as koul_ideas
 from rig.papers.koul import parts as koul_parts
-from rig.papers.koul.claims import claims
+from rig.papers.koul import rigs, rules
+from rig.papers.koul.claims import by_cutoff, rulings
 from rig.papers.koul.ideas import Idea
 from rig.papers.koul.parts import Range
-from rig.papers.koul.results import Effect, Koul, numbers, provenance
+from rig.papers.koul.pictures import PICTURES
+from rig.papers.koul.results import Effect, Koul, cutoff, numbers, provenance
 from rig.papers.koul.rigs import (
+    COMPLIANT,
     DUAL,
     EFFECTS,
     FULL,
@@ -51,50 +50,11 @@ from rig.papers.koul.rigs import (
     Scale,
 )
 from rig.papers.koul.rules import DAMPING_RANGE, DAMPING_RANGE_FAST
-from rig.papers.koul.text import sections, summary
+from rig.papers.parts import Part, Parts, part
+from rig.papers.reproduction import Paper
 
 
-def reproduce_koul(
-    scale: Scale = FULL,
-    *,
-    journal: Path | None = None,
-    workers: int | None = None,
-    watch: Callable[[Progress], None] | None = None,
-) -> Reproduction:
-    """Reproduce the paper.
-
-    Parameters
-    ----------
-    scale
-        `FULL`, or the coarse `QUICK`.
-    journal, workers, watch
-        As in `rig.experiments.sweep.run`; with a journal a stopped reproduction goes on.
-
-    Raises
-    ------
-    SweepStoppedError
-        Ctrl-C; what is done stays in the journal.
-    """
-    plan = _Plan(scale)
-    done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
-    koul = plan.results(done)
-    judged = claims(koul)
-    return Reproduction(
-        name="koul",
-        title="Dual-rate sampling for virtual walls",
-        source="Koul, Manivannan and Saha, dual-rate sampling and Z-width, 2013",
-        summary=summary(koul, judged),
-        claims=judged,
-        sections=sections(koul),
-        numbers=numbers(koul),
-        provenance=provenance(koul),
-        seconds=done.seconds,
-        kept=done.kept,
-        results=koul,
-    )
-
-
-class _Plan:
+class KoulPlan:
     """All parts of the work, by name, and the way back from their results."""
 
     def __init__(self, scale: Scale) -> None:
@@ -303,3 +263,31 @@ def _series(plan: MapPlan) -> Part:
 
 def _map(plan: MapPlan, results: Sequence[Any]) -> ZWidth:
     return ZWidth.of(plan, results)
+
+
+def words(koul: Koul) -> dict[str, Any]:
+    """What the templates call for."""
+    return {
+        "koul": koul,
+        "rigs": rigs,
+        "rules": rules,
+        "parts": koul_parts,
+        "ideas": koul_ideas,
+        "compare": compare_koul,
+        "verdict": presets.load(COMPLIANT).verdict,
+        "by_cutoff": by_cutoff,
+        "cutoff": cutoff,
+    }
+
+
+KOUL = Paper(
+    name="koul",
+    quick=QUICK,
+    full=FULL,
+    plan=KoulPlan,
+    rulings=rulings,
+    words=words,
+    numbers=numbers,
+    provenance=provenance,
+    pictures=PICTURES,
+)

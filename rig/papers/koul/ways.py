@@ -36,6 +36,43 @@ class Column:
     islands: tuple[tuple[float, float], ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Way:
+    """How ladder, bisection and grid differ over the columns of one scheme under one criterion.
+
+    Attributes
+    ----------
+    columns, islands, higher
+        How many columns; in how many stiffer walls hold beyond one that fails, and a bisection ends above the ladder.
+    damping_ladder, damping_grid
+        Largest damping at which the ladder finds a wall, and at which any wall is stable.
+    """
+
+    scheme: str
+    criterion: str
+    columns: int
+    islands: int
+    higher: int
+    damping_ladder: float
+    damping_grid: float
+
+
+def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
+    """Compare the ways over all offsets of a grid."""
+    every = [
+        column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
+    ]
+    return Way(
+        scheme=key,
+        criterion=criterion,
+        columns=len(every),
+        islands=sum(bool(column.islands) for column in every),
+        higher=sum(column.bisection > column.ladder for column in every),
+        damping_ladder=max((column.damping for column in every if column.ladder > 0.0), default=0.0),
+        damping_grid=max((column.damping for column in every if column.highest > 0.0), default=0.0),
+    )
+
+
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[Column]:
     """Columns of a grid of one scheme under one criterion, by damping, at the first encoder offset or at this one."""
     plan = found.plan

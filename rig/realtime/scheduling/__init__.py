@@ -1,4 +1,4 @@
-"""Real-time scheduling for the loop: asked for aloud, reported as obtained, undone afterwards.
+"""Real-time scheduling for the loop: requested, reported as obtained, undone afterwards.
 
     with obtained(experiment.host) as realtime:  # the process: memory, idle states; and what the thread may have
         ...
@@ -7,7 +7,7 @@
 * `realtime`: the context and what it reports
 * `memory`, `idle`: locked pages, and processors kept from deep sleep; of the process, counted
 * `thread`: policy, processor and timer slack of the calling thread, and its stack
-* `rights`, `refusals`: what this process may do, and what would mend it when it may not
+* `rights`, `refusals`: what this process may do, and what would get it granted
 * `facts`: what the kernel says about itself
 * `calls`: the C library
 
@@ -15,8 +15,7 @@ Linux only, as the compiled loop is. Nothing here loads numba.
 """
 
 from rig.realtime.scheduling.realtime import Realtime, Request, obtained
-from rig.realtime.scheduling.refusals import Refusal
 from rig.realtime.scheduling.rights import Rights
 from rig.realtime.scheduling.thread import ThreadState
 
-__all__ = ["Realtime", "Refusal", "Request", "Rights", "ThreadState", "obtained"]
+__all__ = ["Realtime", "Request", "Rights", "ThreadState", "obtained"]

@@ -8,6 +8,7 @@ import re
 import threading
 from dataclasses import dataclass
 
+from rig.core.check import Check
 from rig.realtime.scheduling import calls, refusals
 from rig.realtime.scheduling.facts import ROOT, status_kilobytes, text_of
 from rig.realtime.scheduling.rights import Rights
@@ -30,7 +31,7 @@ class _Lock:
         self._users = 0
         self._before: list[Range] | None = []  # None: the program had locked all of it, so nothing is ours
 
-    def take(self) -> refusals.Refusal | None:
+    def take(self) -> Check | None:
         with self._guard:
             if self._users == 0:
                 refusal = self._lock()
@@ -47,7 +48,7 @@ class _Lock:
                 for pages in self._before:  # what is gone meanwhile is refused, which is right
                     calls.lock_range(pages.start, pages.end - pages.start, on_fault=pages.on_fault)
 
-    def _lock(self) -> refusals.Refusal | None:
+    def _lock(self) -> Check | None:
         self._before = locked_before()
         if self._before is None:
             return None

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
+from rig.core.check import Check
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import calls, facts, idle, memory, thread
-from rig.realtime.scheduling.refusals import Refusal, of_idle
+from rig.realtime.scheduling.refusals import of_idle
 from rig.realtime.scheduling.thread import ThreadState
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Realtime:
     """
 
     def __init__(self, host: Request, *, active: bool, virtual: bool = False) -> None:
-        self.refusals: list[Refusal] = []
+        self.refusals: list[Check] = []
         self._host = host
         self._active = active
         self._virtual = virtual
@@ -59,8 +60,8 @@ class Realtime:
 
     @property
     def messages(self) -> list[str]:
-        """Sentences to print, each refusal with its remedy; empty when all was granted or nothing asked."""
-        return [str(refusal) for refusal in self.refusals]
+        """Sentences to print, each refusal with its remedy; empty when all was granted or nothing requested."""
+        return [check.sentence for check in self.refusals]
 
     @property
     def report(self) -> dict[str, Any]:
@@ -177,9 +178,9 @@ def obtained(host: Request, *, virtual: bool = False) -> Iterator[Realtime]:
             realtime.close()
 
 
-def _refused(refusals: list[Refusal]) -> RealtimeError:
-    commands = list(dict.fromkeys(refusal.remedy for refusal in refusals if refusal.command))
+def _refused(refusals: list[Check]) -> RealtimeError:
+    remedies = dict.fromkeys(check.remedy for check in refusals if check.remedy)
     return RealtimeError(
-        f'host.realtime = "enforce", but {"; ".join(refusal.text for refusal in refusals)}',
-        remedy=f'{"; ".join(commands)}{". Or" if commands else "Or"} run with host.realtime = "try"',
+        f'host.realtime = "enforce", but {"; ".join(check.text for check in refusals)}',
+        remedy="; ".join((*remedies, 'or set host.realtime = "try"')),
     )

@@ -1,12 +1,12 @@
-"""What the kernel refuses: why, and the one command that mends it."""
+"""What the kernel refuses, as checks (`rig.core.check`): why, and the command that gets it granted."""
 
 from __future__ import annotations
 
 import errno
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
+from rig.core.check import Check, Outcome
 from rig.realtime.scheduling.facts import (
     ROOT,
     idle_driver,
@@ -29,43 +29,33 @@ RULES_COMMAND = (
     f"sudo groupadd -f {GROUP} && rig doctor --print-udev | sudo tee {RULES_FILE}"
     " && sudo udevadm control --reload && sudo udevadm trigger"
 )
-AGAIN = "log in again"
+LOG_IN_AGAIN = "run, then log in again: "
 ROOM = 256 * 2**20  # bytes that a run may still map; beyond its limit the kernel refuses memory altogether
 _MIB = 2**20
+# Names of the checks, here and in `rig doctor`.
+PRIORITY, PROCESSOR = "real-time priority", "processor"
+MEMORY, IDLE = "locked memory", "idle processors"
 
 
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """One thing not granted: what and why, the command that mends it, and what to do after it."""
-
-    text: str
-    command: str = ""
-    afterwards: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.text}. {self.remedy}" if self.command else self.text
-
-    @property
-    def remedy(self) -> str:
-        """The command as a sentence."""
-        return f"To mend it: {self.command}" + (f", then {self.afterwards}" if self.afterwards else "")
+def _refused(name: str, text: str, remedy: str = "") -> Check:
+    return Check(name, Outcome.REFUSED, text, remedy)
 
 
-def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Refusal:
+def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Check:
     """Say why SCHED_FIFO was refused with this errno."""
     what = f"SCHED_FIFO {priority} is refused"
     if not rights.may_schedule(priority):
-        return Refusal(
-            f"{what}: the limit of real-time priorities is {rights.priority_limit}", LIMITS_COMMAND, AGAIN
-        )
-    return group_refusal(what, root) or Refusal(
-        f"{what}: {os.strerror(number)}, though the limits allow it; a container or a control group stands before it",
-        "echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs",
-        "start again from the same shell (in a container: run it with --cap-add=SYS_NICE --ulimit rtprio=98)",
+        text = f"{what}: the limit of real-time priorities is {rights.priority_limit}"
+        return _refused(PRIORITY, text, LOG_IN_AGAIN + LIMITS_COMMAND)
+    return group_refusal(priority, root) or _refused(
+        PRIORITY,
+        f"{what}: {os.strerror(number)}, although the limits allow it; a container or a control group forbids it",
+        "run in the shell that starts this program: echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs; "
+        "or start its container with --cap-add=SYS_NICE --ulimit rtprio=98",
     )
 
 
-def group_refusal(what: str, root: Path = ROOT) -> Refusal | None:
+def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
     """Say whether this process' control group has no share of real time (RT_GROUP_SCHED); None when it has."""
     group = real_time_group(root)
     if group is None or (rt_runtime_us(root) or 0) < 0:
@@ -73,9 +63,10 @@ def group_refusal(what: str, root: Path = ROOT) -> Refusal | None:
     name, share = group
     if number_of(root / share.lstrip("/")) != 0:
         return None
-    return Refusal(
-        f"{what}: control group {name} has no share of real time (cpu.rt_runtime_us is 0)",
-        f"echo 100000 | sudo tee {share}",
+    return _refused(
+        PRIORITY,
+        f"SCHED_FIFO {priority} is refused: control group {name} has no share of real time (cpu.rt_runtime_us is 0)",
+        f"run: echo 100000 | sudo tee {share}",
     )
 
 
@@ -97,36 +88,42 @@ def real_time_group(root: Path = ROOT) -> tuple[str, str] | None:
     return None
 
 
-def of_processor(cpu: int, number: int, root: Path = ROOT) -> Refusal:
+def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
     """Say why the loop may not be kept on a processor."""
     online = sorted(online_cpus(root))
     if online and cpu not in online:
-        listed = ", ".join(map(str, online))
-        return Refusal(
-            f"processor {cpu} is not running: this machine has {listed}; set host.cpu to one of them"
+        return _refused(
+            PROCESSOR,
+            f"processor {cpu} of host.cpu is not running: this machine has {', '.join(map(str, online))}",
+            "set host.cpu to one of them",
         )
-    return Refusal(f"processor {cpu} is refused: {os.strerror(number)}; the program may use some others only")
+    return _refused(
+        PROCESSOR,
+        f"processor {cpu} of host.cpu is refused: {os.strerror(number)}",
+        "set host.cpu to a processor that this program may use (taskset -p $$ shows them)",
+    )
 
 
-def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Refusal:
+def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
     """Say why memory is not locked; `number` is 0 when it was not even tried, for want of room under the limit."""
     if rights.locked_limit is not None and (number in (0, errno.ENOMEM, errno.EPERM)):
         size = status_kilobytes("VmSize", root) // 1024
         limit = rights.locked_limit // _MIB
-        return Refusal(
-            f"memory is not locked: the limit is {limit} MiB, for {size} MiB and more", LIMITS_COMMAND, AGAIN
-        )
-    return Refusal(f"memory is not locked: {os.strerror(number)}")
+        text = f"memory is not locked: the limit is {limit} MiB, and the program needs more than {size} MiB"
+        return _refused(MEMORY, text, LOG_IN_AGAIN + LIMITS_COMMAND)
+    return _refused(MEMORY, f"memory is not locked: {os.strerror(number)}")
 
 
-def of_idle(number: int, root: Path = ROOT) -> Refusal | None:
+def of_idle(number: int, root: Path = ROOT) -> Check | None:
     """Say why processors are not kept from deep sleep; None where there is no deep sleep."""
     if number == errno.ENOENT:
         if not idle_driver(root):
             return None
-        return Refusal("idle processors sleep deeply: there is no /dev/cpu_dma_latency here (a container?)")
-    return Refusal(
+        return _refused(
+            IDLE, "idle processors sleep deeply: there is no /dev/cpu_dma_latency here (a container?)"
+        )
+    return _refused(
+        IDLE,
         f"idle processors sleep deeply: /dev/cpu_dma_latency does not open ({os.strerror(number)})",
-        RULES_COMMAND,
-        AGAIN,
+        LOG_IN_AGAIN + RULES_COMMAND,
     )

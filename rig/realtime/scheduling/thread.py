@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from rig.core.check import Check
 from rig.realtime.scheduling import calls, refusals
 from rig.realtime.scheduling.rights import Rights
 
@@ -55,7 +56,7 @@ class ThreadState:
         return {**asdict(self), "policy": self.name, "cpus": list(self.cpus)}
 
 
-def raise_thread(priority: int, cpu: int | None) -> list[refusals.Refusal]:
+def raise_thread(priority: int, cpu: int | None) -> list[Check]:
     """Give the calling thread SCHED_FIFO and its processor as far as they are granted; return what is not.
 
     A thread that stays ordinary gets the shortest timer slack, which needs no rights.
@@ -98,9 +99,9 @@ def touch_stack() -> None:
         calls.touch(top - STACK_BYTES, STACK_BYTES)
 
 
-def tried(priority: int, cpu: int | None) -> tuple[ThreadState, list[refusals.Refusal]]:
+def tried(priority: int, cpu: int | None) -> tuple[ThreadState, list[Check]]:
     """Ask in a thread that ends at once, and return how it ran and what it was refused."""
-    outcome: list[tuple[ThreadState, list[refusals.Refusal]]] = []
+    outcome: list[tuple[ThreadState, list[Check]]] = []
 
     def body() -> None:
         refused = raise_thread(priority, cpu)

@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from rig.core.deferred import jinja2, markupsafe
-from rig.views.report.writing import FILTERS, FUNCTIONS
+from rig.views.report.writing import FILTERS, FUNCTIONS, TESTS
 
 HERE = "views/report"
 STYLE_SHEET = "page.css"
@@ -52,6 +52,7 @@ def _environment(*, html: bool) -> Any:
         finalize=None if html else _in_a_line,
     )
     environment.filters |= FILTERS
+    environment.tests |= TESTS
     environment.globals |= {**FUNCTIONS, "css": markupsafe.Markup(_text(STYLE_SHEET))}
     return environment
 

@@ -15,6 +15,69 @@ def number(value: float | None, digits: int = 4) -> str:
     return NOTHING if value is None or not math.isfinite(value) else _minus(f"{value:.{digits}g}")
 
 
+def three(value: float | None, digits: int = 3) -> str:
+    """A number with exactly three significant digits, or so many, zeros included; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "∞" if value == math.inf else NOTHING
+    if value != 0.0 and 1.0 <= abs(value) < 10.0**6:
+        return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
+    return f"{value:.{digits}g}"
+
+
+def limit(value: float, capped: object) -> str:
+    """A limit; ``≥`` when the search ended before the wall did."""
+    return f"{'≥ ' if capped else ''}{three(value)}"
+
+
+def times(ratio: float | None) -> str:
+    """A ratio: ``× 1.25``."""
+    return f"× {three(ratio)}"
+
+
+def step(ratio: float) -> str:
+    """How far two values of a ratio are apart: ``1.5 %``."""
+    return f"{100 * (ratio - 1):.2g} %"
+
+
+def change(ratio: float) -> str:
+    """A ratio as a change: ``−12 %``."""
+    return _minus(f"{100 * (ratio - 1):+.0f} %") if math.isfinite(ratio) else "from nothing"
+
+
+def khz(rate_hz: float) -> str:
+    """A rate: ``20 kHz``."""
+    return f"{rate_hz / 1e3:g} kHz"
+
+
+def cell(value: Any) -> Any:
+    """What stands in a cell of a table: a number with three digits, anything else as it is."""
+    return three(value) if isinstance(value, float) or value is None else value
+
+
+def prefixed(names: Iterable[str], text: str) -> list[str]:
+    """Names with a text before each."""
+    return [text + name for name in names]
+
+
+def suffixed(names: Iterable[str], text: str) -> list[str]:
+    """Names with a text after each."""
+    return [name + text for name in names]
+
+
+def each(items: Iterable[Any], between: str = "; ", *, caller: Callable[..., str]) -> str:
+    """What a call block writes of each item, joined: ``{% call(name, value) each(pairs) %}…{% endcall %}``."""
+    written = [caller(*item) if isinstance(item, tuple) else caller(item) for item in items]
+    return type(written[0])(between).join(text.strip() for text in written) if written else ""
+
+
+def gathered(items: Mapping[str, tuple[Any, ...]], *, caller: Callable[..., str]) -> str:
+    """As `each`, of named items: ``a, b: text; c: other text``, each text once."""
+    names: dict[str, list[str]] = {}
+    for name, item in items.items():
+        names.setdefault(caller(*item).strip(), []).append(name)
+    return "; ".join(f"{', '.join(of)}: {text}" for text, of in names.items())
+
+
 def signed(value: float, digits: int = 4) -> str:
     """A difference, with its sign."""
     return _minus(f"{value:+.{digits}g}") if math.isfinite(value) else NOTHING
@@ -68,9 +131,9 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def shortest(value: float) -> str:
+def shortest(value: float, digits: int = 6) -> str:
     """A number that somebody chose, in its shortest form."""
-    return f"{value:g}"
+    return f"{value:.{digits}g}"
 
 
 def numbers(values: Iterable[float]) -> list[str]:
@@ -93,9 +156,19 @@ def _minus(text: str) -> str:
     return text.replace("-", MINUS)
 
 
+TESTS: Mapping[str, Callable[..., bool]] = {"finite": math.isfinite}
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "g": shortest,
     "number": number,
+    "n": three,
+    "limit": limit,
+    "times": times,
+    "step": step,
+    "change": change,
+    "khz": khz,
+    "cell": cell,
+    "prefixed": prefixed,
+    "suffixed": suffixed,
     "signed": signed,
     "percent": percent,
     "p": p,
@@ -107,4 +180,4 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "numbers": numbers,
     "sentence": sentence,
 }
-FUNCTIONS: Mapping[str, Callable[..., str]] = {"interval": interval}
+FUNCTIONS: Mapping[str, Callable[..., str]] = {"interval": interval, "each": each, "gathered": gathered}

@@ -16,16 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.bench.doctor import access, kernel, limits
-from rig.bench.doctor.finding import Finding, Outcome
 from rig.bench.doctor.machine import CHECKS, machine_checks
 from rig.bench.doctor.subject import Machine
 from rig.bench.doctor.udev import RIGS, udev_rules
 from rig.cli.doctor import doctor
 from rig.config.sections import Host
+from rig.core.check import Check, Outcome
+from rig.core.present import plain
 from rig.realtime.scheduling import Rights, ThreadState, facts, refusals
 from rig.realtime.scheduling.rights import name_of_group
 
-OK, WARNING, PROBLEM = Outcome.OK, Outcome.WARNING, Outcome.PROBLEM
+OK, WARNING, REFUSED = Outcome.OK, Outcome.WARNING, Outcome.REFUSED
 CPU = "sys/devices/system/cpu"
 CLOCKS = "sys/devices/system/clocksource/clocksource0"
 ORDINARY = Rights(user="ada", groups=frozenset({"ada"}), priority_limit=0, locked_limit=8 * 2**20)
@@ -37,7 +38,7 @@ class Tree:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.refusals: list[refusals.Refusal] = []
+        self.refusals: list[Check] = []
 
     def with_files(self, files: dict[str, str]) -> Tree:
         for name, text in files.items():
@@ -75,7 +76,7 @@ def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(
     for finding in findings:
         assert finding.text
         assert finding.why
-        assert isinstance(json.dumps(finding.as_mapping()), str)
+        assert isinstance(json.dumps(plain(finding)), str)
 
 
 @given(st.text(max_size=200))
@@ -106,9 +107,9 @@ def test_every_problem_of_an_ordinary_user_has_its_command(tree):
     for finding in machine_checks(
         machine=tree.machine(ORDINARY, may_open=False, realtime="enforce"), seconds=0
     ):
-        if finding.outcome == PROBLEM:
-            assert finding.command
-            assert "\n" not in finding.command
+        if finding.outcome == REFUSED:
+            assert finding.remedy
+            assert "\n" not in finding.remedy
 
 
 def test_this_machine_is_looked_at_without_a_change():
@@ -120,14 +121,13 @@ def test_this_machine_is_looked_at_without_a_change():
 # ---------------------------------------------------------------------- what the process may have
 
 
-@pytest.mark.parametrize(("realtime", "outcome"), [("enforce", PROBLEM), ("try", WARNING), ("off", WARNING)])
+@pytest.mark.parametrize(("realtime", "outcome"), [("enforce", REFUSED), ("try", WARNING), ("off", WARNING)])
 def test_a_refusal_is_as_bad_as_the_experiment_takes_it(tree, realtime, outcome):
     machine = tree.machine(ORDINARY, realtime=realtime)
     for check in (limits.priority, limits.memory):
         finding = check(machine)
         assert finding.outcome == outcome
-        assert finding.command == refusals.LIMITS_COMMAND
-        assert "log in again" in finding.text
+        assert finding.remedy == f"{refusals.LOG_IN_AGAIN}{refusals.LIMITS_COMMAND}"
 
 
 def test_limits_that_suffice_are_well(tree):
@@ -152,7 +152,7 @@ SHARE = "sys/fs/cgroup/cpu,cpuacct/user.slice/cpu.rt_runtime_us"
 def test_a_control_group_needs_a_share_of_real_time(tree, files, outcome):
     finding = limits.priority(tree.with_files(GROUP | files).machine())
     assert finding.outcome == outcome
-    assert finding.command == (f"echo 100000 | sudo tee /{SHARE}" if outcome == WARNING else "")
+    assert finding.remedy == (f"run: echo 100000 | sudo tee /{SHARE}" if outcome == WARNING else "")
 
 
 def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree):
@@ -160,12 +160,12 @@ def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree):
     finding = limits.priority(tree.machine())
     assert finding.outcome == WARNING
     assert "a container or a control group" in finding.text
-    assert finding.command
+    assert finding.remedy
 
 
 def test_the_group_of_a_container_is_the_root_of_its_mount(tree):
     tree.with_files({"proc/self/cgroup": "4:cpu:/docker/0123\n", "sys/fs/cgroup/cpu/cpu.rt_runtime_us": "0"})
-    assert limits.priority(tree.machine()).command.endswith("/sys/fs/cgroup/cpu/cpu.rt_runtime_us")
+    assert limits.priority(tree.machine()).remedy.endswith("/sys/fs/cgroup/cpu/cpu.rt_runtime_us")
 
 
 def test_deep_sleep_of_processors(tree):
@@ -175,7 +175,7 @@ def test_deep_sleep_of_processors(tree):
     tree.with_files({"dev/cpu_dma_latency": ""})
     assert limits.idle_states(tree.machine()).outcome == OK
     refused = limits.idle_states(tree.machine(may_open=False))
-    assert (refused.outcome, refused.command) == (WARNING, refusals.RULES_COMMAND)
+    assert (refused.outcome, refused.remedy) == (WARNING, refusals.LOG_IN_AGAIN + refusals.RULES_COMMAND)
 
 
 SWAPS = "Filename Type Size Used Priority\n/dev/sda2 partition 2097148 20480 -2\n/swap file 1024 2048 -3\n"
@@ -186,7 +186,7 @@ def test_swap_matters_to_memory_that_is_not_locked(tree):
     tree.with_files({"proc/swaps": SWAPS})
     assert limits.swap(tree.machine()).outcome == OK
     finding = limits.swap(tree.machine(ORDINARY))
-    assert (finding.outcome, finding.command) == (WARNING, "sudo swapoff -a")
+    assert (finding.outcome, finding.remedy) == (WARNING, "sudo swapoff -a")
     assert finding.text.startswith("22 MiB")
 
 
@@ -196,7 +196,7 @@ def test_the_share_of_real_time(tree, runtime, outcome):
         tree.with_files({"proc/sys/kernel/sched_rt_runtime_us": runtime}).machine()
     )
     assert finding.outcome == outcome
-    assert bool(finding.command) == (outcome != OK)
+    assert bool(finding.remedy) == (outcome != OK)
     if runtime == "950000":
         assert "95% of each 1 s" in finding.text
 
@@ -221,7 +221,7 @@ def test_kernels_and_how_they_give_way(tree, version, config, outcome):
     (tree.root / "proc/config.gz").write_bytes(gzip.compress(f"{config}\nCONFIG_X=m\n".encode()))
     finding = kernel.preemption(tree.machine())
     assert finding.outcome == outcome
-    assert bool(finding.command) == (outcome != OK)
+    assert bool(finding.remedy) == (outcome != OK)
 
 
 def test_coarse_timers_are_a_problem(tree):
@@ -229,7 +229,7 @@ def test_coarse_timers_are_a_problem(tree):
         kernel.timer(tree.with_files({"proc/timer_list": "  .resolution: 1 nsecs\n"}).machine()).outcome == OK
     )
     finding = kernel.timer(tree.with_files({"proc/timer_list": "  .resolution: 4000000 nsecs\n"}).machine())
-    assert finding.outcome == PROBLEM
+    assert finding.outcome == REFUSED
     assert "4 ms" in finding.text
 
 
@@ -246,7 +246,7 @@ def test_coarse_timers_are_a_problem(tree):
 def test_slow_clocks(tree, current, available, outcome, command):
     tree.with_files({f"{CLOCKS}/current_clocksource": current, f"{CLOCKS}/available_clocksource": available})
     finding = kernel.clock(tree.machine())
-    assert (finding.outcome, finding.command) == (outcome, command)
+    assert (finding.outcome, finding.remedy) == (outcome, command)
 
 
 def test_processors_that_change_their_frequency(tree):
@@ -262,10 +262,10 @@ def test_processors_that_change_their_frequency(tree):
 @pytest.mark.parametrize(
     ("cpu", "outcome", "text"),
     [
-        (None, OK, "isolated: 3, which host.cpu could name"),
+        (None, OK, "host.cpu could be an isolated one: 3"),
         (3, OK, "is isolated"),
         (2, WARNING, "not isolated"),
-        (7, PROBLEM, "this machine has 0, 1, 2, 3"),
+        (7, REFUSED, "this machine has 0, 1, 2, 3"),
     ],
 )
 def test_the_loop_s_own_processor(tree, cpu, outcome, text):
@@ -275,7 +275,7 @@ def test_the_loop_s_own_processor(tree, cpu, outcome, text):
     assert finding.outcome == outcome
     assert text in finding.text
     if outcome == WARNING:
-        assert f"isolcpus={cpu}" in finding.command
+        assert f"isolcpus={cpu}" in finding.remedy
 
 
 @pytest.mark.parametrize(
@@ -301,20 +301,21 @@ def test_ports_that_do_not_open_name_the_group_that_owns_them(tree):
     tree.with_files({"dev/ttyACM0": "", "dev/ttyUSB1": "", "dev/ttyS0": ""})
     assert access.serial_ports(tree.machine()).text == "ttyACM0, ttyUSB1 may be opened"
     finding = access.serial_ports(tree.machine(may_open=False))
-    assert finding.outcome == PROBLEM
+    assert finding.outcome == REFUSED
     group = group_of(tree.root / "dev/ttyACM0")
-    assert finding.command == (refusals.RULES_COMMAND if group == "root" else f"sudo usermod -aG {group} ada")
+    assert finding.remedy.endswith(
+        refusals.RULES_COMMAND if group == "root" else f": sudo usermod -aG {group} ada"
+    )
 
 
 def test_a_port_of_a_group(tree, monkeypatch):
     monkeypatch.setattr(access, "name_of_group", lambda number: "uucp")
     tree.with_files({"dev/ttyACM0": "", "etc/group": "uucp:x:14:bob\n"})
     finding = access.serial_ports(tree.machine(ORDINARY, may_open=False))
-    assert (finding.outcome, finding.command) == (PROBLEM, "sudo usermod -aG uucp ada")
+    assert (finding.outcome, finding.remedy) == (REFUSED, f"{refusals.LOG_IN_AGAIN}sudo usermod -aG uucp ada")
     tree.with_files({"etc/group": "uucp:x:14:bob,ada\n"})
     finding = access.serial_ports(tree.machine(ORDINARY, may_open=False))
-    assert finding.command == ""
-    assert "log in again" in finding.text
+    assert finding.remedy == "log in again"
 
 
 @pytest.mark.parametrize(
@@ -328,14 +329,16 @@ def test_a_port_of_a_group(tree, monkeypatch):
 def test_the_group_is_told_before_a_port_is_there(tree, rights, groups, outcome):
     finding = access.serial_ports(tree.with_files({"etc/group": groups}).machine(rights))
     assert finding.outcome == outcome
-    assert finding.command == ("sudo usermod -aG dialout ada" if outcome == WARNING else "")
+    assert finding.remedy == (
+        f"{refusals.LOG_IN_AGAIN}sudo usermod -aG dialout ada" if outcome == WARNING else ""
+    )
 
 
 def test_modem_manager_is_harmless_once_the_rules_are_there(tree):
     assert access.modem_manager(tree.machine()).outcome == OK
     tree.with_files({"proc/17/comm": "ModemManager\n", "proc/self/comm": "rig\n"})
     finding = access.modem_manager(tree.machine())
-    assert (finding.outcome, finding.command) == (WARNING, refusals.RULES_COMMAND)
+    assert (finding.outcome, finding.remedy) == (WARNING, refusals.RULES_COMMAND)
     assert access.udev_rules_present(tree.machine()).outcome == WARNING
     tree.with_files({refusals.RULES_FILE.lstrip("/"): udev_rules()})
     assert access.modem_manager(tree.machine()).outcome == OK
@@ -405,7 +408,7 @@ def test_wake_ups_are_measured_as_far_as_granted(wake_up, realtime):
     assert woken.thread.is_fifo == (
         realtime != "off" and not any("SCHED_FIFO" in text for text in woken.refusals)
     )
-    finding = wake_up.finding_of(woken)
+    finding = wake_up.judged(woken)
     assert "50 at 1 kHz as SCHED_" in finding.text
     assert finding.numbers["worst_s"] == woken.worst_s
 
@@ -428,12 +431,12 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused(wake_up):
         thread=thread,
         refusals=("SCHED_FIFO 80 is refused",),
     )
-    finding = wake_up.finding_of(woken)
-    assert isinstance(finding, Finding)
+    finding = wake_up.judged(woken)
+    assert isinstance(finding, Check)
     assert finding.outcome == WARNING
     assert finding.text == (
-        "1000 at 1 kHz as SCHED_OTHER: half within 25 µs, 99 % within 2500 µs, worst 8000 µs"
-        "; 3 periods slept through; SCHED_FIFO 80 is refused"
+        "1000 at 1 kHz as SCHED_OTHER: 50 % within 25 µs, 99 % within 2500 µs, longest 8000 µs"
+        "; 3 periods missed; SCHED_FIFO 80 is refused"
     )
 
 

@@ -37,15 +37,15 @@ def drive(tmp_path, monkeypatch):
 def starting(drive):
     """What a board does when it has been told all: it restarts, and the drive is gone."""
 
-    def told(what, _share):
+    def step(what, _share):
         if what.startswith("waiting"):
             (drive / "INFO_UF2.TXT").unlink(missing_ok=True)
 
-    return told
+    return step
 
 
 def test_the_image_is_copied_and_the_board_starts(image, drive):
-    done = flash(image, told=starting(drive))
+    done = flash(image, on_progress=starting(drive))
     assert (drive / "a.uf2").read_bytes() == image.read_bytes()
     assert (done.drive, done.board_id, done.rig, done.bytes) == (
         drive,
@@ -114,12 +114,12 @@ def test_a_drive_that_takes_nothing_is_told(image, drive):
 def test_a_board_that_goes_away_in_mid_copy_is_told(image, drive, monkeypatch):
     monkeypatch.setattr(flashing, "_CHUNK", 64)
 
-    def told(_what, _share):
+    def step(_what, _share):
         (drive / "INFO_UF2.TXT").unlink()
         raise OSError(errno.EIO, "input/output error")
 
     with pytest.raises(LinkLostError, match=r"in mid-copy, after 64 of \d+ bytes.*hold BOOTSEL"):
-        flash(image, told=told)
+        flash(image, on_progress=step)
 
 
 def test_a_sync_that_fails_after_the_last_byte_is_fine(image, drive, monkeypatch):

@@ -13,7 +13,9 @@ from rig.bench.firmware.flash import read_image
 from rig.bench.firmware.info import about, compatibility, info
 from rig.bench.firmware.record import MAGIC, ImageFacts, Record, find, pack
 from rig.bench.firmware.uf2 import RP2040, Piece, write_uf2
+from rig.core.check import Outcome
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 
 DICTIONARY = dictionaries.build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
 PACKED = dictionaries.encode(DICTIONARY)
@@ -54,7 +56,7 @@ def test_a_file_of_any_format_tells_what_a_device_would(tmp_path, kind):
     assert (found.device, found.firmware, found.law) == ("mine", "1", 2)
     assert found.dictionary_hash == f"{dictionaries.dictionary_hash(PACKED):016x}"
     assert found.facts is not None
-    assert found.facts["settings"] == FACTS.settings
+    assert found.facts.settings == FACTS.settings
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):
@@ -65,31 +67,34 @@ def test_a_file_that_is_none_is_refused(tmp_path):
         read_image(tmp_path / "text.bin")
 
 
-def test_another_major_version_is_a_problem_and_another_minor_is_none():
-    assert compatibility(DICTIONARY) == ([], [])
-    problems, _ = compatibility(replace(DICTIONARY, major=MAJOR + 1))
-    assert len(problems) == 1
-    assert str(MAJOR + 1) in problems[0]
-    problems, notes = compatibility(replace(DICTIONARY, minor=MINOR + 1))
-    assert not problems
-    assert len(notes) == 1
+def outcomes(dictionary):
+    return [(check.name, check.outcome) for check in compatibility(dictionary)]
 
 
-def test_parameters_that_are_missing_or_others_are_problems_and_more_of_them_are_none():
+def texts(dictionary):
+    return [check.text for check in compatibility(dictionary)]
+
+
+def test_another_major_version_is_refused_and_another_minor_is_a_warning():
+    assert outcomes(DICTIONARY) == []
+    other = replace(DICTIONARY, major=MAJOR + 1)
+    assert outcomes(other) == [("protocol", Outcome.REFUSED)]
+    assert str(MAJOR + 1) in texts(other)[0]
+    assert outcomes(replace(DICTIONARY, minor=MINOR + 1)) == [("protocol", Outcome.WARNING)]
+
+
+def test_parameters_that_are_missing_or_others_are_refused_and_more_of_them_are_a_warning():
     first, second, *others = DICTIONARY.parameters
-    problems, _ = compatibility(replace(DICTIONARY, parameters=(second, *others)))
-    assert [PARAMETERS[0].name in text for text in problems] == [True]
-    problems, _ = compatibility(
-        replace(DICTIONARY, parameters=(replace(first, unit="mile"), second, *others))
-    )
-    assert "mile" in problems[0]
-    more = replace(first, id=60_000, name="later")
-    problems, notes = compatibility(replace(DICTIONARY, parameters=(*DICTIONARY.parameters, more)))
-    assert not problems
-    assert "later" in notes[0]
+    missing = replace(DICTIONARY, parameters=(second, *others))
+    assert outcomes(missing) == [("parameters", Outcome.REFUSED)]
+    assert PARAMETERS[0].name in texts(missing)[0]
+    assert "mile" in texts(replace(DICTIONARY, parameters=(replace(first, unit="mile"), second, *others)))[0]
+    more = replace(DICTIONARY, parameters=(*DICTIONARY.parameters, replace(first, id=60_000, name="later")))
+    assert outcomes(more) == [("parameters", Outcome.WARNING)]
+    assert "later" in texts(more)[0]
 
 
-def test_a_firmware_that_this_package_cannot_run_is_told_so():
+def test_a_firmware_that_this_package_cannot_run_is_incompatible():
     found = about("x", replace(DICTIONARY, major=MAJOR + 1), 1, None)
     assert not found.compatible
-    assert found.as_mapping()["compatible"] is False
+    assert plain(found)["compatible"] is False

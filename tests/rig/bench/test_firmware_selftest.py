@@ -12,7 +12,9 @@ from firmware_protocol.packing import pack_batch_samples
 from rig.bench.firmware.selftest import SelfTestRequest, failure, selftest
 from rig.bench.firmware.stream import judge_stream
 from rig.config import presets
+from rig.core.check import Outcome
 from rig.core.errors import DeviceRefusedError
+from rig.core.present import plain
 from rig.devices import open_device
 
 DICTIONARY = build(device="mine", firmware="1", simulated=False, current_quantum_a=0.001)
@@ -40,15 +42,17 @@ def test_a_sound_device_passes_and_is_left_as_it_was(device):
     )
     assert found.passed
     assert failure(found) is None
-    assert [check.outcome for check in found.checks if check.name not in ("encoder", "stream")] == ["ok"] * 9
+    assert [check.outcome for check in found.checks if check.name not in ("encoder", "stream")] == [
+        Outcome.OK
+    ] * 9
     assert device.active_parameters() == before
     assert [what for what, _ in told] == [check.name for check in found.checks]
-    assert found.as_mapping()["passed"] is True
+    assert plain(found)["passed"] is True
 
 
 def test_the_image_of_another_rig_is_found(device):
     check = outcome(device, "rig", replace(REQUEST, experiment=presets.load("chawda-linear")))
-    assert check.outcome == "failed"
+    assert check.outcome == Outcome.REFUSED
     assert "motion" in check.text
     assert "--rig chawda-linear" in check.remedy
 
@@ -56,7 +60,7 @@ def test_the_image_of_another_rig_is_found(device):
 def test_a_fault_of_an_earlier_run_is_told_and_cleared(device):
     device.link.device.inject_fault(Fault.OVER_CURRENT)
     check = outcome(device, "fault memory")
-    assert check.outcome == "ok"
+    assert check.outcome == Outcome.OK
     assert "OVER_CURRENT" in check.text
     assert device.connection.state == State.CONFIGURED
 
@@ -72,7 +76,7 @@ def test_a_defect_is_found(device, monkeypatch, name, method, value):
     monkeypatch.setattr(device, method, lambda *_args, **_named: value)
     monkeypatch.setattr(device, "disarm", lambda **_named: None)
     check = outcome(device, name)
-    assert check.outcome == "failed"
+    assert check.outcome == Outcome.REFUSED
     assert check.remedy
 
 
@@ -90,14 +94,14 @@ def test_a_defect_is_found(device, monkeypatch, name, method, value):
 def test_ticks_that_are_not_regular_are_found(device, monkeypatch, spoil):
     honest = device.states
     monkeypatch.setattr(device, "states", lambda seconds: [spoil(state) for state in honest(seconds)])
-    assert outcome(device, "ticks").outcome == "failed"
+    assert outcome(device, "ticks").outcome == Outcome.REFUSED
 
 
 def test_damaged_frames_are_found(device):
     device.identify()
     device.link.write(b"\x03\x05\x07\x00")
     check = outcome(device, "link")
-    assert check.outcome == "failed"
+    assert check.outcome == Outcome.REFUSED
     assert "1 frames that the device could not read" in check.text
     error = failure(selftest(device, REQUEST))
     assert isinstance(error, DeviceRefusedError)
@@ -106,10 +110,10 @@ def test_damaged_frames_are_found(device):
 
 def test_a_hand_on_the_handle_is_seen(device):
     request = replace(REQUEST, move=True)
-    assert outcome(device, "encoder", request).outcome == "failed"
+    assert outcome(device, "encoder", request).outcome == Outcome.REFUSED
     device.link.device.hardware.external_effort = 0.5
     check = outcome(device, "encoder", request)
-    assert check.outcome == "ok", check.text
+    assert check.outcome == Outcome.OK, check.text
     device.link.device.hardware.external_effort = 0.0
 
 
@@ -128,12 +132,12 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
 @pytest.mark.parametrize(
     ("said", "ticks", "outcome", "text"),
     [
-        (WHOLE, 4, "ok", "4 samples in 2 frames, 0 gaps"),
-        (WHOLE, 40, "failed", "where 40 ticks passed"),
-        ([WHOLE[0], batch(1, [(0, 0, 0)])], 3, "failed", "1 gaps"),
-        ([*WHOLE, state(0, count=9)], 4, "failed", "different counts in 1 ticks"),
-        ([*WHOLE, batch(2, [(0, 5, 0)])], 4, "failed", "drove a current"),
-        ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, "failed", Fault.LINK_LOST.text),
+        (WHOLE, 4, Outcome.OK, "4 samples in 2 frames, 0 gaps"),
+        (WHOLE, 40, Outcome.REFUSED, "where 40 ticks passed"),
+        ([WHOLE[0], batch(1, [(0, 0, 0)])], 3, Outcome.REFUSED, "1 gaps"),
+        ([*WHOLE, state(0, count=9)], 4, Outcome.REFUSED, "different counts in 1 ticks"),
+        ([*WHOLE, batch(2, [(0, 5, 0)])], 4, Outcome.REFUSED, "drove a current"),
+        ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, Outcome.REFUSED, Fault.LINK_LOST.text),
     ],
 )
 def test_the_samples_of_a_law_on_the_device_are_judged(said, ticks, outcome, text):
@@ -142,7 +146,7 @@ def test_the_samples_of_a_law_on_the_device_are_judged(said, ticks, outcome, tex
     assert text in check.text
 
 
-@pytest.mark.parametrize(("share", "outcome"), [(0.79, "ok"), (0.81, "failed")])
+@pytest.mark.parametrize(("share", "outcome"), [(0.79, Outcome.OK), (0.81, Outcome.REFUSED)])
 def test_a_law_that_leaves_too_little_of_a_period_is_found(share, outcome):
     period = 1e9 / DICTIONARY.time_unit_ns / 1_000
     worst = state(0, count=103, execution_time=round(share * period))

@@ -8,6 +8,7 @@ import pty
 
 import pytest
 
+from rig.core.present import plain
 from rig.devices import port_facts as module
 from rig.devices import tty
 from rig.devices.port_facts import PortFacts, port_facts
@@ -88,10 +89,9 @@ def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree):
         "usb-FTDI_FT232R_USB_UART_A50285BI-if00-port0"
     ]
     (problem,) = facts.problems()
-    assert "16 ms" in problem
-    command = problem.partition(". Mend it with: ")[2]
-    assert command == "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
-    assert "--print-udev" in problem
+    assert "16 ms" in problem.text
+    assert problem.remedy.startswith("echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer;")
+    assert "--print-udev" in problem.remedy
     assert tree.facts(facts.by_id[0]).vid_pid == "0403:6001", "the name that stays leads to the same port"
 
 
@@ -140,7 +140,7 @@ def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree)
 
 def test_facts_become_json(tree):
     facts = tree.facts(tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16, by_id="usb-x"))
-    told = json.loads(json.dumps(facts.as_mapping()))
+    told = json.loads(json.dumps(plain(facts)))
     assert told["latency_timer_ms"] == 16
     assert len(told["by_id"]) == 1
 
@@ -154,14 +154,14 @@ def test_facts_become_json(tree):
         (
             {"driver": "ch341-uart", "low_latency": False},
             None,
-        ),  # it has no such mode, and nobody can mend that
+        ),  # it has no such mode
         ({"low_latency": None, "exclusive": None, "dtr": None}, None),
     ],
 )
-def test_a_problem_is_what_somebody_can_mend_with_one_command(changed, command):
+def test_a_problem_is_what_one_command_removes(changed, command):
     problems = PortFacts(port="/dev/ttyS0", device="/dev/ttyS0", **changed).problems()
     assert len(problems) == (command is not None)
-    assert all(problem.endswith(f". Mend it with: {command}") for problem in problems)
+    assert all(command in problem.remedy for problem in problems)
 
 
 # ---------------------------------------------------------------------- the line itself, on a pseudo-terminal

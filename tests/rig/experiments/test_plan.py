@@ -16,6 +16,7 @@ from rig import config
 from rig.config import controller, presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
+from rig.core.present import plain
 from rig.experiments.plan import LINK_SHARE, STATE_BYTES, link_checks, make_plan, predict_impact
 from sim_backend import trial as bare
 from sim_backend.plant import DiscretePlant
@@ -115,7 +116,7 @@ def test_without_a_wall_the_handle_goes_anywhere():
     plan = make_plan(free)
     assert not plan.ok
     assert check(free, "stiffness").outcome == Outcome.REFUSED
-    json.dumps(plan.as_mapping(), allow_nan=False)
+    json.dumps(plain(plan), allow_nan=False)
 
 
 # ---------------------------------------------------------------------- checks, both sides
@@ -229,7 +230,7 @@ def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name):
         plan = make_plan(experiment)
         assert plan.ok, [c for c in plan.checks if c.outcome != Outcome.OK]
         assert all(c.text for c in plan.checks)
-        assert json.loads(json.dumps(plan.as_mapping()))["ok"] is True
+        assert json.loads(json.dumps(plain(plan)))["ok"] is True
 
 
 # ---------------------------------------------------------------------- device and link

@@ -1,0 +1,45 @@
+"""Questions about a machine or a device: a name and a reason stated once, and a function that answers with a check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from typing import ParamSpec
+
+from rig.core.check import Check, Outcome
+
+Asked = ParamSpec("Asked")
+
+
+def ok(text: str) -> Check:
+    """Nothing is to be done."""
+    return Check("", Outcome.OK, text)
+
+
+def warning(text: str, remedy: str = "") -> Check:
+    """It works, less well or less surely."""
+    return Check("", Outcome.WARNING, text, remedy)
+
+
+def refused(text: str, remedy: str = "") -> Check:
+    """What was asked for cannot be had, or a device has failed."""
+    return Check("", Outcome.REFUSED, text, remedy)
+
+
+def skipped(text: str) -> Check:
+    """It could not be examined, or nobody asked for it."""
+    return Check("", Outcome.SKIPPED, text)
+
+
+def question(name: str, why: str = "") -> Callable[[Callable[Asked, Check]], Callable[Asked, Check]]:
+    """Give the answers of a function this name and this reason why they matter."""
+
+    def named(answer: Callable[Asked, Check]) -> Callable[Asked, Check]:
+        @wraps(answer)
+        def check(*arguments: Asked.args, **options: Asked.kwargs) -> Check:
+            return replace(answer(*arguments, **options), name=name, why=why)
+
+        return check
+
+    return named

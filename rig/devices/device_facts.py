@@ -1,0 +1,124 @@
+"""What a device is: from its dictionary, wherever that was read, and from the open device itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from firmware_protocol.connection import State
+from firmware_protocol.dictionary import Dictionary
+from firmware_protocol.messages import MAJOR, MINOR
+from rig.core.present import Row
+from rig.devices.framed import FramedDevice
+
+OUR_PROTOCOL = f"{MAJOR}.{MINOR}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirmwareFacts:
+    """What the dictionary of a firmware states.
+
+    Attributes
+    ----------
+    device, firmware, simulated
+        Name of the rig, version, and whether a simulation runs it.
+    protocol, our_protocol
+        Version that it speaks, and that of this package.
+    dictionary_hash
+        As in IDENTITY and ARM, 16 hexadecimal digits.
+    position_rate_default, position_rate_maximum
+        Tick rates (Hz).
+    current_quantum_a
+        One step of a current on the wire (A).
+    law
+        Laws that it runs itself: highest value of parameter ``law``.
+    """
+
+    device: str
+    firmware: str
+    simulated: bool
+    protocol: str
+    our_protocol: str
+    dictionary_hash: str
+    position_rate_default: int
+    position_rate_maximum: int
+    current_quantum_a: float
+    law: int
+
+    def rows(self) -> list[Row]:
+        """Return it for people."""
+        kind = "simulated" if self.simulated else ""
+        law = {0: "none: the law runs on the host", 1: "in integers", 2: "in integers and in float32"}
+        return [
+            Row("firmware", self.firmware),
+            Row("rig", self.device, note=kind),
+            Row(
+                "protocol",
+                self.protocol,
+                note=f"dictionary {self.dictionary_hash}; this package: {self.our_protocol}",
+            ),
+            Row("rates", self.position_rate_default, "Hz", f"up to {self.position_rate_maximum} Hz"),
+            Row("law on the device", law.get(self.law, f"up to kind {self.law}")),
+            Row("current quantum", self.current_quantum_a, "A"),
+        ]
+
+
+def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
+    """Return the fields of `FirmwareFacts` that a dictionary with this hash gives."""
+    law = dictionary.parameter("law")
+    return {
+        "device": dictionary.device,
+        "firmware": dictionary.firmware,
+        "simulated": dictionary.simulated,
+        "protocol": f"{dictionary.major}.{dictionary.minor}",
+        "our_protocol": OUR_PROTOCOL,
+        "dictionary_hash": f"{fingerprint:016x}",
+        "position_rate_default": dictionary.position_rate_default,
+        "position_rate_maximum": dictionary.position_rate_maximum,
+        "current_quantum_a": dictionary.current_quantum_a,
+        "law": 0 if law is None else int(law.maximum),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceFacts(FirmwareFacts):
+    """A device that is open.
+
+    Attributes
+    ----------
+    url
+        Where it is.
+    state, fault
+        Its state, and the latched fault with its remedy, if there is one.
+    messages
+        What the link did not obtain when it was opened, with remedies.
+    """
+
+    url: str
+    state: str
+    fault: str | None
+    messages: Sequence[str]
+
+    @classmethod
+    def of(cls, device: FramedDevice) -> DeviceFacts:
+        """Ask an open device; errors as its questions raise them."""
+        dictionary = device.dictionary
+        faulty = device.connection.state is State.FAULT
+        report = device.fault_report() if faulty else None
+        return cls(
+            **stated(dictionary, device.dictionary_hash),
+            url=device.link.url.text,
+            state=device.connection.state.name,
+            fault=None if report is None else f"{report.text}; {report.remedy}",
+            messages=tuple(device.link.messages),
+        )
+
+    def rows(self) -> list[Row]:
+        """Return it for people."""
+        return [
+            Row("url", self.url),
+            *super().rows(),
+            Row("state", self.state, note=self.fault or ""),
+            *(Row("not obtained", message) for message in self.messages),
+        ]

@@ -1,0 +1,75 @@
+"""The work of a reproduction: many small parts in one sweep, so that all of it has one progress bar and one journal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rig.experiments import sweep
+from rig.experiments.sweep import Progress, Task
+
+RUN_PART = "rig.papers.parts:run_part"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Some tasks of one kind: `work` as in `rig.experiments.sweep.run`; weights in hits of a 20 kHz rig."""
+
+    work: str
+    tasks: tuple[Task, ...]
+
+
+def part(work: str, payload: Mapping[str, Any], weight: float) -> Part:
+    """Return a part of one task."""
+    return Part(work, (Task("all", payload, weight),))
+
+
+def run_part(payload: Mapping[str, Any]) -> Any:
+    """Run one task of a part, in plain values."""
+    module, _, function = payload["work"].partition(":")
+    return getattr(import_module(module), function)(payload["payload"])
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Results of parts, by name; how long they took (s), and how many tasks the journal already had."""
+
+    results: Mapping[str, Sequence[Any]]
+    seconds: float
+    kept: int
+
+    def one(self, name: str) -> Any:
+        """Return the result of a part of one task."""
+        (result,) = self.results[name]
+        return result
+
+
+def run_parts(
+    parts: Mapping[str, Part],
+    *,
+    journal: Path | None = None,
+    workers: int | None = None,
+    watch: Callable[[Progress], None] | None = None,
+) -> Parts:
+    """Run everything as one sweep; parameters and errors as `rig.experiments.sweep.run`."""
+    started = time.monotonic()
+    tasks = [
+        replace(task, key=f"{name}:{task.key}", payload={"work": part.work, "payload": task.payload})
+        for name, part in parts.items()
+        for task in part.tasks
+    ]
+    kept = 0
+
+    def watched(progress: Progress) -> None:
+        nonlocal kept
+        kept = progress.kept
+        if watch is not None:
+            watch(progress)
+
+    results = iter(sweep.run(RUN_PART, tasks, journal=journal, workers=workers, watch=watched))
+    by_name = {name: [next(results) for _ in part.tasks] for name, part in parts.items()}
+    return Parts(by_name, time.monotonic() - started, kept)

@@ -1,0 +1,189 @@
+"""A reproduction: everything computed as one sweep, judged by rules, worded by templates, written as one HTML page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+from rig.core.present import plain
+from rig.experiments.sweep import Progress
+from rig.papers.claims import Claim, read_claims
+from rig.papers.parts import Part, Parts, run_parts
+from rig.papers.rules import Ruling, Status
+from rig.recording.files import whole_file
+from rig.views.report.template import data_uris, fill, provenance_lines
+
+CLAIMS, PAGE = "claims.j2", "page.html.j2"  # templates of a paper
+MARKS = {Status.REPRODUCED: "yes", Status.ONLY_WITH: "only", Status.NOT: "no"}  # classes of the style sheet
+
+
+class Plan(Protocol):
+    """All parts of the work, by name, and the way back from their results."""
+
+    def parts(self) -> dict[str, Part]:
+        """Everything that has to be computed."""
+
+    def results(self, done: Parts) -> Any:
+        """One typed object of everything that came back."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Paper:
+    """What this project knows of a paper.
+
+    Attributes
+    ----------
+    name
+        One word; its templates stand in that folder.
+    quick, full
+        How fine everything is computed.
+    plan
+        The work, from such a scale.
+    rulings
+        On every claim, by key, from the results.
+    words
+        What the templates call for beside rulings and claims.
+    numbers, provenance
+        Every number in plain values; what they come from, the same on every machine.
+    pictures
+        By name: a function that draws the results as a PNG.
+    """
+
+    name: str
+    quick: Any
+    full: Any
+    plan: Callable[[Any], Plan]
+    rulings: Callable[[Any], dict[str, Ruling]]
+    words: Callable[[Any], dict[str, Any]]
+    numbers: Callable[[Any], dict[str, Any]]
+    provenance: Callable[[Any], dict[str, Any]]
+    pictures: Mapping[str, Callable[[Any, Path], None]]
+
+    def template(self, name: str) -> str:
+        """Path of one of its templates."""
+        return f"papers/{self.name}/{name}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reproduction:
+    """A finished reproduction.
+
+    Attributes
+    ----------
+    title, source
+        Of the paper: a line, and where it was published.
+    claims
+        With their verdicts.
+    numbers, provenance
+        As of its `Paper`; the same for the same plan and code.
+    seconds, kept
+        How long this run took, and how many tasks it found already done.
+    results
+        What page and pictures are made from.
+    """
+
+    paper: Paper
+    title: str
+    source: str
+    claims: tuple[Claim, ...]
+    numbers: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    seconds: float
+    kept: int = 0
+    results: Any = field(default=None, repr=False, compare=False)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Plain values, for JSON: what is not finite is None."""
+        mapping = {
+            "name": self.paper.name,
+            "title": self.title,
+            "claims": self.claims,
+            "numbers": self.numbers,
+            "provenance": self.provenance,
+            "seconds": self.seconds,
+            "kept": self.kept,
+        }
+        return dict(plain(mapping))
+
+    def count(self, status: str) -> int:
+        """How many claims have this status, by the name of a `Status`."""
+        return sum(claim.status is Status[status] for claim in self.claims)
+
+
+def reproduce(
+    paper: Paper,
+    scale: Any,
+    *,
+    journal: Path | None = None,
+    workers: int | None = None,
+    watch: Callable[[Progress], None] | None = None,
+) -> Reproduction:
+    """Reproduce a paper.
+
+    Parameters
+    ----------
+    paper, scale
+        Which, and how fine: its `full`, or the coarse `quick`.
+    journal, workers, watch
+        As in `rig.experiments.sweep.run`; with a journal a stopped reproduction resumes.
+
+    Raises
+    ------
+    SweepStoppedError
+        Ctrl-C; what is done stays in the journal.
+    """
+    plan = paper.plan(scale)
+    done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
+    results = plan.results(done)
+    head, claims = read_claims(paper.template(CLAIMS), paper.rulings(results), paper.words(results))
+    return Reproduction(
+        paper=paper,
+        title=head["title"],
+        source=head["source"],
+        claims=claims,
+        numbers=paper.numbers(results),
+        provenance=paper.provenance(results),
+        seconds=done.seconds,
+        kept=done.kept,
+        results=results,
+    )
+
+
+def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
+    """Return the page; a picture (PNG by name) that the template shows and that is not there is said to be missing."""
+    return fill(
+        found.paper.template(PAGE),
+        reproduction=found,
+        marks=MARKS,
+        pictures=data_uris(pictures),
+        provenance=provenance_lines(found.provenance),
+        data=found.as_mapping(),
+        sections=[],
+        **found.paper.words(found.results),
+    )
+
+
+def draw(found: Reproduction) -> dict[str, bytes]:
+    """Draw every picture of the page; returns PNGs by name."""
+    with TemporaryDirectory(prefix=f"rig-{found.paper.name}-") as place:
+        for name, picture in found.paper.pictures.items():
+            picture(found.results, Path(place, f"{name}.png"))
+        return {name: Path(place, f"{name}.png").read_bytes() for name in found.paper.pictures}
+
+
+def write_report(found: Reproduction, directory: Path) -> tuple[Path, Path]:
+    """Write the page with its pictures, and the numbers, into a directory; returns both paths.
+
+    `RecordingError` when the disk refuses.
+    """
+    page = render(found, draw(found)).encode()
+    numbers = json.dumps(found.as_mapping(), ensure_ascii=False, allow_nan=False, indent=1).encode()
+    paths = directory / f"{found.paper.name}.html", directory / f"{found.paper.name}.json"
+    for path, content in zip(paths, (page, numbers), strict=True):
+        with whole_file(path, overwrite=True) as file:
+            file.write(content)
+    return paths

@@ -1,0 +1,45 @@
+"""What real-time tests put up with on a busy machine: counted, and printed at the end of the run.
+
+A run that lost its link because nobody had time for it is safe and recorded, but shows nothing else. The test says so
+here instead of passing in silence, and the summary shows how much of a run was such.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import NoReturn
+
+import pytest
+
+PROPERTY = "tolerated"  # in the properties of a test's report
+_in_this_test: list[str] = []
+
+
+def tolerated(what: object) -> None:
+    """Note that the test in progress puts up with this: an error, or a sentence."""
+    _in_this_test.append(f"{type(what).__name__}: {what}" if isinstance(what, Exception) else str(what))
+
+
+def too_busy(what: object) -> NoReturn:
+    """Skip the test in progress: the machine had no time for it to begin."""
+    tolerated(what)
+    pytest.skip(f"too busy: {what}")
+
+
+def taken() -> list[tuple[str, str]]:
+    """Return what was noted since the last call, as properties of a report."""
+    found = [(PROPERTY, what) for what in _in_this_test]
+    _in_this_test.clear()
+    return found
+
+
+def summary(reports: Iterable[pytest.TestReport]) -> list[str]:
+    """Return a line for each test that put up with something, most first; none when all showed what they are for."""
+    counts = Counter(
+        (report.nodeid.partition("[")[0], what.partition(";")[0])
+        for report in reports
+        for name, what in report.user_properties
+        if name == PROPERTY
+    )
+    return [f"{number} × {test}: {what}" for (test, what), number in counts.most_common()]

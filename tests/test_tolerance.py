@@ -1,0 +1,41 @@
+"""What a real-time test puts up with reaches the summary, through workers too, and is counted by test and reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest_plugins = ["pytester"]
+
+ROOT = Path(__file__).parent.parent
+TESTS = """
+import pytest
+from tests.conformance.tolerance import tolerated, too_busy
+
+@pytest.mark.parametrize("number", range(3))
+def test_of_time(number):
+    if number < 2:
+        tolerated(TimeoutError("no answer"))
+
+def test_that_never_began():
+    too_busy("nobody there")
+
+def test_that_shows_all():
+    pass
+"""
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_what_is_tolerated_is_counted_and_printed(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, workers: str
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    pytester.makeconftest((ROOT / "tests" / "conftest.py").read_text())
+    pytester.makepyfile(test_some=TESTS)
+    found = pytester.runpytest_subprocess("-n", workers, "-p", "no:cacheprovider")
+    found.assert_outcomes(passed=4, skipped=1)
+    summary = found.stdout.str().partition("tolerated on this machine")[2]
+    assert "2 × test_some.py::test_of_time: TimeoutError: no answer" in summary
+    assert "1 × test_some.py::test_that_never_began: nobody there" in summary
+    assert "test_that_shows_all" not in summary
