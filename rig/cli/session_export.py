@@ -74,7 +74,7 @@ def export(
             with CountBar(f"writing {kind.upper()}", plain=as_json) as bar:
                 written[kind] = export_trials(study, place, kind, bar.watch)
     if as_json:
-        output.print_json({name: one.as_mapping() for name, one in written.items()})
+        output.print_json(written)
         return
     unsaid = [
         option for option, value in (("--author NAME", authors), ("--licence TEXT", licence)) if not value

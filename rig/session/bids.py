@@ -24,13 +24,15 @@ from rig.recording.files import whole_directory
 from rig.recording.header import checkout
 from rig.recording.reader import open_recording
 from rig.session import bids_motion
+from rig.session.analysis.rows import TrialRow
 from rig.session.analysis.study import Session, Study
+from rig.session.analysis.trials import trials_of
 from rig.session.bids_motion import EVENTS, MISSING, TASK, TRACKSYS, Channel
-from rig.session.state import END, Trial
+from rig.session.state import END
 from rig.session.trial_facts import FACTS, facts_of, unusable
 
 BIDS_VERSION = "1.10.0"
-SHIFTED_TO = datetime(1925, 1, 1, tzinfo=UTC)  # what the standard asks of dates that tell nothing
+SHIFTED_TO = datetime(1925, 1, 1, tzinfo=UTC)  # what the standard asks of shifted dates
 _STEM = f"task-{TASK}_tracksys-{TRACKSYS}"
 
 Watch = Callable[[int, int], None]
@@ -38,9 +40,9 @@ Row = Mapping[str, Any]
 
 _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "trial_type": {"LongName": "Kind of event", "Description": "what began", "Levels": dict(EVENTS)},
-    "trial": {"Description": FACTS["trial"][0]},
+    "trial": {"Description": FACTS["trial"].meaning},
     "verdict": {
-        "Description": FACTS["verdict"][0],
+        "Description": FACTS["verdict"].meaning,
         "Levels": {
             "stable": "the wall held still",
             "buzz": "it could be felt or heard to ring",
@@ -48,8 +50,8 @@ _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
             "unsure": "the participant could not say",
         },
     },
-    "judged_by": {"Description": FACTS["judged_by"][0]},
-    "response_time": {"Description": FACTS["response_time"][0], "Units": "s"},
+    "judged_by": {"Description": FACTS["judged_by"].meaning},
+    "response_time": {"Description": FACTS["response_time"].meaning, "Units": "s"},
 }
 
 
@@ -82,15 +84,6 @@ class Dataset:
     recordings: int
     left_out: tuple[str, ...]
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "directory": str(self.directory),
-            "participants": self.participants,
-            "recordings": self.recordings,
-            "left_out": list(self.left_out),
-        }
-
 
 def export_bids(
     study: Study, directory: Path, options: Options | None = None, watch: Watch | None = None
@@ -106,7 +99,7 @@ def export_bids(
     options
         See `Options`.
     watch
-        Told how many recordings are done, and of how many.
+        Called with how many recordings are done, and of how many.
 
     Raises
     ------
@@ -114,16 +107,18 @@ def export_bids(
         Two codes that BIDS cannot tell apart, a decimation below 1.
     RecordingError
         The directory exists, a recording cannot be read, or the disk refuses. What is missing or was changed is
-        left out and said.
+        left out and named.
     """
     options = options or Options()
     if options.every < 1:
         raise ConfigError(f"every {options.every}-th row", remedy="keep every 1st (all), 2nd, 3rd … row")
     labels = _labels(study)
+    trials = [row for row in trials_of(study) if row.recorded != "none"]
     with whole_directory(directory) as draft:
-        writer = _Writer(draft, options, watch, sum(len(one.recordings) for one in study.sessions))
+        writer = _Writer(draft, options, watch, len(trials))
         for session in study.sessions:
-            writer.participant(session, labels[session.code])
+            theirs = [row for row in trials if row.participant == session.code]
+            writer.participant(session, theirs, labels[session.code])
         writer.dataset(study, labels)
     return Dataset(
         directory=directory,
@@ -155,33 +150,26 @@ class _Writer:
         self.written = 0
         self.left_out: list[str] = []
 
-    def participant(self, session: Session, label: str) -> None:
+    def participant(self, session: Session, trials: Iterable[TrialRow], label: str) -> None:
         """Write the directory of one participant."""
         name = f"sub-{label}"
         place = self._root / name / "motion"
         place.mkdir(parents=True)
         scans: list[Row] = []
         shift: timedelta | None = None
-        for trial in session.state.trials:
-            if trial.trial not in session.recordings:
-                continue
-            problem = unusable(session, trial)
+        for row in trials:
+            problem = unusable(row)
             if problem is not None:
                 self.left_out.append(problem)
             else:
-                recording = open_recording(session.directory / str(trial.recording))
-                stem = f"{name}_{_STEM}_run-{trial.trial:04d}"
-                self._run(place, stem, session, trial, recording)
+                recording = open_recording(session.directory / row.recording)
+                stem = f"{name}_{_STEM}_run-{row.trial:04d}"
+                self._run(place, stem, session, row, recording)
                 acquired = _acquired(recording)
                 if shift is None and acquired is not None:
                     shift = SHIFTED_TO - acquired.replace(hour=0, minute=0, second=0, microsecond=0)
-                scans.append(
-                    {
-                        "filename": f"motion/{stem}_motion.tsv",
-                        "acq_time": _date(acquired, shift if self._options.shift_dates else None),
-                        **facts_of(trial, session.voided.get(trial.trial, "")),
-                    }
-                )
+                date = _date(acquired, shift if self._options.shift_dates else None)
+                scans.append({"filename": f"motion/{stem}_motion.tsv", "acq_time": date, **facts_of(row)})
                 self.written += 1
             if self._watch is not None:
                 self._watch(next(self._seen), self._total)
@@ -189,7 +177,7 @@ class _Writer:
         motion = session.state.experiment["rig"]["motion"]
         _write_json(self._root / name / f"{name}_scans.json", _scans_sidecar(motion))
 
-    def _run(self, place: Path, stem: str, session: Session, trial: Trial, recording: Recording) -> None:
+    def _run(self, place: Path, stem: str, session: Session, trial: TrialRow, recording: Recording) -> None:
         every, protocol = self._options.every, session.state.protocol
         motion: Motion = recording.header["motion"]
         columns = bids_motion.channels(motion, recording.experiment["controller"]["estimator"])
@@ -246,28 +234,25 @@ def _labels(study: Study) -> dict[str, str]:
 
 def _scans_sidecar(motion: Motion) -> Row:
     described = {
-        name: {"Description": text}
-        | ({"Units": bids_motion.unit(unit_of(quantity, motion))} if quantity else {})
-        for name, (text, quantity) in FACTS.items()
+        name: {"Description": one.meaning}
+        | ({"Units": bids_motion.unit(unit_of(one.unit, motion))} if one.unit else {})
+        for name, one in FACTS.items()
     }
     return {"acq_time": {"Description": "when the recording began, in UTC"}, **described}
 
 
-def _events(trial: Trial, recording: Recording) -> list[Row]:
+def _events(trial: TrialRow, recording: Recording) -> list[Row]:
     rows: list[Row] = [
         {"onset": f"{onset:.6f}", "duration": f"{duration:.6f}", "trial_type": kind, "trial": trial.trial}
         for kind, onset, duration in bids_motion.spans(recording)
     ]
-    if trial.verdict is not None:
+    if trial.verdict:
         rows.append(
             {
                 "onset": f"{float(recording.time_s[-1]):.6f}",
                 "duration": 0,
                 "trial_type": "verdict",
-                "trial": trial.trial,
-                "verdict": trial.verdict,
-                "judged_by": trial.by,
-                "response_time": trial.took_s,
+                **{name: value for name, value in facts_of(trial).items() if name in _EVENT_COLUMNS},
             }
         )
     return rows
@@ -279,7 +264,7 @@ def _channel_rows(columns: Iterable[Channel]) -> list[Row]:
 
 def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, ...], list[Row], Row]:
     """Columns, rows and sidecar of the participants' table; each answer is a column."""
-    told = {
+    own = {
         "code": {"Description": "as in the study's own files"},
         "row": {"Description": "row of the order of conditions, from 0"},
         "simulated": {"Description": "1 where a simulated person took part (a rehearsal)"},
@@ -302,14 +287,14 @@ def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, .
         for (name, block), answer in state.answered.items():
             item = items.get(name)
             column = name if block in {0, END} else f"{name}_block{block}"
-            while column in told or column == "participant_id":
+            while column in own or column == "participant_id":
                 column += "_answer"
             answers.setdefault(column, {"Description": item.text if item else name})
             if item is not None and item.kind == "scale":
                 answers[column]["Minimum"], answers[column]["Maximum"] = item.lowest, item.highest
             row[column] = answer
         rows.append(row)
-    return ("participant_id", *told, *answers), rows, {**told, **answers}
+    return ("participant_id", *own, *answers), rows, {**own, **answers}
 
 
 def _readme(study: Study, options: Options) -> str:
@@ -326,7 +311,7 @@ def _readme(study: Study, options: Options) -> str:
         + (f", of which every {options.every}th is kept, unfiltered." if options.every > 1 else "."),
         "",
         "Runs that do not count (practice, redone, of a block that was started over) are here as well; the column "
-        "`counts` tells them.",
+        "`counts` marks them.",
     ]
     if study.rehearsed:
         lines += ["", "Its participants were simulated: no person moved the handle or judged a wall."]

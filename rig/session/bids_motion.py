@@ -18,7 +18,7 @@ import numpy as np
 
 from rig.core.deferred import csv, pyarrow
 from rig.core.errors import RecordingError
-from rig.core.sample import Motion, Phase, RowFlag, unit_of
+from rig.core.sample import COLUMNS, Motion, Phase, RowFlag, unit_of
 from rig.recording.data import Recording
 from rig.recording.marks import OUTPUTS, marks
 
@@ -35,6 +35,7 @@ _SPANS: Mapping[int, str] = {
     Phase.RELEASE: "release",
 }
 _PINS = ("sync", *OUTPUTS)
+_EXPORTED = ("position", "velocity", "penetration", "effort_sent", "effort_applied", "current_measured")
 EVENTS: Mapping[str, str] = {
     "homing": "the motor brings the handle to the start, slowly",
     "settle": "the handle comes to rest at the start",
@@ -75,54 +76,22 @@ class Channel:
 
 
 def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
-    """Columns of a motion file, for a rotary or a linear rig."""
+    """Columns of a motion file, for a rotary or a linear rig; unit and meaning are those of the recording's columns."""
     rotary = motion == "rotary"
-    axis, length, effort = ("z", "rad", "N.m") if rotary else ("x", "m", "N")
-    moving = (
-        ("angle", "ORNT", "angular_velocity", "GYRO") if rotary else ("position", "POS", "velocity", "VEL")
-    )
-    by = f"estimated from the encoder by {estimator}, held between velocity samples"
-    return (
-        Channel(
-            "latency",
-            "",
-            "LATENCY",
-            MISSING,
-            "s",
-            "time of the sample on the device's clock, from the first one",
-        ),
-        Channel(
-            moving[0], "position", moving[1], axis, length, "measured: encoder counts times their resolution"
-        ),
-        Channel(
-            moving[2],
-            "velocity",
-            moving[3],
-            axis,
-            f"{length}/s",
-            f"{by}; no gyrometer" if rotary else by,
-        ),
-        Channel(
-            "penetration",
-            "penetration",
-            "MISC",
-            MISSING,
-            length,
-            "depth inside the virtual wall; negative outside",
-        ),
-        Channel(
-            "effort_sent", "effort_sent", "MISC", MISSING, effort, "commanded in this tick, limits included"
-        ),
-        Channel(
-            "effort_applied",
-            "effort_applied",
-            "MISC",
-            MISSING,
-            effort,
-            "active on the motor when the sample was taken",
-        ),
-        Channel("current_measured", "current_measured", "MISC", MISSING, "A", "measured motor current"),
-    )
+    axis = "z" if rotary else "x"
+    moving = {
+        "position": ("angle", "ORNT") if rotary else ("position", "POS"),
+        "velocity": ("angular_velocity", "GYRO") if rotary else ("velocity", "VEL"),
+    }
+    more = {"velocity": f", by {estimator}{'; no gyrometer' if rotary else ''}"}
+    latency = "time of the sample on the device's clock, from the first one"
+    found = [Channel("latency", "", "LATENCY", MISSING, "s", latency)]
+    for column in (one for one in COLUMNS if one.name in _EXPORTED):
+        name, kind = moving.get(column.name, (column.name, "MISC"))
+        component = axis if column.name in moving else MISSING
+        text = column.description + more.get(column.name, "")
+        found.append(Channel(name, column.name, kind, component, unit(unit_of(column.unit, motion)), text))
+    return tuple(found)
 
 
 def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel], every: int = 1) -> None:
@@ -252,7 +221,7 @@ def frame(motion: Motion) -> dict[str, Any]:
     )
     return {
         "reference_frame": {
-            "Description": "where the channel's values are told from",
+            "Description": "the channel's frame of reference",
             "Levels": {
                 FRAME: {
                     "Description": f"{what}, and grows in the direction in which a positive effort drives. How the "

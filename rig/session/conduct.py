@@ -9,6 +9,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Protocol
 
 from rig import config
@@ -46,9 +47,9 @@ from rig.session.state import (
     DoRest,
     DoTrial,
     State,
-    Trial,
 )
 from rig.session.telling import line_of_event, outcome
+from rig.session.trial import Presented, Trial, event_of
 
 LINES_SHOWN = 8
 _PHASES = {
@@ -70,13 +71,15 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
-    return _wall(walls, run, softest, protocol.study.seed)
+    return _wall(walls, run.condition, run.damping, softest, protocol.study.seed)
 
 
-def _wall(walls: Walls, run: Run, stiffness: float, seed: int) -> tuple[Experiment, Mapping[str, Any]]:
+def _wall(
+    walls: Walls, name: str, damping: float, stiffness: float, seed: int
+) -> tuple[Experiment, Mapping[str, Any]]:
     """The experiment of a hit, and what a device must not change of it."""
-    condition = walls.protocol.condition_named(run.condition)
-    experiment = walls.at(condition, run.damping, stiffness, seed=seed)
+    condition = walls.protocol.condition_named(name)
+    experiment = walls.at(condition, damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)
 
 
@@ -225,8 +228,8 @@ class _Engine:
                 self._pause()
             step = self._state.next()
             match step:
-                case DoTrial():
-                    self._trial(step)
+                case DoTrial(presented):
+                    self._trial(presented)
                 case DoJudge(trial):
                     self._judge(trial)
                 case DoRest(seconds, reason):
@@ -251,8 +254,8 @@ class _Engine:
 
     # One step each.
 
-    def _trial(self, step: DoTrial) -> None:
-        self._show("ready", step=step, say=self._state.protocol.trial.say)
+    def _trial(self, presented: Presented) -> None:
+        self._show("ready", presented, say=self._state.protocol.trial.say)
         actions: tuple[Action, ...] = ("go", "pause", "skip")
         if self._redoable() is not None:
             actions = (*actions, "redo")
@@ -261,56 +264,36 @@ class _Engine:
             case "pause":
                 self._pause()
             case "skip":
-                self.record("skipped", run=step.run.number)
+                self.record("skipped", run=presented.run)
             case "redo":
                 self._redo()
             case "go":
-                self._hit(step)
+                self._hit(presented)
 
-    def _hit(self, step: DoTrial) -> None:
-        state, run = self._state, step.run
-        seed = step.seed if self._runner.virtual else state.seed
-        experiment, changes = _wall(self._walls, run, step.probe.level, seed)
+    def _hit(self, presented: Presented) -> None:
+        state, wall = self._state, presented
+        if not self._runner.virtual:
+            presented = replace(presented, seed=state.seed)
+        experiment, changes = _wall(self._walls, wall.condition, wall.damping, wall.stiffness, presented.seed)
         trials = self._session.directory / TRIALS
         if self._marks is not None:
-            self._marks.push(
-                "begins",
-                trial=step.trial,
-                condition=run.condition,
-                stiffness=step.probe.level,
-                damping=run.damping,
-            )
+            self._marks.push("begins", **presented.marked)
         try:
             done = self._runner.hit(
-                experiment, changes, trials, f"t{step.trial:04d}", lambda x: self._watch(step, x), state.heat
+                experiment, changes, trials, f"t{wall.trial:04d}", lambda x: self._watch(wall, x), state.heat
             )
         except StoppedError as stop:
             if stop.recording is not None or stop.signal is not None or self._desk.who == "simulated":
                 raise
-            self._trouble("stopped before anything moved", step)  # nothing to log: no trial was begun
+            self._trouble("stopped before anything moved", presented)  # nothing to log: no trial was begun
             return
         self._session.clock.took(done.duration_s)
-        self.record(
-            "trial",
-            trial=step.trial,
-            block=step.block.number,
-            run=run.number,
-            attempt=step.attempt,
-            condition=run.condition,
-            damping=run.damping,
-            repeat=run.repeat,
-            stiffness=step.probe.level,
-            track=step.probe.track,
-            catch=step.probe.catch,
-            practice=run.practice,
-            seed=seed,
-            **done.content,
-        )
+        self.record("trial", **event_of(presented, done.hit))
         self._last = outcome(state.trials[-1])
         if done.error is not None:
-            self._after_early_end(done, step)
+            self._after_early_end(done, presented)
 
-    def _after_early_end(self, done: Done, step: DoTrial) -> None:
+    def _after_early_end(self, done: Done, presented: Presented) -> None:
         """The effort is zero; now somebody may be asked."""
         error = done.error
         if error is not None and not isinstance(error, _ASKED):
@@ -323,15 +306,17 @@ class _Engine:
             and not self._runner.simulated
         ):
             raise error  # whether the handle is still where it was counted from, somebody must look
-        if self._state.trials[-1].said_nothing:
-            why = error.message if isinstance(error, RigError) else done.content["ended"]
-            self._trouble(f"the hit ended early: {why}", step)
+        if self._state.trials[-1].invalid:
+            why = error.message if isinstance(error, RigError) else done.hit.ended
+            self._trouble(f"the hit ended early: {why}", presented)
 
-    def _trouble(self, text: str, step: DoTrial) -> None:
-        """Go on only when somebody says so."""
-        self._show("stopped", step=step)
+    def _trouble(self, text: str, presented: Presented) -> None:
+        """Continue only when somebody says so."""
+        self._show("stopped", presented)
         actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
-        reply = self._ask(Question(kind="trouble", text=text, actions=(*actions, *_ALWAYS), trial=step.trial))
+        reply = self._ask(
+            Question(kind="trouble", text=text, actions=(*actions, *_ALWAYS), trial=presented.trial)
+        )
         if reply.action == "redo":
             self._redo()
 
@@ -340,10 +325,9 @@ class _Engine:
         if study.judge == "automatic":
             passes = trial.passes[study.criterion]
             verdict = "stable" if passes else "unstable" if trial.automatic == Kind.UNSTABLE else "buzz"
-            self.record("judged", trial=trial.trial, verdict=verdict, by="automatic", took_s=0.0)
-            self._last = outcome(trial)
+            self._record_verdict(trial, verdict, "automatic", 0.0)
             return
-        self._show("verdict?", trial=trial, say="How was it: stable, a buzz, unstable, or are you unsure?")
+        self._show("verdict?", trial, say="How was it: stable, a buzz, unstable, or are you unsure?")
         reply = self._ask(
             Question(
                 kind="verdict",
@@ -355,10 +339,13 @@ class _Engine:
         if reply.action == "redo":
             self._redo()
         elif reply.value in VERDICTS:
-            self.record(
-                "judged", trial=trial.trial, verdict=reply.value, by=self._desk.who, took_s=reply.took_s
-            )
-            self._last = outcome(trial)
+            self._record_verdict(trial, reply.value, self._desk.who, reply.took_s)
+
+    def _record_verdict(self, trial: Trial, verdict: str, judged_by: str, seconds: float) -> None:
+        self.record(
+            "judged", trial=trial.trial, verdict=verdict, judged_by=judged_by, response_time_s=seconds
+        )
+        self._last = outcome(trial)
 
     def _rest(self, seconds: float, reason: str) -> None:
         words = "The motor cools." if reason == "heat" else "Let go of the handle and rest."
@@ -382,8 +369,10 @@ class _Engine:
             self.record("answered", item=item.name, answer=answer, block=step.block)
 
     def _decide(self, run: Run, last: Trial) -> None:
-        text = f"{self._state.protocol.trial.attempts} trials said nothing: {'; '.join(last.reasons)}"
-        self._show("trouble", trial=last)
+        text = (
+            f"{self._state.protocol.trial.attempts} trials in a row were invalid: {'; '.join(last.reasons)}"
+        )
+        self._show("trouble", last)
         reply = self._ask(
             Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS), trial=last.trial)
         )
@@ -408,7 +397,7 @@ class _Engine:
 
     def _redoable(self) -> Trial | None:
         """The trial that `redo` is about: the newest that counts, in the block that goes on."""
-        counted = [trial for trial in self._state.trials if not trial.void and not trial.said_nothing]
+        counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None
 
@@ -433,18 +422,18 @@ class _Engine:
 
     # What is seen.
 
-    def _watch(self, step: DoTrial, experiment: Experiment) -> Callable[[int, int], None]:
+    def _watch(self, presented: Presented, experiment: Experiment) -> Callable[[int, int], None]:
         """What is called while a hit runs: shows the phase, and lets the desk look after itself."""
         beside = self._desk.watch()
         seen = -1
-        self._show("homing", step=step, experiment=experiment, say="Hold the handle loosely.")
+        self._show("homing", presented, experiment=experiment, say="Hold the handle loosely.")
 
         def watch(ticks: int, phase: int) -> None:
             nonlocal seen
             if phase != seen:
                 seen = phase
                 say = self._state.protocol.trial.say if phase == Phase.TRIAL else ""
-                self._show(_PHASES[Phase(phase)], step=step, experiment=experiment, say=say)
+                self._show(_PHASES[Phase(phase)], presented, experiment=experiment, say=say)
             if beside is not None:
                 beside(ticks, phase)
 
@@ -453,42 +442,36 @@ class _Engine:
     def _show(
         self,
         words: str,
+        wall: Presented | None = None,
         *,
-        step: DoTrial | None = None,
-        trial: Trial | None = None,
         experiment: Experiment | None = None,
         say: str = "",
     ) -> None:
+        """Show how things stand, with the wall only to an operator who may know it."""
         state = self._state
         blind = state.protocol.study.blind in BLINDED
-        run = step.run.number if step else trial.run if trial else 0
-        block = step.block.number if step else trial.block if trial else state.begun[-1] if state.begun else 0
-        seen: dict[str, Any] = {}
-        if not blind and (step is not None or trial is not None):
-            seen = {
-                "condition": step.run.condition if step else trial.condition if trial else None,
-                "stiffness": step.probe.level if step else trial.stiffness if trial else None,
-                "damping": step.run.damping if step else trial.damping if trial else None,
-            }
+        seen = wall if wall is not None and not blind else None
         self._desk.show(
             View(
                 state=words,
                 say=say,
                 code=state.code,
-                block=block,
+                block=wall.block if wall else state.begun[-1] if state.begun else 0,
                 blocks=sum(not one.practice for one in state.blocks),
-                run=run,
+                run=wall.run if wall else 0,
                 runs=sum(len(one.runs) for one in state.blocks if not one.practice),
-                trial=step.trial if step else trial.trial if trial else state.newest,
+                trial=wall.trial if wall else state.newest,
                 trials=max(self._expected, state.newest),
-                practice=step.run.practice if step else trial.practice if trial else False,
-                attempt=step.attempt if step else 1,
+                practice=wall.practice if wall else False,
+                attempt=wall.attempt if wall else 1,
+                condition=seen.condition if seen else None,
+                stiffness=seen.stiffness if seen else None,
+                damping=seen.damping if seen else None,
                 blinded=blind,
                 scale=_scale(experiment or self._walls.base),
                 heat=state.heat,
                 last=self._last,
                 lines=tuple(self._lines[-LINES_SHOWN:]),
-                **seen,
             )
         )
 

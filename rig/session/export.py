@@ -12,6 +12,7 @@ from rig.core.sample import unit_of
 from rig.recording.export import export
 from rig.recording.files import whole_directory
 from rig.session.analysis.study import Study
+from rig.session.analysis.trials import trials_of
 from rig.session.trial_facts import FACTS, facts_of, file_name, unusable
 
 INDEX, MEANINGS = "trials.csv", "columns.csv"
@@ -27,14 +28,6 @@ class Exported:
     recordings: int
     left_out: tuple[str, ...]
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "directory": str(self.directory),
-            "recordings": self.recordings,
-            "left_out": list(self.left_out),
-        }
-
 
 def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None = None) -> Exported:
     """Write each recording as ``CODE/t0001.…`` in a directory of its own, which appears when all of it is there.
@@ -48,36 +41,34 @@ def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None 
     kind
         One of `rig.recording.export.EXPORTERS`.
     watch
-        Told how many recordings are done, and of how many.
+        Called with how many recordings are done, and of how many.
 
     Raises
     ------
     RecordingError
         The directory exists, there is no such format, a recording cannot be read, or the disk refuses. What is missing
-        or was changed is left out and said.
+        or was changed is left out and named.
     """
-    total = sum(len(session.recordings) for session in study.sessions)
+    trials = [row for row in trials_of(study) if row.recorded != "none"]
+    places = {session.code: (session.directory, file_name(session.code)) for session in study.sessions}
     rows: list[list[Any]] = []
     left_out: list[str] = []
     with whole_directory(directory) as draft:
-        for session in study.sessions:
-            place = file_name(session.code)
+        for _, place in places.values():
             (draft / place).mkdir()
-            for trial in session.state.trials:
-                if trial.trial not in session.recordings:
-                    continue
-                problem = unusable(session, trial)
-                if problem is not None:
-                    left_out.append(problem)
-                else:
-                    name = f"{place}/t{trial.trial:04d}.{kind}"
-                    export(session.directory / str(trial.recording), draft / name, kind)
-                    told = facts_of(trial, session.voided.get(trial.trial, ""))
-                    rows.append([session.code, name, *(_cell(told[fact]) for fact in FACTS)])
-                if watch is not None:
-                    watch(len(rows) + len(left_out), total)
+        for number, row in enumerate(trials, start=1):
+            source, place = places[row.participant]
+            problem = unusable(row)
+            if problem is not None:
+                left_out.append(problem)
+            else:
+                name = f"{place}/t{row.trial:04d}.{kind}"
+                export(source / row.recording, draft / name, kind)
+                rows.append([row.participant, name, *map(_cell, facts_of(row).values())])
+            if watch is not None:
+                watch(number, len(trials))
         _write(draft / INDEX, [["participant", "file", *FACTS], *rows])
-        meanings = [[name, text, unit_of(unit, study.motion)] for name, (text, unit) in FACTS.items()]
+        meanings = [[name, one.meaning, unit_of(one.unit, study.motion)] for name, one in FACTS.items()]
         _write(draft / MEANINGS, [["column", "meaning", "unit"], *meanings])
     return Exported(directory=directory, recordings=len(rows), left_out=tuple(left_out))
 

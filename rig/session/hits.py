@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from rig.control.verdict import CRITERIA, Kind
 from rig.core.check import Check
 from rig.core.errors import DeviceFaultError, LinkLostError
 from rig.core.model import RigModel
+from rig.core.present import plain
 from rig.devices.device import Link
 from rig.devices.framed import FramedDevice
 from rig.devices.local import opened
@@ -30,9 +31,9 @@ from rig.experiments.trial import prepared_on
 from rig.recording.data import Recording
 from rig.recording.header import host_facts
 from rig.session.arming import refusals
-from rig.session.log import without_nan
 from rig.session.place import software
 from rig.session.runner import Done, RefusedWalls, Wall, Watch
+from rig.session.trial import Hit
 
 NUMBERS = (
     "felt",
@@ -113,7 +114,7 @@ class DeviceRunner:
         dictionary = device.dictionary
         clock = device.exchange_clock()
         if self._refused:
-            facts["armed_anyway"] = [one.as_mapping() for one in self._refused]
+            facts["armed_anyway"] = plain(self._refused)
         return {
             **facts,
             "device": dictionary.device,
@@ -220,9 +221,8 @@ class DeviceRunner:
             error, left = survived, recorded
             if isinstance(error, LinkLostError) and not isinstance(error, DeviceFaultError):
                 self.close()  # the next trial opens it anew
-        return Done(
-            _content(left, left.path.relative_to(directory.parent), heat), error, _duration_s(left.recording)
-        )
+        done = _hit_of(left, left.path.relative_to(directory.parent), heat)
+        return Done(done, error, _duration_s(left.recording))
 
     def close(self) -> None:
         """Let go of the device."""
@@ -291,33 +291,28 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _content(left: Recorded, path: Path, heat: float) -> dict[str, Any]:
+def _hit_of(left: Recorded, path: Path, heat: float) -> Hit:
     experiment, recording = left.experiment, left.recording
     verdict, measured = left.judgement.verdict, left.judgement.measured
     trailer, free = recording.trailer or {}, baseline(recording, experiment)
     ended = str(trailer.get("reason", "the recording breaks off"))
     fault = (trailer.get("fault") or {}).get("name", "")
     limits, tick_s = experiment.rig.limits, 1.0 / experiment.controller.position_rate
-    numbers = without_nan({name: value for name, value in asdict(verdict).items() if name in NUMBERS})
+    load = recording.rows["effort_sent"] / limits.nominal_effort
     invalid = verdict.kind is Kind.INVALID
-    return {
-        "recording": str(path),
-        "sha256": sha256_of(left.path),
-        "rows_sha256": hashlib.sha256(recording.rows.tobytes()).hexdigest(),
-        "ended": ended,
-        "aborted": ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",
-        "automatic": str(verdict.kind),
-        "reasons": list(verdict.reasons),
-        "passes": {criterion: None if invalid else measured.passes(criterion) for criterion in CRITERIA},
-        "numbers": numbers,
-        "baseline": None if free is None else without_nan(free.as_mapping()),
-        "heat": heat_after(
-            heat,
-            recording.rows["effort_sent"] / limits.nominal_effort,
-            tick_s,
-            limits.thermal_time_constant_s,
-        ),
-    }
+    return Hit(
+        recording=str(path),
+        sha256=sha256_of(left.path),
+        rows_sha256=hashlib.sha256(recording.rows.tobytes()).hexdigest(),
+        ended=ended,
+        aborted=ended if ended in THREW_OUT else fault.lower() if fault in THROWN_OUT else "",
+        automatic=str(verdict.kind),
+        reasons=verdict.reasons,
+        passes={criterion: None if invalid else measured.passes(criterion) for criterion in CRITERIA},
+        numbers=plain({name: getattr(verdict, name) for name in NUMBERS}),
+        baseline=None if free is None else plain(free),
+        heat=heat_after(heat, load, tick_s, limits.thermal_time_constant_s),
+    )
 
 
 def _duration_s(recording: Recording) -> float:

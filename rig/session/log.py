@@ -7,14 +7,14 @@ A line (`rig.recording.lines`) holds an event::
 The first line also has ``"log"``, the version of the format; a log of another version is refused.
 
 Nothing is ever changed or taken out: a correction is an event of its own. The chain of CRCs shows a line that somebody
-removed or replaced. What a dying process left of its last line is cut off and counted. A damaged line
-is refused, because what follows was decided on it; the last one can be set aside (`set_damaged_line_aside`).
+removed or replaced. What a dying process left of its last line is cut off, and its length is kept (`SessionLog.torn`).
+A damaged line is refused, because what follows was decided on it; the last one can be set aside
+(`set_damaged_line_aside`).
 """
 
 from __future__ import annotations
 
 import json
-import math
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,10 +25,11 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.errors import RecordingError
+from rig.core.present import plain
 from rig.recording.files import plain_errors, whole_file
 from rig.recording.lines import LineFile, line_of, object_of
 
-VERSION = 1  # of events and their content; a change of their meaning is another version
+VERSION = 2  # of events and their content; a change of their meaning is another version
 RESERVED = ("n", "after", "at", "kind", "log")
 
 
@@ -51,7 +52,7 @@ class DamagedLineError(RecordingError):
             super().__init__(
                 f"{where}, the last one: damaged",
                 remedy="rig session show prints the lines before it; rig session resume --drop-damaged-line sets it "
-                "aside and goes on from there, or restore the file from a copy",
+                "aside and resumes there, or restore the file from a copy",
             )
         else:
             remedy = "restore the file from a copy; what follows was decided on that line"
@@ -106,12 +107,12 @@ class SessionLog:
             The disk refuses: then it did not happen, unless the log says so when it is opened again. Or an earlier
             append failed, and what it left could not be cut off: opening the log anew does that.
         ValueError
-            A name that is the log's own, or a number that JSON does not have (`without_nan`).
+            A name that is the log's own.
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
             raise ValueError(f"{', '.join(taken)} of an event is the log's own")
-        event = Event(len(self.events), self._clock(), kind, content)
+        event = Event(len(self.events), self._clock(), kind, plain(content))  # as it will be read
         line = self._line_of(event)
         if self._broken:
             raise RecordingError(
@@ -124,9 +125,7 @@ class SessionLog:
             self._file.sync(at_once=True)
         except BaseException:
             with suppress(RecordingError):
-                self._file.truncate(
-                    self._end
-                )  # what part of it was written must not stand before the next one
+                self._file.truncate(self._end)  # what was written of it must not stand before the next line
                 self._broken = False
             raise
         self._end += len(line)
@@ -136,21 +135,12 @@ class SessionLog:
         return event
 
     def _line_of(self, event: Event) -> bytes:
-        said = {"n": event.number, "after": self._last, "at": event.at, "kind": event.kind, **event.content}
-        if event.number == 0:
-            said["log"] = VERSION
-        try:
-            return line_of(json.dumps(said, allow_nan=False))
-        except ValueError:
-            unfit = [
-                name for name, value in said.items() if json.dumps(value) != json.dumps(without_nan(value))
-            ]
-            raise ValueError(
-                f"an event {event.kind!r} with a number that is none: {', '.join(unfit)}"
-            ) from None
+        envelope = {"n": event.number, "after": self._last, "at": event.at, "kind": event.kind}
+        version = {"log": VERSION} if event.number == 0 else {}
+        return line_of(json.dumps({**envelope, **version, **event.content}, allow_nan=False))
 
     def close(self) -> None:
-        """Let others have it. What was appended is on disk already."""
+        """Release the lock. What was appended is on disk already."""
         self._file.close(sync=not self._broken)
 
     def __enter__(self) -> SessionLog:
@@ -158,15 +148,6 @@ class SessionLog:
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-def without_nan(value: Any) -> Any:
-    """A value as the log takes it: a number that is none, or not finite, is null, at any depth."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {name: without_nan(one) for name, one in value.items()}
-    return [without_nan(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def read(path: Path) -> list[Event]:

@@ -22,7 +22,8 @@ from rig.session.desk import Desk, Question, Reply, View
 from rig.session.directory import Session
 from rig.session.protocol import Protocol
 from rig.session.search.observer import Observer
-from rig.session.state import State, Trial
+from rig.session.state import State
+from rig.session.trial import Trial
 
 _MAIN_VERDICT = {Kind.STABLE: "stable", Kind.LIMIT_CYCLE: "buzz", Kind.UNSTABLE: "unstable"}
 LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at most

@@ -264,9 +264,7 @@ def summary(
     directory: Path, state: State, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
     """How a session stands, without anything that tells a wall."""
-    counted = [
-        trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict is not None
-    ]
+    counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
     blocks = [block for block in state.blocks if not block.practice]
     return SessionResult(
         directory=directory,
@@ -276,7 +274,7 @@ def summary(
         stopped=state.stopped,
         trials=len(state.trials),
         counted=len(counted),
-        invalid=sum(trial.said_nothing for trial in state.trials),
+        invalid=sum(trial.invalid for trial in state.trials),
         aborted=sum(bool(trial.aborted) for trial in state.trials),
         blocks=len(blocks),
         blocks_done=sum(all(state.asks(run) is None for run in block.runs) for block in blocks),

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from rig.config import Experiment
 from rig.core.check import Check
+from rig.session.trial import Hit
 
 Watch = Callable[[int, int], None]
 
@@ -32,16 +33,12 @@ class RefusedWalls:
     walls: int
     text: str
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for the log."""
-        return {"condition": self.condition, "damping": self.damping, "stiffness": list(self.stiffness)}
-
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A trial that was run: what its event in the log says of it, and what ended it early, if anything did."""
+    """A trial that was run: its hit, what ended it early, if anything did, and how long it took (s)."""
 
-    content: Mapping[str, Any]
+    hit: Hit
     error: Exception | None
     duration_s: float
 

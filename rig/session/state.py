@@ -1,17 +1,17 @@
 """Where a session stands, and what comes next: a pure function of its log.
 
-Nothing is remembered outside the log, so a session that was killed goes on as if nothing had happened, and what an
-analysis reads is what the session itself went by. The kinds of events, and what each holds:
+Nothing is remembered outside the log, so a session that was killed resumes as if nothing had happened, and an analysis
+reads what the session itself went by. The kinds of events, and what each holds:
 
 =============  ====================================================================================================
 ``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal
 ``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
 ``resumed``    where (trial, block), abandoned: recordings of trials that nobody logged
 ``block``      block: it begins
-``trial``      one recorded hit: see `Trial`
-``judged``     trial, verdict, by (person, automatic, simulated), took_s
+``trial``      one recorded hit: `rig.session.trial.Presented` and `rig.session.trial.Hit`
+``judged``     trial, verdict, judged_by, response_time_s
 ``redone``     trial: it does not count, and comes again
-``retried``    run: its trials said nothing so often that somebody was asked, and said to go on
+``retried``    run: its trials were invalid so often that somebody was asked, and continued
 ``skipped``    run: it is left without a limit
 ``note``       text, trial
 ``paused``     … ``continued``
@@ -35,7 +35,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rig.control.verdict import Kind
 from rig.core.errors import RecordingError
 from rig.session.load import protocol_from_mapping
 from rig.session.log import Event
@@ -43,94 +42,13 @@ from rig.session.protocol import Item, Protocol, Search
 from rig.session.schedule import Block, Run, asking_of, rule_of, schedule
 from rig.session.search import Answer, Probe, Rule
 from rig.session.times import cooling_s
+from rig.session.trial import REDONE, RESTARTED, Presented, Trial, trial_of
 
-BOOKKEEPING = (
-    "opened",
-    "resumed",
-    "stopped",
-    "streamed",
-    "amended",
-)  # what a session without interruptions has once or not at all
+# What a session without interruptions has once or not at all.
+BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended")
 AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
 _LONGEST_PAUSE_S = 3600.0  # between two events: beyond, nobody was there
 _TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of the computer may have been set
-
-
-@dataclass(slots=True, kw_only=True)
-class Trial:
-    """One recorded hit, as it stands in the log, and what was said of it.
-
-    Attributes
-    ----------
-    trial, block, run, attempt
-        Numbers, from 1; block and run of a practice trial are 0.
-    condition, damping, repeat, stiffness, track, catch, practice
-        What was hit, and which track of the search asked for it.
-    seed
-        Of the simulation.
-    recording, sha256, rows_sha256
-        File relative to the session's directory; hashes of the file, and of its rows alone, which a simulation with the
-        same seed gives again.
-    ended
-        "finished", or why it ended early (`rig.loop.layout.EndReason`, lower case).
-    aborted
-        What cut the hit off for safety; empty when nothing did.
-    automatic, reasons, passes
-        Automatic verdict, and whether the wall holds under each criterion (None: it says nothing).
-    numbers
-        Those of the automatic verdict.
-    baseline
-        Free space before the hit (`rig.experiments.baseline`), None without one.
-    heat
-        Share of the winding's budget afterwards.
-    verdict, by, took_s
-        The person's, once there is one.
-    void
-        Redone, its block was restarted, or somebody left it out afterwards: it does not count.
-    """
-
-    trial: int
-    block: int
-    run: int
-    attempt: int
-    condition: str
-    damping: float
-    repeat: int
-    stiffness: float
-    track: int
-    catch: bool
-    practice: bool
-    seed: int
-    recording: str
-    sha256: str
-    rows_sha256: str
-    ended: str
-    aborted: str
-    automatic: str
-    reasons: tuple[str, ...]
-    passes: Mapping[str, bool | None]
-    numbers: Mapping[str, float | None]
-    baseline: Mapping[str, float] | None
-    heat: float
-    verdict: str | None = None
-    by: str | None = None
-    took_s: float | None = None
-    void: bool = False
-
-    @classmethod
-    def of(cls, content: Mapping[str, Any]) -> Trial:
-        """Read the content of an event."""
-        return cls(**content)
-
-    @property
-    def said_nothing(self) -> bool:
-        """Whether the hit was invalid: it is repeated, and nobody is asked about it."""
-        return self.automatic == Kind.INVALID
-
-    @property
-    def probe(self) -> Probe:
-        """What the search had asked for."""
-        return Probe(self.stiffness, track=self.track, catch=self.catch)
 
 
 # What comes next.
@@ -140,12 +58,7 @@ class Trial:
 class DoTrial:
     """Hit this wall."""
 
-    trial: int
-    block: Block
-    run: Run
-    probe: Probe
-    attempt: int
-    seed: int
+    presented: Presented
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +93,7 @@ class DoRest:
 
 @dataclass(frozen=True, slots=True)
 class DoDecide:
-    """Trials of this run said nothing, again and again: somebody must say what to do."""
+    """Trials of this run were invalid again and again: somebody must decide."""
 
     run: Run
     last: Trial
@@ -253,7 +166,7 @@ class State:
         RecordingError
             It does not begin with ``began``.
         ConfigError
-            Its protocol cannot be read by this version.
+            Its protocol is none.
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
@@ -267,7 +180,7 @@ class State:
             code=began["code"],
             row=began["row"],
             seed=began["seed"],
-            rehearsal=began.get("rehearsal"),
+            rehearsal=began["rehearsal"],
             blocks=schedule(protocol, began["row"]),
             _last_at=events[0].at,
         )
@@ -304,25 +217,27 @@ class State:
         return block if any(self.asks(run) is not None for run in block.runs) else None
 
     def _tried(self, content: Any) -> None:
-        trial = Trial.of(content)
+        trial = trial_of(content)
         self.trials.append(trial)
         self.heat = trial.heat
-        if not trial.said_nothing and self._owed.get(trial.run):
+        if not trial.invalid and self._owed.get(trial.run):
             self._owed[trial.run] -= 1
 
     def _judged(self, content: Any) -> None:
         trial = self.trial_numbered(content["trial"])
-        trial.verdict, trial.by, trial.took_s = content["verdict"], content["by"], content["took_s"]
+        for name in ("verdict", "judged_by", "response_time_s"):
+            setattr(trial, name, content[name])
 
     def _redone(self, content: Any) -> None:
         trial = self.trial_numbered(content["trial"])
-        trial.void = True
+        trial.leave_out(REDONE)
         self._owed[trial.run] = self._owed.get(trial.run, 0) + 1
 
     def _restarted(self, content: Any) -> None:
         number = content["block"]
         for trial in self.trials:
-            trial.void = trial.void or trial.block == number
+            if trial.block == number:
+                trial.leave_out(RESTARTED)
         runs = {run.number for block in self.blocks if block.number == number for run in block.runs}
         self.skipped -= runs
         self._owed = {run: number for run, number in self._owed.items() if run not in runs}
@@ -411,8 +326,8 @@ class State:
         """What the rule of a run hears: all answers, unless one was corrected.
 
         A rule that walks from wall to wall knows where it stands by what it asked: after a correction it hears what it
-        would have asked for, goes on from there, and never to a wall that nobody has come near. The other answers stay
-        for every estimate that needs no walk.
+        would have asked for, continues there, and never jumps to a wall that nobody has come near. The other answers
+        stay for every estimate that needs no walk.
         """
         heard = self.heard(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
@@ -433,7 +348,7 @@ class State:
         heard: list[Answer] = []
         unsure, about = 0, None
         for trial in self.trials_of(run):
-            if trial.said_nothing or trial.verdict is None:
+            if not trial.judged:
                 continue
             unsure = 0 if trial.verdict != "unsure" else unsure + 1 if trial.probe == about else 1
             about = trial.probe
@@ -462,7 +377,7 @@ class State:
         if self.ended is not None:
             return DoEnd(self.ended)
         counted = [trial for trial in self.trials if not trial.void]
-        if counted and counted[-1].verdict is None and not counted[-1].said_nothing:
+        if counted and not counted[-1].verdict and not counted[-1].invalid:
             return DoJudge(counted[-1])
         over = None if self._owes() else self._stop_rule()
         step = None if over else self._in_blocks()
@@ -492,9 +407,9 @@ class State:
                 return DoRest(between, "block")
             return DoBlock(block)
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
-        if last is not None and last.said_nothing and last.run in [run.number for run in waiting]:
+        if last is not None and last.invalid and last.run in [run.number for run in waiting]:
             run = next(run for run in waiting if run.number == last.run)
-            if self._useless(run) >= self.protocol.trial.attempts:
+            if self._invalid_in_a_row(run) >= self.protocol.trial.attempts:
                 return DoDecide(run, last)
             attempt = last.attempt + 1
         else:
@@ -504,26 +419,42 @@ class State:
             return due
         probe = self.asks(run)
         assert probe is not None
+        return DoTrial(self._presented(block, run, probe, attempt))
+
+    def _presented(self, block: Block, run: Run, probe: Probe, attempt: int) -> Presented:
         number = self.newest + 1
-        return DoTrial(number, block, run, probe, attempt, self.seed_of(number))
+        return Presented(
+            block=block.number,
+            run=run.number,
+            trial=number,
+            attempt=attempt,
+            condition=run.condition,
+            damping=run.damping,
+            repeat=run.repeat,
+            stiffness=probe.level,
+            track=probe.track,
+            catch=probe.catch,
+            practice=run.practice,
+            seed=self.seed_of(number),
+        )
 
     def _turn(self, block: Block, waiting: int) -> int:
-        """Whose turn it is among the runs that go on."""
+        """Whose turn it is among the runs that are not finished."""
         if not block.interleave:
             return 0
-        done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.said_nothing)
+        done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
         return int(np.random.default_rng([self.seed, self.row, 1, block.number, done]).integers(waiting))
 
     def seed_of(self, trial: int) -> int:
         """Seed of the simulation in a trial, and of whoever is simulated there."""
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
-    def _useless(self, run: Run) -> int:
-        """Trials of a run in a row that said nothing, since somebody last said to go on."""
+    def _invalid_in_a_row(self, run: Run) -> int:
+        """Invalid trials of a run in a row, since somebody last decided to continue."""
         since = self._retried.get(run.number, 0)
         count = 0
         for trial in reversed(self.trials_of(run)):
-            if not trial.said_nothing or trial.trial <= since:
+            if not trial.invalid or trial.trial <= since:
                 break
             count += 1
         return count
@@ -560,10 +491,10 @@ class State:
             return f"{stop.trials} trials"
         if stop.minutes is not None and self.active_s >= 60.0 * stop.minutes:
             return f"{stop.minutes:g} minutes"
-        if stop.invalid is not None and _in_a_row(one.said_nothing for one in self.trials) >= stop.invalid:
-            return f"{stop.invalid} trials in a row that said nothing"
-        told = [one.aborted != "" for one in self.trials if not one.said_nothing]
-        if stop.aborts is not None and _in_a_row(told) >= stop.aborts:
+        if stop.invalid is not None and _in_a_row(one.invalid for one in self.trials) >= stop.invalid:
+            return f"{stop.invalid} invalid trials in a row"
+        aborted = [one.aborted != "" for one in self.trials if not one.invalid]
+        if stop.aborts is not None and _in_a_row(aborted) >= stop.aborts:
             return f"{stop.aborts} hits in a row cut off for safety"
         return None
 

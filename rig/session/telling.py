@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rig.control.verdict import Kind
 from rig.session.log import Event
-from rig.session.state import Trial
+from rig.session.trial import Trial
 
 _LINES: dict[str, str] = {
     "judged": "trial {trial}: {verdict}",
@@ -54,8 +54,8 @@ def lost(event: Event) -> list[str]:
 
 def outcome(trial: Trial) -> str:
     """What a trial came to, without anything that tells the wall; nothing that leads a person before their verdict."""
-    if trial.said_nothing:
+    if trial.invalid:
         return f"trial {trial.trial}: invalid, it is repeated"
-    if trial.verdict is None:
+    if not trial.verdict:
         return f"trial {trial.trial}: over"
     return f"trial {trial.trial}: done" + (", cut off for safety" if trial.aborted else "")

@@ -19,6 +19,7 @@ from rig.session.load import protocol_from_mapping
 from rig.session.log import SessionLog
 from rig.session.search.observer import Observer
 from rig.session.state import DoAsk, DoBlock, DoEnd, DoJudge, DoRest, DoTrial, State
+from rig.session.trial import Hit, Presented, event_of
 
 PRESET = "koul-compliant"
 VERSIONS = {
@@ -95,16 +96,16 @@ class Sitting:
                 if self.state.ended is None:
                     self.record("ended", reason=reason)
                 return False
-            case DoTrial() as step:
-                self.hit(step)
+            case DoTrial(presented):
+                self.hit(presented)
             case DoJudge(trial):
                 self.now[0] += 2.0
                 self.record(
                     "judged",
                     trial=trial.trial,
                     verdict=self.verdict(trial),
-                    by=self.by,
-                    took_s=round(float(self.drawn.uniform(0.5, 1.5)), 3),
+                    judged_by=self.by,
+                    response_time_s=round(float(self.drawn.uniform(0.5, 1.5)), 3),
                 )
             case DoBlock(block):
                 self.record("block", block=block.number)
@@ -137,50 +138,35 @@ class Sitting:
             lapse_rate=self.person.lapse_rate,
         )
 
-    def hit(self, step: DoTrial) -> None:
+    def hit(self, wall: Presented) -> None:
         """A hit as the rig would have seen it."""
         self.now[0] += 8.0
-        run, level = step.run, step.probe.level
         invalid = self.drawn.random() < self.person.invalid
-        observer = self.observer(run.condition, run.damping, step.trial, self.person.automatic)
-        stable = observer.judge(level, self.drawn)
-        kind = (
-            "invalid" if invalid else "stable" if stable else "limit cycle" if level < 700.0 else "unstable"
-        )
+        observer = self.observer(wall.condition, wall.damping, wall.trial, self.person.automatic)
+        stable = observer.judge(wall.stiffness, self.drawn)
+        kind = "stable" if stable else "limit cycle" if wall.stiffness < 700.0 else "unstable"
         passes = None if invalid else stable
-        recording, digest = None, None
+        recording = digest = ""
         if self.recorded:
-            recording = f"trials/t{step.trial:04d}.parquet"
-            made_up = f"{self.state.code} {step.trial}".encode()
+            recording = f"trials/t{wall.trial:04d}.parquet"
+            made_up = f"{self.state.code} {wall.trial}".encode()
             data = self.recorded.read_bytes() if isinstance(self.recorded, Path) else made_up
             (self.directory / recording).write_bytes(data)
             digest = sha256(data).hexdigest()
-        self.record(
-            "trial",
-            trial=step.trial,
-            block=step.block.number,
-            run=run.number,
-            attempt=step.attempt,
-            condition=run.condition,
-            damping=run.damping,
-            repeat=run.repeat,
-            stiffness=level,
-            track=step.probe.track,
-            catch=step.probe.catch,
-            practice=run.practice,
-            seed=step.seed,
+        hit = Hit(
             recording=recording,
             sha256=digest,
             rows_sha256=digest,
             ended="finished",
             aborted="",
-            automatic=kind,
-            reasons=[],
+            automatic="invalid" if invalid else kind,
+            reasons=(),
             passes={"felt": passes, "heard": passes, "any": passes},
             numbers={"felt": None, "heard": 0.01, "moved": 0.0, "peak_effort": 0.5},
             baseline=None,
             heat=0.1,
         )
+        self.record("trial", **event_of(wall, hit))
 
     def verdict(self, trial: Any) -> str:
         """What they say of a trial."""

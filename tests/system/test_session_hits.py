@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from rig.config.presets import load as preset
+from rig.core.present import plain
 from rig.experiments import hit
 from rig.session import hits
 from rig.session.hits import DeviceRunner
@@ -35,9 +36,9 @@ def test_a_number_that_is_none_is_null_in_the_log(tmp_path: Path, monkeypatch: p
     runner = DeviceRunner()
     done = runner.hit(x, {}, tmp_path / "trials", "t0001", lambda _: None, 0.0)
     runner.close()
-    assert done.content["numbers"]["heard"] is None
-    assert done.content["numbers"]["moved"] >= 0.0
-    assert done.content["baseline"]["velocity_rms"] is None
+    assert done.hit.numbers["heard"] is None
+    assert done.hit.numbers["moved"] >= 0.0
+    assert (done.hit.baseline or {})["velocity_rms"] is None
     with SessionLog(tmp_path / "log") as log:
-        log.append("trial", **done.content)
-    assert read(tmp_path / "log")[0].content == done.content
+        log.append("trial", **vars(done.hit))
+    assert read(tmp_path / "log")[0].content == plain(vars(done.hit))

@@ -86,8 +86,8 @@ def test_a_session_whose_rig_was_unplugged_goes_on_to_the_same_results(tmp_path:
     done = resume_session(directory, rehearsal_desk(PERSON), runner=DeviceRunner())
     assert done.ended == "complete"
     calm, loose = (State.of(read(study / "P01" / LOG)) for study in studies)
-    assert [trial.trial for trial in loose.trials if trial.said_nothing] == [3]
-    assert [about(trial) for trial in loose.trials if not trial.said_nothing] == [
+    assert [trial.trial for trial in loose.trials if trial.invalid] == [3]
+    assert [about(trial) for trial in loose.trials if not trial.invalid] == [
         about(trial) for trial in calm.trials
     ]
     found = [analyse([study / "P01"]) for study in studies]

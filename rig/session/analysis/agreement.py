@@ -93,7 +93,7 @@ class Agreement:
 def two_classes(trial: TrialRow) -> tuple[str | None, str | None]:
     """What the search follows: stable or not, by the person and by the study's criterion."""
     person = {"stable": TWO[0], "buzz": TWO[1], "unstable": TWO[1]}.get(trial.verdict)
-    automatic = None if trial.passes is None else TWO[0] if trial.passes else TWO[1]
+    automatic = None if trial.automatic_stable is None else TWO[0] if trial.automatic_stable else TWO[1]
     return person, automatic
 
 
@@ -105,7 +105,7 @@ def three_classes(trial: TrialRow) -> tuple[str | None, str | None]:
 
 def four_classes(trial: TrialRow) -> tuple[str | None, str | None]:
     """The same and unsure: the person's, or a criterion of the automatic verdict that could not be measured."""
-    automatic = "unsure" if trial.passes is None else AUTOMATIC.get(trial.automatic)
+    automatic = "unsure" if trial.automatic_stable is None else AUTOMATIC.get(trial.automatic)
     return trial.verdict or None, automatic
 
 
@@ -121,7 +121,9 @@ _KINDS: tuple[
 
 def agreements(trials: Sequence[TrialRow]) -> tuple[Agreement, ...]:
     """Return all tables, of all trials that count and of each condition; none where no person judged."""
-    judged = [trial for trial in trials if not trial.void and not trial.practice and trial.by in _PEOPLE]
+    judged = [
+        trial for trial in trials if not trial.void and not trial.practice and trial.judged_by in _PEOPLE
+    ]
     conditions = list(dict.fromkeys(trial.condition for trial in judged))
     chosen = ["", *conditions] if len(conditions) > 1 else [""]
     return tuple(

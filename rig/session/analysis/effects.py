@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rig.core.deferred import stats
 from rig.session.analysis.kmax import beyond_of, holm
 from rig.session.analysis.rows import MEASURES, Measure, RunRow, TrialRow
-from rig.session.analysis.study import VOIDED
+from rig.session.trial import VOIDED
 
 Floats = NDArray[np.float64]
 _ALIKE = 1e-9  # relative: differences that are rounding
@@ -96,7 +96,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
     places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
         ("order", lambda run: float(run.order)),
         ("block", lambda run: float(run.block)),
-        ("trial", lambda run: run.middle),
+        ("trial", lambda run: run.middle_trial),
     )
     for measure in MEASURES:
         counted = [run for run in runs if run.state == "complete" and measure in run.limits]
@@ -113,8 +113,14 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
             family.append(slope)
         found += _corrected(family)
     kept = [trial for trial in trials if not trial.practice and trial.void not in VOIDED]
-    timed = [t for t in kept if t.by in ("person", "simulated") and t.took_s is not None and t.took_s > 0.0]
-    logs = [math.log(trial.took_s) for trial in timed if trial.took_s]
+    timed = [
+        t
+        for t in kept
+        if t.judged_by in ("person", "simulated")
+        and t.response_time_s is not None
+        and t.response_time_s > 0.0
+    ]
+    logs = [math.log(trial.response_time_s) for trial in timed if trial.response_time_s]
     useless = [float(trial.void == "invalid") for trial in kept]
     for what, of, values in (("response time", timed, logs), ("said nothing", kept, useless)):
         at = np.array([float(trial.trial) for trial in of])
@@ -137,7 +143,11 @@ def blocks(trials: Sequence[TrialRow]) -> tuple[BlockRow, ...]:
 
 
 def _block(code: str, block: int, of: Sequence[TrialRow]) -> BlockRow:
-    times = [t.took_s for t in of if t.by in ("person", "simulated") and t.took_s is not None]
+    times = [
+        t.response_time_s
+        for t in of
+        if t.judged_by in ("person", "simulated") and t.response_time_s is not None
+    ]
     return BlockRow(
         participant=code,
         block=block,

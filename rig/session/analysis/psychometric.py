@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rig.session.analysis.kmax import student
 from rig.session.analysis.rows import RunRow
 from rig.session.analysis.study import Study
-from rig.session.analysis.trials import answers, half_way, levels, with_asked
+from rig.session.analysis.trials import answers, half_way, levels
 from rig.session.search import psychometric as grids
 from rig.session.search.rule import verdicts_of
 
@@ -152,7 +152,7 @@ def fit(
     verdicts: Sequence[tuple[float, bool]],
 ) -> Psychometric:
     """The function that verdicts (stiffness, stable) of one participant on these levels show."""
-    grid = grids.of_levels(with_asked(levels, (level for level, _ in verdicts)))
+    grid = grids.of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
     by_level = {

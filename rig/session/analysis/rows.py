@@ -1,15 +1,18 @@
 """What an analysis works on: one row for each trial, one for each run (a search through the stiffnesses).
 
-Stiffness, damping, effort, velocity and position are in the units of the rig (`rig.core.sample.unit_of`).
+Unit (or quantity, `rig.core.sample.unit_of`) and meaning of a column stand on its field: tables on disk, their
+dictionary and the sidecars of exports are generated from them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from rig.core.quantity import Quantity
 from rig.session.search.catching import CatchTrials
 from rig.session.search.rule import Censored
+from rig.session.trial import Trial
 
 Measure = Literal["rule", "K50 person", "K50 automatic"]
 # How the limit of a run is told from its verdicts: by the rule that asked for them, from the verdicts that it followed;
@@ -17,109 +20,71 @@ Measure = Literal["rule", "K50 person", "K50 automatic"]
 MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrialRow:
-    """One recorded hit.
+@dataclass(kw_only=True)
+class TrialRow(Trial):
+    """A trial of the log, with what the study adds: whose it is, and whether and how it counts."""
 
-    Attributes
-    ----------
-    place
-        Of its run in the session, from 1; 0 for practice.
-    automatic
-        Automatic verdict: stable, limit cycle, unstable or invalid.
-    passes
-        Whether the wall holds under the study's criterion; None where the trial says nothing about it.
-    verdict, by, took_s
-        Of the person (stable, buzz, unstable, unsure), or of whoever stood in; empty and None before it.
-    void
-        Why it does not count: "redone", "restarted", "left out", "invalid", "not judged"; empty when it counts.
-    amended
-        Whether its verdict was corrected afterwards.
-    recorded
-        "ok", "missing", "changed", "not checked", or "none" when nothing moved.
-    started_s
-        When it was logged, after the session's begin, pauses included.
-    """
+    participant: Annotated[str, Quantity("", "code")]
+    row: Annotated[int, Quantity("", "participant's row of the order, from 0")]
+    place: Annotated[int, Quantity("", "of the run in the session, from 1; 0 is practice")]
+    scheme: Annotated[str, Quantity("", "sampling and estimator of the condition")]
+    automatic_stable: Annotated[
+        bool | None, Quantity("", "whether the wall is stable under the study's criterion; empty: invalid")
+    ]
+    amended: Annotated[bool, Quantity("", "whether the verdict was corrected afterwards")]
+    since_begin_s: Annotated[
+        float, Quantity("s", "from the session's begin until the hit was logged, pauses included")
+    ]
+    felt: Annotated[
+        float | None, Quantity("velocity", "rms velocity in the tail, 30 to 500 Hz; empty: not measurable")
+    ]
+    heard: Annotated[float | None, Quantity("effort", "rms ripple of the effort in the tail, above 30 Hz")]
+    moved: Annotated[float | None, Quantity("position", "peak-to-peak position in the tail, above 30 Hz")]
+    peak_penetration: Annotated[float | None, Quantity("position", "deepest")]
+    peak_effort: Annotated[float | None, Quantity("effort", "largest, commanded")]
+    impact_velocity: Annotated[float | None, Quantity("velocity", "at first contact")]
+    saturated_fraction: Annotated[float | None, Quantity("1", "share of ticks at the limit of effort")]
+    baseline_velocity: Annotated[float | None, Quantity("velocity", "rms in free space before the hit")]
+    baseline_effort: Annotated[float | None, Quantity("effort", "rms in free space before the hit")]
+    recorded: Annotated[
+        str,
+        Quantity(
+            "", "recording against its hash in the log: ok, missing, changed, not checked; none: no recording"
+        ),
+    ]
 
-    participant: str
-    row: int
-    block: int
-    run: int
-    place: int
-    trial: int
-    attempt: int
-    condition: str
-    scheme: str
-    damping: float
-    repeat: int
-    stiffness: float
-    track: int
-    catch: bool
-    practice: bool
-    automatic: str
-    passes: bool | None
-    verdict: str
-    by: str
-    took_s: float | None
-    void: str
-    amended: bool
-    ended: str
-    aborted: str
-    started_s: float
-    heat: float
-    felt: float | None
-    heard: float | None
-    moved: float | None
-    peak_penetration: float | None
-    peak_effort: float | None
-    impact_velocity: float | None
-    saturated_fraction: float | None
-    baseline_velocity: float | None
-    baseline_effort: float | None
-    recording: str
-    recorded: str
+    @property
+    def counts(self) -> bool:
+        """Whether it enters a limit, or would, were its search complete."""
+        return not self.void and not self.practice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantRow:
-    """One participant.
+    """One participant; `answers` are those asked once, at the start or the end, by item."""
 
-    Attributes
-    ----------
-    began
-        When, as ISO 8601 in UTC; in a rehearsal an arbitrary day.
-    ended
-        "complete", the rule that ended the session, or empty while it is not over.
-    active_s
-        Time of the session, long pauses aside.
-    trials, counted
-        Recorded, and those that made the limits.
-    caught
-        What catch trials showed.
-    answers
-        To the questionnaire, by item, of those asked at the start or the end.
-    """
-
-    participant: str
-    row: int
-    began: str
-    ended: str
-    active_s: float
-    trials: int
-    counted: int
+    participant: Annotated[str, Quantity("", "code")]
+    row: Annotated[int, Quantity("", "of the order, from 0")]
+    began: Annotated[
+        str, Quantity("", "when the session began, ISO 8601 in UTC; of a rehearsal an arbitrary day")
+    ]
+    ended: Annotated[str, Quantity("", "complete, or the rule that ended it; empty while it is not over")]
+    active_s: Annotated[float, Quantity("s", "time of the session, long pauses aside")]
+    trials: Annotated[int, Quantity("", "recorded hits")]
+    counted: Annotated[int, Quantity("", "of them entered the limits")]
     caught: CatchTrials
     answers: dict[str, str | int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerRow:
-    """An answer to the questionnaire: `when` is start, block or end; `block` 0 unless it was asked after one."""
+    """An answer to the questionnaire."""
 
-    participant: str
-    item: str
-    when: str
-    block: int
-    answer: str
+    participant: Annotated[str, Quantity("", "code")]
+    item: Annotated[str, Quantity("", "name in the protocol")]
+    when: Annotated[str, Quantity("", "start, block or end")]
+    block: Annotated[int, Quantity("", "after which it was asked; 0: at the start or the end")]
+    answer: Annotated[str, Quantity("", "as it was given; corrections included")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,51 +107,33 @@ class Limit:
 class RunRow:
     """One search: one condition, one damping, one repeat.
 
-    Attributes
-    ----------
-    block, order, place
-        Number of the block, place in it, and place in the session, all from 1.
-    rule
-        That asked, and `followed`: whose verdicts it followed, "person" or "automatic".
-    limits
-        By measure; K50 is the median of its posterior. A measure is left out when nothing tells it: no verdicts, or the
-        rule's own after verdicts were amended that it had followed (then the walls it asked for are no longer those of
-        its walk).
-    state
-        "complete", "unfinished", or "skipped".
-    trials, invalid, void
-        Recorded hits that count; among all, those that said nothing; and those redone, restarted or left out.
-    hits
-        Verdicts that the rule heard.
-    caught
-        What catch trials showed; those at an end of the levels beyond which the limit lies are not counted.
-    middle
-        Mean number of its trials: when in the session it was.
-    note
-        Why a measure is missing, or what else must be known of a limit; mostly empty.
+    `limits` are by measure; K50 is the median of its posterior. A measure is left out when nothing determines it: no
+    verdicts, or the rule's own after verdicts were amended that it had followed (then the walls that it asked for are
+    no longer those of its walk). Of `caught`, catch trials at an end of the levels beyond which the limit lies are not
+    counted.
     """
 
-    participant: str
-    row: int
-    block: int
-    order: int
-    run: int
-    place: int
-    condition: str
-    scheme: str
-    damping: float
-    repeat: int
-    rule: str
-    followed: str
+    participant: Annotated[str, Quantity("", "code")]
+    row: Annotated[int, Quantity("", "participant's row of the order, from 0")]
+    block: Annotated[int, Quantity("", "number from 1")]
+    run: Annotated[int, Quantity("", "number over the session from 1")]
+    place: Annotated[int, Quantity("", "in the session, from 1")]
+    order: Annotated[int, Quantity("", "place in the block, from 1")]
+    condition: Annotated[str, Quantity("", "name in the protocol")]
+    scheme: Annotated[str, Quantity("", "sampling and estimator of the condition")]
+    damping: Annotated[float, Quantity("damping", "B of the wall")]
+    repeat: Annotated[int, Quantity("", "of this condition and damping, from 1")]
+    rule: Annotated[str, Quantity("", "search rule")]
+    followed: Annotated[str, Quantity("", "whose verdicts the rule followed: person or automatic")]
+    state: Annotated[str, Quantity("", "complete, unfinished or skipped; only complete ones enter K_max")]
     limits: dict[Measure, Limit]
-    state: str
-    trials: int
-    invalid: int
-    void: int
-    hits: int
+    trials: Annotated[int, Quantity("", "judged hits that count")]
+    invalid: Annotated[int, Quantity("", "invalid hits")]
+    voided: Annotated[int, Quantity("", "hits redone, restarted or left out")]
+    hits: Annotated[int, Quantity("", "verdicts that the rule followed")]
     caught: CatchTrials
-    middle: float
-    note: str = ""
+    middle_trial: Annotated[float, Quantity("", "mean number of its trials: when in the session it was")]
+    note: Annotated[str, Quantity("", "why a limit is missing, or what else must be known of it")] = ""
 
     @property
     def catches(self) -> int:

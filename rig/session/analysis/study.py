@@ -21,7 +21,8 @@ from rig.recording.files import plain_errors
 from rig.session.log import Event, read
 from rig.session.place import device_words, differences
 from rig.session.protocol import Protocol
-from rig.session.state import State, Trial
+from rig.session.state import State
+from rig.session.trial import Trial
 
 LOG = "session.log"
 PROTOCOL = "protocol.toml"
@@ -29,8 +30,6 @@ PROTOCOL = "protocol.toml"
 _MAY_DIFFER = ("keys", "question", "rest", "stop", "practice")
 _MAY_DIFFER_IN_STUDY = ("title", "participants")
 _LISTED = 5  # names in a message
-
-VOIDED = ("redone", "restarted", "left out")  # why a trial does not count, when somebody decided that
 
 Watch = Callable[[int, int], None]
 
@@ -51,8 +50,6 @@ class Session:
         Content of the first event.
     recordings
         By trial: "ok", "missing", "changed", or "not checked"; trials without a recording are left out.
-    voided
-        By trial: why it does not count, one of `VOIDED`; "left out" is an amendment.
     amended
         Trials of which a verdict was amended.
     """
@@ -62,7 +59,6 @@ class Session:
     state: State
     began: Mapping[str, Any]
     recordings: Mapping[int, str]
-    voided: Mapping[int, str]
     amended: frozenset[int]
 
     @property
@@ -191,7 +187,6 @@ def read_session(directory: Path, *, hashes: bool = True) -> Session:
         recordings={
             trial.trial: _recording(directory, trial, hashes) for trial in state.trials if trial.recording
         },
-        voided=_voided(events, state),
         amended=_amended(events),
     )
 
@@ -204,25 +199,6 @@ def _recording(directory: Path, trial: Trial, hashes: bool) -> str:
         return "not checked"
     with plain_errors("read", path), open(path, "rb") as file:
         return "ok" if hashlib.file_digest(file, "sha256").hexdigest() == trial.sha256 else "changed"
-
-
-def _voided(events: Sequence[Event], state: State) -> dict[int, str]:
-    why: dict[int, str] = {}
-    so_far: list[int] = []
-    of_block = {trial.trial: trial.block for trial in state.trials}
-    for event in events:
-        if event.kind == "trial":
-            so_far.append(event.content["trial"])
-        elif event.kind == "redone":
-            why.setdefault(event.content["trial"], "redone")
-        elif event.kind == "restarted":
-            for trial in so_far:
-                if of_block[trial] == event.content["block"]:
-                    why.setdefault(trial, "restarted")
-    for one in state.trials:
-        if one.void:
-            why.setdefault(one.trial, "left out")
-    return why
 
 
 def _amended(events: Sequence[Event]) -> frozenset[int]:

@@ -13,14 +13,26 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_type_hints
 
 from rig.core.deferred import parquet, pyarrow
+from rig.core.quantity import quantities
 from rig.experiments.results import make_directory, write_document
 from rig.recording.files import whole_file
 from rig.session.analysis.analyse import Analysis
-from rig.session.analysis.rows import MEASURES, Limit, Measure, ParticipantRow, RunRow
+from rig.session.analysis.rows import (
+    MEASURES,
+    AnswerRow,
+    Limit,
+    Measure,
+    ParticipantRow,
+    RunRow,
+    TrialRow,
+)
+from rig.session.analysis.trials import NUMBERS
 from rig.session.search.psychometric import LAPSE_RATES
 
 DICTIONARY = "tables.json"
@@ -28,7 +40,7 @@ PRIOR_LAPSE_RATE = sum(LAPSE_RATES) / len(LAPSE_RATES)
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class DataColumn:
     """One column: its name without the unit, its type, the quantity (or unit) it is of, its meaning, and its value."""
 
     name: str
@@ -39,12 +51,12 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class DataTable:
     """A table: its file's name, what a row is, its columns, and what the rows are made of."""
 
     name: str
     row: str
-    columns: tuple[Column, ...]
+    columns: tuple[DataColumn, ...]
     rows: Sequence[Any]
 
 
@@ -85,14 +97,14 @@ def write_tables(found: Analysis, directory: Path) -> dict[str, Path]:
     return written
 
 
-def column_name(column: Column, found: Analysis) -> str:
+def column_name(column: DataColumn, found: Analysis) -> str:
     """Name of a column with its unit; one without a unit, or that says it already, is left as it is."""
     unit = _unit(column, found)
     slug = unit.lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
     return column.name if unit in ("", "1") or column.name.endswith(f"_{slug}") else f"{column.name}_{slug}"
 
 
-def _unit(column: Column, found: Analysis) -> str:
+def _unit(column: DataColumn, found: Analysis) -> str:
     return found.study.unit(column.quantity) if column.quantity else ""
 
 
@@ -104,7 +116,7 @@ def _plain(value: Any) -> Any:
 
 
 def _write_csv(
-    path: Path, table: Table, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
+    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
 ) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -121,7 +133,7 @@ def _write_csv(
 
 
 def _write_parquet(
-    path: Path, table: Table, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
+    path: Path, table: DataTable, names: Sequence[str], rows: Sequence[Sequence[Any]], found: Analysis
 ) -> None:
 
     types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
@@ -147,127 +159,81 @@ def _write_parquet(
 # ------------------------------------------------------------------------------------------------ the tables
 
 
-def tables(found: Analysis) -> tuple[Table, ...]:
+def tables(found: Analysis) -> tuple[DataTable, ...]:
     """All tables of an analysis."""
     return (
-        Table("participants", "a participant", (*_PARTICIPANTS, *_items(found)), found.participants),
-        Table("answers", "an answer to the questionnaire", _ANSWERS, found.answers),
-        Table("trials", "one recorded hit", _TRIALS, found.trials),
-        Table("runs", "one search: a condition, a damping, a repeat", _RUNS, found.runs),
-        Table("kmax", "a participant under a condition at a damping", _KMAX, found.of_participants),
-        Table("kmax_over_participants", "a condition at a damping", _OVER, found.over_participants),
-        Table("differences", "a difference of two conditions", _DIFFERENCES, _differences(found)),
-        Table("agreement", "a cell of a table of confusions", _AGREEMENT, _confusions(found)),
-        Table("psychometric", _FUNCTION, _PSYCHOMETRIC, found.psychometrics),
-        Table("effects", "a slope along the session", _EFFECTS, found.slopes),
-        Table("blocks", "a block of a participant", _BLOCKS, found.blocks),
+        DataTable("participants", "a participant", (*_PARTICIPANTS, *_items(found)), found.participants),
+        DataTable("answers", "an answer to the questionnaire", _ANSWERS, found.answers),
+        DataTable("trials", "one recorded hit", _TRIALS, found.trials),
+        DataTable("runs", "one search: a condition, a damping, a repeat", _RUNS, found.runs),
+        DataTable("kmax", "a participant under a condition at a damping", _KMAX, found.of_participants),
+        DataTable("kmax_over_participants", "a condition at a damping", _OVER, found.over_participants),
+        DataTable("differences", "a difference of two conditions", _DIFFERENCES, _differences(found)),
+        DataTable("agreement", "a cell of a table of confusions", _AGREEMENT, _confusions(found)),
+        DataTable("psychometric", _FUNCTION, _PSYCHOMETRIC, found.psychometrics),
+        DataTable("effects", "a slope along the session", _EFFECTS, found.slopes),
+        DataTable("blocks", "a block of a participant", _BLOCKS, found.blocks),
     )
 
 
-def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> Column:
+def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> DataColumn:
     """A column that is a field of its row, of the same name or another one."""
-    return Column(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
+    return DataColumn(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
 
 
-_PARTICIPANT = _own("participant", str, "", "code")
+def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
+    """Columns of a row's annotated fields, or of those named, in that order; type, unit and meaning are the field's."""
+    known, hints = quantities(described), get_type_hints(described)
+    return tuple(
+        DataColumn(
+            name.removesuffix("_s") if known[name].unit == "s" else name,
+            _kind(hints[name]),
+            known[name].unit,
+            known[name].meaning,
+            attrgetter(name),
+        )
+        for name in names or known
+    )
+
+
+def _kind(hint: Any) -> type:
+    """The type of a field, whether or not it may be None."""
+    kinds = (
+        [one for one in get_args(hint) if one is not type(None)] if isinstance(hint, UnionType) else [hint]
+    )
+    return next((kind for kind in (bool, int, float) if kind in kinds), str)
+
+
 _CONDITION = _own("condition", str, "", "name in the protocol")
 _DAMPING = _own("damping", float, "damping", "B of the wall")
-_WHERE = (
-    _own("row", int, "", "participant's row of the order, from 0"),
-    _own("block", int, "", "number from 1; 0 is practice"),
-    _own("run", int, "", "number over the session from 1; 0 is practice"),
-    _own("place", int, "", "of the run in the session, from 1; 0 is practice"),
-)
-_WHAT = (
-    _CONDITION,
-    _own("scheme", str, "", "sampling and estimator of the condition"),
-    _DAMPING,
-    _own("repeat", int, "", "of this condition and damping, from 1"),
-)
+_PARTICIPANT = _own("participant", str, "", "code")
 _CATCHES = (
-    Column(
+    DataColumn(
         "soft_catches",
         int,
         "",
         "judged catch trials of the softest wall; none where the limit lies below it",
         lambda row: row.caught.soft,
     ),
-    Column("false_unstable", int, "", "of them not stable", lambda row: row.caught.false_unstable),
-    Column(
+    DataColumn("false_unstable", int, "", "of them not stable", lambda row: row.caught.false_unstable),
+    DataColumn(
         "stiff_catches",
         int,
         "",
         "judged catch trials of the stiffest wall; none where the limit lies above it",
         lambda row: row.caught.stiff,
     ),
-    Column("false_stable", int, "", "of them stable", lambda row: row.caught.false_stable),
+    DataColumn("false_stable", int, "", "of them stable", lambda row: row.caught.false_stable),
 )
-_PARTICIPANTS = (
-    _PARTICIPANT,
-    _own("row", int, "", "of the order, from 0"),
-    _own("began", str, "", "when the session began, UTC; of a rehearsal an arbitrary day"),
-    _own("ended", str, "", "complete, or the rule that ended it; empty while it is not over"),
-    _own("active", float, "s", "time of the session, long pauses aside", "active_s"),
-    _own("trials", int, "", "recorded hits"),
-    _own("counted", int, "", "of them made the limits"),
-    *_CATCHES,
-)
-_ANSWERS = (
-    _PARTICIPANT,
-    _own("item", str, "", "name in the protocol"),
-    _own("when", str, "", "start, block or end"),
-    _own("block", int, "", "after which it was asked; 0: at the start or the end"),
-    _own("answer", str, "", "as it was given; corrections included"),
-)
-_TRIALS = (
-    _PARTICIPANT,
-    *_WHERE,
-    _own("trial", int, "", "number over the session, from 1"),
-    _own("attempt", int, "", "from 1; more after trials that said nothing"),
-    *_WHAT,
-    _own("stiffness", float, "stiffness", "K of the wall"),
-    _own("track", int, "", "of the search that asked for it"),
-    _own("catch", bool, "", "a catch trial, whose verdict is known"),
-    _own("practice", bool, "", "before the first block; counts for nothing"),
-    _own(
-        "void",
-        str,
-        "",
-        "why it does not count: redone, restarted, left out, invalid, not judged; empty when it counts",
-    ),
-    _own("automatic", str, "", "automatic verdict: stable, limit cycle, unstable, invalid"),
-    _own("automatic_stable", bool, "", "whether the wall holds under the study's criterion", "passes"),
-    _own("verdict", str, "", "stable, buzz, unstable, unsure; corrections included"),
-    _own("judged_by", str, "", "person, simulated or automatic", "by"),
-    _own("amended", bool, "", "whether the verdict was corrected afterwards"),
-    _own("response_time", float, "s", "from the question to the verdict", "took_s"),
-    _own("ended", str, "", "finished, or why the hit ended early"),
-    _own("aborted", str, "", "what cut the hit off for safety"),
-    _own(
-        "since_begin",
-        float,
-        "s",
-        "from the session's begin until the hit was logged, pauses included",
-        "started_s",
-    ),
-    _own("heat", float, "1", "share of the winding's budget after the hit"),
-    _own("felt", float, "velocity", "rms velocity in the tail, 30 to 500 Hz; empty: not measurable"),
-    _own("heard", float, "effort", "rms ripple of the effort in the tail, above 30 Hz"),
-    _own("moved", float, "position", "peak-to-peak position in the tail, above 30 Hz"),
-    _own("peak_penetration", float, "position", "deepest"),
-    _own("peak_effort", float, "effort", "largest, commanded"),
-    _own("impact_velocity", float, "velocity", "at first contact"),
-    _own("saturated_fraction", float, "1", "share of ticks at the limit of effort"),
-    _own("baseline_velocity", float, "velocity", "rms in free space before the hit"),
-    _own("baseline_effort", float, "effort", "rms in free space before the hit"),
-    _own("recording", str, "", "file, relative to the participant's directory"),
-    _own(
-        "recorded",
-        str,
-        "",
-        "against its hash in the log: ok, missing, changed, not checked; none: no recording",
-    ),
-)
+_PARTICIPANTS = (*columns_of(ParticipantRow), *_CATCHES)
+_ANSWERS = columns_of(AnswerRow)
+_TRIALS = columns_of(
+    TrialRow,
+    "participant", "row", "block", "run", "place", "trial", "attempt", "condition", "scheme", "damping", "repeat",
+    "stiffness", "track", "catch", "practice", "void", "automatic", "automatic_stable", "verdict", "judged_by",
+    "amended", "response_time_s", "ended", "aborted", "since_begin_s", "heat", *NUMBERS, "baseline_velocity",
+    "baseline_effort", "recording", "recorded",
+)  # fmt: skip
 
 
 def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:
@@ -278,7 +244,7 @@ def _limit(measure: Measure, field: str) -> Callable[[RunRow], Any]:
     return of
 
 
-def _limit_columns(measure: Measure) -> tuple[Column, ...]:
+def _limit_columns(measure: Measure) -> tuple[DataColumn, ...]:
     name = measure.lower().replace(" ", "_")
     meaning = {
         "rule": "limit by the rule that asked, from the verdicts that it followed",
@@ -286,16 +252,18 @@ def _limit_columns(measure: Measure) -> tuple[Column, ...]:
         "K50 automatic": "stiffness that is stable half of the time by the automatic verdicts",
     }[measure]
     return (
-        Column(f"limit_{name}", float, "stiffness", meaning, _limit(measure, "value")),
-        Column(
+        DataColumn(f"limit_{name}", float, "stiffness", meaning, _limit(measure, "value")),
+        DataColumn(
             f"limit_{name}_low",
             float,
             "stiffness",
             "lower end of its interval of 95 %",
             _limit(measure, "low"),
         ),
-        Column(f"limit_{name}_high", float, "stiffness", "upper end; empty: open", _limit(measure, "high")),
-        Column(
+        DataColumn(
+            f"limit_{name}_high", float, "stiffness", "upper end; empty: open", _limit(measure, "high")
+        ),
+        DataColumn(
             f"limit_{name}_beyond",
             str,
             "",
@@ -305,22 +273,13 @@ def _limit_columns(measure: Measure) -> tuple[Column, ...]:
     )
 
 
+_SEARCH = columns_of(RunRow)
+_SPLIT = next(place for place, column in enumerate(_SEARCH) if column.name == "trials")
 _RUNS = (
-    _PARTICIPANT,
-    *_WHERE,
-    _own("order", int, "", "place in the block, from 1"),
-    *_WHAT,
-    _own("rule", str, "", "search rule"),
-    _own("followed", str, "", "whose verdicts the rule followed"),
-    _own("state", str, "", "complete, unfinished or skipped; only complete ones enter K_max"),
+    *_SEARCH[:_SPLIT],
     *(column for measure in MEASURES for column in _limit_columns(measure)),
-    _own("trials", int, "", "judged hits that count"),
-    _own("invalid", int, "", "hits that said nothing"),
-    _own("voided", int, "", "hits redone, restarted or left out", "void"),
-    _own("hits", int, "", "verdicts that the rule heard"),
+    *_SEARCH[_SPLIT:],
     *_CATCHES,
-    _own("middle_trial", float, "", "mean number of its trials", "middle"),
-    _own("note", str, "", "why a limit is missing, or what else must be known of it"),
 )
 _MEASURE = _own("measure", str, "", "how limits are told: rule, K50 person, K50 automatic")
 _BEYOND = (
@@ -369,26 +328,26 @@ _OVER = (
     *_BEYOND,
 )
 _DIFFERENCES = (
-    Column("measure", str, "", "how limits are told", lambda row: row["measure"]),
-    Column(
+    DataColumn("measure", str, "", "how limits are told", lambda row: row["measure"]),
+    DataColumn(
         "method",
         str,
         "",
         "paired: Student's test within participants; mixed: the mixed model",
         lambda row: row["method"],
     ),
-    Column("condition", str, "", "name in the protocol", lambda row: row["condition"]),
-    Column("against", str, "", "condition that is taken from it", lambda row: row["against"]),
-    Column(
+    DataColumn("condition", str, "", "name in the protocol", lambda row: row["condition"]),
+    DataColumn("against", str, "", "condition that is taken from it", lambda row: row["against"]),
+    DataColumn(
         "damping",
         float,
         "damping",
         "B of the wall; empty: mean over all dampings",
         lambda row: row["damping"],
     ),
-    Column("participants", int, "", "who have both", lambda row: row["participants"]),
-    Column("difference", float, "stiffness", "condition less against", lambda row: row["difference"]),
-    Column(
+    DataColumn("participants", int, "", "who have both", lambda row: row["participants"]),
+    DataColumn("difference", float, "stiffness", "condition less against", lambda row: row["difference"]),
+    DataColumn(
         "difference_low",
         float,
         "stiffness",
@@ -396,16 +355,16 @@ _DIFFERENCES = (
         "then too coarse to tell), and where most limits of a condition lie beyond the levels",
         lambda row: row["low"],
     ),
-    Column("difference_high", float, "stiffness", "upper end", lambda row: row["high"]),
-    Column("p", float, "1", "two-sided, that there is none", lambda row: row["p"]),
-    Column(
+    DataColumn("difference_high", float, "stiffness", "upper end", lambda row: row["high"]),
+    DataColumn("p", float, "1", "two-sided, that there is none", lambda row: row["p"]),
+    DataColumn(
         "p_holm",
         float,
         "1",
         "corrected (Holm) for all differences by the same measure and method",
         lambda row: row["holm"],
     ),
-    Column(
+    DataColumn(
         "bound",
         str,
         "",
@@ -413,38 +372,38 @@ _DIFFERENCES = (
         "there are none",
         lambda row: row["bound"],
     ),
-    Column("limits", int, "", "behind it", lambda row: row["beyond"].limits),
-    Column("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
+    DataColumn("limits", int, "", "behind it", lambda row: row["beyond"].limits),
+    DataColumn("beyond", int, "", "of them lie beyond the levels", lambda row: row["beyond"].count),
 )
 _AGREEMENT = (
-    Column("table", str, "", "two, three or four classes", lambda row: row["name"]),
-    Column("condition", str, "", "of the trials; empty: all", lambda row: row["condition"]),
-    Column("weights", str, "", "of confusions in kappa", lambda row: row["weights"]),
-    Column("person", str, "", "class of the person's verdict", lambda row: row["person"]),
-    Column("automatic", str, "", "class of the automatic verdict", lambda row: row["automatic"]),
-    Column("trials", int, "", "judged so by both", lambda row: row["trials"]),
-    Column("kappa", float, "1", "of the whole table", lambda row: row["kappa"]),
-    Column("kappa_low", float, "1", "lower end of its interval of 95 %", lambda row: row["low"]),
-    Column("kappa_high", float, "1", "upper end", lambda row: row["high"]),
-    Column(
+    DataColumn("table", str, "", "two, three or four classes", lambda row: row["name"]),
+    DataColumn("condition", str, "", "of the trials; empty: all", lambda row: row["condition"]),
+    DataColumn("weights", str, "", "of confusions in kappa", lambda row: row["weights"]),
+    DataColumn("person", str, "", "class of the person's verdict", lambda row: row["person"]),
+    DataColumn("automatic", str, "", "class of the automatic verdict", lambda row: row["automatic"]),
+    DataColumn("trials", int, "", "judged so by both", lambda row: row["trials"]),
+    DataColumn("kappa", float, "1", "of the whole table", lambda row: row["kappa"]),
+    DataColumn("kappa_low", float, "1", "lower end of its interval of 95 %", lambda row: row["low"]),
+    DataColumn("kappa_high", float, "1", "upper end", lambda row: row["high"]),
+    DataColumn(
         "kappa_interval",
         str,
         "",
         "what it is over: people (jackknife, Student), trials as if they were independent, or none",
         lambda row: row["over"],
     ),
-    Column("problem", str, "", "why there is no interval", lambda row: row["problem"]),
-    Column("same", float, "1", "share on which both say the same", lambda row: row["share"]),
-    Column(
+    DataColumn("problem", str, "", "why there is no interval", lambda row: row["problem"]),
+    DataColumn("same", float, "1", "share on which both say the same", lambda row: row["share"]),
+    DataColumn(
         "positive",
         float,
         "1",
         "agreement on stable: of the verdicts that are so by one or the other, the share that are by both; two classes",
         lambda row: row["positive"],
     ),
-    Column("negative", float, "1", "agreement on not stable, likewise", lambda row: row["negative"]),
-    Column("people", int, "", "who judged the trials of the whole table", lambda row: row["people"]),
-    Column(
+    DataColumn("negative", float, "1", "agreement on not stable, likewise", lambda row: row["negative"]),
+    DataColumn("people", int, "", "who judged the trials of the whole table", lambda row: row["people"]),
+    DataColumn(
         "left_out",
         int,
         "",
@@ -462,8 +421,8 @@ _PSYCHOMETRIC = (
     _DAMPING,
     _own("judge", str, "", "whose verdicts"),
     _own("participants", int, "", "that it is of"),
-    Column("verdicts", int, "", "that it is of", lambda row: sum(row.verdicts)),
-    Column(
+    DataColumn("verdicts", int, "", "that it is of", lambda row: sum(row.verdicts)),
+    DataColumn(
         "k50",
         float,
         "stiffness",
@@ -471,7 +430,7 @@ _PSYCHOMETRIC = (
         "participants the mean of theirs",
         lambda row: row.threshold.mean,
     ),
-    Column(
+    DataColumn(
         "k50_low",
         float,
         "stiffness",
@@ -479,19 +438,21 @@ _PSYCHOMETRIC = (
         "Student's over three or more of them",
         lambda row: row.threshold.low,
     ),
-    Column("k50_high", float, "stiffness", "upper end; empty: open, or none", lambda row: row.threshold.high),
+    DataColumn(
+        "k50_high", float, "stiffness", "upper end; empty: open, or none", lambda row: row.threshold.high
+    ),
     _own("above", int, "", "participants whose K50 lies above the stiffest level"),
     _own("below", int, "", "participants whose K50 lies below the softest level"),
-    Column("spread", float, "stiffness", "how gradually verdicts change", lambda row: row.spread.mean),
-    Column(
+    DataColumn("spread", float, "stiffness", "how gradually verdicts change", lambda row: row.spread.mean),
+    DataColumn(
         "spread_low", float, "stiffness", "lower end; none of all participants", lambda row: row.spread.low
     ),
-    Column("spread_high", float, "stiffness", "upper end", lambda row: row.spread.high),
-    Column("lapse_rate", float, "1", "share of verdicts turned round", lambda row: row.lapse_rate.mean),
-    Column(
+    DataColumn("spread_high", float, "stiffness", "upper end", lambda row: row.spread.high),
+    DataColumn("lapse_rate", float, "1", "share of verdicts turned round", lambda row: row.lapse_rate.mean),
+    DataColumn(
         "lapse_rate_low", float, "1", "lower end; none of all participants", lambda row: row.lapse_rate.low
     ),
-    Column("lapse_rate_high", float, "1", "upper end", lambda row: row.lapse_rate.high),
+    DataColumn("lapse_rate_high", float, "1", "upper end", lambda row: row.lapse_rate.high),
 )
 _EFFECTS = (
     _own("of", str, "", "limit (stiffness), response time (natural logarithm), said nothing (0 or 1)"),
@@ -523,10 +484,12 @@ _BLOCKS = (
 )
 
 
-def _items(found: Analysis) -> tuple[Column, ...]:
+def _items(found: Analysis) -> tuple[DataColumn, ...]:
     """A column for each question that was asked once: whole numbers of a scale, or text."""
     return tuple(
-        Column(f"answer_{item.name}", int if item.kind == "scale" else str, "", item.text, _answer(item.name))
+        DataColumn(
+            f"answer_{item.name}", int if item.kind == "scale" else str, "", item.text, _answer(item.name)
+        )
         for item in found.study.protocol.question
         if item.when != "block"
     )

@@ -15,9 +15,19 @@ from rig.session.search import Answer, Estimate, psychometric
 from rig.session.search.ascending import Ascending
 from rig.session.search.catching import CatchTrials
 from rig.session.search.rule import Censored, verdicts_of
-from rig.session.state import WALKING, State, Trial
+from rig.session.state import WALKING, State
+from rig.session.trial import Trial
 
 PEOPLE = ("person", "simulated")  # who may have judged, besides the automatic verdict
+NUMBERS = (
+    "felt",
+    "heard",
+    "moved",
+    "peak_penetration",
+    "peak_effort",
+    "impact_velocity",
+    "saturated_fraction",
+)  # of the automatic verdict, in tables
 
 Watch = Callable[[int, int], None]
 
@@ -119,13 +129,8 @@ def half_way(
         Stiffness, and whether it was stable; at least one.
     """
     share = share or 0.5
-    found = psychometric.locate(with_asked(grid, (level for level, _ in verdicts)), verdicts, share)
+    found = psychometric.locate(tuple(grid), verdicts, share)
     return Limit(value=found.value, low=found.low, high=found.high, censored=found.censored, share=share)
-
-
-def with_asked(grid: Sequence[float], asked: Iterable[float]) -> tuple[float, ...]:
-    """Levels of a search, and whatever else was asked for: another version may have had others."""
-    return tuple(sorted({*grid, *asked}))
 
 
 def answers(state: State, run: Run, judge: str) -> list[Answer]:
@@ -139,11 +144,11 @@ def answers(state: State, run: Run, judge: str) -> list[Answer]:
     """
     if judge == "followed":
         return state.heard(run)
-    counted = [t for t in state.trials_of(run) if t.verdict is not None and not t.said_nothing]
+    counted = [t for t in state.trials_of(run) if t.judged]
     if judge == "automatic":
         criterion = state.protocol.study.criterion
-        return [Answer(trial.probe, trial.passes.get(criterion)) for trial in counted]
-    return state.heard(run) if any(trial.by in PEOPLE for trial in counted) else []
+        return [Answer(trial.probe, trial.passes[criterion]) for trial in counted]
+    return state.heard(run) if any(trial.judged_by in PEOPLE for trial in counted) else []
 
 
 def _ordered(state: State) -> Iterable[tuple[int, int, Run]]:
@@ -157,47 +162,21 @@ def _ordered(state: State) -> Iterable[tuple[int, int, Run]]:
 def _trial_row(
     session: Session, trial: Trial, schemes: dict[str, str], place: int, logged_at: float
 ) -> TrialRow:
-    void = session.voided.get(trial.trial, "")
-    if not void:
-        void = "invalid" if trial.said_nothing else "" if trial.verdict else "not judged"
     numbers, baseline = trial.numbers, trial.baseline or {}
+    undecided = "invalid" if trial.invalid else "" if trial.verdict else "not judged"
+    logged: dict[str, Any] = {**vars(trial), "void": trial.void or undecided}
     return TrialRow(
+        **logged,
+        **dict[str, Any]({name: numbers.get(name) for name in NUMBERS}),
         participant=session.code,
         row=session.state.row,
-        block=trial.block,
-        run=trial.run,
         place=place,
-        trial=trial.trial,
-        attempt=trial.attempt,
-        condition=trial.condition,
         scheme=schemes.get(trial.condition, ""),
-        damping=trial.damping,
-        repeat=trial.repeat,
-        stiffness=trial.stiffness,
-        track=trial.track,
-        catch=trial.catch,
-        practice=trial.practice,
-        automatic=trial.automatic,
-        passes=trial.passes.get(session.state.protocol.study.criterion),
-        verdict=trial.verdict or "",
-        by=trial.by or "",
-        took_s=trial.took_s,
-        void=void,
+        automatic_stable=trial.passes[session.state.protocol.study.criterion],
         amended=trial.trial in session.amended,
-        ended=trial.ended,
-        aborted=trial.aborted,
-        started_s=logged_at - session.began_at,
-        heat=trial.heat,
-        felt=numbers.get("felt"),
-        heard=numbers.get("heard"),
-        moved=numbers.get("moved"),
-        peak_penetration=numbers.get("peak_penetration"),
-        peak_effort=numbers.get("peak_effort"),
-        impact_velocity=numbers.get("impact_velocity"),
-        saturated_fraction=numbers.get("saturated_fraction"),
+        since_begin_s=logged_at - session.began_at,
         baseline_velocity=baseline.get("velocity_rms"),
         baseline_effort=baseline.get("effort_rms"),
-        recording=trial.recording or "",
         recorded=session.recordings.get(trial.trial, "none"),
     )
 
@@ -209,7 +188,7 @@ def _run_row(
     search = state.protocol.search_of(state.protocol.condition_named(run.condition))
     trials = [trial for trial in state.trials if trial.run == run.number]
     counted = [trial for trial in trials if not trial.void]
-    judged = [trial for trial in counted if trial.verdict is not None and not trial.said_nothing]
+    judged = [trial for trial in counted if trial.judged]
     limits, note = _limits(state, run, search.rule)
     followed = f"K50 {state.protocol.study.judge}"
     sides = {limit.censored for measure, limit in limits.items() if measure in ("rule", followed)}
@@ -229,11 +208,11 @@ def _run_row(
         limits=limits,
         state=_state(state, run),
         trials=len(judged),
-        invalid=sum(trial.said_nothing for trial in counted),
-        void=len(trials) - len(counted),
+        invalid=sum(trial.invalid for trial in counted),
+        voided=len(trials) - len(counted),
         hits=len(state.heard(run)),
         caught=_caught(judged, levels(state.protocol, run.condition), sides),
-        middle=sum(t.trial for t in judged) / len(judged) if judged else math.nan,
+        middle_trial=sum(t.trial for t in judged) / len(judged) if judged else math.nan,
         note=note,
     )
 

@@ -478,7 +478,7 @@ def effects_figure(found: Analysis) -> Any:
     places: tuple[tuple[str, str, Callable[[RunRow], float]], ...] = (
         ("order", "place in the block", lambda run: run.order),
         ("block", "block", lambda run: run.block),
-        ("trial", "mean trial of the run", lambda run: run.middle),
+        ("trial", "mean trial of the run", lambda run: run.middle_trial),
     )
     for axes, (along, label, place) in zip(panels[0], places, strict=True):
         at = [place(run) for run in runs]
@@ -528,9 +528,9 @@ def _response(axes: Any, found: Analysis) -> None:
     """A line of medians for each participant: trial by trial they would hide each other."""
     for number, session in enumerate(found.study.sessions):
         timed = [
-            (trial.trial, trial.took_s)
+            (trial.trial, trial.response_time_s)
             for trial in found.trials
-            if trial.participant == session.code and trial.took_s and not trial.practice
+            if trial.participant == session.code and trial.response_time_s and not trial.practice
         ]
         groups = [timed[first : first + _TOGETHER] for first in range(0, len(timed), _TOGETHER)]
         axes.plot(
@@ -575,7 +575,7 @@ def _limits_over_session(axes: Any, found: Analysis, runs: Sequence[RunRow], mea
     for number, name in enumerate(_conditions(found)):
         of = [run for run in runs if run.condition == name]
         axes.plot(
-            [run.middle for run in of],
+            [run.middle_trial for run in of],
             [run.limits[measure].value for run in of],
             MARKERS[number % len(MARKERS)],
             color=style_of(number),

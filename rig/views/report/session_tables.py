@@ -14,9 +14,10 @@ from rig.session.analysis.kmax import Beyond, Bound, Paired
 from rig.session.analysis.mixed import Contrast, Mixed
 from rig.session.analysis.psychometric import Psychometric
 from rig.session.analysis.rows import Measure
-from rig.session.analysis.study import VOIDED, Session
+from rig.session.analysis.study import Session
 from rig.session.analysis.tables import PRIOR_LAPSE_RATE
 from rig.session.state import END
+from rig.session.trial import VOIDED
 from rig.views.report.session_events import Deviation
 from rig.views.report.writing import MINUS, NOTHING, clock, interval, number, p, percent, shortest, signed
 
@@ -236,7 +237,7 @@ def searches(found: Analysis) -> Table:
                 planned - len(of),
                 f"{sum(run.hits for run in of) / len(of):.1f}" if of else NOTHING,
                 sum(run.invalid for run in of),
-                sum(run.void for run in of),
+                sum(run.voided for run in of),
             )
         )
     head = (

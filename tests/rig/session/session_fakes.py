@@ -18,6 +18,7 @@ from rig.session.log import Event
 from rig.session.protocol import Protocol
 from rig.session.runner import Done, RefusedWalls, Wall
 from rig.session.state import BOOKKEEPING
+from rig.session.trial import Hit
 
 TRUE_LIMIT = 430.0
 
@@ -93,7 +94,7 @@ class FakeRunner:
         with whole_file(path) as file:
             file.write(rows)
         stable = stiffness < TRUE_LIMIT
-        content = {
+        content: dict[str, Any] = {
             "recording": f"trials/{path.name}",
             "sha256": hashlib.sha256(rows).hexdigest(),
             "rows_sha256": hashlib.sha256(rows).hexdigest(),
@@ -107,7 +108,7 @@ class FakeRunner:
             "heat": heat + self.heat_of_a_hit,
         }
         changed, error = self.fails.get(number, ({}, None))
-        return Done({**content, **changed}, error, 1.5)
+        return Done(Hit(**{**content, **changed}), error, 1.5)
 
     def close(self) -> None:
         pass

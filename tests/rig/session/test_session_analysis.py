@@ -322,7 +322,7 @@ def test_redone_and_restarted_trials_are_flagged_and_do_not_count(tmp_path):
     assert void == {**dict.fromkeys((3, 4, 5, 7, 8, 9, 10), "restarted"), 6: "redone"}
     assert [trial.trial for trial in found.trials if trial.practice] == [1, 2]
     assert sum(run.trials for run in found.runs) == len(found.trials) - 8 - 2
-    assert sum(run.void for run in found.runs) == 8
+    assert sum(run.voided for run in found.runs) == 8
     assert {run.state for run in found.runs} == {"complete"}
     (first,) = [block for block in found.blocks if block.block == 1]
     assert first.redone == 1
@@ -364,7 +364,7 @@ def test_a_trial_left_out_afterwards_is_flagged_and_its_run_stays_complete(tmp_p
     assert {trial.trial: trial.void for trial in after.trials if trial.void} == {5: "left out"}
     run = next(one for one in after.runs if one.run == after.trials[4].run)
     was = next(one for one in before.runs if one.run == run.run)
-    assert (run.state, run.trials, run.void) == ("complete", was.trials - 1, 1)
+    assert (run.state, run.trials, run.voided) == ("complete", was.trials - 1, 1)
     assert "K50 person" in run.limits
     assert run.limits["K50 person"] != was.limits["K50 person"]
     assert sum(block.redone for block in after.blocks) == 0

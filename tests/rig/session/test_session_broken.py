@@ -74,7 +74,11 @@ def test_a_hit_that_breaks_is_logged_with_its_heat_before_the_session_ends(
         assert session.state.heat > 0.3
         again = session.state.next()
     assert isinstance(again, DoTrial)
-    assert (again.trial, again.attempt, again.probe.level) == (3, 2, runner.hits[1][1])
+    assert (again.presented.trial, again.presented.attempt, again.presented.stiffness) == (
+        3,
+        2,
+        runner.hits[1][1],
+    )
 
 
 class Breaks(Desk):

@@ -165,7 +165,7 @@ def test_a_redone_trial_stays_in_the_log_and_comes_again(tmp_path: Path) -> None
     runner = FakeRunner()
     state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(first("verdict", "redo")))
     assert state.trials[0].void
-    assert state.trials[0].verdict is None
+    assert state.trials[0].verdict == ""
     assert runner.hits[0][1] == runner.hits[1][1]
     assert state.ended == "complete"
 
@@ -180,7 +180,7 @@ def test_redo_before_a_trial_is_about_the_one_before(tmp_path: Path) -> None:
 
     runner = FakeRunner()
     state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(answer))
-    assert [trial.void for trial in state.trials[:3]] == [False, True, False]
+    assert [trial.void for trial in state.trials[:3]] == ["", "redone", ""]
     assert runner.hits[1][1] == runner.hits[2][1]
 
 
@@ -228,7 +228,7 @@ def test_a_block_may_start_over(tmp_path: Path) -> None:
     runner = FakeRunner()
     with resume(tmp_path / "P01", at="block", clock=Day()) as session:
         state = conduct(session, runner, ScriptedDesk())
-    assert [trial.void for trial in state.trials[:4]] == [True, True, True, False]
+    assert [trial.void for trial in state.trials[:4]] == [*["restarted"] * 3, ""]
     assert state.trials[3].trial == 4
     assert state.ended == "complete"
 
@@ -254,7 +254,7 @@ def test_the_automatic_verdict_may_lead_and_nobody_is_asked(tmp_path: Path) -> N
     desk = ScriptedDesk()
     state = run_with(started(tmp_path / "P01", protocol), FakeRunner(), desk)
     assert not [question for question in desk.questions if question.kind == "verdict"]
-    assert {(trial.stiffness < 430.0, trial.verdict, trial.by) for trial in state.trials} <= {
+    assert {(trial.stiffness < 430.0, trial.verdict, trial.judged_by) for trial in state.trials} <= {
         (True, "stable", "automatic"),
         (False, "buzz", "automatic"),
     }
@@ -302,7 +302,7 @@ def test_heat_of_a_constant_load_is_the_closed_form() -> None:
     ("stop", "fails", "reason"),
     [
         ({"trials": 4}, {}, "4 trials"),
-        ({"invalid": 2}, {2: (INVALID, None), 3: (INVALID, None)}, "2 trials in a row that said nothing"),
+        ({"invalid": 2}, {2: (INVALID, None), 3: (INVALID, None)}, "2 invalid trials in a row"),
         (
             {"aborts": 2},
             {2: ({"aborted": "energy"}, None), 3: ({"aborted": "violent"}, None)},
@@ -650,7 +650,7 @@ def test_the_very_last_trial_can_be_redone(tmp_path: Path) -> None:
     last = len(runner.hits)
     runner.hits.clear()
     state = run_with(started(tmp_path / "P01"), runner, ScriptedDesk(answer))
-    assert [trial.void for trial in state.trials[-2:]] == [True, False]
+    assert [trial.void for trial in state.trials[-2:]] == ["redone", ""]
 
 
 def test_the_console_is_told_about_how_many_trials_there_will_be(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_what_is_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int
     runner = FakeRunner()
     state = ended(tmp_path, runner, redos, stop={"trials": 3}, order=order)
     assert state.ended == "3 trials"
-    assert [trial.void for trial in state.trials] == [False] * (3 - redos) + [True] * redos + [False] * redos
+    assert [trial.void for trial in state.trials] == [""] * (3 - redos) + ["redone"] * redos + [""] * redos
     walls = [(trial.run, trial.stiffness) for trial in state.trials]
     assert walls[3:] == walls[3 - redos : 3]
 
@@ -83,7 +83,7 @@ def test_redone_in_the_middle_does_not_count_towards_the_end(tmp_path: Path) -> 
         return Reply(action="redo") if question.kind == "ready" and ready == 2 else None
 
     state = run(tmp_path, FakeRunner(), answer, stop={"trials": 3})
-    assert [trial.void for trial in state.trials] == [True, False, False, False]
+    assert [trial.void for trial in state.trials] == ["redone", "", "", ""]
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: next(iter(stop)))
@@ -94,7 +94,7 @@ def test_every_stop_rule_waits_for_what_was_redone(tmp_path: Path, stop: Any) ->
     void = [trial for trial in state.trials if trial.void]
     assert len(void) == 1
     after = state.trials[void[0].trial]
-    assert (after.stiffness, after.run, after.void) == (void[0].stiffness, void[0].run, False)
+    assert (after.stiffness, after.run, after.void) == (void[0].stiffness, void[0].run, "")
 
 
 def test_a_redone_trial_that_says_nothing_is_repeated_until_somebody_leaves_the_run(tmp_path: Path) -> None:
@@ -107,6 +107,6 @@ def test_a_redone_trial_that_says_nothing_is_repeated_until_somebody_leaves_the_
 
     runner = FakeRunner(dict.fromkeys(range(4, 20), (INVALID, None)))
     state = run(tmp_path, runner, answer, stop={"invalid": 3, "trials": 3})
-    assert [trial.void for trial in state.trials[:3]] == [False, False, True]
+    assert [trial.void for trial in state.trials[:3]] == ["", "", "redone"]
     assert state.skipped == {1}
     assert state.ended is not None

@@ -93,7 +93,7 @@ def study(tmp_path_factory):
             judged = [event.number for event in one.log.events if event.kind == "judged"][-1]
             one.log.append("amended", number=judged, field="verdict", value="unsure", why="the wrong key")
             one.state = State.of(one.log.events)
-            one.record("skipped", run=one.state.next().run.number)
+            one.record("skipped", run=one.state.next().presented.run)
             one.run(20)
             one.record("ended", reason="60 minutes")
     (where / "P01/trials/t0002.parquet").unlink()

@@ -45,10 +45,10 @@ def run_row(participant="P01", condition="a", damping=0.0, value=400.0, **change
         "state": "complete",
         "trials": 20,
         "invalid": 0,
-        "void": 0,
+        "voided": 0,
         "hits": 20,
         "caught": CatchTrials(),
-        "middle": 10.0,
+        "middle_trial": 10.0,
     }
     return RunRow(**{**plain, **changes})
 
@@ -115,18 +115,25 @@ def trial_row(participant="P01", verdict="stable", automatic="stable", passes=Tr
         "catch": False,
         "practice": False,
         "automatic": automatic,
-        "passes": passes,
+        "automatic_stable": passes,
         "verdict": verdict,
-        "by": "person",
-        "took_s": 1.0,
+        "judged_by": "person",
+        "response_time_s": 1.0,
         "void": "",
         "amended": False,
         "ended": "finished",
         "aborted": "",
-        "started_s": 0.0,
+        "since_begin_s": 0.0,
         "heat": 0.0,
         "recording": "",
         "recorded": "none",
+        "seed": 0,
+        "sha256": "",
+        "rows_sha256": "",
+        "reasons": (),
+        "passes": {},
+        "numbers": {},
+        "baseline": None,
         **empty,
     }
     return TrialRow(**{**plain, **changes})
@@ -189,7 +196,7 @@ def test_what_goes_into_which_table():
         trial_row(verdict="stable", automatic="stable", passes=None),
         trial_row(verdict="stable", void="redone"),
         trial_row(verdict="stable", practice=True),
-        trial_row(verdict="stable", by="automatic"),
+        trial_row(verdict="stable", judged_by="automatic"),
     ]
     two, linear, quadratic, four = agreement.agreements(rows)
     assert two.counts == ((1, 0), (1, 2))
@@ -201,7 +208,10 @@ def test_what_goes_into_which_table():
 
 
 def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa():
-    assert agreement.agreements([trial_row(by="automatic"), trial_row(by="", void="not judged")]) == ()
+    assert (
+        agreement.agreements([trial_row(judged_by="automatic"), trial_row(judged_by="", void="not judged")])
+        == ()
+    )
     two = agreement.agreements([trial_row() for _ in range(5)])[0]
     assert (two.share, two.kappa, two.low) == (1.0, None, None)
     assert (two.positive, two.negative) == (1.0, None)
@@ -738,7 +748,10 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
     drawn = np.random.default_rng(4)
     rows = [
         trial_row(
-            f"P{p}", condition=c, trial=int(n), took_s=math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3))
+            f"P{p}",
+            condition=c,
+            trial=int(n),
+            response_time_s=math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3)),
         )
         for p in range(4)
         for c, n in zip("ab" * 10, drawn.permutation(20), strict=True)
@@ -748,7 +761,9 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
     for person in range(4):
         own = [row for row in rows if row.participant == f"P{person}"]
         design = [[float(row.condition == "a"), float(row.condition == "b"), row.trial] for row in own]
-        theirs.append(ordinary([math.log(row.took_s) for row in own], np.array(design)).fit().params[-1])
+        theirs.append(
+            ordinary([math.log(row.response_time_s) for row in own], np.array(design)).fit().params[-1]
+        )
     expected = stats.ttest_1samp(theirs, 0.0)
     found = next(slope for slope in effects.slopes([], rows) if slope.of == "response time")
     assert (found.participants, found.count) == (4, 80)
@@ -807,7 +822,7 @@ def test_people_who_change_at_their_own_pace_widen_the_interval_of_a_slope():
 )
 def test_a_slope_without_an_interval_says_why(people, pace, why):
     rows = [
-        trial_row(f"P{person}", trial=n, took_s=math.exp(pace * n + person))
+        trial_row(f"P{person}", trial=n, response_time_s=math.exp(pace * n + person))
         for person in range(people)
         for n in range(1, 9)
     ]
@@ -831,10 +846,11 @@ def test_fatigue_is_found_and_what_cannot_be_told_is_said():
 def test_slopes_are_corrected_within_a_quantity():
     drawn = np.random.default_rng(8)
     rows = [
-        replace(row, middle=float(drawn.uniform(1.0, 99.0))) for row in runs_of_people(people=8, block=-3.0)
+        replace(row, middle_trial=float(drawn.uniform(1.0, 99.0)))
+        for row in runs_of_people(people=8, block=-3.0)
     ]
     timed = [
-        trial_row(f"P{p}", trial=n, took_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
+        trial_row(f"P{p}", trial=n, response_time_s=math.exp(0.004 * n + drawn.normal(0.0, 0.3)))
         for p in range(5)
         for n in range(1, 30)
     ]
@@ -848,10 +864,10 @@ def test_slopes_are_corrected_within_a_quantity():
 
 def test_blocks_count_what_happened_in_them():
     rows = [
-        trial_row(took_s=1.0),
-        trial_row(took_s=3.0, verdict="unsure"),
-        trial_row(void="invalid", verdict="", by="", took_s=None),
-        trial_row(void="redone", aborted="violence", by="", took_s=None),
+        trial_row(response_time_s=1.0),
+        trial_row(response_time_s=3.0, verdict="unsure"),
+        trial_row(void="invalid", verdict="", judged_by="", response_time_s=None),
+        trial_row(void="redone", aborted="violence", judged_by="", response_time_s=None),
         trial_row(block=0, practice=True),
     ]
     (block,) = effects.blocks(rows)
@@ -861,7 +877,9 @@ def test_blocks_count_what_happened_in_them():
 
 def test_slower_answers_show_in_the_slope_of_their_logarithm():
     rows = [
-        trial_row(f"P{person}", trial=n, took_s=math.exp((0.01 + 0.001 * person) * n), repeat=1 + n % 3)
+        trial_row(
+            f"P{person}", trial=n, response_time_s=math.exp((0.01 + 0.001 * person) * n), repeat=1 + n % 3
+        )
         for person in range(3)
         for n in range(1, 40)
     ]
