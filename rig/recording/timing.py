@@ -1,16 +1,16 @@
-"""The latency ledger: when each sample was taken, received, answered and felt, on one clock, and what that adds up to.
+"""The latency ledger: when each sample was taken, received, answered and applied, on one clock, and a summary.
 
 Arithmetic on columns of rows (`rig.core.sample`), with a clock fit where there is one. A tick has five times on the
 host's clock, 0 where unknown:
 
 ========  =====================================================================================================
 sampled   the device read its encoder: device time through the clock fit
-received  the loop had the STATE
-computed  the law had its effort
-sent      the link had taken the COMMAND
+received  the loop received the STATE
+computed  the law had computed its effort
+sent      the link had accepted the COMMAND
 applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that names
           it as the active one, and a is the age that it gives; or when it was sent, if that is later. A device
-          tells in which of its ticks a COMMAND came, not when: it may have been up to a tick later
+          reports the tick in which a COMMAND came, not the time: it may have been up to a tick later
 ========  =====================================================================================================
 
 Sampled and applied carry the errors of the clock fit, with opposite signs in the two transports; the whole way, from
@@ -62,7 +62,7 @@ CONFIDENCE = 0.975  # of each bound of a quantile by itself
 WORST = 10
 WRAP_NS = (1 << 32) * 125 // 2  # the u32 of a STATE counts units of 62.5 ns
 SEQUENCES = 1 << 16
-NO_AGE = 0xFFFF  # no COMMAND yet, or an age beyond telling
+NO_AGE = 0xFFFF  # no COMMAND yet, or an age beyond the counter
 
 _Ints = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
@@ -70,7 +70,7 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ledger:
-    """Times of each tick (ns, host clock; 0 where unknown) and what the rows say beside them.
+    """Times of each tick (ns, host clock; 0 where unknown), and counts that the rows give.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Ledger:
     within_tick
         Commands sent after the sample from which they count, so that the time of sending stands as applied.
     unanswered
-        Commands behind the last one known active: the recording ends before the device could tell.
+        Commands behind the last one known active: the recording ends before the device could report.
     period_ns
         Length of a device tick.
     clock
@@ -129,7 +129,7 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What one stage took over all ticks in which it is known (ns).
+    """Durations of one stage over all ticks in which it is known (ns).
 
     `counts` belongs to the edges of the summary: below the first, between each two, from the last on. `negative` counts
     ticks in which the end seems to come before the begin. Bounds of the quantiles take ticks as independent, which
@@ -156,7 +156,7 @@ class BadTick:
 
 @dataclass(frozen=True, slots=True)
 class TimingSummary:
-    """What a recording says of time.
+    """Timing of a recording.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ class TimingSummary:
     worst
         Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
     counts
-        Late, skipped, lost, stale and so on, apart; None where the loop did not say.
+        Late, skipped, lost, stale and so on, separately; None where the trailer has no counters.
     never_active, unanswered, passed_over, within_tick
         As in `Ledger`.
     clock
@@ -264,7 +264,7 @@ def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: in
 
 
 def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
-    """Add up a ledger; `counters` are the loop's, as a recording's trailer has them, or None when nobody wrote any."""
+    """Add up a ledger; `counters` are the loop's, as a recording's trailer has them, or None when there are none."""
     counts = {name: (counters or {}).get(name) for name in COUNTED}
     if counts["late"] is None:
         counts["late"] = int(np.count_nonzero(ledger.late))
