@@ -250,7 +250,7 @@ def _ended_by_device(
 
 @kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
 def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
-    """A device that fails between two samples sends no further batch: the STATE with the fault stands for that sample."""
+    """A device that fails between two samples sends no further batch: the STATE with the fault stands for it."""
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         told = states[i % STATES_KEPT]

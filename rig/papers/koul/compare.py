@@ -23,6 +23,7 @@ from rig.config.controller import resolution
 from rig.config.schemes import Scheme
 from rig.control.estimators.estimator import Floats
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.experiments.cases import Case
 from rig.experiments.compare import OFFSETS, Comparison, Entry, Start, compare, simulate
 from rig.experiments.estimators import Variant, delay, estimates
@@ -61,7 +62,7 @@ class Panel:
         return {
             "position_rate": self.position_rate,
             "arithmetic": self.arithmetic,
-            **self.comparison.as_mapping(),
+            **plain(self.comparison),
         }
 
 
