@@ -45,11 +45,11 @@ class Kind(Generic[T]):
     root
         The dataclass that it describes; its fields are sections.
     whole
-        What such a thing is called.
+        What such a file describes, for messages.
     also
         Keys that a file may have at the top beside the sections.
     otherwise
-        What else to do where something is missing, as the end of a sentence; empty when there is nothing else.
+        Alternative remedy where something is missing, as the end of a sentence; empty when there is none.
     """
 
     root: type[T]
@@ -90,7 +90,7 @@ def typed(kind: Kind[T], table: Table, motion: Motion | None) -> tuple[T | None,
         Of the rig, for units in messages; None when it is not known.
     """
     problems = list(_mistaken_choices(kind, table))
-    # By way of JSON, because strict validation of Python objects accepts instances of the dataclasses only.
+    # Validated as JSON, because strict validation of Python objects accepts instances of the dataclasses only.
     text = json.dumps(_jsonable(table))
     try:
         root: Any = kind.root
@@ -209,7 +209,7 @@ def _adapter_of_key(section: type, name: str) -> Any:
 
 
 def _jsonable(value: Any) -> Any:
-    """Replace what JSON has no word for by what no key accepts."""
+    """Replace what JSON cannot write by what no key accepts."""
     if isinstance(value, dict):
         return {key: _jsonable(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -220,7 +220,7 @@ def _jsonable(value: Any) -> Any:
 
 
 def _problem_of(error: ErrorDetails, kind: Kind[Any], table: Table, motion: Motion | None) -> Problem:
-    """Say in our words what pydantic found at a place."""
+    """Turn an error of pydantic into a `Problem`."""
     path, pattern = _within_leaf([str(part) for part in error["loc"]], kind)
     key, section, leaf = ".".join(pattern), ".".join(pattern[:-1]), path[-1] if path else ""
     where, value = place(path), value_at(table, path)
@@ -284,13 +284,17 @@ def _wrong_section(
 
 
 def better(value: Any, parameter: Parameter) -> str:
-    """Say how to write a value right."""
+    """Remedy for a wrong value."""
     kind = parameter.kind
     if kind == "choice" and isinstance(value, str):
         known = [choice for choice in parameter.choices if isinstance(choice, str)]
         return did_you_mean(value, known, "choose one of these")
     if kind == "whole number" and isinstance(value, float) and value.is_integer():
-        return f"write {int(value)}, without a decimal point"
+        return (
+            "write a whole number in this range"
+            if parameter.bounds
+            else f"write {int(value)}, without a decimal point"
+        )
     if "number" in kind and isinstance(value, int | float) and not isinstance(value, bool):
         return _WRITE[kind] if kind.startswith("list") else "choose a value in this range"
     return _WRITE[kind]

@@ -1,8 +1,8 @@
 """From an experiment to the numbers of one run: the controller of the loop, and the parameters of the device.
 
-One place turns configured quantities into ticks, counts and quanta: what the host's law works with
-(`for_experiment`) and what the device is told (`device_parameters`) come from the same values. `prepared` makes both,
-once for a run: what a plan shows, what is checked and what is executed is that object.
+One place turns configured quantities into ticks, counts and quanta: the host's law
+(`for_experiment`) and the device's parameters (`device_parameters`) come from the same values. `prepared` makes both
+once for a run: a plan shows, checks and executes that object.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def oscillation_limit(experiment: Experiment) -> int:
 
 
 def energy_limit(experiment: Experiment) -> float:
-    """Energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it is told to."""
+    """Energy that the motor may give in a trial (J); 0: any. An excitation gives as much as it must."""
     return 0.0 if experiment.trial.kind == "excitation" else experiment.rig.limits.energy or 0.0
 
 
@@ -145,8 +145,8 @@ def for_experiment(
 def _law(experiment: Experiment, law: Law) -> Law:
     """The law with friction compensation around it, if the experiment wants that.
 
-    On two masses only the motor side's friction counts: the link's lies behind the capstan, where the motor, if it took
-    that over too, would give more than it removes.
+    On two masses only the motor side's friction is compensated: the link's lies behind the capstan, and compensating it
+    from the motor would add more energy than it removes.
     """
     rates, mechanics = experiment.controller, experiment.rig.mechanics
     if rates.friction_compensation == 0.0:
@@ -174,7 +174,7 @@ def command_lifetime_s(experiment: Experiment) -> float:
 
 
 def supervise_lifetime_s(experiment: Experiment) -> float:
-    """How long a law on the device goes on without a word from the host (s)."""
+    """How long a law on the device continues without a command from the host (s)."""
     configured = experiment.controller.supervise_lifetime_s
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
@@ -193,7 +193,7 @@ class Run:
         The host's law before the first sample: numbers, and rows of the tables that name its kernels. A copy of it is
         executed.
     parameters
-        What the device is told.
+        Of the device.
     own_law
         A law of the caller's own, in place of the one that the experiment names.
     """
@@ -225,7 +225,7 @@ def prepared(
     reference_count
         Count at position zero.
     verified
-        Somebody vouches for the signs of motor and encoder, or nothing can move.
+        The polarity of motor and encoder is verified, or nothing can move.
     law
         Stands in for the law that the experiment names.
 
@@ -288,7 +288,7 @@ def device_parameters(
         "window_maximum": edges[1],
         "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
         "thermal_time_constant": limits.thermal_time_constant_s,
-        # A person can hold the handle still against any effort: only with this does the device not call that a stall.
+        # A person can hold the handle still against any effort: with this the device does not take that for a stall.
         "hold_to_run": 1 if experiment.trial.kind == "human" else 0,
         "law": 0,
     }

@@ -1,4 +1,4 @@
-"""What others need of an experiment: the physics of its rig, its thresholds, proof that its plug-ins exist."""
+"""What is derived from an experiment: the physics of its rig, the verdict's thresholds, and that its plug-ins exist."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
 
 
 def rig_model(described: Experiment | Rig) -> RigModel:
-    """Return the physics of a rig, as simulation and theory want it.
+    """Return the physics of a rig, for simulation and theory.
 
-    Of an experiment with a person also that person's hand and reach; without the end mass then.
+    With a person it includes the hand and its reach, and leaves out the end mass.
     """
     rig = described.rig if isinstance(described, Experiment) else described
     model = RigModel(
@@ -53,7 +53,7 @@ def _reach(x: Experiment) -> Reach:
 
 
 def motor_push(experiment: Experiment) -> float:
-    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation excites."""
+    """Constant effort of the motor in a trial (N·m or N): none when a person pushes, or an excitation drives it."""
     return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
 
 
@@ -80,8 +80,8 @@ class Size(TypedDict, total=False):
 def excitation_size(experiment: Experiment) -> Size:
     """Size of the excitation (N·m or N): its rms or its peak.
 
-    Ten times the friction, so that friction is a detail of the motion and not the other way round; two per cent of
-    the effort limit where there is hardly any.
+    Ten times the Coulomb friction, so that friction hardly distorts the motion; two per cent of the effort limit where
+    there is hardly any friction.
     """
     given, mechanics = experiment.excitation, experiment.rig.mechanics
     if given.peak is not None:
@@ -132,9 +132,9 @@ def verdict_thresholds(experiment: Experiment) -> Thresholds:
 
 
 def check_plugins(experiment: Experiment, source: str) -> None:
-    """Check estimator, law and the estimator's settings, which `load_experiment` takes as they come.
+    """Check estimator, law and the estimator's settings, which `load_experiment` does not check.
 
-    Imports the estimator, and numba with it; whatever plans or runs an experiment calls this first.
+    Imports the estimator, and numba with it; everything that plans or runs an experiment calls this first.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def check_plugins(experiment: Experiment, source: str) -> None:
     """
     controller = experiment.controller
     problems: list[Problem] = []
-    # To look for plug-ins takes longer than all the rest of it.
+    # Looking for plug-ins takes longer than everything else here.
     if controller.estimator not in estimators.BUILT_IN:
         problems += _unknown("controller.estimator", controller.estimator, estimators.names())
     if experiment.wall.law not in laws.BUILT_IN:
@@ -162,7 +162,11 @@ def check_plugins(experiment: Experiment, source: str) -> None:
 def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:
     if name in known:
         return []
-    choice = f"choose one of: {', '.join(known)}"
     return [
-        Problem(key, shown(name), f"must be one of {', '.join(known)}", did_you_mean(name, known, choice))
+        Problem(
+            key,
+            shown(name),
+            f"must be one of {', '.join(known)}",
+            did_you_mean(name, known, "choose one of these"),
+        )
     ]

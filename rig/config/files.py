@@ -1,4 +1,4 @@
-"""Experiment files and presets as raw tables: reading TOML, and laying one table over another."""
+"""Experiment files and presets as raw tables: reading TOML, and overlaying one table on another."""
 
 from __future__ import annotations
 
@@ -40,9 +40,7 @@ def parse_toml(text: str, source: str) -> Table:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        raise ConfigError(
-            f"{source}: not valid TOML: {reason}", remedy="mend that place in the file"
-        ) from None
+        raise ConfigError(f"{source}: not valid TOML: {reason}", remedy="correct the file there") from None
 
 
 @cache
@@ -77,10 +75,10 @@ def tidy(value: Any, depth: int = 0) -> Any:
 
 
 def overlay(base: Table, top: Table) -> Table:
-    """Lay one table over another, key by key; neither is changed.
+    """Overlay one table on another, key by key; neither is changed.
 
-    The settings of an estimator do not outlive it: when `top` names another estimator, those of `base` are
-    dropped. Nor do the numbers of a grip.
+    When `top` names another estimator, the settings of the one in `base` are dropped; so are the numbers of another
+    grip.
     """
     merged = dict(base)
     for key, value in top.items():

@@ -34,7 +34,7 @@ EXPERIMENT = Kind(
 def load_experiment(path: str | Path) -> Experiment:
     """Read and check an experiment file.
 
-    The file may begin with ``preset = "koul-compliant"`` and then says only what differs.
+    The file may begin with ``preset = "koul-compliant"`` and then needs only what differs.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experiment:
-    """Check nested tables like those of an experiment file; `source` is what errors call them."""
+    """Check nested tables like those of an experiment file; `source` names them in errors."""
     table = tidy(mapping)
     if not isinstance(table, dict):
         raise ConfigError(
@@ -68,7 +68,7 @@ def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "
     changes
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source
-        What errors call the changes.
+        Name of the changes in errors.
     """
     return checked(with_values(experiment, changes, source), source)
 
@@ -76,8 +76,8 @@ def override(experiment: Experiment, changes: Mapping[str, Any], source: str = "
 def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str) -> Experiment:
     """Return the experiment with some keys changed, each value checked by itself: a step on the way to `checked`.
 
-    The settings of an estimator do not outlive it, nor the numbers of a grip. A key that is set is meant in real time,
-    too: ``[realtime]`` says nothing of it any more.
+    The settings of a replaced estimator and the numbers of a replaced grip are dropped. A key that is set applies in
+    real time too: it is removed from ``[realtime]``.
     """
     wanted = nest(tidy(changes))
     start = _without_what_goes(experiment, wanted)
@@ -98,7 +98,7 @@ def with_values(experiment: Experiment, changes: Mapping[str, Any], source: str)
 
 
 def checked(experiment: Experiment, source: str) -> Experiment:
-    """Return an experiment of good values whose keys agree with each other; `ConfigError` lists those that do not."""
+    """Return the experiment if its keys are consistent; `ConfigError` lists those that are not."""
     with _computable(source):
         problems = broken_rules(experiment)
     if problems:
@@ -107,7 +107,7 @@ def checked(experiment: Experiment, source: str) -> Experiment:
 
 
 def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
-    """The experiment without the settings of an estimator, or the numbers of a grip, that gives way to another."""
+    """The experiment without the settings of a replaced estimator or the numbers of a replaced grip."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
         experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
@@ -119,7 +119,7 @@ def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
 def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return what ``[realtime]`` changes, and over it what the user sets by hand, by dotted key.
 
-    A law that the device runs needs nothing gentler: of ``[realtime]`` only what is about this computer is left then.
+    Where the device runs the law, only the keys of ``[realtime]`` about this computer apply.
     """
     gentler: dict[str, Any] = dict(experiment.realtime)
     if changes.get(LOOP, experiment.controller.loop) == "device":
@@ -144,7 +144,10 @@ def _preset(name: Any, source: str) -> Table:
         raise config_error(
             [
                 Problem(
-                    "preset", shown(name), "is not a preset", did_you_mean(str(name), preset_names(), choice)
+                    "preset",
+                    shown(name),
+                    "there is no such preset",
+                    did_you_mean(str(name), preset_names(), choice),
                 )
             ],
             source,
@@ -155,7 +158,7 @@ def _preset(name: Any, source: str) -> Table:
 def _stack(base: Table, top: Table) -> Table:
     """Lay one experiment over another; their ``[realtime]`` tables are flattened first, so that keys meet.
 
-    A key that the upper one sets is meant in real time too: it takes the lower one's ``[realtime]`` value away.
+    A key that the upper one sets applies in real time too: it replaces the lower one's ``[realtime]`` value.
     """
     merged = overlay(base, top)
     layers = [layer["realtime"] for layer in (base, top) if "realtime" in layer]
@@ -209,7 +212,7 @@ def _with_defaults(table: Table) -> Table:
 
 
 def _wrong_realtime(changes: Any) -> Iterator[Problem]:
-    """Find keys of ``[realtime]`` that name nothing; their values are checked when they are applied."""
+    """Find unknown keys of ``[realtime]``; values are checked when they are applied."""
     for key, value in changes.items() if isinstance(changes, dict) else ():
         section, _, leaf = key.rpartition(".")
         if key not in parameters() and section != FREE:

@@ -1,4 +1,4 @@
-"""What is wrong with an experiment, all of it at once, as lines that a person can act on."""
+"""Everything that is wrong with an experiment at once, one line for each problem."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Problem:
     remedy: str
 
     def text(self, source: str) -> str:
-        """Write one line: where, what, and why it is refused."""
+        """One line: where, what, and why it is refused."""
         subject = f"{self.key} = {self.value}" if self.value else self.key
         return f"{source}: {subject}: {self.must}"
 
@@ -28,7 +28,7 @@ def config_error(problems: Sequence[Problem], source: str) -> ConfigError:
     """Join problems into one `ConfigError`, one per line, each with file, key, value, range and remedy."""
     if len(problems) == 1:
         return ConfigError(problems[0].text(source), remedy=problems[0].remedy)
-    return ConfigError("\n".join(f"{p.text(source)}. {p.remedy}" for p in problems))
+    return ConfigError("\n".join(f"{p.text(source)}; {p.remedy}" for p in problems))
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:

@@ -75,6 +75,11 @@ class Scheme:
             raise ConfigError(
                 f"scheme {text!r}: uniform sampling has one rate", remedy=f"write dual:{rates}, or one rate"
             )
+        if kind == "dual" and "/" not in rates:
+            raise ConfigError(
+                f"scheme {text!r}: dual sampling has two rates, of position and velocity",
+                remedy=f"write dual:{rates}/2k, or uniform:{rates}",
+            )
         given = dict(_setting(setting, text) for setting in settings)
         own = {key: given.pop(key) for key in _OWN if key in given}
         estimator = given.pop("estimator", None)

@@ -1,4 +1,4 @@
-"""What the device of a rig must know of it, as constants of its firmware; simulated devices have the same.
+"""What a device must know of its rig, as constants of its firmware; simulated devices have the same.
 
 All in the device's own units: current quanta and counts. Only the mechanics stay in SI.
 """
@@ -20,7 +20,7 @@ OVER_CURRENT_MARGIN = 1.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedMechanics:
-    """What must move how fast under a large effort; SI, rotary or linear. `struct mechanics` of the firmware.
+    """How fast the rig must accelerate under a large effort; SI, rotary or linear. `struct mechanics` of the firmware.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ def peak_current(model: RigModel) -> int:
 
 
 def over_current(model: RigModel) -> int:
-    """A measured current above this says that something is broken (quanta)."""
+    """A measured current above this is a fault (quanta)."""
     return int(OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum)
 
 

@@ -1,8 +1,8 @@
-"""Host clock against device clock: a line through exchanges of four stamps, with what is not known about it.
+"""Host clock against device clock: a line through exchanges of four stamps, with its uncertainty.
 
 An exchange is host_sent → device_received → device_sent → host_received. Half the difference of the two ways is
 the offset, host − device, but for the part by which the way out and the way back differ: at most half of the round
-trip. Delays only ever add, so exchanges whose round trip is short say more:
+trip. Delays only ever add, so exchanges with a short round trip carry more information:
 
 * the excess of an exchange is its round trip less the least one; its offset is uncertain by half of that, and by half
   of what the least one may have waited too: the excess that the fastest √n of n exchanges have, or 1/n of its round
@@ -21,7 +21,7 @@ An exchange is rejected when it is
    fastest exchange of each stretch of time first, against the fit then. That finds stamps of two different
    exchanges, and a clock that was set.
 
-The two ways may differ always, and no stamp shows it: `asymmetry_bound_ns`, half of the least round trip, is a bound
+The two directions may differ, and no stamp shows it: `asymmetry_bound_ns`, half of the least round trip, is a bound
 beside the standard uncertainties, not a part of them. One line serves one trial: a crystal that warms up bends it,
 which the residuals then show.
 
@@ -121,7 +121,7 @@ class ClockFit:
         return np.asarray(np.hypot(self.offset_sd_ns, since * (self.drift_sd_ppm * 1e-6)), np.float64)
 
     def rows(self) -> list[Row]:
-        """Offset, drift and how well they are known, for people."""
+        """Offset and drift with their uncertainties, as text."""
         doubt = f"and at most {duration(self.asymmetry_bound_ns)} if the two directions take different times"
         offset = f"{self.offset_ns * 1e-9:.9f} s ± {duration(self.offset_sd_ns)}"
         return [
@@ -133,7 +133,7 @@ class ClockFit:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
-        """Return what `rig.core.present.plain` gave, from among whatever else the mapping holds.
+        """Inverse of `rig.core.present.plain`; other keys of the mapping are ignored.
 
         Raises `RigError` when a number is missing or is none.
         """
@@ -141,7 +141,7 @@ class ClockFit:
             return cls(**{f.name: {"int": int, "float": float}[f.type](mapping[f.name]) for f in fields(cls)})  # type: ignore[index]
         except (KeyError, TypeError, ValueError) as error:
             raise RigError(
-                f"a clock fit that makes no sense ({error!r})",
+                f"an invalid clock fit ({error!r})",
                 remedy="read it with the version that wrote it",
             ) from error
 
@@ -152,7 +152,7 @@ def as_exchanges(stamps: Iterable[Sequence[int]]) -> NDArray[np.void]:
 
 
 def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRIOR_PPM) -> ClockFit:
-    """Fit the line; see the module's text for how.
+    """Fit the line; the method is in the module's text.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """What can go wrong, named by what the caller does next.
 
-Every error says what happened, and `remedy` what to do about it; commands print both on one line and exit
+An error has a message (what is wrong) and a remedy (what to do about it); commands print both on one line and exit
 with `exit_code`.
 """
 
@@ -11,10 +11,10 @@ from typing import Any
 
 
 class RigError(Exception):
-    """Root of all errors that a user can meet.
+    """Root of all errors that a user can see.
 
-    `recording` is the file that a run left before it failed, `messages` what that run was not granted, each with its
-    remedy: often the cause.
+    `recording` is the file that a failed run left, `messages` the warnings of that run, each with its remedy: often the
+    cause.
     """
 
     exit_code = 1
@@ -28,17 +28,17 @@ class RigError(Exception):
         self.messages: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.message}. {self.remedy}".rstrip() if self.remedy else self.message
+        return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
 
 class ConfigError(RigError):
-    """A file, key or value that cannot be meant: mend the file and start again."""
+    """An invalid file, key or value: correct it and start again."""
 
     exit_code = 2
 
 
 class PlanError(ConfigError):
-    """An experiment that is well formed but must not run: a limit, a rate or a wall out of reach."""
+    """A valid experiment that must not run: a limit, a rate or a wall is out of reach."""
 
 
 class DeviceNotFoundError(RigError):
@@ -48,7 +48,7 @@ class DeviceNotFoundError(RigError):
 
 
 class IncompatibleDeviceError(RigError):
-    """The far end speaks another protocol or lacks a capability: flash it, or change this package."""
+    """The device speaks another protocol version or lacks a capability: flash it, or change this package."""
 
     exit_code = 4
 
@@ -64,7 +64,7 @@ class DeviceRefusedError(RigError):
 
 
 class LinkLostError(RigError):
-    """The far end fell silent or vanished. Its own watchdog has taken the effort to zero.
+    """The device stopped answering or vanished. Its own watchdog has set the effort to zero.
 
     `statistics` holds the counters of the link, `rows` the last rows of the loop (`rig.core.sample.ROW`) or None.
     """
@@ -82,23 +82,23 @@ class UnpluggedError(LinkLostError):
 
 
 class StalledError(LinkLostError):
-    """The device halted its endpoint: it refuses to go on until somebody opens it anew."""
+    """The device halted its endpoint until it is opened again."""
 
 
 class BlockedError(LinkLostError):
-    """The line is there, but takes no more bytes."""
+    """The line is up but accepts no more bytes."""
 
 
 class OverflowedError(LinkLostError):
-    """More bytes came at once than had been asked for, or than there was room for."""
+    """More bytes arrived at once than were requested, or than there was room for."""
 
 
 class CutShortError(LinkLostError):
-    """The device took only a part of what was sent."""
+    """The device accepted only part of what was sent."""
 
 
 class BrokenLineError(LinkLostError):
-    """Bits are damaged on the way: the line itself reports errors."""
+    """Bits are corrupted in transit: the line itself reports errors."""
 
 
 class DeviceFaultError(LinkLostError):
@@ -108,13 +108,13 @@ class DeviceFaultError(LinkLostError):
 
 
 class GuardError(RigError):
-    """The handle left its window or went too fast, or the start was not reached; the effort went to zero first."""
+    """The guard ended the run: window, speed, energy or homing; the effort was set to zero first."""
 
     exit_code = 10
 
 
 class LawError(RigError):
-    """An estimator or a law raised, or gave a value that is not finite; the effort went to zero first."""
+    """An estimator or a law raised, or returned a value that is not finite; the effort was set to zero first."""
 
     exit_code = 8
 
@@ -126,19 +126,19 @@ class RecordingError(RigError):
 
 
 class RealtimeError(RigError):
-    """Scheduling that ``host.realtime = "enforce"`` demands and this machine does not grant; nothing has moved."""
+    """Scheduling that ``host.realtime = "enforce"`` requires is not granted by this machine; nothing has moved."""
 
     exit_code = 13
 
 
 class OverrunError(RigError):
-    """The loop came more than one period late, and was told to end then; the effort went to zero first."""
+    """A tick was more than one period late where ``host.overrun`` ends the run; the effort was set to zero first."""
 
     exit_code = 14
 
 
 class ToolchainError(RigError):
-    """There is no usable cross compiler, or it refuses the firmware: install it, or report what it said."""
+    """There is no usable cross compiler, or it rejects the firmware: install it, or report its output."""
 
     exit_code = 15
 
@@ -146,7 +146,7 @@ class ToolchainError(RigError):
 class StoppedError(RigError):
     """A person stopped the run; the effort is zero and the recording closed.
 
-    `signal` is the number of the signal that did it; None for `rig stop`, or a program that fell silent.
+    `signal` is the number of the signal that did it; None for `rig stop`, or a program that stopped answering.
     """
 
     exit_code = 130

@@ -8,7 +8,7 @@ State of the continuous model, in this order:
 
 * two-mass: motor position, motor velocity, link position, link velocity, motor effort
 * rigid: position, velocity, motor effort
-* held by a person: hand position and hand velocity after these
+* coupled to a person's hand: hand position and hand velocity after these
 
 Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for
 each mass; with a person then the intended position, the intended velocity and the press on the hand. Friction
@@ -346,7 +346,7 @@ def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateS
 
 
 def _held(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
-    """Join a hand to the handle, whose inertia includes the pads."""
+    """Couple a hand to the handle, whose inertia includes the pads."""
     rows, columns = free.b.shape
     y, h = free.handle_position, rows
     a, b = np.zeros((rows + 2, rows + 2)), np.zeros((rows + 2, columns + 3))

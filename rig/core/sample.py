@@ -1,11 +1,11 @@
-"""THE table of a recorded row: what one tick of the loop leaves behind.
+"""The table of a recorded row: what one tick of the loop records.
 
 One row a tick. The table gives the dtype of the ring, the schema of the files, and the documentation; a
 column exists in one place only. Measured, estimated, wanted, sent and applied are different columns.
 
-Where the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, some
-5 ms old at most: what only a STATE tells (commands, limits, fault, state, inputs, sync time, missed ticks, execution
-time) is as old as that.
+Where the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, at
+most about 5 ms old: what only a STATE carries (commands, limits, fault, state, inputs, sync time, missed ticks,
+execution time) is as old as that.
 
 Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and
 resolved by `unit_of`; counts and times are 64-bit integers.
@@ -73,7 +73,7 @@ class RowFlag(IntFlag):
     NONFINITE = 128  # the law gave a value that is not finite: effort zero, run ended
     OUT_OF_WINDOW = 256  # position left the window or speed exceeded its limit: effort zero, run ended
     HOMING_FAILED = 512  # the start was not reached in time: effort zero, run ended
-    ENERGY = 1024  # the motor gave more energy than it may: effort zero, run ended
+    ENERGY = 1024  # the motor gave more energy than allowed: effort zero, run ended
     VIOLENT = 2048  # the effort oscillated between zero and its limit: effort zero, run ended
 
 
@@ -92,7 +92,10 @@ COLUMNS: tuple[Column, ...] = (
     ),
     Column("count", "<i8", "count", "encoder count as the device sent it"),
     Column(
-        "edge_age", "<i8", "ns", "age of the last encoder edge at the sample; law on the device: 0, not told"
+        "edge_age",
+        "<i8",
+        "ns",
+        "age of the last encoder edge at the sample; law on the device: 0, not transmitted",
     ),
     Column("position", "<f8", "position", "measured position: count times resolution, from the reference"),
     Column("velocity", "<f8", "velocity", "estimated velocity, held between velocity samples"),
@@ -107,7 +110,7 @@ COLUMNS: tuple[Column, ...] = (
         "<f8",
         "effort",
         "effort of the command sent: guarded and rounded to the current quantum; law on the device: what the same law "
-        "gives here for the same count, beside which effort_applied of the next row is what the device made of it",
+        "gives here for the same count; effort_applied of the next row is what the device computed",
     ),
     Column("effort_applied", "<f8", "effort", "active effort on the device when the sample was taken"),
     Column("current_sent", "<i8", "quantum", "current of effort_sent, in current quanta"),
@@ -146,7 +149,7 @@ COLUMNS: tuple[Column, ...] = (
         "sync_time",
         "<i8",
         "ns",
-        "device clock at the newest rising edge of the sync input that was told, on the scale of device_time; 0: none",
+        "device clock at the newest reported rising edge of the sync input, on the scale of device_time; 0: none",
     ),
     Column("missed_ticks", "<i8", "1", "device ticks missed since arming"),
     Column("execution_time", "<i8", "ns", "worst execution time of a device tick since arming"),

@@ -9,18 +9,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from firmware_protocol import messages
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.law_parameters import LAW_PARAMETERS
-from firmware_protocol.packing import encoded_bytes
 from rig.config import Experiment, controller, device_law, motor_push, push_at_rest, rig_model
 from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
+from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.experiments.excitation_plan import excitation_plan
 from rig.experiments.planned import ARITHMETIC_WORDS, Plan, Step, where_it_runs
 
-STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
-LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and luck
 STANDS_FOR_DEVICE = (
     "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
     "rounds to a quantum or two"

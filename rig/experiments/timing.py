@@ -8,7 +8,8 @@ from pathlib import Path
 from rig.recording.data import Recording
 from rig.recording.ledger import ledger_of
 from rig.recording.reader import open_recording
-from rig.recording.timing import Ledger, TimingSummary, summarise
+from rig.recording.timing import Ledger
+from rig.recording.timing_summary import TimingSummary, summarise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -163,7 +163,9 @@ def read_capture(path: Path) -> Recording:
 
 def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
     if data[: len(MAGIC)] != MAGIC:
-        raise RecordingError(f"{path} is not a recording", remedy=f"a capture begins with {MAGIC!r}")
+        raise RecordingError(
+            f"{path} is not a recording", remedy="give a .parquet or .rigcap file that `rig` wrote"
+        )
     damaged = RecordingError(f"the header of {path} is damaged", remedy="without it the rows have no meaning")
     if len(data) < _FILE_HEAD.size:
         raise damaged

@@ -12,10 +12,11 @@ from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError, RigError
 from rig.recording.canonical import lossless
 from rig.recording.data import Recording
-from rig.recording.timing import Ledger, ledger, summarise
+from rig.recording.timing import Ledger, ledger
+from rig.recording.timing_summary import summarise
 
 CLOCK_KEY = "clock"  # of the trailer: a `rig.core.clock_fit.ClockFit`
-TIMING_KEY = "timing"  # of the trailer: `rig.recording.timing.TimingSummary.as_mapping`
+TIMING_KEY = "timing"  # of the trailer: a `rig.recording.timing_summary.TimingSummary`
 
 _log = logging.getLogger(__name__)
 
@@ -36,7 +37,7 @@ def with_ledger(recording: Recording) -> Recording:
         return recording
     rows = recording.rows.copy()
     rows["sampled_at"], rows["applied_at"] = found.sampled, found.applied
-    timing = lossless(summarise(found, trailer.get("counters")).as_mapping())
+    timing = lossless(summarise(found, trailer.get("counters")))
     return replace(recording, rows=rows, trailer={**trailer, TIMING_KEY: timing})
 
 

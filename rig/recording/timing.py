@@ -23,54 +23,86 @@ late a batch brought the sample; no tick is late, because nobody waited for it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.clock_fit import ClockFit
 from rig.core.sample import RowFlag
-from rig.recording.quantiles import Quantile, quantile
 
-# Stage → the times between which it lies, and what it is.
-STAGES: dict[str, tuple[str, str, str]] = {
-    "transport_in": ("sampled", "received", "sampled to received"),
-    "law": ("received", "computed", "received to computed"),
-    "send": ("computed", "sent", "computed to sent"),
-    "answered": ("sampled", "sent", "sampled to sent"),
-    "transport_out": ("sent", "applied", "sent to applied, with the wait for the device's tick"),
-    "whole": ("sampled", "applied", "sampled to applied"),
+
+class Span(NamedTuple):
+    """The two times between which a stage lies, and what delays it beyond them."""
+
+    begin: str
+    end: str
+    with_: str = ""
+
+    @property
+    def label(self) -> str:
+        """``sampled to received``."""
+        return f"{self.begin} to {self.end}"
+
+
+STAGES = {
+    "transport_in": Span("sampled", "received"),
+    "law": Span("received", "computed"),
+    "send": Span("computed", "sent"),
+    "answered": Span("sampled", "sent"),
+    "transport_out": Span("sent", "applied", "with the wait for the device's tick"),
+    "whole": Span("sampled", "applied"),
 }
 LATENESS = "lateness"
-COUNTED = (
-    "late",
-    "skipped",
-    "lost",
-    "stale",
-    "duplicated",
-    "reordered",
-    "overruns",
-    "unsent",
-    "rows_dropped",
-)
-LOWEST_NS, HIGHEST_NS, EDGES_A_DECADE = 100, 10**10, 10
-EDGES_NS = np.rint(LOWEST_NS * 10.0 ** (np.arange(8 * EDGES_A_DECADE + 1) / EDGES_A_DECADE)).astype(np.int64)
-QUANTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
-CONFIDENCE = 0.975  # of each bound of a quantile by itself
-WORST = 10
 WRAP_NS = (1 << 32) * 125 // 2  # the u32 of a STATE counts units of 62.5 ns
 SEQUENCES = 1 << 16
-NO_AGE = 0xFFFF  # no COMMAND yet, or an age beyond telling
+NO_AGE = 0xFFFF  # no COMMAND yet, or an age beyond the range of the field
 
 _Ints = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ledger:
-    """Times of each tick (ns, host clock; 0 where unknown) and what the rows say beside them.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimingFacts:
+    """What is known of time in a recording as a whole.
+
+    Attributes
+    ----------
+    passed_over
+        Samples that the law did not see.
+    never_active
+        Commands that no STATE named though a later one became active; among them those that were overtaken.
+    unanswered
+        Commands behind the last one known active: the recording ends before the device could report it.
+    within_tick
+        Commands sent after the sample from which they count, so that the time of sending counts as applied.
+    period_ns
+        Length of a device tick.
+    clock
+        The fit, or None.
+    clock_sd_ns
+        Largest standard uncertainty of sampled and applied in this recording, without what asymmetry may add.
+    loop
+        Where the law ran: "host" or "device".
+    execution_ns
+        Worst execution time of a device tick, as the device counted it; None where the law ran on the host.
+    """
+
+    passed_over: int
+    never_active: int
+    unanswered: int
+    within_tick: int
+    period_ns: float
+    clock: ClockFit | None
+    clock_sd_ns: float | None
+    loop: str
+    execution_ns: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ledger(TimingFacts):
+    """Times of each tick (ns, host clock; 0 where unknown), and what else the rows state.
 
     Attributes
     ----------
@@ -80,24 +112,6 @@ class Ledger:
         See the module's text; sampled and applied are 0 without a clock fit.
     lateness, late
         Receipt behind the grid (ns), and whether the loop counted it as late.
-    passed_over
-        Samples that the law did not see.
-    never_active
-        Commands that no STATE named though a later one became active; among them those that were overtaken.
-    within_tick
-        Commands sent after the sample from which they count, so that the time of sending stands as applied.
-    unanswered
-        Commands behind the last one known active: the recording ends before the device could tell.
-    period_ns
-        Length of a device tick.
-    clock
-        The fit, or None.
-    clock_sd_ns
-        Standard uncertainty of sampled and applied at worst in this recording, without what asymmetry may add.
-    loop
-        Where the law ran: "host" or "device".
-    execution_ns
-        Worst execution time of a device tick, as the device counted it; None where the law ran on the host.
     """
 
     tick: _Ints
@@ -109,94 +123,13 @@ class Ledger:
     applied: _Ints
     lateness: _Ints
     late: _Mask
-    passed_over: int
-    never_active: int
-    unanswered: int
-    within_tick: int
-    period_ns: float
-    clock: ClockFit | None
-    clock_sd_ns: float | None
-    loop: str = "host"
-    execution_ns: int | None = None
 
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
         """Length of a stage in each tick (ns) and whether it is known; `LATENESS` is one of them."""
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)
-        begin, end = (getattr(self, side) for side in STAGES[name][:2])
+        begin, end = getattr(self, STAGES[name].begin), getattr(self, STAGES[name].end)
         return end - begin, (begin != 0) & (end != 0)
-
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """What one stage took over all ticks in which it is known (ns).
-
-    `counts` belongs to the edges of the summary: below the first, between each two, from the last on. `negative` counts
-    ticks in which the end seems to come before the begin. Bounds of the quantiles take ticks as independent, which
-    lateness in bursts is not.
-    """
-
-    ticks: int
-    minimum: int
-    quantiles: dict[str, Quantile]
-    maximum: int
-    negative: int
-    counts: list[int]
-
-
-@dataclass(frozen=True, slots=True)
-class BadTick:
-    """One of the worst ticks: seconds from the first receipt, and its stages (ns), None where unknown."""
-
-    tick: int
-    sample_index: int
-    time_s: float
-    stages: dict[str, int | None]
-
-
-@dataclass(frozen=True, slots=True)
-class TimingSummary:
-    """What a recording says of time.
-
-    Attributes
-    ----------
-    ticks, duration_s, period_ns
-        Steps of the law, time from the first to the last receipt, length of a device tick.
-    stages
-        By name (`STAGES`, `LATENESS`); None where no tick is known.
-    edges_ns
-        Of the histograms.
-    worst
-        Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
-    counts
-        Late, skipped, lost, stale and so on, apart; None where the loop did not say.
-    never_active, unanswered, passed_over, within_tick
-        As in `Ledger`.
-    clock
-        The fit, or None.
-    clock_sd_ns, loop, execution_ns
-        As in `Ledger`.
-    """
-
-    ticks: int
-    duration_s: float
-    period_ns: float
-    stages: dict[str, Stage | None]
-    edges_ns: list[int]
-    worst: list[BadTick]
-    counts: dict[str, int | None]
-    never_active: int
-    unanswered: int
-    passed_over: int
-    within_tick: int
-    clock: ClockFit | None
-    clock_sd_ns: float | None
-    loop: str = "host"
-    execution_ns: int | None = None
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON and for a recording's trailer."""
-        return asdict(self)
 
 
 def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop: str = "host") -> Ledger:
@@ -215,7 +148,8 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     """
     received = _column(rows, "received_at")
     on_device = loop == "device"
-    shown_at, never, unanswered = _unanswered(rows) if on_device else _active(rows)
+    no_commands = np.full(len(rows), -1, np.int64), 0, 0
+    shown_at, never, unanswered = no_commands if on_device else _active(rows)
     sampled, applied = np.zeros_like(received), np.zeros_like(received)
     sent = _column(rows, "sent_at")
     clock_sd, within_tick = None, 0
@@ -228,7 +162,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
         doubt_ns = 3.0 * clock_sd + fit.asymmetry_bound_ns
         early = (
             known & (applied < sent) & (sent - applied <= period_ns + doubt_ns)
-        )  # else the clocks are wrong: show it
+        )  # else the clocks are wrong
         applied[early] = sent[early]
         within_tick = int(np.count_nonzero(early))
     return Ledger(
@@ -257,45 +191,14 @@ def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: in
     """Device times of rows on the scale of the clock exchanges (ns).
 
     A STATE has 32 bits of the device's clock, so rows count from a multiple of 268 s that they do not know; the first
-    receipt says which.
+    receipt decides it.
     """
     wraps = round((int(fit.device_of(np.array([near_host_ns]))[0]) - int(device_time[0])) / WRAP_NS)
     return device_time + wraps * WRAP_NS
 
 
-def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
-    """Add up a ledger; `counters` are the loop's, as a recording's trailer has them, or None when nobody wrote any."""
-    counts = {name: (counters or {}).get(name) for name in COUNTED}
-    if counts["late"] is None:
-        counts["late"] = int(np.count_nonzero(ledger.late))
-    received = ledger.received
-    duration_ns = int(received[-1] - received[0]) if len(received) else 0
-    return TimingSummary(
-        ticks=len(ledger.tick),
-        duration_s=duration_ns * 1e-9,
-        period_ns=ledger.period_ns,
-        stages={name: _summary(*ledger.stage(name)) for name in (*STAGES, LATENESS)},
-        edges_ns=EDGES_NS.tolist(),
-        worst=_worst(ledger),
-        counts=counts,
-        never_active=ledger.never_active,
-        unanswered=ledger.unanswered,
-        passed_over=ledger.passed_over,
-        within_tick=ledger.within_tick,
-        clock=ledger.clock,
-        clock_sd_ns=ledger.clock_sd_ns,
-        loop=ledger.loop,
-        execution_ns=ledger.execution_ns,
-    )
-
-
 def _column(rows: NDArray[np.void], name: str) -> _Ints:
     return np.ascontiguousarray(rows[name], np.int64)
-
-
-def _unanswered(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
-    """As `_active` where the law ran on the device: there is no command for a sample, and so none that failed."""
-    return np.full(len(rows), -1, np.int64), 0, 0
 
 
 def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
@@ -330,48 +233,3 @@ def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, perio
     place = np.minimum(np.searchsorted(index, wanted), len(index) - 1)
     counted = device[shown_at] - np.rint(age * period_ns).astype(np.int64)
     return np.where(index[place] == wanted, device[place], counted)
-
-
-def _summary(values: _Ints, known: _Mask) -> Stage | None:
-    found = np.sort(values[known])
-    if not len(found):
-        return None
-    inner = np.searchsorted(found, EDGES_NS)
-    return Stage(
-        ticks=len(found),
-        minimum=int(found[0]),
-        quantiles={name: quantile(found, share, CONFIDENCE) for name, share in QUANTILES.items()},
-        maximum=int(found[-1]),
-        negative=int(np.searchsorted(found, 0)),
-        counts=np.diff(inner, prepend=0, append=len(found)).tolist(),
-    )
-
-
-def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
-    """From sample to command, and what the device then waited beyond its next tick; without a clock, lateness (ns)."""
-    answered, known = ledger.stage("answered")
-    if not known.any():
-        return ledger.stage(LATENESS)
-    whole, applied = ledger.stage("whole")
-    ticks = np.where(applied, np.rint(whole / ledger.period_ns), 0.0)
-    return answered + np.rint(np.maximum(ticks - 1.0, 0.0) * ledger.period_ns).astype(np.int64), known
-
-
-def _worst(ledger: Ledger) -> list[BadTick]:
-    """Worst first; of equal ones the earlier. Ticks without any delay are not bad."""
-    values, known = _badness(ledger)
-    candidates = np.flatnonzero(known & (values > 0))
-    if len(candidates) > WORST:  # only what can be among the worst is sorted
-        least = np.partition(values[candidates], -WORST)[-WORST]
-        candidates = candidates[values[candidates] >= least]
-    chosen = candidates[np.argsort(-values[candidates], kind="stable")[:WORST]]
-    lengths = {name: ledger.stage(name) for name in (*STAGES, LATENESS)}
-    return [
-        BadTick(
-            tick=int(ledger.tick[i]),
-            sample_index=int(ledger.sample_index[i]),
-            time_s=int(ledger.received[i] - ledger.received[0]) * 1e-9,
-            stages={name: int(length[i]) if known[i] else None for name, (length, known) in lengths.items()},
-        )
-        for i in chosen
-    ]

@@ -128,7 +128,7 @@ def test_tune_writes_a_fragment_that_an_experiment_can_use(run, recording, tmp_p
 
 WRONG = [
     (["list", "fmd"], "no estimator 'fmd'"),
-    (["compare", "--signal", "square"], f"no signal 'square'. choose one of: {', '.join(SIGNALS)}"),
+    (["compare", "--signal", "square"], f"no signal 'square'; choose one of: {', '.join(SIGNALS)}"),
     (["compare", "--rate", "2q"], "not a whole number of Hz"),
     (["compare", "--resolution", "-1"], "not above zero"),
     (["compare", "--estimator", "fdm:cutoff"], "has no value"),

@@ -123,10 +123,10 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["-K", "10"], r"--stiffness 10: no range\. write it as LOW:HIGH"),
+        (["-K", "10"], r"--stiffness 10: no range; write it as LOW:HIGH"),
         (["-K", "0:100"], r"from 0 to 100 is no range above zero \(--stiffness"),
         (["-K", "10:1e9"], r"1e\+09 \(--stiffness\).* above 477.*--effort"),
-        (["-B", "x"], r"--damping 'x': no numbers\. write them as"),
+        (["-B", "x"], r"--damping 'x': no numbers; write them as"),
         (["-B", ""], r"--damping '': no numbers"),
         (["-B", "0:1:0"], r"a count of 1 to 10000"),
         (["-B", "0:1:100000000"], r"a count of 1 to 10000"),
@@ -136,7 +136,7 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run, tmp_path):
         (["--ratio", "1"], r"ratio of 1 between rungs is not in 1.0001 to 1e6 .*--ratio"),
         (["--scheme", "uniform:10000"], r"\(--scheme\): uniform:10k is given twice"),
         (["--scheme", "uniform:10k,estimator=fmd"], r'estimator = "fmd".*fdm'),
-        (["--scheme", "triple:1k"], r"no such kind of sampling\. write dual:20k/2k"),
+        (["--scheme", "triple:1k"], r"no such kind of sampling; write dual:20k/2k"),
         (["--operator", "strong"], r'operator.grip = "strong".*relaxed.*normal.*firm'),
         (
             ["--operator", "firm", "--effort", "0.2", "--set", "trial.duration_s=1"],

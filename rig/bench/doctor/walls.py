@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from firmware_protocol import messages
-from firmware_protocol.packing import encoded_bytes
 from rig.bench.doctor.late_loops import LateLoops, hand_text, loop_delay_ticks
 from rig.bench.doctor.round_trip import LinkMeasurement
 from rig.config import Experiment
@@ -20,11 +18,10 @@ from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
 from rig.core.present import Item, Table
 from rig.core.sample import unit_of
+from rig.devices.device import LINK_SHARE, STATE_BYTES
 
 DIVIDER = 10  # position samples for one of velocity, where the experiment is uniform
 LOWEST_HZ, HIGHEST_HZ = 100, 200_000
-LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and retries
-STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
 
 Progress = Callable[[float], None]
 

@@ -4,7 +4,7 @@
 float32 (firmware/law): lengths are counts there, velocities counts per velocity period, currents quanta, times ticks.
 Everything is designed and scaled here, once, and leaves as values of `firmware_protocol.law_parameters`.
 
-What the device does not have is refused with `PlanError`: see `rig.config.device_law.estimators` for estimators,
+What the device lacks is refused with `PlanError`: see `rig.config.device_law.estimators` for estimators,
 `walls` for laws. Whether a value fits its parameter is asked in one place, `check_values`.
 """
 

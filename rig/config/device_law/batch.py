@@ -1,4 +1,4 @@
-"""How the samples of a device that runs the law travel: which layout, how many to a frame, how many bytes a second."""
+"""How a device that runs the law sends its samples: layout, samples per frame, bytes per second."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from firmware_protocol.packing import encoded_bytes
 from rig.config.device_law.refusal import refusal
 from rig.config.sections import Experiment
 
-SUPERVISE_EVERY_S = 0.005  # between two COMMANDs that keep a law on the device going
+SUPERVISE_EVERY_S = 0.005  # between two COMMANDs that keep a law on the device running
 STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised
 LONGEST_FRAME_S = 0.005  # what a frame may hold back
 MARGIN = 2.0  # a handle may pass more counts in one tick than its mean speed limit says
@@ -39,7 +39,7 @@ def batch_layout(experiment: Experiment) -> int:
         raise refusal(
             "rig.limits.speed",
             experiment.rig.limits.speed,
-            f"a tick in which the handle may pass {counts:.0f} counts cannot be told",
+            f"the handle may pass {counts:.0f} counts in a tick, which a BATCH cannot carry",
             "lower it, or raise controller.position_rate",
         )
     if counts > _I8_GREATEST:

@@ -1,8 +1,8 @@
 """The numbers of an estimator on a device: those of the host's kernel, in the device's own form.
 
 A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), both windowings,
-Levant's differentiator and the Kalman filter with its steady gain. The rest is refused: `period` and its kin want edge
-times, a gain that is carried along costs more than a tick has, and `optimal` and `foaw-levant` nobody has ported.
+Levant's differentiator and the Kalman filter with its steady gain. The rest is refused: `period` and its variants
+need edge times, a recursive gain costs more than a tick allows, and `optimal` and `foaw-levant` are not ported.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _foaw_best(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.anchor",
             anchor,
-            "a device has no such line",
+            "a device has no such anchor",
             'choose anchor = "lsq" or "last"',
         )
     return {**_foaw(own), "foaw_least_squares": int(anchor == "lsq")}
@@ -130,7 +130,7 @@ def _kalman(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.gain",
             "recursive",
-            "a device has the steady gain only, which the recursive one reaches within some periods",
+            "a device has only the steady gain, which the recursive one reaches within a few periods",
             'choose gain = "steady" (and no fading)',
         )
     position, velocity, acceleration = own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist()

@@ -1,4 +1,4 @@
-"""Everything that a device is told of its law, and what of it may change while it runs."""
+"""All parameters of a law on the device, and which of them may change while it runs."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def rendered_wall(values: Mapping[str, Value], controller: Controller) -> walls.
 def check_values(values: Mapping[str, Value]) -> None:
     """Check values against the ranges of the wire.
 
-    Raises `PlanError` for one that does not fit, naming what is behind it.
+    Raises `PlanError` for one that does not fit, naming the key that it comes from.
     """
     for name, value in values.items():
         parameter = BY_NAME[name]
@@ -166,7 +166,7 @@ def check_values(values: Mapping[str, Value]) -> None:
         raise PlanError(
             f"{name if key is None else _KEYS[key]}: {name} = {value:g} {parameter.unit}".rstrip()
             + f" does not fit the device: it takes {parameter.minimum:g} to {parameter.maximum:g}",
-            remedy=f"change what is behind it, the rate or the current quantum, or {ELSE_HOST}",
+            remedy=f"change that key, the rate or the current quantum, or {ELSE_HOST}",
         )
 
 
@@ -191,12 +191,12 @@ def _check_arithmetic(c: Control, controller: Controller, arithmetic: Arithmetic
 
 
 def _check_work(c: Control) -> None:
-    """A filter that was not asked for some periods makes them up in one tick: not too many for a board."""
+    """A filter that skipped some periods computes them in one tick: a board has time for only so many."""
     if c["slow_multiple"] > MOST_PERIODS_A_TICK:
         raise refusal(
             "controller.slow_velocity_rate",
             round(1.0 / (c["tick_s"] * c["velocity_divider"] * c["slow_multiple"])),
-            f"{c['slow_multiple']} velocity periods would be made up in one tick, and a board has time for "
+            f"{c['slow_multiple']} velocity periods would be computed in one tick, and a board has time for "
             f"{MOST_PERIODS_A_TICK}",
             "choose it no lower than that share of controller.velocity_rate",
         )

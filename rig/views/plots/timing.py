@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.recording.timing import LATENESS, STAGES, Ledger, TimingSummary
+from rig.recording.timing import LATENESS, STAGES, Ledger
+from rig.recording.timing_summary import TimingSummary
 from rig.views.plots import style
 
 COLOURS = {
@@ -27,7 +28,7 @@ US = 1e-3  # µs in a ns
 
 def label(name: str) -> str:
     """Say what a stage is."""
-    return STAGES[name][2].partition(",")[0] if name in STAGES else "late on the grid"
+    return STAGES[name].label if name in STAGES else "late on the grid"
 
 
 def draw_timing(ledger: Ledger, summary: TimingSummary, picture: str | Path, *, title: str = "") -> Path:

@@ -15,12 +15,11 @@ from rig.bench.doctor import gate as gates
 from rig.bench.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.bench.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
 from rig.bench.doctor.round_trip import LinkMeasurement
-from rig.bench.doctor.walls import LINK_SHARE, STATE_BYTES, candidate_rates, dampings_of, supported_walls
+from rig.bench.doctor.walls import candidate_rates, dampings_of, supported_walls
 from rig.config import controller, presets
 from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.core.present import plain
-from rig.experiments import plan
 from rig.realtime.clock import MonotonicClock, VirtualClock
 from rig.recording.quantiles import Distribution
 
@@ -255,10 +254,6 @@ def test_a_real_device_is_measured_as_long_as_p999_takes(measures):
 
 
 # ---------------------------------------------------------------------- the table of walls
-
-
-def test_a_plan_and_a_table_use_the_same_share_of_a_link():
-    assert (LINK_SHARE, STATE_BYTES) == (plan.LINK_SHARE, plan.STATE_BYTES)
 
 
 def test_rates_worth_looking_at():

@@ -17,7 +17,8 @@ from rig.config import controller, presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
-from rig.experiments.plan import LINK_SHARE, STATE_BYTES, link_checks, make_plan, predict_impact
+from rig.devices.device import LINK_SHARE, STATE_BYTES
+from rig.experiments.plan import link_checks, make_plan, predict_impact
 from sim_backend import trial as bare
 from sim_backend.plant import DiscretePlant
 

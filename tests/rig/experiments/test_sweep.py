@@ -272,7 +272,7 @@ def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(tmp_path,
             return written
 
     monkeypatch.setattr(lines, "FileIO", Full)
-    with pytest.raises(RecordingError, match=r"cannot write .*No space left on device\. free some space"):
+    with pytest.raises(RecordingError, match=r"cannot write .*No space left on device; free some space"):
         sweep.run(SINES, sines(20), journal=path)
     monkeypatch.undo()
     assert path.stat().st_size == 900

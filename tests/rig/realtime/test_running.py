@@ -143,7 +143,7 @@ print([loop.pid for loop in running.running()])
             [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
         )
         assert done.stdout.splitlines() == [
-            f"process {os.getpid()} is not yours to look into. say it as its owner, or: sudo rig stop {os.getpid()}",
+            f"process {os.getpid()} is not yours to look into; say it as its owner, or: sudo rig stop {os.getpid()}",
             "[]",
         ], done.stderr
         assert ring.get(words.STOP) == 0

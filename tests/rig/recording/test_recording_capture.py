@@ -318,7 +318,7 @@ def test_columns_are_reached_by_name(path: Path) -> None:
     assert found.time_s == pytest.approx(np.arange(6) * 50e-6)
     assert found.experiment["wall"]["stiffness"] == 560.0
     assert not found.has_truth
-    with pytest.raises(RecordingError, match=r"no column 'torque'\. its columns are tick, sample_index"):
+    with pytest.raises(RecordingError, match=r"no column 'torque'; its columns are tick, sample_index"):
         found.column("torque")
 
 

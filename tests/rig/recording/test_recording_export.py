@@ -107,7 +107,7 @@ def test_the_format_may_differ_from_the_suffix(tmp_path: Path, recording: Record
 
 
 def test_impossible_exports_are_one_clear_line(tmp_path: Path, recording: Recording) -> None:
-    with pytest.raises(RecordingError, match=r"no exporter for 'xlsx'\. the formats are csv, parquet, mat"):
+    with pytest.raises(RecordingError, match=r"no exporter for 'xlsx'; the formats are csv, parquet, mat"):
         export(recording, tmp_path / "trial.xlsx")
     with pytest.raises(RecordingError, match="make the directory first"):
         export(recording, tmp_path / "absent" / "trial.csv")

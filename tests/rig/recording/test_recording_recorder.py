@@ -337,7 +337,7 @@ def test_a_full_disk_keeps_the_rows_before(tmp_path: Path) -> None:
         assert process.stdout is not None
         said = process.stdout.read().strip()
     message, _, rows = said.rpartition("; ")
-    assert message.startswith(f"cannot write after row {rows} of {path}: File too large. free some space")
+    assert message.startswith(f"cannot write after row {rows} of {path}: File too large; free some space")
     found = open_recording(path)
     assert len(found) == int(rows) > 500
     assert found.column("tick").tolist() == list(range(len(found)))
@@ -358,5 +358,5 @@ def test_a_disk_too_full_for_the_header_leaves_no_file(tmp_path: Path) -> None:
         """
     with run_python(body, path) as process:
         assert process.stdout is not None
-        assert process.stdout.read().startswith(f"cannot write {path}: File too large. free some space")
+        assert process.stdout.read().startswith(f"cannot write {path}: File too large; free some space")
     assert not path.exists()

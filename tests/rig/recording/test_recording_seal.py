@@ -235,7 +235,7 @@ def test_a_write_that_fails_leaves_the_capture_alone(capture: Path, monkeypatch:
 
     monkeypatch.setattr(seal_module, "write_parquet", fail)
     with pytest.raises(
-        RecordingError, match=r"cannot write .*\.parquet: No space left on device\. free some space"
+        RecordingError, match=r"cannot write .*\.parquet: No space left on device; free some space"
     ):
         sealed_file(capture)
     assert list(capture.parent.iterdir()) == [capture]
@@ -299,7 +299,7 @@ def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording
         text=True,
         check=False,
     )
-    assert done.stdout.startswith("Parquet needs pyarrow. pip install pyarrow"), done.stderr
+    assert done.stdout.startswith("Parquet needs pyarrow; pip install pyarrow"), done.stderr
     assert f"pyarrow is not installed: {capture} stays a capture" in done.stderr
     assert torn.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == [

@@ -14,19 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.core.clock_fit import ClockFit
+from rig.core.present import plain
 from rig.core.sample import ROW, RowFlag
-from rig.recording.timing import (
-    EDGES_NS,
-    LATENESS,
-    LOWEST_NS,
-    NO_AGE,
-    STAGES,
-    WORST,
-    WRAP_NS,
-    device_times,
-    ledger,
-    summarise,
-)
+from rig.recording.timing import LATENESS, NO_AGE, STAGES, WRAP_NS, device_times, ledger
+from rig.recording.timing_summary import EDGES_NS, LOWEST_NS, WORST, summarise
 
 PERIOD_NS = 500_000
 
@@ -279,7 +270,7 @@ def test_what_was_counted_is_kept_apart():
 def test_a_summary_is_json_of_plain_numbers():
     session = Session(clock(offset_ns=10**12), ticks=60)
     summary = summarise(ledger(session.rows, clock(offset_ns=10**12), PERIOD_NS), {"late": 1})
-    mapping = summary.as_mapping()
+    mapping = plain(summary)
     assert json.loads(json.dumps(mapping)) == mapping
     assert mapping["clock"]["offset_ns"] == 10**12
 
@@ -332,7 +323,7 @@ def test_where_the_law_ran_on_the_device_no_command_is_spoken_of():
     arrived = summary.stages["transport_in"]
     assert (arrived.ticks, arrived.minimum, arrived.maximum) == (200, 30_000, 30_000 + 19 * PERIOD_NS)
     assert (summary.never_active, summary.unanswered, summary.within_tick) == (0, 0, 0)
-    assert json.loads(json.dumps(summary.as_mapping()))["loop"] == "device"
+    assert json.loads(json.dumps(plain(summary)))["loop"] == "device"
 
 
 def test_a_law_on_the_host_has_no_execution_time_of_a_device():

@@ -166,11 +166,11 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"study.titel": "x"}, "study.titel: is not a known key. did you mean title?"),
+        ({"study.titel": "x"}, "study.titel: is not a known key; did you mean title?"),
         ({"study.blind": "everybody"}, 'must be one of "both", "operator", "participant", "none"'),
         ({"study.blind": "operatr"}, "did you mean operator?"),
         ({"study.participants": 0}, "≥ 1 and ≤ 10000"),
-        ({"study.participants": 12.0}, "write 12, without a decimal point"),
+        ({"study.participants": 12.0}, "write a whole number in this range"),
         ({"study.seed": -1}, "study.seed = -1"),
         ({"study.experiment": "rig.toml"}, "give one of the two"),
         (
@@ -179,7 +179,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ),
         ({"condition": []}, "[[condition]]: is missing"),
         ({"condition": {"name": "x"}}, "write [[condition]]"),
-        ({"condition.1.nmae": "x"}, "condition 2.nmae: is not a known key. did you mean name?"),
+        ({"condition.1.nmae": "x"}, "condition 2.nmae: is not a known key; did you mean name?"),
         ({"condition.1.name": ""}, 'condition 2.name = ""'),
         ({"condition.1.name": "Uniform"}, "is there more than once"),
         ({"condition.1.damping": []}, "a list of numbers in N·m·s/rad or N·s/m, at least one"),
@@ -187,7 +187,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"condition.1.damping": [0.0, "x"]}, 'condition 2.damping = [0.0, "x"]'),
         ({"condition.1.damping": [0.1, -0.1]}, "must have no damping below 0"),
         ({"condition.1.damping": [0.1, 0.1]}, "more than once"),
-        ({"condition.0.scheme": "dual:20k"}, None),
+        ({"condition.0.scheme": "dual:20k"}, "two rates, of position and velocity"),
         ({"condition.0.scheme": "triple:20k"}, "condition 1.scheme"),
         ({"condition.1.search": {"lowest": 5}}, "condition 2.search.highest: is missing"),
         (
@@ -270,7 +270,7 @@ def test_everything_is_said_at_once(tmp_path: Path) -> None:
     [
         ({"study.preset": "koul-complaint"}, "did you mean koul-compliant?"),
         ({"study.preset": 3}, "study.preset = 3"),
-        ({"study.changes": {"operator.pres": 1.5}}, "is not a key of an experiment. did you mean press?"),
+        ({"study.changes": {"operator.pres": 1.5}}, "is not a key of an experiment; did you mean press?"),
         ({"study.changes": {"wall.stiffness": 5.0}}, "belongs to [search]"),
         ({"condition.0.changes": {"trial.kind": "human"}}, "belongs to trial.kind of the protocol"),
         ({"study.changes": {}}, "operator.press"),  # pushes harder than a person's motor may
@@ -292,7 +292,7 @@ def test_what_the_rig_does_not_allow_is_refused_with_the_file(
 
 
 def test_a_protocol_file_that_is_none_is_asked_for_as_one(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.toml: no such file\. give the path of a protocol file"):
+    with pytest.raises(ConfigError, match=r"none\.toml: no such file; give the path of a protocol file"):
         load_protocol(tmp_path / "none.toml")
 
 

@@ -8,7 +8,8 @@ import pytest
 from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError
 from rig.core.sample import ROW
-from rig.recording.timing import LATENESS, NO_AGE, STAGES, ledger, summarise
+from rig.recording.timing import LATENESS, NO_AGE, STAGES, ledger
+from rig.recording.timing_summary import summarise
 from rig.views.plots import style
 from rig.views.plots.timing import COLOURS, draw_timing, label
 

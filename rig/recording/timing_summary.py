@@ -1,0 +1,229 @@
+"""What a latency ledger adds up to: how long each stage took, which ticks were worst, and what was counted apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.present import Item, Row, Table, duration
+from rig.recording.quantiles import Quantile, quantile
+from rig.recording.timing import LATENESS, STAGES, Ledger, TimingFacts
+
+COUNTED = {
+    "late": "late by more than a period",
+    "skipped": "samples skipped for a newer one",
+    "lost": "samples lost",
+    "stale": "ticks without a fresh sample",
+    "duplicated": "samples received twice",
+    "reordered": "samples out of order",
+    "overruns": "grid points overrun",
+    "unsent": "commands that the link did not take",
+    "rows_dropped": "rows not recorded",
+}
+LOWEST_NS, HIGHEST_NS, EDGES_A_DECADE = 100, 10**10, 10
+EDGES_NS = np.rint(LOWEST_NS * 10.0 ** (np.arange(8 * EDGES_A_DECADE + 1) / EDGES_A_DECADE)).astype(np.int64)
+QUANTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
+CONFIDENCE = 0.975  # of each bound of a quantile by itself
+WORST = 10
+_OF_A_TICK = {"transport_in": "in", "law": "law", "send": "send", "transport_out": "out", "whole": "whole"}
+
+_Ints = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What one stage took over all ticks in which it is known (ns).
+
+    `counts` belongs to the edges of the summary: below the first, between each two, from the last on. `negative` counts
+    ticks in which the end seems to come before the begin. Bounds of the quantiles take ticks as independent, which
+    lateness in bursts is not.
+    """
+
+    ticks: int
+    minimum: int
+    quantiles: dict[str, Quantile]
+    maximum: int
+    negative: int
+    counts: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class BadTick:
+    """One of the worst ticks: seconds from the first receipt, and its stages (ns), None where unknown."""
+
+    tick: int
+    sample_index: int
+    time_s: float
+    stages: dict[str, int | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimingSummary(TimingFacts):
+    """The timing of a recording.
+
+    Attributes
+    ----------
+    ticks, duration_s
+        Steps of the law, time from the first to the last receipt.
+    stages
+        By name (`STAGES`, `LATENESS`); None where no tick is known.
+    edges_ns
+        Of the histograms.
+    worst
+        Ticks with the longest whole way, or, where that is unknown, the latest; worst first.
+    counts
+        Late, skipped, lost, stale and so on, apart (`COUNTED`); None where the loop left no counters.
+    """
+
+    ticks: int
+    duration_s: float
+    stages: dict[str, Stage | None]
+    edges_ns: list[int]
+    worst: list[BadTick]
+    counts: dict[str, int | None]
+
+    def items(self) -> list[Item]:
+        """Return it for people."""
+        head = ("stage", "ticks", "least", "p50", "p99", "p99.9", "longest")
+        found: list[Item] = [
+            f"{self.ticks} ticks in {self.duration_s:.4g} s, one every {duration(self.period_ns)}",
+            Table(head, self._stage_rows()),
+        ]
+        if self.loop == "device":
+            worst = duration(self.execution_ns) if self.execution_ns else None
+            effort = Row(
+                "from a sample to its effort", "within the device's own tick: no command answers a sample"
+            )
+            found += ["law on the device", effort, Row("worst execution time of a tick", worst)]
+        found += ["counted apart", *self._count_rows(), "clock", *self._clock_rows()]
+        if self.worst:
+            found.append(self._worst_table())
+        return found
+
+    def _stage_rows(self) -> list[tuple[str, ...]]:
+        rows: list[tuple[str, ...]] = []
+        for name, stage in self.stages.items():
+            if stage is None:
+                if self.loop == "host":
+                    rows.append((label(name), "0", "", "unknown", "", "", ""))
+                continue
+            ends = duration(stage.minimum), duration(stage.maximum)
+            rows.append(
+                (label(name), str(stage.ticks), ends[0], *map(_shown, stage.quantiles.values()), ends[1])
+            )
+        return rows
+
+    def _count_rows(self) -> list[Row]:
+        counts = [(text, self.counts[name]) for name, text in COUNTED.items()]
+        counts.append(("samples that the law did not see", self.passed_over))
+        if self.loop == "host":
+            counts.append(("commands never seen active", self.never_active))
+            counts.append(("commands sent at the end, unanswered", self.unanswered))
+        return [Row(text, "not recorded" if count is None else count) for text, count in counts]
+
+    def _clock_rows(self) -> list[Row]:
+        if self.clock is None or self.clock_sd_ns is None:
+            text = (
+                "no clock exchanges are recorded (a run cut off keeps none): sampled and applied are unknown"
+            )
+            return [Row("none", text)]
+        rows = [*self.clock.rows(), Row("sampled, applied", f"± {duration(self.clock_sd_ns)} at worst")]
+        if self.within_tick:
+            text = "commands arrived within the tick in which they were sent: taken as applied at once"
+            rows.append(Row("", f"{self.within_tick} {text}"))
+        out = self.stages["transport_out"]
+        if out is not None and out.negative:
+            text = "commands seem applied before they were sent: the device ran behind its own clock"
+            rows.append(Row("", f"{out.negative} {text}"))
+        return rows
+
+    def _worst_table(self) -> Table:
+        names = {**_OF_A_TICK, LATENESS: "late"}
+        rows = []
+        for bad in self.worst:
+            lengths = (bad.stages[name] for name in names)
+            shown = ("?" if length is None else duration(length) for length in lengths)
+            rows.append((str(bad.tick), f"{bad.time_s:.4f} s", *shown))
+        return Table(("tick", "at", *names.values()), rows, "worst ticks")
+
+
+def label(name: str) -> str:
+    """Return the times between which a stage lies, with what delays it."""
+    if name == LATENESS:
+        return "late on the grid of the samples"
+    return ", ".join(filter(None, (STAGES[name].label, STAGES[name].with_)))
+
+
+def _shown(quantile: Quantile) -> str:
+    """A quantile, with its upper bound where the ticks suffice for one: ``87 µs (≤ 93 µs)``."""
+    text = duration(quantile.value)
+    if quantile.high is None or quantile.high == quantile.value:
+        return text
+    return f"{text} (≤ {duration(quantile.high)})"
+
+
+def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
+    """Add up a ledger; `counters` are the loop's, as a recording's trailer has them, or None where there are none."""
+    counts = {name: (counters or {}).get(name) for name in COUNTED}
+    if counts["late"] is None:
+        counts["late"] = int(np.count_nonzero(ledger.late))
+    received = ledger.received
+    duration_ns = int(received[-1] - received[0]) if len(received) else 0
+    return TimingSummary(
+        **{field.name: getattr(ledger, field.name) for field in fields(TimingFacts)},
+        ticks=len(ledger.tick),
+        duration_s=duration_ns * 1e-9,
+        stages={name: _summary(*ledger.stage(name)) for name in (*STAGES, LATENESS)},
+        edges_ns=EDGES_NS.tolist(),
+        worst=_worst(ledger),
+        counts=counts,
+    )
+
+
+def _summary(values: _Ints, known: _Mask) -> Stage | None:
+    found = np.sort(values[known])
+    if not len(found):
+        return None
+    inner = np.searchsorted(found, EDGES_NS)
+    return Stage(
+        ticks=len(found),
+        minimum=int(found[0]),
+        quantiles={name: quantile(found, share, CONFIDENCE) for name, share in QUANTILES.items()},
+        maximum=int(found[-1]),
+        negative=int(np.searchsorted(found, 0)),
+        counts=np.diff(inner, prepend=0, append=len(found)).tolist(),
+    )
+
+
+def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
+    """From sample to command, and what the device then waited beyond its next tick; without a clock, lateness (ns)."""
+    answered, known = ledger.stage("answered")
+    if not known.any():
+        return ledger.stage(LATENESS)
+    whole, applied = ledger.stage("whole")
+    ticks = np.where(applied, np.rint(whole / ledger.period_ns), 0.0)
+    return answered + np.rint(np.maximum(ticks - 1.0, 0.0) * ledger.period_ns).astype(np.int64), known
+
+
+def _worst(ledger: Ledger) -> list[BadTick]:
+    """Worst first; of equal ones the earlier. Ticks without any delay are not bad."""
+    values, known = _badness(ledger)
+    candidates = np.flatnonzero(known & (values > 0))
+    if len(candidates) > WORST:  # only what can be among the worst is sorted
+        least = np.partition(values[candidates], -WORST)[-WORST]
+        candidates = candidates[values[candidates] >= least]
+    chosen = candidates[np.argsort(-values[candidates], kind="stable")[:WORST]]
+    lengths = {name: ledger.stage(name) for name in (*STAGES, LATENESS)}
+    return [
+        BadTick(
+            tick=int(ledger.tick[i]),
+            sample_index=int(ledger.sample_index[i]),
+            time_s=int(ledger.received[i] - ledger.received[0]) * 1e-9,
+            stages={name: int(length[i]) if known[i] else None for name, (length, known) in lengths.items()},
+        )
+        for i in chosen
+    ]
