@@ -1,6 +1,6 @@
 """A session without anybody: a simulated person, who hits through the simulated hand and judges by known numbers.
 
-What a protocol needs, how long it takes and what its search rules make of slips can so be seen before the first
+What a protocol needs, how long it takes and what its search rules make of lapses can so be seen before the first
 participant comes; and a test can know what an analysis must find.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ class Person:
         K50 by condition; of a condition that is not there, the automatic verdict is theirs.
     spread
         How gradually verdicts change along stiffness (`rig.session.search.psychometric`).
-    slips
+    lapse_rate
         Share of verdicts that are turned round.
     unsure
         Share of trials after which they cannot say.
@@ -48,12 +48,8 @@ class Person:
 
     thresholds: Mapping[str, float]
     spread: float = 15.0
-    slips: float = 0.0
+    lapse_rate: float = 0.0
     unsure: float = 0.0
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for the log."""
-        return {**asdict(self), "thresholds": dict(self.thresholds)}
 
     def judge(self, trial: Trial, drawn: np.random.Generator) -> str:
         """Their verdict of a trial."""
@@ -62,10 +58,10 @@ class Person:
         automatic = _MAIN_VERDICT[Kind(trial.automatic)]
         threshold = self.thresholds.get(trial.condition)
         if threshold is None:
-            if drawn.random() >= self.slips:
+            if drawn.random() >= self.lapse_rate:
                 return automatic
             return "buzz" if automatic == "stable" else "stable"
-        observer = Observer(threshold=threshold, spread=self.spread, slips=self.slips)
+        observer = Observer(threshold=threshold, spread=self.spread, slips=self.lapse_rate)
         if observer.judge(trial.stiffness, drawn):
             return "stable"
         return "unstable" if automatic == "unstable" else "buzz"
@@ -85,7 +81,7 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
     for option, value in {**stiffnesses, "--spread ": person.spread}.items():
         if not 0.0 < value < math.inf:
             raise ConfigError(f"{option}{value:g} is no stiffness", remedy="give a number above 0")
-    for option, share in (("--slips", person.slips), ("unsure", person.unsure)):
+    for option, share in (("--lapse-rate", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
             raise ConfigError(f"{option} {share:g} is no share", remedy="give a number from 0 to 1")
 
@@ -122,7 +118,7 @@ class RealDay(WallClock):
 
 
 class RehearsalDesk(Desk):
-    """A simulated person at a desk, who answers at once and lets the clock go on by what it would have taken."""
+    """A simulated person at a desk, who answers at once and moves the clock on by what it would have taken."""
 
     who = "simulated"
 
@@ -132,7 +128,7 @@ class RehearsalDesk(Desk):
         self.person = person
         self.day = day
         self.looks = looks
-        self.state: State | None = None  # of the session, as it goes on
+        self.state: State | None = None  # of the session, as it is now
 
     def attend(self, session: Session) -> None:
         """Judge what stands in its log, and live by its clock."""
@@ -146,7 +142,7 @@ class RehearsalDesk(Desk):
             self.looks(view)
 
     def ask(self, question: Question) -> Reply:
-        """Answer as this person does; a run whose trials say nothing is left."""
+        """Answer as this person does; a run whose trials are invalid is left."""
         reply = self._answer(question)
         (self.day.rests if question.kind == "rest" else self.day.took)(reply.took_s)
         return reply

@@ -24,7 +24,7 @@ from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import State
 from tests.system.session_study import comparable, written
 
-PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, slips=0.05)
+PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)
 KILLS = 10
 
 

@@ -22,8 +22,8 @@ from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 K50 = 330.0
 OBSERVERS = (
-    Person(thresholds={"one": K50}, spread=12.0, slips=0.02),
-    Person(thresholds={"one": K50}, spread=30.0, slips=0.05),
+    Person(thresholds={"one": K50}, spread=12.0, lapse_rate=0.02),
+    Person(thresholds={"one": K50}, spread=30.0, lapse_rate=0.05),
 )
 TABLE = json.loads((Path(__file__).parent / "data" / "search_observers.json").read_text())["rows"]
 ALIKE = {"slips": 0.02, "spread": 15.0}, {"slips": 0.05, "spread": 40.0}  # of the table: a little vaguer
