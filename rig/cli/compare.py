@@ -13,6 +13,7 @@ from rig.cli import output
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.experiments import compare as comparing
 from rig.experiments.compare import Comparison, Entry, default_entries
@@ -72,7 +73,7 @@ def run(
     if plot:
         picture = _drawn(directory / f"{changed.rig.name}-compare.png", draw_comparison, comparison)
     if as_json:
-        output.print_json({**comparison.as_mapping(), "picture": picture})
+        output.print_json({**plain(comparison), "picture": picture})
         return
     motion, wall = changed.rig.motion, changed.wall
     click.echo(
@@ -99,9 +100,9 @@ def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
     if as_json:
         output.print_json(
             {
-                "figure_7": [panel.as_mapping() for panel in panels],
-                "word_lengths": [row.as_mapping() for row in words],
-                "figure_8": profiles.as_mapping(),
+                "figure_7": panels,
+                "word_lengths": words,
+                "figure_8": profiles,
                 "pictures": pictures,
             }
         )

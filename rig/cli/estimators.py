@@ -113,7 +113,7 @@ def compare(
     comparison = experiment.compare(cases, variants, timed=timed)
     picture = None if no_plot else _draw(comparison, plot)
     if as_json:
-        output.print_json({**comparison.as_mapping(), "picture": picture})
+        output.print_json({**plain(comparison), "picture": picture})
         return
     for i, case in enumerate(cases):
         click.echo(_headline(case))
@@ -170,7 +170,7 @@ def tune(
     tuning = run(variant.estimator, case, objective=objective, settings=variant.settings, free=free or None)
     path.write_text(tuning.toml(), encoding="utf-8")
     if as_json:
-        output.print_json({**tuning.as_mapping(), "toml": str(path)})
+        output.print_json({**plain(tuning), "toml": str(path)})
         return
     click.echo(_headline(case))
     _print_tuning(tuning, case)

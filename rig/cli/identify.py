@@ -10,6 +10,7 @@ import click
 from rig.cli import options, output
 from rig.config import Experiment
 from rig.core.errors import ConfigError, RecordingError
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.devices import load_backend
 from rig.experiments import identify as identifying
@@ -104,7 +105,7 @@ def identify(
     written = _write(found, file_out) if file_out is not None else None
     if as_json:
         more = {"picture": picture, "file": None if written is None else str(written)}
-        output.print_json({**found.as_mapping(), **more, "plan": plan})
+        output.print_json({**plain(found), **more, "plan": plan})
         return
     _print(found, picture, written)
 

@@ -121,8 +121,7 @@ def impedance(
     table, summary = measuring.write_results(results, place)
     picture = _draw(results, place / "impedance.png") if plot else None
     if as_json:
-        documents = [result.as_mapping() for result in results]
-        output.print_json({"results": documents, "table": str(table), "picture": picture})
+        output.print_json({"results": results, "table": str(table), "picture": picture})
     else:
         _print(results)
         pairs = [("every line", str(table)), ("summary", str(summary))]
@@ -185,10 +184,10 @@ def _progress(quiet: bool) -> Any:
     if quiet or not sys.stderr.isatty():
         return None
 
-    def told(done: int, total: int) -> None:
+    def update(done: int, total: int) -> None:
         click.echo(f"\rexcited {done} of {total} times ", nl=done == total, err=True)
 
-    return told
+    return update
 
 
 def _agrees(experiment: Experiment) -> bool:
@@ -215,7 +214,7 @@ def _print(results: tuple[ImpedanceResult, ...]) -> None:
     for result in results:
         click.echo(click.style(result.label, bold=True))
         output.print_pairs(_pairs(result))
-    if any(result.of_device_loop for result in results):
+    if any(result.note for result in results):
         click.echo(f"  {STANDS_FOR_DEVICE}")
 
 

@@ -29,7 +29,7 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
     error = recovering.failed(results)
     if as_json:
         facts = None if error is None else output.error_facts(error)
-        output.print_json({"captures": [result.as_mapping() for result in results], "error": facts})
+        output.print_json({"captures": results, "error": facts})
     elif not results:
         click.echo("nothing to recover: every recording there is sealed")
     else:

@@ -34,7 +34,7 @@ def replay(recording: Path, plot: Path | None, as_json: bool, **changed: Any) ->
     if plot is not None:
         draw_replay(opened, result, plot)
     if as_json:
-        output.print_json(result.as_mapping())
+        output.print_json(result)
         return
     velocity, effort = (unit_of(q, opened.header["motion"]) for q in ("velocity", "effort"))
     click.echo(f"{recording}: {len(result.rows)} ticks through {result.estimator} and {result.law}")

@@ -38,7 +38,7 @@ def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: 
 
     done = live.change_wall(values, pid, patience_s=patience_s, posted=posted)
     if as_json:
-        output.print_json(done.as_mapping())
+        output.print_json(done)
         return
     said = ", ".join(f"{key} = {value}" for key, value in done.changes.items())
     if done.active:

@@ -19,6 +19,7 @@ from rig.analysis.theory import (
 )
 from rig.cli import options, output
 from rig.core.errors import RecordingError
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.views.plots.theory import draw_theory
 
@@ -70,7 +71,7 @@ def theory(
     found = theory_of(experiment, schemes or None, operator=operator)
     picture = _draw(found, directory) if plot else None
     if as_json:
-        output.print_json({**found.as_mapping(), "picture": None if picture is None else str(picture)})
+        output.print_json({**plain(found), "picture": None if picture is None else str(picture)})
         return
     _print(found)
     if picture is not None:

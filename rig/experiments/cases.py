@@ -7,7 +7,7 @@ truth, or one of a real rig with a reference that looks into the future.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from rig.control.estimators.arrays import inputs, quantise
 from rig.control.estimators.estimator import Floats, Ints
 from rig.core.deferred import signal
 from rig.core.errors import ConfigError
+from rig.core.present import reported
 from rig.core.sample import Motion, Phase
 from rig.core.signals import Signal, edge_times
 from rig.experiments.judgement import experiment_of
@@ -59,15 +60,15 @@ class Case:
     motion: Motion
     dt: float
     resolution: float
-    time_s: Floats
-    counts: Ints
-    edge_time: Floats
-    elapsed: Ints
-    judged: NDArray[np.bool_]
-    truth: Callable[[Floats], Floats]
+    time_s: Floats = field(repr=False)
+    counts: Ints = field(repr=False)
+    edge_time: Floats = field(repr=False)
+    elapsed: Ints = field(repr=False)
+    judged: NDArray[np.bool_] = field(repr=False)
+    truth: Callable[[Floats], Floats] = field(repr=False)
     reference: str
 
-    @property
+    @reported
     def rate_hz(self) -> float:
         """Velocity samples per second."""
         return round(1.0 / self.dt, 6)
@@ -82,7 +83,7 @@ class Case:
         """True velocity at the judged samples."""
         return self.truth(self.judged_time_s)
 
-    @cached_property
+    @reported
     def speed_rms(self) -> float:
         """Root mean square of the true velocity over the judged samples."""
         return float(np.sqrt(np.mean(np.square(self.true_velocity))))

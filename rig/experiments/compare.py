@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig import config, devices
-from rig.config import Experiment, controller
+from rig.config import Experiment, Wall, controller
 from rig.config.schemes import Scheme
 from rig.control.step import ENDS_RUN, TRIAL, Controller
 from rig.core.errors import ConfigError
-from rig.core.sample import ROW
+from rig.core.present import reported
+from rig.core.sample import ROW, Motion
 from rig.experiments.impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
 
@@ -78,14 +79,34 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class SchemeImpacts:
     """What one entry gave: a hit for each encoder offset, and the mean of their numbers."""
 
-    entry: Entry
-    experiment: Experiment  # as it was run
+    entry: Entry = field(repr=False)
+    experiment: Experiment = field(repr=False)  # as it was run
     label: str
     impacts: tuple[Impact, ...]
     numbers: ImpactNumbers
+
+    @reported
+    def name(self) -> str:
+        """Name of the entry."""
+        return self.entry.name
+
+    @reported
+    def scheme(self) -> str:
+        """Its scheme in text form."""
+        return Scheme.of(self.experiment).text
+
+    @reported
+    def damping(self) -> float:
+        """Damping of its wall."""
+        return self.experiment.wall.damping
+
+    @reported
+    def complete(self) -> bool:
+        """Whether the guard ended none of the hits."""
+        return all(impact.complete for impact in self.impacts)
 
     @property
     def peaks(self) -> tuple[float, float]:
@@ -98,42 +119,31 @@ class Outcome:
 class Comparison:
     """Every entry on one rig, wall and start."""
 
-    experiment: Experiment
+    experiment: Experiment = field(repr=False)
     start: Start
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[SchemeImpacts, ...]
 
-    def __getitem__(self, name: str) -> Outcome:
+    @reported
+    def rig(self) -> str:
+        """Name of the rig."""
+        return self.experiment.rig.name
+
+    @reported
+    def motion(self) -> Motion:
+        """Its kind of motion, which decides the units."""
+        return self.experiment.rig.motion
+
+    @reported
+    def wall(self) -> Wall:
+        """The wall, whose damping an entry may replace."""
+        return self.experiment.wall
+
+    def __getitem__(self, name: str) -> SchemeImpacts:
         """Return the outcome of the entry of that name; `KeyError` if there is none."""
         for outcome in self.outcomes:
             if outcome.entry.name == name:
                 return outcome
         raise KeyError(name)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values without the traces, for JSON."""
-        x = self.experiment
-        return {
-            "rig": x.rig.name,
-            "motion": x.rig.motion,
-            "stiffness": x.wall.stiffness,
-            "damping": x.wall.damping,
-            "resolution": x.rig.encoder.resolution,
-            "start": asdict(self.start),
-            "schemes": [
-                {
-                    "name": outcome.entry.name,
-                    "label": outcome.label,
-                    "scheme": Scheme.of(outcome.experiment).text,
-                    "damping": outcome.experiment.wall.damping,
-                    "complete": all(impact.complete for impact in outcome.impacts),
-                    **outcome.numbers.as_mapping(),
-                    "offsets": [
-                        {"offset": impact.offset, **impact.numbers.as_mapping()} for impact in outcome.impacts
-                    ],
-                }
-                for outcome in self.outcomes
-            ],
-        }
 
 
 def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
@@ -192,12 +202,12 @@ def compare(
             remedy="leave the operator out, or set trial.kind = constant-effort",
         )
     given = start or Start.of(experiment)
-    outcomes: list[Outcome] = []
+    outcomes: list[SchemeImpacts] = []
     for entry in chosen:
         applied = entry.applied(experiment)
         impacts = tuple(hit(applied, given, offset) for offset in offsets)
         outcomes.append(
-            Outcome(
+            SchemeImpacts(
                 entry=entry,
                 experiment=applied,
                 label=entry.label(experiment),

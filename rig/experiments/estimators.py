@@ -13,8 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -88,23 +87,6 @@ class Comparison:
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
     scores: tuple[Score, ...]
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "cases": [
-                {
-                    "case": case.name,
-                    "rate_hz": case.rate_hz,
-                    "resolution": abs(case.resolution),
-                    "motion": case.motion,
-                    "reference": case.reference,
-                    "speed_rms": case.speed_rms,
-                }
-                for case in self.cases
-            ],
-            "scores": [{**asdict(score), "settings": dict(score.settings)} for score in self.scores],
-        }
 
 
 def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:

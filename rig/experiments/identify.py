@@ -27,6 +27,7 @@ from rig.config import Experiment, controller
 from rig.control.excitation import Multisine
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError
+from rig.core.present import reported
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
 from rig.experiments.identified_values import identified_values
@@ -119,8 +120,8 @@ class Identification:
         Whether the device was.
     """
 
-    before: Experiment
-    experiment: Experiment
+    before: Experiment = field(repr=False)
+    experiment: Experiment = field(repr=False)
     signs: SignCheck
     sliding: Sliding
     dynamics: Dynamics
@@ -129,19 +130,15 @@ class Identification:
     warnings: tuple[str, ...]
     simulated: bool
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "rig": self.experiment.rig.name,
-            "motion": self.experiment.rig.motion,
-            "simulated": self.simulated,
-            "signs": self.signs.as_mapping(),
-            "sliding": self.sliding.as_mapping(),
-            "dynamics": self.dynamics.as_mapping(),
-            "identified": dict(self.sources),
-            "warnings": list(self.warnings),
-            "recordings": {name: [str(p) for p in paths] for name, paths in self.recordings.items()},
-        }
+    @reported
+    def rig(self) -> str:
+        """Name of the rig."""
+        return self.experiment.rig.name
+
+    @reported
+    def motion(self) -> str:
+        """Its kind of motion, which decides the units."""
+        return self.experiment.rig.motion
 
 
 def identify(request: IdentifyRequest, tell: Tell | None = None) -> Identification:

@@ -7,7 +7,7 @@ from a toggling count is a number of counts.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -51,10 +51,6 @@ class ImpactNumbers:
     decay: float
     settling_s: float | None
 
-    def as_mapping(self) -> dict[str, float | None]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
@@ -77,12 +73,12 @@ class Impact:
     """
 
     offset: float
-    time_s: Floats
-    counts: Floats
-    penetration: Floats
-    penetration_true: Floats
-    velocity: Floats
-    velocity_true: Floats
+    time_s: Floats = field(repr=False)
+    counts: Floats = field(repr=False)
+    penetration: Floats = field(repr=False)
+    penetration_true: Floats = field(repr=False)
+    velocity: Floats = field(repr=False)
+    velocity_true: Floats = field(repr=False)
     complete: bool
     numbers: ImpactNumbers
 
@@ -120,7 +116,7 @@ def second_peak(counts: Floats, swing: float) -> float | None:
 
 def mean(numbers: Iterable[ImpactNumbers]) -> ImpactNumbers:
     """Mean of each number over several hits: the second peak over those that have one, the settling if all settled."""
-    rows = [each.as_mapping() for each in numbers]
+    rows = [asdict(each) for each in numbers]
     values: dict[str, Any] = {}
     for name in rows[0]:
         known = [value for row in rows if (value := row[name]) is not None]

@@ -9,10 +9,8 @@ what stopped it if something did. Runs without bytes are independent of each oth
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -30,14 +28,14 @@ from rig.config import Excitation, Experiment
 from rig.config.schemes import Scheme
 from rig.core.check import refuse
 from rig.core.errors import ConfigError, PlanError, RecordingError
-from rig.core.sample import Phase, unit_of
+from rig.core.present import plain, reported
+from rig.core.sample import Motion, Phase, unit_of
 from rig.experiments.excitation_plan import excitation_checks
 from rig.experiments.excitation_run import ExcitedRig, Run, Signal, bound_share, excited_law, record_of
 from rig.experiments.judgement import THREW_OUT, thrown_out
 from rig.experiments.on_device import Ended, OnDevice, Trials, kept_open
 from rig.experiments.plan import STANDS_FOR_DEVICE
-from rig.experiments.results import write_table
-from rig.recording.files import plain_errors, whole_file
+from rig.experiments.results import make_directory, write_document, write_table
 
 Method = Literal["periodic", "welch"]
 Wall = tuple[float, float]  # stiffness, damping
@@ -80,86 +78,92 @@ class ImpedanceResult:
     method, signal
         How it was estimated, and from which position.
     ended, ended_s
-        What the guard said, and how long after the beginning of the run; empty for a whole measurement.
+        Why the guard ended a run, and how long after its beginning (s); None for a whole measurement.
     saturated
         Share of ticks in which the effort was clipped: above zero the rig was not linear.
     recordings
         Of a device.
     """
 
-    experiment: Experiment
+    experiment: Experiment = field(repr=False)
     impedance: Impedance | None
     judgement: Judgement | None
     fidelity: Fidelity | None
     fitted: Fit | None
     method: Method
     signal: Signal
-    ended: str = ""
-    ended_s: float = 0.0
+    ended: str | None = None
+    ended_s: float | None = None
     saturated: float = 0.0
     recordings: tuple[Path, ...] = ()
 
     @property
     def wall(self) -> Wall:
         """Stiffness and damping."""
-        return self.experiment.wall.stiffness, self.experiment.wall.damping
+        return self.stiffness, self.damping
+
+    @reported
+    def stiffness(self) -> float:
+        """Of the wall."""
+        return self.experiment.wall.stiffness
+
+    @reported
+    def damping(self) -> float:
+        """Of the wall."""
+        return self.experiment.wall.damping
 
     @property
     def bare(self) -> bool:
         """Whether there was no wall."""
         return self.wall == (0.0, 0.0)
 
-    @property
+    @reported
+    def rig(self) -> str:
+        """Name of the rig."""
+        return self.experiment.rig.name
+
+    @reported
+    def motion(self) -> Motion:
+        """Its kind of motion, which decides the units."""
+        return self.experiment.rig.motion
+
+    @reported
+    def scheme(self) -> str:
+        """Scheme in text form."""
+        return Scheme.of(self.experiment).text
+
+    @reported
     def label(self) -> str:
         """What a legend calls it: wall and scheme."""
-        x, motion = self.experiment, self.experiment.rig.motion
-        scheme = Scheme.of(x).label(x)
+        scheme = Scheme.of(self.experiment).label(self.experiment)
         if self.bare:
             return f"bare rig, {scheme}"
-        stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)
-        return f"K = {self.wall[0]:g} {stiffness}, B = {self.wall[1]:g} {damping}, {scheme}"
+        stiffness, damping = unit_of("stiffness", self.motion), unit_of("damping", self.motion)
+        return f"K = {self.stiffness:g} {stiffness}, B = {self.damping:g} {damping}, {scheme}"
 
-    @property
-    def of_device_loop(self) -> bool:
-        """Whether the host's law, without bytes, stands for a law on the device."""
-        return self.experiment.controller.loop == "device" and not self.recordings
+    @reported
+    def loop(self) -> str:
+        """Where the law ran."""
+        return self.experiment.controller.loop
+
+    @reported
+    def note(self) -> str | None:
+        """What stands for a law on the device, where none ran."""
+        return STANDS_FOR_DEVICE if self.loop == "device" and not self.recordings else None
+
+    @reported
+    def excitation(self) -> dict[str, Any]:
+        """The excitation with its size."""
+        x = self.experiment
+        return {
+            **config.as_mapping(x)["excitation"],
+            **config.excitation_size(x),
+            "channel": x.excitation.channel,
+        }
 
     def expected(self, lines_hz: Floats) -> Complexes | None:
         """Closed form of rig and wall without friction and quantum; None for an estimator that is not linear."""
         return expected(self.experiment, lines_hz, self.signal)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        x, e = self.experiment, self.experiment.excitation
-        parts = {
-            name: None if part is None else part.as_mapping()
-            for name, part in (
-                ("judgement", self.judgement), ("fidelity", self.fidelity), ("fitted", self.fitted),
-                ("impedance", self.impedance),
-            )
-        }  # fmt: skip
-        return {
-            "rig": x.rig.name,
-            "motion": x.rig.motion,
-            "scheme": Scheme.of(x).text,
-            "label": self.label,
-            "stiffness": self.wall[0],
-            "damping": self.wall[1],
-            "method": self.method,
-            "signal": self.signal,
-            "loop": x.controller.loop,
-            "note": STANDS_FOR_DEVICE if self.of_device_loop else None,
-            "excitation": {
-                **config.as_mapping(x)["excitation"],
-                **config.excitation_size(x),
-                "channel": e.channel,
-            },
-            "ended": self.ended or None,
-            "ended_s": self.ended_s if self.ended else None,
-            "saturated": self.saturated,
-            "recordings": [str(path) for path in self.recordings],
-            **parts,
-        }
 
 
 def measure_impedance(
@@ -410,14 +414,12 @@ def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[
 
     Raises `rig.core.errors.RecordingError` when the disk refuses.
     """
-    with plain_errors("make", directory):
-        directory.mkdir(parents=True, exist_ok=True)
+    make_directory(directory)
     table, summary = directory / TABLE, directory / SUMMARY
-    documents = [result.as_mapping() for result in results]
+    documents = plain(results)
     heads = [{key: value for key, value in one.items() if key != "impedance"} for one in documents]
     write_table(table, _rows(results), _units(results), {"results": heads})
-    with whole_file(summary, overwrite=True) as file:
-        file.write(json.dumps({"results": documents}, ensure_ascii=False, indent=1).encode())
+    write_document(summary, {"results": documents})
     return table, summary
 
 
@@ -429,20 +431,15 @@ def _rows(results: Sequence[ImpedanceResult]) -> Iterator[dict[str, Any]]:
         for i, line in enumerate(measured.lines_hz):
             yield {
                 "result": number,
-                "scheme": Scheme.of(result.experiment).text,
-                "stiffness": result.wall[0],
-                "damping": result.wall[1],
+                "scheme": result.scheme,
+                "stiffness": result.stiffness,
+                "damping": result.damping,
                 "frequency": float(line),
-                "real": float(measured.z[i].real),
-                "imaginary": float(measured.z[i].imag),
-                "deviation": _number(float(measured.deviation[i])),
-                "coherence_effort": _number(float(measured.coherence_effort[i])),
-                "coherence_motion": _number(float(measured.coherence_motion[i])),
+                **plain(measured.z[i]),
+                "deviation": plain(measured.deviation[i]),
+                "coherence_effort": plain(measured.coherence_effort[i]),
+                "coherence_motion": plain(measured.coherence_motion[i]),
             }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _units(results: Sequence[ImpedanceResult]) -> dict[str, str]:

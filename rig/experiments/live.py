@@ -59,10 +59,6 @@ class LiveChange:
     active: bool
     ended: bool
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {name: getattr(self, name) for name in self.__slots__}
-
 
 def change_wall(
     changes: Mapping[str, Any],

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from rig.config import Experiment
+from rig.core.present import plain
 from rig.experiments import sweep
 from rig.experiments.results import make_directory, write_document, write_table
 from rig.experiments.table_one import table_one
@@ -154,5 +155,5 @@ def write_map(found: Map, directory: Path) -> None:
 
 def summary(found: Map) -> dict[str, Any]:
     """Plain values, for JSON: everything but the single trials; of impedances with Table I."""
-    more = {"table_one": table_one(found).as_mapping(found)} if isinstance(found, FrequencyMap) else {}
+    more = {"table_one": plain(table_one(found))} if isinstance(found, FrequencyMap) else {}
     return {**found.as_mapping(), **more}

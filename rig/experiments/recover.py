@@ -15,7 +15,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
 
 from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.realtime import running
@@ -74,11 +73,6 @@ class Recovered:
     lost_at_most_s: float | None = 0.0
     complete: bool = False
     reason: str = ""
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        found = {name: getattr(self, name) for name in self.__slots__}
-        return {name: str(value) if isinstance(value, Path) else value for name, value in found.items()}
 
 
 def unsealed(paths: Iterable[str | Path]) -> list[Path]:

@@ -8,7 +8,7 @@ recorded settings it is bit-exact, also over gaps, because the rows and the head
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from rig.config import controller
 from rig.control.law import Law
 from rig.control.step import DONE, Controller
 from rig.core.errors import LawError, RecordingError
+from rig.core.present import reported
 from rig.core.sample import COLUMNS, ROW
 from rig.experiments.judgement import experiment_of
 from rig.loop.replay import NO_SETS, replay_rows
@@ -47,18 +48,18 @@ class ReplayResult:
     in the units of the rig.
     """
 
-    recorded: NDArray[np.void]
-    rows: NDArray[np.void]
+    recorded: NDArray[np.void] = field(repr=False)
+    rows: NDArray[np.void] = field(repr=False)
     estimator: str
     law: str
     exact: bool
     velocity_difference: float
     effort_difference: float
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the summary without the rows, for JSON."""
-        names = ("estimator", "law", "exact", "velocity_difference", "effort_difference")
-        return {"ticks": len(self.rows), **{name: getattr(self, name) for name in names}}
+    @reported
+    def ticks(self) -> int:
+        """How many rows there are."""
+        return len(self.rows)
 
 
 def replay(

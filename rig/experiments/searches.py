@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
@@ -253,7 +253,8 @@ class GridSearch:
     connected
         The grid's own edge at each damping; −1: none.
 
-    Walls are indices of damping and stiffness.
+    dampings, stiffnesses
+        Of the grid. Walls are indices of these.
     """
 
     path: tuple[Cell, ...]
@@ -262,6 +263,8 @@ class GridSearch:
     ending: Ending
     cells: int
     connected: tuple[int, ...]
+    dampings: Sequence[float]
+    stiffnesses: Sequence[float]
 
     @property
     def highest(self) -> int:
@@ -284,10 +287,11 @@ class GridSearch:
         seen = dict(self.edge)
         return sum(b not in seen and k >= 0 for b, k in enumerate(self.connected))
 
-    def in_units(self, stiffnesses: Sequence[float], dampings: Sequence[float]) -> dict[str, Any]:
+    def as_mapping(self) -> dict[str, Any]:
         """Plain values, for JSON, in SI units; None for an edge that is not there."""
+        dampings, stiffnesses = self.dampings, self.stiffnesses
 
-        def walls(edge: Sequence[tuple[int, int]]) -> list[list[float | None]]:
+        def walls(edge: Iterable[tuple[int, int]]) -> list[list[float | None]]:
             return [[dampings[b], stiffnesses[k] if k >= 0 else None] for b, k in edge]
 
         return {
@@ -301,19 +305,34 @@ class GridSearch:
             "path": walls(self.path),
             "edge": walls(self.edge),
             "capped": [dampings[b] for b in self.capped],
-            "grid": walls(list(enumerate(self.connected))),
+            "grid": walls(enumerate(self.connected)),
         }
 
 
-def trace_grid(passive: Flags, start: Cell = (0, 0), *, looks: bool = True) -> GridSearch:
-    """Search in a finished grid of verdicts, ``passive[damping, stiffness]``, and compare."""
+def trace_grid(
+    passive: Flags,
+    dampings: Sequence[float] = (),
+    stiffnesses: Sequence[float] = (),
+    *,
+    start: Cell = (0, 0),
+    looks: bool = True,
+) -> GridSearch:
+    """Search in a finished grid of verdicts, ``passive[damping, stiffness]``, and compare; without axes, by index."""
+    rows, columns = passive.shape
     path: list[Cell] = []
 
     def test(cell: Cell) -> bool:
         path.append(cell)
         return bool(passive[cell])
 
-    dampings, stiffnesses = passive.shape
-    found = drive(boundary_search(dampings, stiffnesses, start, looks=looks), test)
-    edges = (connected(passive).sum(axis=1) - 1).tolist()
-    return GridSearch(tuple(path), *found, cells=passive.size, connected=tuple(edges))
+    edge, capped, ending = drive(boundary_search(rows, columns, start, looks=looks), test)
+    return GridSearch(
+        path=tuple(path),
+        edge=edge,
+        capped=capped,
+        ending=ending,
+        cells=passive.size,
+        connected=tuple((connected(passive).sum(axis=1) - 1).tolist()),
+        dampings=dampings or range(rows),
+        stiffnesses=stiffnesses or range(columns),
+    )

@@ -20,15 +20,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from rig.analysis.impedance.estimate import plain
 from rig.analysis.impedance.signals import Floats
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.core.present import reported
 from rig.experiments.searches import Flags, GridSearch, connected, limit_of, trace_grid
 from rig.experiments.zwidth_frequency import FrequencyMap
 
@@ -114,10 +114,6 @@ class FrequencyWidth:
             damping_capped=some and last == len(b) - 1,
         )
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return dict(plain(asdict(self)))
-
 
 @dataclass(frozen=True, slots=True)
 class Spread:
@@ -158,31 +154,20 @@ class SchemeWidths:
         )
         return cls(together, tuple(each))
 
-    @property
+    @reported
     def stiffness(self) -> Spread:
         """K-width over realisations; one that holds nothing counts as 0."""
         return Spread.of([width.stiffness for width in self.each])
 
-    @property
+    @reported
     def damping(self) -> Spread:
         """B-width over the realisations that hold something."""
         return Spread.of([width.damping for width in self.each])
 
-    @property
+    @reported
     def worst_fidelity(self) -> Spread:
         """Largest error over the realisations that hold something, each over its own region."""
         return Spread.of([width.worst_fidelity for width in self.each])
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "together": self.together.as_mapping(),
-            "each": [width.as_mapping() for width in self.each],
-            **{
-                name: plain(asdict(getattr(self, name)))
-                for name in ("stiffness", "damping", "worst_fidelity")
-            },
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,33 +250,6 @@ class TableOne:
     stiffness_step: float
     damping_step: float
 
-    def as_mapping(self, found: FrequencyMap) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        plan = found.plan
-        return {
-            "rows": [
-                {
-                    "scheme": row.scheme,
-                    "label": row.label,
-                    "estimator": row.estimator,
-                    "widths": row.widths.as_mapping(),
-                    "tuned": list(row.tuned),
-                    "common": [plain(asdict(spread)) for spread in row.common],
-                    "common_mean": plain(asdict(row.common_mean)),
-                    "search": row.search.in_units(plan.stiffnesses, plan.dampings),
-                    "paper": None if row.paper is None else asdict(row.paper),
-                }
-                for row in self.rows
-            ],
-            "points": [list(point) for point in self.points],
-            "common_walls": self.common_walls,
-            "comparable": list(self.comparable),
-            "band_hz": list(self.band_hz),
-            "realisations": self.realisations,
-            "stiffness_step": self.stiffness_step,
-            "damping_step": self.damping_step,
-        }
-
 
 def table_one(found: FrequencyMap) -> TableOne:
     """Summarise a map scheme by scheme."""
@@ -314,7 +272,7 @@ def table_one(found: FrequencyMap) -> TableOne:
                 tuned=tuned_numbers(controller.estimator, controller.parameters),
                 common=tuple(Spread.of(each[:, b, k].tolist()) for b, k in cells),
                 common_mean=Spread.of(each[:, held].mean(axis=1).tolist() if held.any() else []),
-                search=trace_grid(found.passive[number, -1]),
+                search=trace_grid(found.passive[number, -1], plan.dampings, plan.stiffnesses),
                 paper=_papers(plan.experiment, scheme, controller.estimator),
             )
         )

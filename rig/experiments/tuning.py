@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -97,15 +96,6 @@ class Tuning:
     before: Score
     after: Score
     evaluations: int
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            **asdict(self),
-            "settings": dict(self.settings),
-            "before": {**asdict(self.before), "settings": dict(self.before.settings)},
-            "after": {**asdict(self.after), "settings": dict(self.after.settings)},
-        }
 
     def toml(self) -> str:
         """Fragment of an experiment's file: estimator and settings, with what they were tuned for."""

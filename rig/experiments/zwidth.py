@@ -27,6 +27,7 @@ from rig.config.schemes import Scheme
 from rig.control.measure import NUMBERS, UNITS
 from rig.control.verdict import CRITERIA, INVALID, Measured, Objection, objections
 from rig.core.errors import PlanError
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.experiments import sweep
 from rig.experiments.hit_simulator import HitSimulator
@@ -310,10 +311,8 @@ class ZWidth:
                 {
                     "scheme": scheme.text,
                     "label": labels[number],
-                    "widths": {name: asdict(self.width(number, name)) for name in CRITERIA},
-                    "curves": {
-                        name: [_boundary_mapping(b) for b in self.curve(number, name)] for name in CRITERIA
-                    },
+                    "widths": {name: plain(self.width(number, name)) for name in CRITERIA},
+                    "curves": {name: plain(self.curve(number, name)) for name in CRITERIA},
                 }
                 for number, scheme in enumerate(plan.schemes)
             ],
@@ -352,10 +351,3 @@ def _passes(criterion: str, judged: Judged) -> str:
 def _tried(rows: Iterable[Mapping[str, Any]], criterion: str, judged: Judged) -> dict[float, bool | None]:
     column = _passes(criterion, judged)
     return {row["stiffness"]: row[column] for row in rows}
-
-
-def _boundary_mapping(boundary: Boundary) -> dict[str, Any]:
-    mapping = asdict(boundary)
-    for name in ("scheme", "criterion"):
-        del mapping[name]
-    return mapping

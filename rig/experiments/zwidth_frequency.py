@@ -162,7 +162,7 @@ def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]
     }
     numbers: dict[str, float] = dict.fromkeys(NUMBERS, math.nan) | {"saturated": result.saturated}
     if judgement is None or fidelity is None:
-        numbers["ended_s"] = result.ended_s
+        numbers["ended_s"] = result.ended_s or 0.0
     else:
         numbers |= {
             "margin": judgement.passivity.margin,

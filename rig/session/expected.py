@@ -29,7 +29,7 @@ ENCODER_LEAVES = (
     0.35  # of a damped wall's: there uniform 20 kHz at B = 0.25, 458 of 1300 N·m/rad; others far more
 )
 SPREAD = 0.05  # of an observer, over K50: verdicts turn within some 20 % of stiffness
-SLIPS = 0.02
+LAPSE_RATE = 0.02
 OBSERVERS = 5  # simulated for each expected limit
 MOST_TRIALS = 500  # of one simulated search: nobody sits through more
 
@@ -191,7 +191,7 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
 
 def _taken(wanted: Search, k50: float) -> tuple[float, float]:
     """Mean trials of some observers, and those among them that were not stable."""
-    observer = Observer(threshold=k50, spread=SPREAD * k50, slips=SLIPS)
+    observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     answers = [run(asking(wanted, seed), observer, seed, MOST_TRIALS) for seed in range(OBSERVERS)]
     failures = sum(answer.stable is False for given in answers for answer in given)
     return sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS

@@ -61,7 +61,7 @@ class Person:
             if drawn.random() >= self.lapse_rate:
                 return automatic
             return "buzz" if automatic == "stable" else "stable"
-        observer = Observer(threshold=threshold, spread=self.spread, slips=self.lapse_rate)
+        observer = Observer(threshold=threshold, spread=self.spread, lapse_rate=self.lapse_rate)
         if observer.judge(trial.stiffness, drawn):
             return "stable"
         return "unstable" if automatic == "unstable" else "buzz"

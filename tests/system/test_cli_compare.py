@@ -42,14 +42,18 @@ def test_json_has_every_number_of_every_scheme_and_offset(run, tmp_path):
     )  # fmt: skip
     assert code == 0
     facts = json.loads(out)
-    assert (facts["rig"], facts["stiffness"], facts["damping"]) == ("koul-compliant", 200.0, 0.3)
+    assert (facts["rig"], facts["wall"]["stiffness"], facts["wall"]["damping"]) == (
+        "koul-compliant",
+        200.0,
+        0.3,
+    )
     assert facts["start"]["motor_effort"] == 0.15
-    none, dual, raw = facts["schemes"]
-    assert [s["name"] for s in facts["schemes"]] == ["none", "dual:20k/2k", "dual:20k/4k,estimator=fdm"]
+    none, dual, raw = facts["outcomes"]
+    assert [s["name"] for s in facts["outcomes"]] == ["none", "dual:20k/2k", "dual:20k/4k,estimator=fdm"]
     assert (none["damping"], dual["damping"], raw["damping"]) == (0.0, 0.3, 0.3)
-    assert none["peak"] > dual["peak"]
-    assert len({s["impact_velocity"] for s in facts["schemes"]}) == 1
-    assert len(dual["offsets"]) == 4
+    assert none["numbers"]["peak"] > dual["numbers"]["peak"]
+    assert len({s["numbers"]["impact_velocity"] for s in facts["outcomes"]}) == 1
+    assert len(dual["impacts"]) == 4
     assert facts["picture"] is None
     assert not list(tmp_path.iterdir())
 

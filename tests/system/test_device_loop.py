@@ -12,6 +12,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.core.errors import PlanError
+from rig.core.present import plain
 from rig.core.sample import Phase
 from rig.experiments import impedance, live, trial
 from rig.experiments.hit import HitRequest, hit
@@ -45,8 +46,8 @@ def one_hit(experiment, directory, **changes):
 def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment, quanta, tmp_path):
     there, recording = one_hit(experiment, tmp_path)
     here, _ = one_hit(experiment, tmp_path, **{"controller.loop": "host"})
-    assert there.as_mapping()["loop"] == recording.header["extra"]["loop"] == "device"
-    assert here.as_mapping()["loop"] == "host"
+    assert plain(there)["loop"] == recording.header["extra"]["loop"] == "device"
+    assert plain(here)["loop"] == "host"
     for ours, theirs in ((there.verdict, here.verdict), (there.verdict_true, here.verdict_true)):
         assert ours.kind == theirs.kind
         for number in ("peak_penetration", "impact_velocity", "contact_s"):
@@ -117,7 +118,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
         return result
 
     there, here = measured(x), measured(config.override(x, {"controller.loop": "host"}))
-    assert there.as_mapping()["loop"] == "device"
+    assert plain(there)["loop"] == "device"
     assert not there.of_device_loop
     size = np.abs(here.impedance.z)
     assert (np.abs(there.impedance.z - here.impedance.z) < 0.05 * size).all()

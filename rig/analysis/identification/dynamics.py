@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from rig.analysis.identification.quality import IdentificationError, check_excit
 from rig.analysis.identification.sliding import Sliding
 from rig.analysis.impedance.signals import Complexes, ExcitedRun, Floats, hold
 from rig.core.deferred import optimize
+from rig.core.present import reported
 
 IMAGES = (-2, -1, 0, 1, 2)
 NEIGHBOURS = 5  # lines over which a variance is averaged
@@ -109,24 +109,10 @@ class Dynamics:
     deviation: Floats
     unexplained: float
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers, for JSON."""
-        names = ("inertia", "damping", "delay_s", "lag_s")
-        mode = self.mode
-        return {
-            **{name: getattr(self, name).as_mapping() for name in names},
-            "delay_ticks": self.delay_ticks,
-            "mode": None
-            if mode is None
-            else {name: getattr(mode, name).as_mapping() for name in Mode.__slots__},
-            "unexplained": self.unexplained,
-            "lines_hz": self.lines_hz.tolist(),
-            "coherence": self.coherence.tolist(),
-            "coherence_median": float(np.median(self.coherence)),
-            "measured": {"real": self.measured.real.tolist(), "imaginary": self.measured.imag.tolist()},
-            "fitted": {"real": self.fitted.real.tolist(), "imaginary": self.fitted.imag.tolist()},
-            "deviation": self.deviation.tolist(),
-        }
+    @reported
+    def coherence_median(self) -> float:
+        """Median of γ² over the lines."""
+        return float(np.median(self.coherence))
 
 
 def fit_dynamics(
@@ -368,7 +354,7 @@ def _dynamics(
     return Dynamics(
         inertia=inertia,
         damping=damping or interval(lambda p: float(p[B])),
-        delay_s=Interval(best.ticks / problem.rate + lag.value, lag.half_width),
+        delay_s=Interval(best.ticks / problem.rate + lag.value, lag.ci95),
         delay_ticks=best.ticks,
         lag_s=lag,
         mode=mode,

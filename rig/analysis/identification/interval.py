@@ -15,23 +15,23 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A value ± the half width of its 95 % interval; the half width is infinite where nothing tells it.
+    """A value, and the half width `ci95` of its 95 % interval; infinite where it is not known.
 
     The interval holds scatter, not bias: what is wrong alike in every realisation does not widen it.
     """
 
     value: float
-    half_width: float
+    ci95: float
 
     @property
     def low(self) -> float:
         """Lower end."""
-        return self.value - self.half_width
+        return self.value - self.ci95
 
     @property
     def high(self) -> float:
         """Upper end."""
-        return self.value + self.half_width
+        return self.value + self.ci95
 
     def holds(self, value: float) -> bool:
         """Whether a value lies within."""
@@ -39,15 +39,11 @@ class Interval:
 
     def scaled(self, factor: float) -> Interval:
         """Return the interval of a multiple."""
-        return Interval(factor * self.value, abs(factor) * self.half_width)
+        return Interval(factor * self.value, abs(factor) * self.ci95)
 
     def text(self, unit: str = "") -> str:
         """Write value ± half width with as many digits as the interval deserves."""
-        return f"{_shown(self.value, self.half_width)} {unit}".rstrip()
-
-    def as_mapping(self) -> dict[str, float | None]:
-        """Plain numbers; None for a half width that is not known."""
-        return {"value": self.value, "ci95": self.half_width if math.isfinite(self.half_width) else None}
+        return f"{_shown(self.value, self.ci95)} {unit}".rstrip()
 
 
 def quantile(degrees_of_freedom: float) -> float:
@@ -65,12 +61,12 @@ def from_scatter(value: float, samples: ArrayLike) -> Interval:
     return Interval(value, quantile(len(each) - 1) * float(each.std(ddof=1)) / math.sqrt(len(each)))
 
 
-def _shown(value: float, half_width: float) -> str:
-    if not math.isfinite(half_width) or half_width <= 0.0:
+def _shown(value: float, ci95: float) -> str:
+    if not math.isfinite(ci95) or ci95 <= 0.0:
         return f"{value:.4g}"
-    exponent = math.floor(math.log10(max(abs(value), half_width)))
-    digits = max(0, exponent - math.floor(math.log10(half_width)) + 1)
+    exponent = math.floor(math.log10(max(abs(value), ci95)))
+    digits = max(0, exponent - math.floor(math.log10(ci95)) + 1)
     if -3 <= exponent < 5:
         places = max(0, digits - exponent)
-        return f"{value:.{places}f} ± {half_width:.{places}f}"
-    return f"({value / 10**exponent:.{digits}f} ± {half_width / 10**exponent:.{digits}f})e{exponent:+03d}"
+        return f"{value:.{places}f} ± {ci95:.{places}f}"
+    return f"({value / 10**exponent:.{digits}f} ± {ci95 / 10**exponent:.{digits}f})e{exponent:+03d}"

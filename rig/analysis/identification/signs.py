@@ -9,11 +9,13 @@ missing factor of four in the decoding.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 
@@ -63,14 +65,10 @@ class SignCheck:
     pushes: tuple[Push, ...]
     warnings: tuple[str, ...]
 
-    @property
+    @reported
     def ok(self) -> bool:
         """Whether the sign is right and the scale is that of the description."""
         return self.sign == 1 and 1.0 / SAME_SCALE <= self.scale <= SAME_SCALE
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {**asdict(self), "ok": self.ok}
 
 
 def check_signs(

@@ -12,14 +12,14 @@ the scatter of the points about the line is what the intervals come from.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.analysis.identification.interval import Interval, quantile
 from rig.analysis.identification.quality import IdentificationError
+from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 
@@ -65,23 +65,19 @@ class Sliding:
     damping: Interval
     coulomb: Interval
     bias: Interval
-    velocity: Floats
-    effort: Floats
+    velocity: Floats = field(repr=False)
+    effort: Floats = field(repr=False)
     scatter: float
+
+    @reported
+    def points(self) -> int:
+        """How many points there are."""
+        return len(self.velocity)
 
     def at(self, velocity: Floats) -> Floats:
         """Effort that keeps these velocities up (N·m or N)."""
         level = np.where(velocity > 0.0, self.up.value, -self.down.value)
         return np.asarray(level + self.damping.value * velocity)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers, for JSON."""
-        names = ("up", "down", "damping", "coulomb", "bias")
-        return {
-            **{name: getattr(self, name).as_mapping() for name in names},
-            "scatter": self.scatter,
-            "points": len(self.velocity),
-        }
 
 
 def fit_sliding(

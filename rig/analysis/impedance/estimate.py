@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,14 +128,6 @@ class Impedance:
         names = ("lines_hz", "z", "variance", "coherence_effort", "coherence_motion")
         return replace(self, **{name: getattr(self, name)[inside] for name in names})
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers, for JSON; None stands for what is unknown."""
-        return {
-            **{name: plain(value) for name, value in vars(self).items() if name != "z"},
-            "real": plain(self.z.real),
-            "imaginary": plain(self.z.imag),
-        }
-
 
 def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float] | None = None) -> Impedance:
     """Impedance by the ratio of lines, with the excitation as instrument.
@@ -204,17 +196,6 @@ def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> flo
         off += float(power[inside & ~excited].sum())
         total += float(power[inside].sum())
     return off / total if seen and total > 0.0 else math.nan
-
-
-def plain(value: Any) -> Any:
-    """Return mappings, lists and arrays as JSON has them, with None for a number that JSON cannot say."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list | np.ndarray):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.analysis.impedance.estimate import Impedance, plain
+from rig.analysis.impedance.estimate import Impedance
 from rig.analysis.impedance.signals import Complexes, Floats
 from rig.core.errors import ConfigError
 
@@ -53,10 +53,6 @@ class Fit:
     values: dict[Term, float]
     deviations: dict[Term, float]
     misfit: float
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers, for JSON."""
-        return dict(plain(asdict(self)))
 
 
 def fit(

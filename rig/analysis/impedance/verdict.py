@@ -19,12 +19,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from rig.analysis.impedance.estimate import Impedance, plain
+from rig.analysis.impedance.estimate import Impedance
 from rig.analysis.impedance.fitting import Device, fit
 from rig.analysis.impedance.signals import Complexes, Floats
 
@@ -67,10 +66,6 @@ class Passivity:
     band_hz: tuple[float, float]
     z_score: float
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers, for JSON."""
-        return dict(plain(asdict(self)))
-
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
@@ -82,10 +77,6 @@ class Judgement:
     residual: float
     residual_threshold: float
     least_coherence: float
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers and strings, for JSON."""
-        return dict(plain(asdict(self)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +118,6 @@ class Fidelity:
     distortion: float
     lines: int
     band_hz: tuple[float, float]
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain numbers, for JSON."""
-        return dict(plain(asdict(self)))
 
 
 def passive(

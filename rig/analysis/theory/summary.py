@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from rig.analysis.theory.passivity import PassivityBound, passive_curve, passivi
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.model import Operator
+from rig.core.present import reported
 from rig.core.sample import Motion
 
 Floats = NDArray[np.float64]
@@ -44,9 +44,10 @@ class AtDamping:
     limit: Limit
     passivity: PassivityBound
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {**asdict(self), "binding": self.passivity.binding.name}
+    @reported
+    def binding(self) -> str:
+        """Name of the condition with the smallest stiffness, approximate rules aside."""
+        return self.passivity.binding.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +79,6 @@ class SchemeTheory:
     rigid_rule: float
     curve: tuple[Limit, ...]
     passive: tuple[tuple[float, float], ...]
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            **asdict(self),
-            "at_zero": self.at_zero.as_mapping(),
-            "at_wall": self.at_wall.as_mapping(),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +126,6 @@ class Theory:
     schemes: tuple[SchemeTheory, ...]
     in_hand: InHand | None = None
     not_linear: tuple[NotLinear, ...] = ()
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {**asdict(self), "schemes": [scheme.as_mapping() for scheme in self.schemes]}
 
 
 def theory_of(

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from rig import config
-from rig.analysis.impedance.estimate import plain
 from rig.config import presets
 from rig.config.schemes import Scheme
+from rig.core.present import plain
 from rig.experiments.impedance import ImpedanceResult
 from rig.experiments.searches import GridSearch, trace_grid
 from rig.experiments.sweep.executors import code_version
@@ -111,7 +111,9 @@ class Chawda:
 
     def search(self, name: str, measurement: int = 0) -> GridSearch:
         """The paper's boundary search in one measurement's map, by the main reading."""
-        return trace_grid(self.map.passive[measurement, MAIN, list(SCHEMES).index(name)])
+        grid = self.map.grid
+        passive = self.map.passive[measurement, MAIN, list(SCHEMES).index(name)]
+        return trace_grid(passive, grid.dampings, grid.stiffnesses)
 
     @property
     def figure_3(self) -> list[str]:
@@ -173,10 +175,7 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
         "hits_1_kHz": {"names": list(SCHEMES), **chawda.slow_hits.as_mapping()},
         "map": _grid(chawda.map, list(SCHEMES)),
         "searches": {
-            name: [
-                chawda.search(name, m).in_units(chawda.map.grid.stiffnesses, chawda.map.grid.dampings)
-                for m in range(chawda.map.grid.measurements)
-            ]
+            name: [plain(chawda.search(name, m)) for m in range(chawda.map.grid.measurements)]
             for name in SCHEMES
         },
         "readings": {
@@ -208,7 +207,7 @@ def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
         "reading": found.grid.readings[reading].text,
         "schemes": {
             name: {
-                "widths": [width.as_mapping() for width in found.widths(reading, number)],
+                "widths": [plain(width) for width in found.widths(reading, number)],
                 "passive": [
                     [
                         "".join("1" if cell else "0" for cell in row)
@@ -241,7 +240,7 @@ def _width(width: FrequencyWidth) -> list[float | None]:
 def _areas(found: Readings, reading: int) -> dict[str, Any]:
     return {
         scheme.text: {
-            "area": plain(asdict(found.areas(reading, number))),
+            "area": plain(found.areas(reading, number)),
             "widths": [_width(width) for width in found.widths(reading, number)],
         }
         for number, scheme in enumerate(found.grid.schemes)
@@ -249,7 +248,7 @@ def _areas(found: Readings, reading: int) -> dict[str, Any]:
 
 
 def _impedance(result: ImpedanceResult) -> dict[str, Any]:
-    return {key: value for key, value in result.as_mapping().items() if key != "impedance"}
+    return {key: value for key, value in plain(result).items() if key != "impedance"}
 
 
 def provenance(chawda: Chawda) -> dict[str, Any]:

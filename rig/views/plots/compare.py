@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.sample import unit_of
-from rig.experiments.compare import Comparison, Outcome
+from rig.experiments.compare import Comparison, SchemeImpacts
 from rig.views.plots import style
 
 COLOURS = (style.TRUE, style.SENT, style.MEASURED, style.OTHER, "#cc79a7", "#56b4e9", "#000000")
@@ -53,7 +53,7 @@ def draw_comparison(comparison: Comparison, picture: str | Path, *, offset: int 
     return style.save(figure, Path(picture))
 
 
-def draw_penetration(axes: Any, outcomes: Sequence[Outcome], offset: int) -> None:
+def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) -> None:
     """Draw the penetration in counts of each outcome at one encoder offset, with the wall's surface."""
     for i, outcome in enumerate(outcomes):
         impact, wide = outcome.impacts[offset], 3.0 - 2.0 * min(1.0, i / max(1, len(outcomes) - 1))
@@ -66,7 +66,7 @@ def draw_penetration(axes: Any, outcomes: Sequence[Outcome], offset: int) -> Non
     style.tidy(axes, "penetration (counts)")
 
 
-def _shown_s(outcomes: Sequence[Outcome]) -> float:
+def _shown_s(outcomes: Sequence[SchemeImpacts]) -> float:
     """How much of the time axis the impact takes: until the slowest has settled, and a bit."""
     settling = [impact.numbers.settling_s for outcome in outcomes for impact in outcome.impacts]
     slowest = max((LONGEST_S if s is None else s for s in settling), default=LONGEST_S)

@@ -15,6 +15,7 @@ from rig.analysis.identification.signs import check_signs, stiction_warning
 from rig.analysis.identification.sliding import Sliding, Stroke, fit_sliding
 from rig.analysis.impedance.signals import ExcitedRun
 from rig.control.excitation import Multisine
+from rig.core.present import plain
 
 MASS, DAMPING, UP, DOWN = 0.5, 8.0, 0.3, 0.2  # kg, N·s/m, N
 RATE = 1000.0
@@ -64,11 +65,11 @@ def known_sliding(up=UP, down=DOWN, damping=DAMPING):
 def test_an_interval_from_scatter_is_students():
     samples = [1.0, 2.0, 3.0, 4.0]
     found = from_scatter(2.5, samples)
-    assert found.half_width == pytest.approx(3.182446 * np.std(samples, ddof=1) / 2.0, rel=1e-6)
+    assert found.ci95 == pytest.approx(3.182446 * np.std(samples, ddof=1) / 2.0, rel=1e-6)
     assert found.holds(2.5)
     assert not found.holds(10.0)
-    assert from_scatter(1.0, [1.0]).half_width == math.inf
-    assert from_scatter(1.0, [1.0]).as_mapping() == {"value": 1.0, "ci95": None}
+    assert from_scatter(1.0, [1.0]).ci95 == math.inf
+    assert plain(from_scatter(1.0, [1.0])) == {"value": 1.0, "ci95": None}
 
 
 def test_95_per_cent_of_intervals_hold_the_truth():
@@ -205,7 +206,7 @@ def test_sliding_recovers_friction_each_way_and_damping(slid):
     assert found.coulomb.value == pytest.approx(0.5 * (UP + DOWN), rel=0.02)
     assert found.bias.value == pytest.approx(0.5 * (UP - DOWN), abs=0.005)
     for interval, true in ((found.up, UP), (found.down, DOWN), (found.damping, DAMPING)):
-        assert 0.0 < interval.half_width < 0.1 * true
+        assert 0.0 < interval.ci95 < 0.1 * true
     assert found.at(np.array([0.05]))[0] == pytest.approx(UP + 0.05 * DAMPING, rel=0.03)
 
 
@@ -269,7 +270,7 @@ def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubb
     assert found.delay_s.value == pytest.approx(2.0 / RATE, abs=2e-5)
     assert found.delay_ticks == 2
     assert found.mode is None
-    assert found.inertia.half_width < 0.005 * MASS
+    assert found.inertia.ci95 < 0.005 * MASS
     assert found.coherence.min() > 0.95
     assert found.unexplained < 0.03
 
@@ -308,7 +309,7 @@ def test_two_masses_show_their_mode_and_how_the_inertia_splits():
     ratio = damper / (2.0 * math.sqrt(stiffness * motor * link / (motor + link)))
     ratio += 1.0 * link / (motor + link) / (2.0 * omega * motor)  # what the motor's viscous damping adds
     assert mode.resonance_ratio.value == pytest.approx(ratio, rel=0.05)
-    assert set(found.as_mapping()["mode"]) == set(mode.__slots__)
+    assert set(plain(found)["mode"]) == set(mode.__slots__)
 
 
 # ---------------------------------------------------------------------- data that say nothing

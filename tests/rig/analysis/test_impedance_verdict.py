@@ -14,6 +14,7 @@ from rig.analysis.impedance.estimate import Impedance
 from rig.analysis.impedance.fitting import Device, fit
 from rig.analysis.impedance.verdict import fidelity, judge, passive
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 
 M, B = 0.52, 13.2  # the carriage of Chawda et al.
 DEVICE = Device(M, B)
@@ -214,9 +215,9 @@ def test_a_rig_that_does_not_move_is_not_passive():
 def test_mappings_are_json():
     one = noisy(rig_with_wall(2e4, 0.0), 1.0)
     for result in (passive(one), judge(one), fidelity(one, 2e4, 0.0, device=DEVICE), fit(one)):
-        mapping = json.loads(json.dumps(result.as_mapping(), allow_nan=False))
+        mapping = json.loads(json.dumps(plain(result), allow_nan=False))
         assert mapping
-    assert fidelity(one, 2e4, 0.0).as_mapping()["damping_percent"] is None
+    assert plain(fidelity(one, 2e4, 0.0))["damping_percent"] is None
 
 
 def test_what_cannot_be_meant_is_refused():

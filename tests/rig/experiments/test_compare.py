@@ -14,6 +14,7 @@ from rig import config, devices
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.present import plain
 from rig.experiments import compare as comparing
 from rig.experiments.compare import Entry, Start, compare, default_entries, simulate
 from rig.experiments.impact import mean, measure, second_peak
@@ -161,7 +162,7 @@ def test_an_external_effort_pushes_the_rig_and_a_small_one_does_not_overcome_fri
 def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own():
     experiment = short("koul-compliant")
     first, second = (compare(experiment, offsets=(0.2, 0.6)) for _ in range(2))
-    assert first.as_mapping() == second.as_mapping()
+    assert plain(first) == plain(second)
     for one, two in zip(first.outcomes, second.outcomes, strict=True):
         assert [i.velocity.tobytes() for i in one.impacts] == [i.velocity.tobytes() for i in two.impacts]
     dual = first["dual"]
@@ -169,7 +170,7 @@ def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own():
     assert dual.peaks[0] <= dual.numbers.peak <= dual.peaks[1]
     alone = compare(experiment, [dual.entry], offsets=(0.6,)).outcomes[0].impacts[0]
     assert alone.counts.tobytes() == dual.impacts[1].counts.tobytes()
-    json.dumps(first.as_mapping(), allow_nan=False)
+    json.dumps(plain(first), allow_nan=False)
     with pytest.raises(KeyError):
         first["triple"]
 
@@ -304,7 +305,7 @@ def test_early_and_late_follow_each_other_and_the_handle_is_slower_late():
     assert profiles.speed_late < 0.3 * profiles.speed_early
     assert profiles[20_000, FLOAT].cutoff_hz == 2000.0
     assert profiles.counts.max() == 57.0
-    json.dumps(profiles.as_mapping(), allow_nan=False)
+    json.dumps(plain(profiles), allow_nan=False)
 
 
 # --- what cannot be meant ---------------------------------------------------------------------------------

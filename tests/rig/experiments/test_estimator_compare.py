@@ -14,6 +14,7 @@ from rig.config import controller, presets
 from rig.control import estimators
 from rig.control.estimators.estimator import Choice, Setting
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.core.sample import ROW, Phase
 from rig.core.signals import SIGNALS, edge_times, sine
 from rig.experiments.cases import recording_case, signal_case
@@ -116,8 +117,8 @@ def test_every_estimator_is_scored_on_every_case_in_order():
             assert each.rms_without_delay <= each.rms * (1 + 1e-9)
             assert each.rest_rms <= each.toggling_rms or each.rest_rms < 1e-3
             assert math.isnan(each.ns_per_sample)
-    assert len(found.as_mapping()["scores"]) == len(found.scores)
-    assert found.as_mapping()["cases"][0]["reference"] == "closed form"
+    assert len(plain(found)["scores"]) == len(found.scores)
+    assert plain(found)["cases"][0]["reference"] == "closed form"
 
 
 def test_settings_that_a_rate_does_not_allow_are_reported_not_raised():

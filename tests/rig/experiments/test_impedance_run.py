@@ -17,6 +17,7 @@ from rig.config.schemes import Scheme
 from rig.control import bilateral, laws
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
+from rig.core.present import plain
 from rig.experiments import impedance as measuring
 from rig.experiments.excitation_run import (
     ExcitedRig,
@@ -219,7 +220,7 @@ def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path):
     table, summary = write_results(results, tmp_path / "new")
     documents = json.loads(summary.read_text())["results"]
     assert documents[1]["fidelity"]["band_hz"] == [2.0, 100.0]
-    assert documents[1]["impedance"]["real"] == wall.impedance.z.real.tolist()
+    assert documents[1]["impedance"]["z"]["real"] == wall.impedance.z.real.tolist()
     assert documents[1]["excitation"]["rms"] == pytest.approx(2.0)
     read = pq.read_table(table)
     assert read.num_rows == 4 * 250
@@ -255,7 +256,7 @@ def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error():
     assert unstable.judgement is None
     assert "limit" in unstable.ended or "window" in unstable.ended
     assert 0.0 < unstable.ended_s < 6.0
-    assert json.loads(json.dumps(unstable.as_mapping()))["impedance"] is None
+    assert json.loads(json.dumps(plain(unstable)))["impedance"] is None
 
 
 # ---------------------------------------------------------------------- over the byte link

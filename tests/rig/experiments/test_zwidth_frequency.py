@@ -16,6 +16,7 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
+from rig.core.present import plain
 from rig.experiments import maps, sweep
 from rig.experiments.impedance import Judging
 from rig.experiments.maps import zwidth
@@ -155,7 +156,7 @@ def test_table_one_stands_beside_the_papers(rough):
     k, b = table.points[0]
     at = rough.plan.dampings.index(b), rough.plan.stiffnesses.index(k)
     assert first.common[0].mean == pytest.approx(rough.fidelity[(0, slice(0, 2), *at)].mean())
-    json.dumps(table.as_mapping(rough), allow_nan=False)
+    json.dumps(plain(table), allow_nan=False)
 
 
 def test_a_wall_that_throws_the_handle_out_says_so():
@@ -315,7 +316,7 @@ def test_a_map_without_a_passive_wall_has_no_widths():
     assert (width.stiffness, width.cells, width.stiffness_undamped) == (0.0, 0, None)
     assert math.isnan(width.damping)
     assert math.isnan(width.worst_fidelity)
-    assert width.as_mapping()["damping"] is None
+    assert plain(width)["damping"] is None
     assert not width.stiffness_capped
     assert not width.damping_capped
 
@@ -413,5 +414,5 @@ def test_it_asks_for_one_wall_at_a_time():
 
     drive(boundary_search(2, 4, (0, 1)), passive)
     assert asked == [(0, 1), (0, 2), (1, 2), (1, 1)]
-    document = trace_grid(region("##.. ##..")).in_units([1.0, 2.0, 3.0, 4.0], [0.0, 5.0])
+    document = plain(trace_grid(region("##.. ##.."), [0.0, 5.0], [1.0, 2.0, 3.0, 4.0]))
     assert document["edge"] == document["grid"] == [[0.0, 2.0], [5.0, 2.0]]

@@ -419,11 +419,18 @@ def test_lines_say_each_thing_once() -> None:
     assert printer.lines(conversation, None, 1.0) == []
     conversation.press("1")
     conversation.see(plain(View(state="hit", lines=("one", "two"))))
-    assert printer.lines(conversation, SNAPSHOT, 2.0) == ["state: hit", "phase: trial", "log: one", "log: two"]
+    assert printer.lines(conversation, SNAPSHOT, 2.0) == [
+        "state: hit",
+        "phase: trial",
+        "log: one",
+        "log: two",
+    ]
     conversation.see(plain(View(state="hit", lines=("two", "three"))))
     assert printer.lines(conversation, SNAPSHOT, 3.0) == ["log: three"]
     conversation.ask(plain(asked("verdict", ("judge", "redo"))), 4.0)
-    assert printer.lines(conversation, SNAPSHOT, 4.0) == first[-1:]  # the same question once more is a new one
+    assert (
+        printer.lines(conversation, SNAPSHOT, 4.0) == first[-1:]
+    )  # the same question once more is a new one
 
 
 # The running loop
