@@ -70,7 +70,7 @@ def seal(
     assert capture is not None
     if capture.suffix == SEALED_SUFFIX:  # it would be compared with itself, and removed
         raise RecordingError(
-            f"{capture} is no capture: it has the name of a sealed recording", remedy="name a .rigcap"
+            f"{capture} is not a capture: its name is that of a sealed recording", remedy="name a .rigcap"
         )
     timed = with_sync_edges(with_ledger(recording))
     sealed = timed if truth is None else with_truth(timed, truth)

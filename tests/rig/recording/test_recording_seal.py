@@ -71,7 +71,7 @@ def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording:
 def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> None:
     sealed = sealed_file(capture)
     content = sealed.read_bytes()
-    with pytest.raises(RecordingError, match="is no capture"):
+    with pytest.raises(RecordingError, match="is not a capture"):
         sealed_file(sealed)
     assert sealed.read_bytes() == content
 
