@@ -70,10 +70,10 @@ class ProgressBars:
         task = bars.add_task(f"hit {repeat + 1}/{trial.repeats}", total=round(least_s * rate), phase="")
         bars.start()
 
-        def told(ticks: int, phase_now: int) -> None:
+        def update(ticks: int, phase_now: int) -> None:
             bars.update(task, completed=ticks, phase=Phase(phase_now).name.lower())
 
-        return told
+        return update
 
 
 def measuring_link(quiet: bool) -> Callable[[float], None] | None:
@@ -81,11 +81,11 @@ def measuring_link(quiet: bool) -> Callable[[float], None] | None:
     if quiet or not output.on_terminal():
         return None
 
-    def told(share: float) -> None:
+    def update(share: float) -> None:
         text = f"measuring the link … {100 * share:.0f} %" if share < 1.0 else ""
         click.echo(f"\r\033[K{text}", nl=False, err=True)
 
-    return told
+    return update
 
 
 def differences(asked: Experiment, effective: Experiment, meant: Collection[str]) -> list[str]:

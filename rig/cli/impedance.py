@@ -184,10 +184,10 @@ def _progress(quiet: bool) -> Any:
     if quiet or not sys.stderr.isatty():
         return None
 
-    def told(done: int, total: int) -> None:
+    def update(done: int, total: int) -> None:
         click.echo(f"\rexcited {done} of {total} times ", nl=done == total, err=True)
 
-    return told
+    return update
 
 
 def _agrees(experiment: Experiment) -> bool:
