@@ -344,7 +344,7 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
     low, high = band
     if not (math.isfinite(high) and 0.0 < low <= high and period_s > 0.0 and spacing >= 1):
         raise ConfigError(
-            f"no lines fit a band of {low:g} to {high:g} Hz, a period of {period_s:g} s and a spacing of {spacing} lines",
+            f"no line fits the band of {low:g} to {high:g} Hz with a period of {period_s:g} s and spacing {spacing}",
             remedy="give 0 < low ≤ high, a period above zero and a spacing of 1 or more",
         )
     first, last = math.ceil(low * period_s - ON_GRID), math.floor(high * period_s + ON_GRID)
