@@ -83,7 +83,7 @@ def _device_options(command: Any) -> Any:
     help="Rehearsal: where half of this person's verdicts are stable. [judges as the program does]",
 )
 @click.option("--spread", type=float, help="Rehearsal: how gradually verdicts change over stiffness. [15]")
-@click.option("--slips", type=float, help="Rehearsal: share of wrong verdicts. [0]")
+@click.option("--lapse-rate", type=float, help="Rehearsal: share of wrong verdicts. [0]")
 @_device_options
 def run(
     protocol: Path,
@@ -93,7 +93,7 @@ def run(
     rehearse: bool,
     thresholds: tuple[str, ...],
     spread: float | None,
-    slips: float | None,
+    lapse_rate: float | None,
     url: str | None,
     realtime: bool,
     verified: bool,
@@ -111,9 +111,9 @@ def run(
     Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
     session resume` goes on.
     """
-    if not rehearse and (thresholds or realtime or spread is not None or slips is not None):
+    if not rehearse and (thresholds or realtime or spread is not None or lapse_rate is not None):
         raise ConfigError(
-            "--threshold, --spread, --slips and --realtime belong to a rehearsal",
+            "--threshold, --spread, --lapse-rate and --realtime belong to a rehearsal",
             remedy="add --rehearse; a person's session is in real time as it is",
         )
     if rehearse and (hand != "simulated" or plain):
@@ -121,7 +121,9 @@ def run(
             "--hand and --plain belong to a session with a person",
             remedy="leave them out; a rehearsal has no console",
         )
-    known = {name: value for name, value in (("spread", spread), ("slips", slips)) if value is not None}
+    known = {
+        name: value for name, value in (("spread", spread), ("lapse_rate", lapse_rate)) if value is not None
+    }
     person = rehearsal.Person(thresholds=_thresholds(thresholds), **known) if rehearse else None
     runner = _runner(url, realtime or not rehearse, verified, arm_anyway)
     with Rehearsed(quiet=as_json or person is None) as seen:

@@ -29,7 +29,7 @@ ENCODER_LEAVES = (
     0.35  # of a damped wall's: there uniform 20 kHz at B = 0.25, 458 of 1300 N·m/rad; others far more
 )
 SPREAD = 0.05  # of an observer, over K50: verdicts turn within some 20 % of stiffness
-SLIPS = 0.02
+LAPSE_RATE = 0.02
 OBSERVERS = 5  # simulated for each expected limit
 MOST_TRIALS = 500  # of one simulated search: nobody sits through more
 
@@ -161,9 +161,9 @@ def expected_trials(wanted: Search, limit: Range) -> Trials:
         above = sorted(repeats * sum(level > k50 for level in levels) for k50 in limit.values)
         hits = repeats * len(levels)
         return Trials(count=Range(hits, hits, hits), failures=Range(*above))
-    if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # climbs are all alike
-        climb = replace(wanted, settings={**settings, "repeats": 1})
-        return expected_trials(climb, limit) * float(settings.get("repeats", 5))
+    if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # series are all alike
+        single = replace(wanted, settings={**settings, "repeats": 1})
+        return expected_trials(single, limit) * float(settings.get("repeats", 5))
     taken = [_taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in limit.values]
     count, failures = zip(*taken, strict=True)
     return Trials(
@@ -191,7 +191,7 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
 
 def _taken(wanted: Search, k50: float) -> tuple[float, float]:
     """Mean trials of some observers, and those among them that were not stable."""
-    observer = Observer(threshold=k50, spread=SPREAD * k50, slips=SLIPS)
+    observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     answers = [run(asking(wanted, seed), observer, seed, MOST_TRIALS) for seed in range(OBSERVERS)]
     failures = sum(answer.stable is False for given in answers for answer in given)
     return sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS

@@ -110,7 +110,7 @@ class Search:
         Quantity(
             "1",
             "of trials that are catch trials, of the softest or the stiffest wall: they count for no limit and tell "
-            "how often somebody slips",
+            "how often somebody lapses",
         ),
     ] = 0.0
 

@@ -1,6 +1,6 @@
 """A session without anybody: a simulated person, who hits through the simulated hand and judges by known numbers.
 
-What a protocol needs, how long it takes and what its search rules make of slips can so be seen before the first
+What a protocol needs, how long it takes and what its search rules make of lapses can so be seen before the first
 participant comes; and a test can know what an analysis must find.
 """
 
@@ -40,7 +40,7 @@ class Person:
         K50 by condition; of a condition that is not there, the automatic verdict is theirs.
     spread
         How gradually verdicts change along stiffness (`rig.session.search.psychometric`).
-    slips
+    lapse_rate
         Share of verdicts that are turned round.
     unsure
         Share of trials after which they cannot say.
@@ -48,7 +48,7 @@ class Person:
 
     thresholds: Mapping[str, float]
     spread: float = 15.0
-    slips: float = 0.0
+    lapse_rate: float = 0.0
     unsure: float = 0.0
 
     def as_mapping(self) -> dict[str, Any]:
@@ -62,10 +62,10 @@ class Person:
         automatic = _MAIN_VERDICT[Kind(trial.automatic)]
         threshold = self.thresholds.get(trial.condition)
         if threshold is None:
-            if drawn.random() >= self.slips:
+            if drawn.random() >= self.lapse_rate:
                 return automatic
             return "buzz" if automatic == "stable" else "stable"
-        observer = Observer(threshold=threshold, spread=self.spread, slips=self.slips)
+        observer = Observer(threshold=threshold, spread=self.spread, lapse_rate=self.lapse_rate)
         if observer.judge(trial.stiffness, drawn):
             return "stable"
         return "unstable" if automatic == "unstable" else "buzz"
@@ -85,7 +85,7 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
     for option, value in {**stiffnesses, "--spread ": person.spread}.items():
         if not 0.0 < value < math.inf:
             raise ConfigError(f"{option}{value:g} is not a stiffness", remedy="give a number above 0")
-    for option, share in (("--slips", person.slips), ("unsure", person.unsure)):
+    for option, share in (("--lapse-rate", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
             raise ConfigError(f"{option} {share:g} is not a share", remedy="give a number from 0 to 1")
 

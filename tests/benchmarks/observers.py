@@ -4,8 +4,8 @@
     python -m tests.benchmarks.observers --guide    # the guide alone, from the committed table
     python -m tests.benchmarks.observers --check    # does the guide show the committed table?
 
-Rules × slips × spreads, as in the guide of `rig.session.search`. Sessions come from seeds, so the same code makes the
-same table; `tests/rig/session/test_search_observers.py` goes through a few of them again.
+Rules × lapse rates × spreads, as in the guide of `rig.session.search`. Sessions come from seeds, so the same code makes
+the same table; `tests/rig/session/test_search_observers.py` goes through a few of them again.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ REGENERATE = "python -m tests.benchmarks.observers"
 LEVELS = tuple(float(level) for level in range(100, 825, 25))
 THRESHOLD, OFF_LATTICE = 430.0, 12.5  # K50, and half a step about it
 BEYOND = 1.2 * LEVELS[-1]  # K50 of somebody whose limit no level reaches
-SLIPS = (0.0, 0.02, 0.05)
+LAPSE_RATES = (0.0, 0.02, 0.05)
 SPREADS = (5.0, 15.0, 40.0)
+GRADUAL = (80.0, 120.0)  # spreads of observers whose verdicts change over half of the levels and more
 SESSIONS = 1000
 SEED = 8
 DIGITS = 4
@@ -55,20 +56,25 @@ Row = dict[str, Any]
 
 
 def cases() -> list[tuple[str, float, float]]:
-    """Rule, slips and spread of every row."""
-    return list(product(RULES, SLIPS, SPREADS))
+    """Rule, lapse rate and spread of every row."""
+    return list(product(RULES, LAPSE_RATES, SPREADS))
+
+
+def gradual_cases() -> list[tuple[str, float, float]]:
+    """The same for gradual observers."""
+    return list(product(RULES, LAPSE_RATES, GRADUAL))
 
 
 def row_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
     """Return one row of the table, measured."""
-    name, slips, spread = case
+    name, lapse_rate, spread = case
     rule, settings = RULES[name]
     make = partial(_made, rule, settings)
-    observer = Observer(threshold=THRESHOLD, spread=spread, slips=slips)
+    observer = Observer(threshold=THRESHOLD, spread=spread, lapse_rate=lapse_rate)
     found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
     return {
         "rule": name,
-        "slips": slips,
+        "lapse_rate": lapse_rate,
         "spread": spread,
         **{n: _rounded(getattr(found, n)) for n in NUMBERS},
     }
@@ -82,22 +88,29 @@ def _made(rule: str, settings: Mapping[str, Any], *, seed: int) -> search.Rule:
 
 def beyond_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
     """Return one row about an observer whose K50 lies beyond the levels: the share of sessions that say so."""
-    name, slips, spread = case
+    name, lapse_rate, spread = case
     rule, settings = RULES[name]
     make = partial(_made, rule, settings)
-    observer = Observer(threshold=BEYOND, spread=spread, slips=slips)
+    observer = Observer(threshold=BEYOND, spread=spread, lapse_rate=lapse_rate)
     found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
-    return {"rule": name, "slips": slips, "spread": spread, "marked": _rounded(found.above)}
+    return {"rule": name, "lapse_rate": lapse_rate, "spread": spread, "marked": _rounded(found.above)}
+
+
+PARTS: dict[str, tuple[Callable[..., Row], Callable[[], list[tuple[str, float, float]]]]] = {
+    "rows": (row_of, cases),
+    "gradual": (row_of, gradual_cases),
+    "beyond": (beyond_of, cases),
+}
 
 
 def make_table() -> dict[str, Any]:
     """Measure everything anew, on all processors."""
-    made: dict[str, list[Row]] = {"rows": [], "beyond": []}
+    made: dict[str, list[Row]] = {part: [] for part in PARTS}
     with ProcessPoolExecutor() as pool:
-        for (name, rows), measure in zip(made.items(), (row_of, beyond_of), strict=True):
-            for done, row in enumerate(pool.map(measure, cases()), start=1):
-                rows.append(row)
-                print(f"{name}, {done} of {len(cases())}: {row['rule']}", file=sys.stderr)
+        for part, (measure, of) in PARTS.items():
+            for done, row in enumerate(pool.map(measure, of()), start=1):
+                made[part].append(row)
+                print(f"{part}, {done} of {len(of())}: {row['rule']}", file=sys.stderr)
     return {"made_by": REGENERATE, "sessions": SESSIONS, **made}
 
 
@@ -108,8 +121,8 @@ def read_table() -> dict[str, Any]:
 
 def write_table(table: dict[str, Any]) -> None:
     """Write the table, one row a line, so that a change reads well in a diff."""
-    text = json.dumps({**table, "rows": [], "beyond": []}, ensure_ascii=False, indent=1)
-    for part in ("rows", "beyond"):
+    text = json.dumps({**table, **{part: [] for part in PARTS}}, ensure_ascii=False, indent=1)
+    for part in PARTS:
         rows = ",\n".join(f"  {json.dumps(row, ensure_ascii=False)}" for row in table[part])
         text = text.replace(f'"{part}": []', f'"{part}": [\n{rows}\n ]')
     TABLE.write_text(text + "\n", encoding="utf-8")
@@ -145,6 +158,18 @@ def beyond() -> str:
     return _by_observer(lambda row: f"{100 * row['marked']:.0f} %", "beyond")
 
 
+def gradual() -> str:
+    """Bias, scatter, and share of intervals that hold the limit, of gradual observers."""
+    return _by_observer(
+        lambda row: (
+            f"{_signed(row['bias'])} ± {row['scatter']:.0f}, "
+            + ("–" if row["width"] is None else f"{100 * row['covered']:.0f} % ({row['width']:.0f})")
+        ),
+        "gradual",
+        GRADUAL,
+    )
+
+
 SECTIONS: dict[str, Callable[[], str]] = {
     "errors": errors,
     "intervals": intervals,
@@ -162,12 +187,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return guides.publish(GUIDE, SECTIONS, REGENERATE, check="--check" in options)
 
 
-def _by_observer(cell: Callable[[Row], str], part: str = "rows") -> str:
-    found = {(row["rule"], row["slips"], row["spread"]): row for row in read_table()[part]}
-    head = ["rule", *(f"{100 * slips:g} %, {spread:g}" for slips in SLIPS for spread in SPREADS)]
-    rows = [
-        [name, *(cell(found[name, slips, spread]) for slips in SLIPS for spread in SPREADS)] for name in RULES
-    ]
+def _by_observer(cell: Callable[[Row], str], part: str = "rows", spreads: Sequence[float] = SPREADS) -> str:
+    found = {(row["rule"], row["lapse_rate"], row["spread"]): row for row in read_table()[part]}
+    observers = list(product(LAPSE_RATES, spreads))
+    head = ["rule", *(f"{100 * lapse_rate:g} %, {spread:g}" for lapse_rate, spread in observers)]
+    rows = [[name, *(cell(found[name, *observer]) for observer in observers)] for name in RULES]
     return guides.markdown(head, rows)
 
 

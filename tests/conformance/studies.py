@@ -42,7 +42,7 @@ class Person:
 
     threshold: Callable[[str, float], float]
     spread: float = 15.0
-    slips: float = 0.0
+    lapse_rate: float = 0.0
     drift: float = 0.0
     invalid: float = 0.0
     unsure: float = 0.0
@@ -135,7 +135,7 @@ class Sitting:
         return Observer(
             threshold=self.person.threshold(condition, damping) + self.person.drift * trial + shift,
             spread=self.person.spread,
-            slips=self.person.slips,
+            lapse_rate=self.person.lapse_rate,
         )
 
     def hit(self, wall: Presented) -> None:

@@ -24,7 +24,7 @@ from rig.session.run import rehearsal_desk, resume_session, run_session
 from rig.session.state import State
 from tests.system.session_study import comparable, written
 
-PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, slips=0.05)
+PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)
 KILLS = 10
 
 
@@ -93,7 +93,7 @@ def test_ten_kills_change_nothing(calm: tuple[Path, Path], tmp_path: Path) -> No
 
 
 def test_what_was_known_of_the_person_is_found_by_the_analysis(calm: tuple[Path, Path]) -> None:
-    """Twelve verdicts, one of them a slip: K50 is told within a part of the range of 100 that was searched."""
+    """Twelve verdicts, one of them a lapse: K50 is told within a part of the range of 100 that was searched."""
     found = analyse([calm[1]])
     told = [one for one in found.of_participants if one.measure == "K50 person"]
     assert {one.condition for one in told} == {"hidden-dual", "hidden-uniform"}

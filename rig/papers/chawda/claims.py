@@ -67,7 +67,13 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
         ),
         "damping-width": _damping_width(chawda),
         "lowest-error": _lowest_error(chawda),
-        "common-error": rules.lower(derived.common_gains_by_edge(chawda)),
+        "common-error": rules.lower(
+            {
+                (name, high): gains
+                for high, of in derived.common_gains_by_edge(chawda).items()
+                for name, gains in of.items()
+            }
+        ),
         "error-grows": _error_grows(chawda),
         "widths": judge_share(
             sum(widths for widths, _ in fits),
@@ -157,7 +163,7 @@ def _limited(chawda: Chawda) -> Ruling:
         excited[name] = float(np.mean(values)) if values else 0.0
         hit[name] = chawda.slow_hits.width(ESTIMATORS.index(name), "felt").damping_range
     return rules.limited(
-        {"excited": excited[LEVANT], "hit at 1 kHz": hit[LEVANT]}, min(excited[FDM], hit[FDM])
+        {"with excitation": excited[LEVANT], "by hits at 1 kHz": hit[LEVANT]}, min(excited[FDM], hit[FDM])
     )
 
 
@@ -202,7 +208,7 @@ def _akf_over_fdm(chawda: Chawda) -> Ruling:
     ratios = derived.akf_over_fdm(chawda)
     steps = dict(zip(ratios, (1.0, chawda.scale.hit_ratio**0.5), strict=True))
     cases = {name: rules.mostly_stiffer(values, steps[name]) for name, values in ratios.items()}
-    cases["excited"] = bool(differ) and above >= MOST * len(differ)
+    cases["with excitation"] = bool(differ) and above >= MOST * len(differ)
     return judge(
         cases,
         ratios=list(ratios.items()),

@@ -176,15 +176,10 @@ def common_gains(chawda: Chawda, reading: int = MAIN) -> dict[str, list[float]]:
     }
 
 
-def common_gains_by_edge(chawda: Chawda) -> dict[str, list[float]]:
-    """The same for each upper edge of the band."""
-    found = {
-        high: common_gains(chawda, READINGS.index(replace(READINGS[MAIN], high_hz=high)))
-        for high in HIGHEST_HZ
-    }
-    return {
-        f"against {name} up to {high:g} Hz": of for high, gains in found.items() for name, of in gains.items()
-    }
+def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
+    """The same for each upper edge of the band (Hz)."""
+    main = READINGS[MAIN]
+    return {high: common_gains(chawda, READINGS.index(replace(main, high_hz=high))) for high in HIGHEST_HZ}
 
 
 def common_error(chawda: Chawda, name: str) -> Spread:

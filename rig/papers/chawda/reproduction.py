@@ -97,8 +97,8 @@ class ChawdaPlan:
     def parts(self) -> dict[str, Part]:
         """Everything that has to be computed."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
-        parts["hits"] = _series(self._hits)
-        parts["slow-hits"] = _series(self._slow_hits)
+        parts["hits"] = koul_parts.map_part(self._hits)
+        parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
         for stiffness, damping in WALLS:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
             parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
@@ -211,12 +211,6 @@ class ChawdaPlan:
         return [float(b) for b in np.linspace(0.0, 400.0, self._scale.theory_points)]
 
 
-def _series(plan: MapPlan) -> Part:
-    rate = plan.schemes[0].position_rate
-    tasks = tuple(replace(task, weight=0.5 * len(plan.search.rungs) * rate / 10_000) for task in plan.tasks())
-    return Part(koul_parts.SERIES, tasks)
-
-
 def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
     """Levant's gains whose Z-width has the largest area: what somebody would find who tries them on the rig."""
     tried = [number for number, name in enumerate(names) if name != FILTERED]
@@ -237,7 +231,7 @@ def words(chawda: Chawda) -> dict[str, Any]:
         "rigs": rigs,
         "rules": rules,
         "of": derived,
-        "most": MOST,
+        "most_share": MOST,
         "acquisition_hz": excitation_run.ACQUISITION_HZ,
         "levant": levant_regions,
         "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S),

@@ -9,7 +9,6 @@ Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -74,23 +73,23 @@ class KoulPlan:
         """Everything that has to be computed."""
         scale, parts = self._scale, {}
         for (preset, lag), plan in self._kmax.items():
-            parts[f"kmax/{preset}/{lag}"] = _series(plan)
+            parts[f"kmax/{preset}/{lag}"] = koul_parts.map_part(plan)
             parts[f"kmax-theory/{preset}/{lag}"] = part(
                 koul_parts.LINEAR,
                 {"experiment": config.as_mapping(plan.experiment), "rates": scale.rates},
                 5.0 * len(scale.rates),
             )
         for name, plan in self._maps.items():
-            parts[f"map/{name}"] = _series(plan)
+            parts[f"map/{name}"] = koul_parts.map_part(plan)
         for held in HELD:
             parts[f"range/{held.name}"] = self._ranges(held.experiment())
             for key, scheme in SCHEMES.items():
                 parts[f"linear/{held.name}/{key}"] = self._linear(held, scheme)
         for name, experiment in self._effects.items():
             parts[f"effect-range/{name}"] = self._ranges(experiment)
-            parts[f"effect/{name}"] = _series(self._effect_maps[name])
+            parts[f"effect/{name}"] = koul_parts.map_part(self._effect_maps[name])
         for idea in self._ideas:
-            parts[f"idea/{idea.key}"] = _series(self._idea_maps[idea.key])
+            parts[f"idea/{idea.key}"] = koul_parts.map_part(self._idea_maps[idea.key])
             parts[f"idea-linear/{idea.key}"] = part(
                 koul_parts.LINEAR,
                 {
@@ -120,14 +119,14 @@ class KoulPlan:
     def results(self, done: Parts) -> Koul:
         """Make sense of what came back."""
         scale = self._scale
-        maps = {name: _map(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
+        maps = {name: ZWidth.of(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
         kmax = {
-            (p, lag): KMax.of(_map(plan, done.results[f"kmax/{p}/{lag}"]))
+            (p, lag): KMax.of(ZWidth.of(plan, done.results[f"kmax/{p}/{lag}"]))
             for (p, lag), plan in self._kmax.items()
         }
         ideas = {}
         for idea in self._ideas:
-            found = _map(self._idea_maps[idea.key], done.results[f"idea/{idea.key}"])
+            found = ZWidth.of(self._idea_maps[idea.key], done.results[f"idea/{idea.key}"])
             (of_idea,) = koul_parts.ranges_of(done.results[f"idea-range/{idea.key}"], len(scale.offsets))
             linear = done.one(f"idea-linear/{idea.key}")
             known = None if "not_linear" in linear else {name: linear[name] for name in ("peak", "range")}
@@ -136,7 +135,7 @@ class KoulPlan:
         effects = {
             name: Effect(
                 undamped={
-                    key: _map(plan, done.results[f"effect/{name}"]).curve(number, "felt")[0].stiffness
+                    key: ZWidth.of(plan, done.results[f"effect/{name}"]).curve(number, "felt")[0].stiffness
                     for number, key in enumerate((DUAL, SLOW))
                 },
                 ranges=self._ranges_of(done.results[f"effect-range/{name}"]),
@@ -251,18 +250,6 @@ def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
     several = [np.linspace(0.0, 1.15 * b, n + 1) for b, n in zip(widest, columns_of, strict=True)]
     ends = (DAMPING_RANGE_FAST, DAMPING_RANGE) if widest[0] > DAMPING_RANGE else ()
     return tuple(sorted({*ends, *(round(float(b), 4) for some in several for b in some)}))
-
-
-def _series(plan: MapPlan) -> Part:
-    """The tasks of a map, weighed in hits of a 20 kHz rig."""
-    rungs = len(plan.search.rungs)
-    hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
-    tasks = tuple(replace(task, weight=float(hits) * task.weight / 20_000) for task in plan.tasks())
-    return Part(koul_parts.SERIES, tasks)
-
-
-def _map(plan: MapPlan, results: Sequence[Any]) -> ZWidth:
-    return ZWidth.of(plan, results)
 
 
 def words(koul: Koul) -> dict[str, Any]:

@@ -253,22 +253,16 @@ def numbers(koul: Koul) -> dict[str, Any]:
             f"{preset}, {lag}": {**found.as_mapping(), "linear_theory": koul.kmax_theory[preset, lag]}
             for (preset, lag), found in koul.kmax.items()
         },
-        "maps": {name: found.as_mapping() for name, found in koul.maps.items()},
-        "ranges": {
-            name: {
-                key: {criterion: asdict(found) for criterion, found in ranges.items()}
-                for key, ranges in of_name.items()
-            }
-            for name, of_name in koul.ranges.items()
-        },
+        "maps": koul.maps,
+        "ranges": koul.ranges,
         "linear": koul.linear,
-        "effects": {name: asdict(effect) for name, effect in koul.effects.items()},
-        "figure_7": [panel.as_mapping() for panel in koul.figure_7],
-        "word_lengths": list(koul.words),
-        "figure_8": koul.figure_8.as_mapping(),
+        "effects": koul.effects,
+        "figure_7": koul.figure_7,
+        "word_lengths": koul.words,
+        "figure_8": koul.figure_8,
         "noise": koul.noise,
-        "random_plants": list(koul.plants),
-        "ideas": {key: tried.as_mapping() for key, tried in koul.ideas.items()},
+        "random_plants": koul.plants,
+        "ideas": koul.ideas,
     }
 
 

@@ -1,13 +1,13 @@
-"""Psychometric functions: where verdicts change from stable to not, how gradually, and how often somebody slips.
+"""Psychometric functions: where verdicts change from stable to not, how gradually, and how often somebody lapses.
 
 The posterior on the grid of `rig.session.search.psychometric`, of all verdicts of a participant's complete runs under a
 condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
 (`rig.session.analysis.trials.half_way`). The interval takes all repeats for those of one K50: somebody who wanders
 between them is known less well than it says, and Student's interval over the repeats' own limits tells that.
 
-Over participants K50 is the mean of their own, with Student's interval over them. Spread and slips there are of all
-verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one person
-are no independent draws from all people. Catch trials are left out, as they are in the searches.
+Over participants K50 is the mean of their own, with Student's interval over them. Spread and lapse rate there are of
+all verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one
+person are no independent draws from all people. Catch trials are left out, as they are in the searches.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rig.session.analysis.rows import RunRow
 from rig.session.analysis.study import Study
 from rig.session.analysis.trials import answers, half_way, levels
 from rig.session.search import psychometric as grids
-from rig.session.search.rule import told
+from rig.session.search.rule import verdicts_of
 
 Floats = NDArray[np.float64]
 Judge = Literal["person", "automatic"]
@@ -58,7 +58,7 @@ class Psychometric:
         `rig.session.search.psychometric.Located`; over participants the mean of theirs.
     above, below
         How many of the participants behind it have their K50 above or below the levels.
-    slips
+    lapse_rate
         λ, the share of verdicts turned round.
     levels, verdicts, stable
         Of each level that was judged: stiffness, verdicts, and how many of them were stable.
@@ -73,7 +73,7 @@ class Psychometric:
     above: int
     below: int
     spread: Posterior
-    slips: Posterior
+    lapse_rate: Posterior
     levels: tuple[float, ...]
     verdicts: tuple[int, ...]
     stable: tuple[int, ...]
@@ -85,7 +85,7 @@ class Psychometric:
 
     def share(self, stiffness: Floats) -> Floats:
         """Share of stable verdicts along stiffness, at these parameters."""
-        return grids.share_stable(stiffness, self.threshold.mean, self.spread.mean, self.slips.mean)
+        return grids.share_stable(stiffness, self.threshold.mean, self.spread.mean, self.lapse_rate.mean)
 
 
 Verdicts = list[tuple[float, bool]]
@@ -136,7 +136,7 @@ def gathered(
         for block in session.state.blocks:
             for run in () if block.practice else block.runs:
                 counts = (session.code, run.number) in complete
-                verdicts = told(answers(session.state, run, judge)) if counts else []
+                verdicts = verdicts_of(answers(session.state, run, judge)) if counts else []
                 if verdicts:
                     cell = found.setdefault((run.condition, run.damping), {})
                     cell.setdefault(session.code, []).extend(verdicts)
@@ -169,7 +169,7 @@ def fit(
         above=int(half.censored == "above"),
         below=int(half.censored == "below"),
         spread=_marginal(grid.spreads, posterior.sum(axis=(0, 2)), geometric=True),
-        slips=_marginal(np.array(grids.SLIPS), posterior.sum(axis=(0, 1))),
+        lapse_rate=_marginal(np.array(grids.LAPSE_RATES), posterior.sum(axis=(0, 1))),
         levels=tuple(by_level),
         verdicts=tuple(len(stable) for stable in by_level.values()),
         stable=tuple(sum(stable) for stable in by_level.values()),
@@ -190,7 +190,7 @@ def together(
         above=sum(one.above for one in each),
         below=sum(one.below for one in each),
         spread=Posterior(mean=pooled.spread.mean, low=math.nan, high=math.nan),
-        slips=Posterior(mean=pooled.slips.mean, low=math.nan, high=math.nan),
+        lapse_rate=Posterior(mean=pooled.lapse_rate.mean, low=math.nan, high=math.nan),
     )
 
 

@@ -141,9 +141,9 @@ class RunRow:
         return self.caught.count
 
     @property
-    def slips(self) -> int:
+    def lapses(self) -> int:
         """Those judged against what is known."""
-        return self.caught.slips
+        return self.caught.lapses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +151,7 @@ class Observed:
     """One value that K_max and the mixed model are made of.
 
     By the rule, a run's limit. As K50, that of all verdicts of a participant under a condition at a damping: a single
-    run may tell K50 so badly (a climb has one verdict that is not stable, which may be a slip) that a mean over runs
+    run may tell K50 so badly (a series has one verdict that is not stable, which may be a lapse) that a mean over runs
     would be where it was looked for, not where it is.
 
     Attributes

@@ -33,10 +33,10 @@ from rig.session.analysis.rows import (
     TrialRow,
 )
 from rig.session.analysis.trials import NUMBERS
-from rig.session.search.psychometric import SLIPS
+from rig.session.search.psychometric import LAPSE_RATES
 
 DICTIONARY = "tables.json"
-SLIPS_BEFORE = sum(SLIPS) / len(SLIPS)
+PRIOR_LAPSE_RATE = sum(LAPSE_RATES) / len(LAPSE_RATES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,8 +412,8 @@ _AGREEMENT = (
     ),
 )
 _FUNCTION = (
-    f"a psychometric function; slips near {SLIPS_BEFORE:g}, the mean of what was supposed before, are not told by the "
-    "verdicts"
+    f"a psychometric function; a lapse rate near {PRIOR_LAPSE_RATE:g}, the mean of the prior, is "
+    "not known from the verdicts"
 )
 _PSYCHOMETRIC = (
     _own("participant", str, "", "code; empty: all participants together"),
@@ -448,9 +448,11 @@ _PSYCHOMETRIC = (
         "spread_low", float, "stiffness", "lower end; none of all participants", lambda row: row.spread.low
     ),
     DataColumn("spread_high", float, "stiffness", "upper end", lambda row: row.spread.high),
-    DataColumn("slips", float, "1", "share of verdicts turned round", lambda row: row.slips.mean),
-    DataColumn("slips_low", float, "1", "lower end; none of all participants", lambda row: row.slips.low),
-    DataColumn("slips_high", float, "1", "upper end", lambda row: row.slips.high),
+    DataColumn("lapse_rate", float, "1", "share of verdicts turned round", lambda row: row.lapse_rate.mean),
+    DataColumn(
+        "lapse_rate_low", float, "1", "lower end; none of all participants", lambda row: row.lapse_rate.low
+    ),
+    DataColumn("lapse_rate_high", float, "1", "upper end", lambda row: row.lapse_rate.high),
 )
 _EFFECTS = (
     _own("of", str, "", "limit (stiffness), response time (natural logarithm), said nothing (0 or 1)"),

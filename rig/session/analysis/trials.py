@@ -14,8 +14,7 @@ from rig.session.schedule import Run, levels_of
 from rig.session.search import Answer, Estimate, psychometric
 from rig.session.search.ascending import Ascending
 from rig.session.search.catching import CatchTrials
-from rig.session.search.rule import Censored
-from rig.session.search.rule import told as told_of
+from rig.session.search.rule import Censored, verdicts_of
 from rig.session.state import WALKING, State
 from rig.session.trial import Trial
 
@@ -235,31 +234,31 @@ def _caught(judged: Sequence[Trial], levels: Sequence[float], sides: Container[C
 
 
 def _limits(state: State, run: Run, rule: str) -> tuple[dict[Measure, Limit], str]:
-    """The limits of a run by each measure that can be told, and what must be said of them."""
+    """The limits of a run by each measure that there is, and what must be known of them."""
     found: dict[Measure, Limit] = {}
     grid = levels(state.protocol, run.condition)
     heard, note = answers(state, run, "followed"), ""
     if _follows(state, run, rule, heard, grid):
         asked = state.rule(run)
         _add(found, "rule", asked.estimate(heard))
-        note = _of_climbs(asked, heard) if isinstance(asked, Ascending) else ""
+        note = _of_series(asked, heard) if isinstance(asked, Ascending) else ""
     else:
         note = "the rule would have asked for other walls after these trials, as they were amended since"
     for measure, judge in (("K50 person", "person"), ("K50 automatic", "automatic")):
-        told = answers(state, run, judge)
-        if any(answer.stable is not None for answer in told):
-            found[measure] = half_way(grid, told_of(told))  # type: ignore[index]
+        verdicts = verdicts_of(answers(state, run, judge))
+        if verdicts:
+            found[measure] = half_way(grid, verdicts)  # type: ignore[index]
     return found, note
 
 
-def _of_climbs(rule: Ascending, heard: Sequence[Answer]) -> str:
-    """How many climbs failed at the softest wall already, where that is not the limit of all of them."""
-    climbs = rule.climbs(heard)
-    failed = sum(climb.censored == "below" for climb in climbs)
-    if failed in (0, len(climbs)):
+def _of_series(rule: Ascending, heard: Sequence[Answer]) -> str:
+    """How many series failed at the softest wall already, where that is not the limit of all of them."""
+    series = rule.series(heard)
+    failed = sum(one.censored == "below" for one in series)
+    if failed in (0, len(series)):
         return ""
     enters = "enters" if failed == 1 else "enter"
-    return f"{failed} of {len(climbs)} climbs failed at the softest wall and {enters} with it"
+    return f"{failed} of {len(series)} series failed at the softest wall and {enters} with it"
 
 
 def _add(found: dict[Measure, Limit], measure: Measure, estimate: Estimate) -> None:

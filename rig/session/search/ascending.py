@@ -1,7 +1,7 @@
 """The rule of Koul et al., section III: from the softest wall upwards until one is not stable; so often.
 
-Every stable verdict on the way is a chance for a slip to end the climb early, so the rule reads low by more than its
-scatter shows, and it costs most hits far below the limit (`rig.session.search.observer` has the numbers).
+Every stable verdict on the way is a chance for a lapse to end the series early, so the rule reads low by more than its
+scatter shows, and it costs most hits far below the limit (``README.md`` has the numbers).
 """
 
 from __future__ import annotations
@@ -14,14 +14,22 @@ import numpy as np
 
 from rig.core.deferred import stats
 from rig.session.search.psychometric import opened
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, check_whole, checked_levels, told
+from rig.session.search.rule import (
+    Answer,
+    Censored,
+    Estimate,
+    Probe,
+    check_whole,
+    checked_levels,
+    verdicts_of,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Climb:
-    """The last stable level of a climb that has ended.
+class Series:
+    """The last stable level of an ascending series that has ended.
 
-    A climb on which no wall failed, or already the softest, has its limit beyond the levels (`censored`) and enters
+    A series in which no wall failed, or already the softest, has its limit beyond the levels (`censored`) and enters
     with the end of them. Below the softest level that is at most this level too much, as 0 would be too little.
     """
 
@@ -31,17 +39,17 @@ class Climb:
 
 @dataclass(frozen=True, kw_only=True)
 class Ascending:
-    """Climbs through all levels; the limit is the mean of the last stable ones.
+    """Ascending series through all levels; the limit is the mean of the last stable ones.
 
-    It lies above the levels when any climb's does: the mean is then a lower bound. It lies below them only when every
-    climb's does: a single one that ends at the softest wall may be a slip, and says nothing of the others.
+    It lies above the levels when that of any series does: the mean is then a lower bound. It lies below them only when
+    that of every series does: a single one that ends at the softest wall may be a lapse.
 
     Parameters
     ----------
     levels
         Stiffnesses, rising.
     repeats
-        Climbs.
+        Series.
     seed
         Not used: the rule draws nothing. Taken, so that all rules are made alike.
     """
@@ -55,39 +63,39 @@ class Ascending:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[Answer]) -> Probe | None:
-        """The next level of the climb, or the first one of the next."""
+        """The next level of the series, or the first one of the next."""
         places, step = self._places(answers)
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
-        """Mean over the climbs that have ended, and Student's interval of it, infinite for a single climb."""
-        climbs = self.climbs(answers)
-        if not climbs:
+        """Mean over the series that have ended, and Student's interval of it, infinite for a single one."""
+        series = self.series(answers)
+        if not series:
             return Estimate(
                 value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
             )
-        limits = np.array([climb.limit for climb in climbs])
+        limits = np.array([one.limit for one in series])
         value, half = float(limits.mean()), math.inf
         if len(limits) > 1:
             half = float(stats.t.ppf(0.975, len(limits) - 1) * limits.std(ddof=1) / math.sqrt(len(limits)))
-        sides = {climb.censored for climb in climbs}
+        sides = {one.censored for one in series}
         censored: Censored = "above" if "above" in sides else "below" if sides == {"below"} else ""
         low, high = opened(censored, value, max(0.0, value - half), value + half)
         return Estimate(value=value, low=low, high=high, share=math.nan, censored=censored, hits=len(answers))
 
-    def climbs(self, answers: Sequence[Answer]) -> tuple[Climb, ...]:
-        """The climbs that have ended."""
-        return tuple(self._climb(place) for place in self._places(answers)[0])
+    def series(self, answers: Sequence[Answer]) -> tuple[Series, ...]:
+        """The series that have ended."""
+        return tuple(self._series(place) for place in self._places(answers)[0])
 
-    def _climb(self, place: int) -> Climb:
+    def _series(self, place: int) -> Series:
         side: Censored = "below" if place == 0 else "above" if place == len(self.levels) else ""
-        return Climb(self.levels[max(place - 1, 0)], side)
+        return Series(self.levels[max(place - 1, 0)], side)
 
     def _places(self, answers: Sequence[Answer]) -> tuple[list[int], int]:
-        """Stable levels of each climb that has ended, and the step of the one that has not."""
+        """Stable levels of each series that has ended, and the step of the one that has not."""
         places: list[int] = []
         step = 0
-        for _, stable in told(answers):
+        for _, stable in verdicts_of(answers):
             if stable:
                 step += 1
             if not stable or step == len(self.levels):

@@ -1,6 +1,6 @@
 """Catch trials among the trials of any rule: now and then the softest or the stiffest wall, whose verdict is known.
 
-It is known where the limit lies between them: how often it comes out otherwise is how often a person slips. A catch
+It is known where the limit lies between them: the share that comes out otherwise is the lapse rate. A catch
 trial counts for no limit and moves no track, so the rule that it stands among asks as if there were none.
 """
 
@@ -13,7 +13,7 @@ from itertools import takewhile
 import numpy as np
 
 from rig.core.errors import ConfigError
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, Rule, told
+from rig.session.search.rule import Answer, Censored, Estimate, Probe, Rule, verdicts_of
 
 MOST_SHARE = 0.5
 TRACK = -1  # of a catch trial
@@ -21,7 +21,7 @@ TRACK = -1  # of a catch trial
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CatchTrials:
-    """What catch trials showed, by kind: somebody who calls walls unstable too soon slips on the soft ones alone.
+    """What catch trials showed, by kind: somebody who calls walls unstable too soon lapses on the soft ones alone.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class CatchTrials:
         return self.soft + self.stiff
 
     @property
-    def slips(self) -> int:
+    def lapses(self) -> int:
         """Of both kinds."""
         return self.false_unstable + self.false_stable
 
@@ -80,7 +80,7 @@ class CatchTrials:
 
 @dataclass(frozen=True, kw_only=True)
 class Catching:
-    """A rule, and catch trials among its own.
+    """A rule, with catch trials among its own.
 
     Parameters
     ----------
@@ -107,13 +107,13 @@ class Catching:
             )
 
     def next(self, answers: Sequence[Answer]) -> Probe | None:
-        """What the rule asks for, or before it a catch trial; one that said nothing is asked again."""
+        """What the rule asks for, or before it a catch trial; an invalid one is asked again."""
         probe = self.rule.next(answers)
         if probe is None:
             return None
         since = takewhile(lambda one: one.probe.catch or one.stable is None, reversed(answers))
         caught = sum(one.stable is not None for one in since)  # since the rule's own latest verdict
-        return self._drawn(len(told(answers)), caught) or probe
+        return self._drawn(len(verdicts_of(answers)), caught) or probe
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
         """The rule's."""

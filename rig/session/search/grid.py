@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.session.search.psi import posterior_estimate
-from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, told
+from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, verdicts_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Grid:
 
     def next(self, answers: Sequence[Answer]) -> Probe | None:
         """The next level of the order."""
-        done = len(told(answers))
+        done = len(verdicts_of(answers))
         if done >= self.repeats * len(self.levels):
             return None
         block, place = divmod(done, len(self.levels))

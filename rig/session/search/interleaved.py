@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.session.search import psychometric
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, told
+from rig.session.search.rule import Answer, Censored, Estimate, Probe, verdicts_of
 from rig.session.search.staircase import Staircase
 
 
@@ -52,22 +52,24 @@ class Interleaved:
         return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
 
     def next(self, answers: Sequence[Answer]) -> Probe | None:
-        """A draw among the tracks that go on; an empty answer is asked again."""
+        """A draw among the tracks that have not ended; an answer without a verdict is asked again."""
         probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
         going = [probe for probe in probes if probe is not None]
         if not going:
             return None
-        drawn = np.random.default_rng([self.seed, len(told(answers))])
+        drawn = np.random.default_rng([self.seed, len(verdicts_of(answers))])
         return going[int(drawn.integers(len(going)))]
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
         """Mean of both tracks, and the interval that all verdicts together give."""
         single = [
-            track.estimate_of(track.walk(told(answers, number)), told(answers, number), len(answers))
+            track.estimate_of(
+                track.walk(verdicts_of(answers, number)), verdicts_of(answers, number), len(answers)
+            )
             for number, track in enumerate(self._tracks)
         ]
         share = single[0].share
-        low, high = psychometric.interval(tuple(self.levels), told(answers), share)
+        low, high = psychometric.interval(tuple(self.levels), verdicts_of(answers), share)
         values = [one.value for one in single if math.isfinite(one.value)]
         value = sum(values) / len(values) if values else math.nan
         censored: Censored = next((one.censored for one in single if one.censored), "")

@@ -21,20 +21,20 @@ Making = Callable[
 class Observer:
     """Somebody whose verdicts follow the psychometric function (`rig.session.search.psychometric`).
 
-    `threshold` is K50, `spread` how gradually verdicts change, `slips` the share of verdicts that are turned round, as
+    `threshold` is K50, `spread` how gradually verdicts change, `lapse_rate` the share of verdicts turned round, as
     when a finger takes the wrong key.
     """
 
     threshold: float
     spread: float
-    slips: float = 0.0
+    lapse_rate: float = 0.0
 
     def judge(self, stiffness: float, drawn: np.random.Generator) -> bool:
         """One verdict: stable or not."""
-        return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.slips))
+        return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
 
     def level_of(self, share: float) -> float:
-        """Stiffness with this share of stable verdicts, slips left aside."""
+        """Stiffness with this share of stable verdicts, lapses left aside."""
         return float(self.threshold + self.spread * np.log((1.0 - share) / share))
 
 

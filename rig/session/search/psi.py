@@ -1,8 +1,8 @@
 """The Psi method: ask where the answer is expected to say most about the threshold.
 
-Kontsevich and Tyler, Vision Research 39 (1999), with slips and spread integrated out (Prins 2013). After each answer
-the posterior over (K50, spread, slips) is known; for every level, what either answer would leave of the entropy of K50
-is computed, and the level with the least expected entropy is asked next.
+Kontsevich and Tyler, Vision Research 39 (1999), with lapse rate and spread integrated out (Prins 2013). After each
+answer the posterior over (K50, spread, lapse rate) is known; for every level, what either answer would leave of the
+entropy of K50 is computed, and the level with the least expected entropy is asked next.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
-from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, told
+from rig.session.search.rule import Answer, Estimate, Probe, check_whole, checked_levels, verdicts_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Psi:
 
     def next(self, answers: Sequence[Answer]) -> Probe | None:
         """The level whose answer is expected to leave the least entropy of K50."""
-        verdicts = told(answers)
+        verdicts = verdicts_of(answers)
         if len(verdicts) >= self.hits or self._knows_enough(answers, len(verdicts)):
             return None
         grid = psychometric.of_levels(tuple(self.levels))
@@ -76,7 +76,7 @@ class Psi:
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[Answer]) -> Estimate:
     """K50 after any answers on these levels, see `rig.session.search.psychometric.locate`."""
-    found = psychometric.locate(levels, told(answers))
+    found = psychometric.locate(levels, verdicts_of(answers))
     return Estimate(
         value=found.value,
         low=found.low,

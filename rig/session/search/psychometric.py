@@ -2,16 +2,16 @@
 
     P(stable | K) = λ + (1 − 2 λ) / (1 + exp((K − K50) / s))
 
-K50 is where half of the verdicts are stable, s the spread, λ the share of slips, as likely one way as the other. The
-posterior is computed on a grid of the three: no fit can fail to converge, and a few answers give a wide interval
-instead of none. Slips and spread are integrated out (the marginal of Prins, Journal of Vision 13(7):3, 2013, of the Psi
-method of Kontsevich and Tyler, Vision Research 39, 1999).
+K50 is where half of the verdicts are stable, s the spread, λ the lapse rate: the share of verdicts turned round, as
+likely one way as the other. The posterior is computed on a grid of the three: no fit can fail to converge, and a few
+answers give a wide interval instead of none. Lapse rate and spread are integrated out (the marginal of Prins, Journal
+of Vision 13(7):3, 2013, of the Psi method of Kontsevich and Tyler, Vision Research 39, 1999).
 
 The prior is flat over K50 where levels are a step apart, and over log K50 where they are a ratio apart, from half a
 range below the levels to half a range above them: the limit is as likely between any two levels as between any other
-two. It is flat over log s, from a quarter of the smallest step to a quarter of the range, and over the values of λ in
-`SLIPS`. Beyond the levels hardly anything but the prior says where a limit lies, so no more than the side is told of it
-(`Located`).
+two. It is flat over log s, from a quarter of the smallest step to half of the range, and over the values of λ in
+`LAPSE_RATES`. Beyond the levels hardly anything but the prior says where a limit lies, so that no more than the side is
+reported (`Located`).
 """
 
 from __future__ import annotations
@@ -33,14 +33,17 @@ FINENESS = (
     0.4  # of the smallest step, from value to value: coarser ones miss steep observers between two levels
 )
 SPREADS = 9
-SLIPS = (0.0, 0.01, 0.02, 0.04, 0.08)
-LEAST_SPREAD, MOST_SPREAD = 0.25, 0.25  # of the smallest step; of the whole range
+LAPSE_RATES = (0.0, 0.01, 0.02, 0.04, 0.08)
+LEAST_SPREAD = 0.25  # of the smallest step
+MOST_SPREAD = 0.25  # of the range
 
 
-def share_stable(stiffness: Floats | float, threshold: float, spread: float, slips: float = 0.0) -> Floats:
+def share_stable(
+    stiffness: Floats | float, threshold: float, spread: float, lapse_rate: float = 0.0
+) -> Floats:
     """Share of stable verdicts at a stiffness."""
     odds = np.clip((np.asarray(stiffness, dtype=np.float64) - threshold) / spread, -700.0, 700.0)
-    return np.asarray(slips + (1.0 - 2.0 * slips) / (1.0 + np.exp(odds)))
+    return np.asarray(lapse_rate + (1.0 - 2.0 * lapse_rate) / (1.0 + np.exp(odds)))
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,11 @@ class Psychometric:
 
     @cached_property
     def shares(self) -> Floats:
-        """Share of stable verdicts, shape (levels, thresholds, spreads, slips)."""
+        """Share of stable verdicts, shape (levels, thresholds, spreads, lapse rates)."""
         level = np.array(self.levels)[:, None, None, None]
-        slips = np.array(SLIPS)
+        lapses = np.array(LAPSE_RATES)
         odds = (level - self.thresholds[:, None, None]) / self.spreads[:, None]
-        return np.asarray(slips + (1.0 - 2.0 * slips) / (1.0 + np.exp(np.clip(odds, -700.0, 700.0))))
+        return np.asarray(lapses + (1.0 - 2.0 * lapses) / (1.0 + np.exp(np.clip(odds, -700.0, 700.0))))
 
     @cached_property
     def logs(self) -> tuple[Floats, Floats]:
@@ -94,7 +97,7 @@ class Psychometric:
         return np.asarray(weights / weights.sum())
 
     def quantiles(self, posterior: Floats, share: float, probabilities: Sequence[float]) -> Floats:
-        """Quantiles of the stiffness at which `share` of a slipless observer's verdicts are stable, none below zero.
+        """Quantiles of the stiffness at which `share` of the verdicts are stable, lapses aside; none below zero.
 
         Each K50 of the grid counts as the range between its edges: that is not small against what some dozens of
         verdicts tell, and intervals between bare points would be too narrow.
@@ -131,7 +134,7 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
     """Find the stiffness with this share of stable verdicts, whatever rule asked for them.
 
     The value is the posterior median. Not the mean, because after few verdicts the only one that was not stable may
-    have been a slip: the posterior has a long tail upwards that pulls the mean along.
+    have been a lapse: the posterior has a long tail upwards that pulls the mean along.
 
     Beyond the levels lies a stiffness whose median does. Where all verdicts are of one kind, it lies beyond the walls
     that were judged, which need not be all levels yet.

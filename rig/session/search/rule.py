@@ -24,7 +24,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A judged probe. `stable` is None where the verdict says nothing (unsure, invalid): the rule asks again."""
+    """A judged probe. `stable` is None where there is no verdict (unsure, invalid): the rule asks again."""
 
     probe: Probe
     stable: bool | None
@@ -37,7 +37,7 @@ class Estimate:
     Attributes
     ----------
     value
-        Stiffness; NaN without any answer to tell it from.
+        Stiffness; NaN without any verdict.
     low, high
         Interval of 95 %.
     share
@@ -45,7 +45,7 @@ class Estimate:
     censored
         "above" when the stiffest wall was still held, "below" when the softest was not: the limit lies beyond.
     hits
-        Verdicts that it cost, catch trials and empty verdicts included.
+        Verdicts that it cost, catch trials and invalid ones included.
     """
 
     value: float
@@ -91,8 +91,8 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
         )
 
 
-def told(answers: Sequence[Answer], track: int | None = None) -> list[tuple[float, bool]]:
-    """Level and verdict of the answers that say something and are no catch trials; of one track, or of all."""
+def verdicts_of(answers: Sequence[Answer], track: int | None = None) -> list[tuple[float, bool]]:
+    """Level and verdict of each answer that has one and is no catch trial; of one track, or of all."""
     return [
         (answer.probe.level, answer.stable)
         for answer in answers

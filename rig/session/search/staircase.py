@@ -13,7 +13,15 @@ from dataclasses import dataclass, field
 
 from rig.core.errors import ConfigError
 from rig.session.search import psychometric
-from rig.session.search.rule import Answer, Censored, Estimate, Probe, check_whole, checked_levels, told
+from rig.session.search.rule import (
+    Answer,
+    Censored,
+    Estimate,
+    Probe,
+    check_whole,
+    checked_levels,
+    verdicts_of,
+)
 
 EDGE_VERDICTS = 3  # in a row at an end of the levels, where it cannot go on: the limit lies beyond
 
@@ -84,12 +92,12 @@ class Staircase:
 
     def next(self, answers: Sequence[Answer], track: int = 0) -> Probe | None:
         """The level where the track stands, or None when it has turned often enough."""
-        walk = self.walk(told(answers, track))
+        walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
     def estimate(self, answers: Sequence[Answer]) -> Estimate:
         """Mean of the turns at the smallest step, and the interval that all verdicts together give."""
-        verdicts = told(answers, 0)
+        verdicts = verdicts_of(answers, 0)
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
 
     def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:

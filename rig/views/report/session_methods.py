@@ -27,7 +27,7 @@ from rig.session.analysis.kmax import ENOUGH_REPEATS, LEAST_REPEATS, RESAMPLES
 from rig.session.analysis.rows import Measure
 from rig.session.conduct import walls_in
 from rig.session.schedule import cells_of, levels_of, rows_of, rule
-from rig.session.search.psychometric import SLIPS, Psychometric, of_levels
+from rig.session.search.psychometric import LAPSE_RATES, Psychometric, of_levels
 from rig.session.search.rule import Rule
 from rig.session.search.staircase import EDGE_VERDICTS
 from rig.views.report.template import fill_text
@@ -183,7 +183,7 @@ def _facts(found: Analysis) -> dict[str, Any]:
         "enough_repeats": ENOUGH_REPEATS,
         "resamples": RESAMPLES,
         "least_people": LEAST_PEOPLE,
-        "lapse_rates": [f"{100 * value:g}" for value in SLIPS],
+        "lapse_rates": [f"{100 * value:g}" for value in LAPSE_RATES],
         "priors": _priors(found),
         "versions": list(_versions(found)),
         "analysed_with": [f"{name} {text}" for name, text in analysed_with().items()],

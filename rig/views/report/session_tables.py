@@ -15,7 +15,7 @@ from rig.session.analysis.mixed import Contrast, Mixed
 from rig.session.analysis.psychometric import Psychometric
 from rig.session.analysis.rows import Measure
 from rig.session.analysis.study import Session
-from rig.session.analysis.tables import SLIPS_BEFORE
+from rig.session.analysis.tables import PRIOR_LAPSE_RATE
 from rig.session.state import END
 from rig.session.trial import VOIDED
 from rig.views.report.session_events import Deviation
@@ -130,7 +130,7 @@ def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) ->
             NOTHING if _mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
             number(one.spread.mean),
             interval(one.spread.low, one.spread.high),
-            lapse_rate(one.slips.mean),
+            lapse_rate(one.lapse_rate.mean),
             str(sum(one.verdicts)),
         )
         for one in some
@@ -317,7 +317,7 @@ def tracks(found: Analysis) -> Table:
         rows.append(
             (
                 run.participant, run.condition, run.rule, state, run.run, run.block, shortest(run.damping),
-                run.repeat, value, ends, run.hits, f"{run.slips} of {run.catches}",
+                run.repeat, value, ends, run.hits, f"{run.lapses} of {run.catches}",
             )
         )  # fmt: skip
     head = ("participant", "condition", "rule", "state", "run", "block", "B", "repeat")
@@ -386,7 +386,7 @@ def bounded(value: float, above: int, below: int) -> str:
 
 def lapse_rate(mean: float) -> str:
     """A lapse rate; a dash where it is absent, or still the mean of its prior."""
-    return NOTHING if abs(mean - SLIPS_BEFORE) < _SAME else percent(mean, 1)
+    return NOTHING if abs(mean - PRIOR_LAPSE_RATE) < _SAME else percent(mean, 1)
 
 
 def place(along: str) -> str:

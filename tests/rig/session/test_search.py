@@ -19,7 +19,7 @@ from rig.session.search import Answer, psychometric
 from rig.session.search.catching import CatchTrials
 from rig.session.search.interleaved import Interleaved
 from rig.session.search.observer import Observer, performance, run
-from rig.session.search.rule import told
+from rig.session.search.rule import verdicts_of
 from rig.session.search.staircase import Staircase
 
 LEVELS = tuple(float(level) for level in range(25, 1000, 25))
@@ -50,7 +50,7 @@ def test_an_observer_without_doubt_is_found_within_a_step(rule):
 
 @every_rule
 def test_the_same_answers_always_lead_to_the_same_probe(rule):
-    answers = run(rule, Observer(threshold=430.0, spread=40.0, slips=0.05), seed=5)
+    answers = run(rule, Observer(threshold=430.0, spread=40.0, lapse_rate=0.05), seed=5)
     for length in (0, 1, 2, 7, len(answers) - 1):
         assert rule.next(answers[:length]) == answers[length].probe
     assert rule.next(answers) is None
@@ -150,21 +150,21 @@ def test_the_ascending_rule_climbs_from_the_softest_wall_so_often():
 def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other():
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=3)
 
-    def climbed(*verdicts):
+    def ascended(*verdicts):
         answers: list[Answer] = []
         for verdict in verdicts:
             probe = rule.next(answers)
             answers.append(Answer(probe, verdict))
-        return [climb.censored for climb in rule.climbs(answers)], rule.estimate(answers)
+        return [one.censored for one in rule.series(answers)], rule.estimate(answers)
 
-    marks, estimate = climbed(True, True, False, False, True, False)
+    marks, estimate = ascended(True, True, False, False, True, False)
     assert marks == ["", "below", ""]
     assert (estimate.value, estimate.censored) == ((20.0 + 10.0 + 10.0) / 3, "")
-    marks, estimate = climbed(False, False, False)
+    marks, estimate = ascended(False, False, False)
     assert marks == ["below"] * 3
     assert (estimate.value, estimate.low, estimate.high) == (10.0, 0.0, 10.0)
     assert estimate.censored == "below"
-    marks, estimate = climbed(True, True, True, True, True, False, False)
+    marks, estimate = ascended(True, True, True, True, True, False, False)
     assert marks == ["above", "", "below"]
     assert (estimate.value, estimate.censored, estimate.high) == (20.0, "above", math.inf)
 
@@ -199,9 +199,9 @@ def test_catch_trials_among_any_rule_leave_it_as_it_is(name):
     assert own == alone
     assert len(answers) > len(own)
     assert {a.probe.level for a in answers if a.probe.catch} <= {LEVELS[0], LEVELS[-1]}
-    told, least = rule.estimate(answers), rule.estimate(own)
-    assert replace(told, hits=least.hits) == least
-    assert told.hits == len(answers)
+    found, least = rule.estimate(answers), rule.estimate(own)
+    assert replace(found, hits=least.hits) == least
+    assert found.hits == len(answers)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
@@ -232,19 +232,19 @@ def caught_of(rule, answers):
 
 def test_catch_trials_show_how_often_a_person_slips():
     rule = catching(Interleaved(levels=LEVELS, turns=100, most=2000, seed=1))
-    answers = run(rule, Observer(threshold=430.0, spread=15.0, slips=0.2), seed=1, most=300)
+    answers = run(rule, Observer(threshold=430.0, spread=15.0, lapse_rate=0.2), seed=1, most=300)
     caught = caught_of(rule, answers)
-    assert caught.slips == caught.false_unstable + caught.false_stable
-    assert caught.slips / caught.count == pytest.approx(0.2, abs=0.1)
+    assert caught.lapses == caught.false_unstable + caught.false_stable
+    assert caught.lapses / caught.count == pytest.approx(0.2, abs=0.1)
 
 
 @pytest.mark.parametrize(("threshold", "counted"), [(1e5, "soft"), (1e-3, "stiff")])
 def test_catch_trials_at_an_end_beyond_which_the_limit_lies_are_not_counted(threshold, counted):
-    """The stiffest wall of somebody whom no wall shakes is stable, and saying so is no slip."""
+    """The stiffest wall of somebody whom no wall shakes is stable, and saying so is no lapse."""
     rule = catching(Interleaved(levels=LEVELS, seed=1))
     answers = run(rule, Observer(threshold=threshold, spread=1e-4), seed=1)
     caught = caught_of(rule, answers)
-    assert caught.slips == 0
+    assert caught.lapses == 0
     assert caught.count == (caught.soft if counted == "soft" else caught.stiff) > 0
     assert caught.count < sum(answer.probe.catch for answer in answers)
 
@@ -271,12 +271,12 @@ def test_the_posterior_is_bayes_rule_by_hand():
     levels = (10.0, 20.0, 30.0)
     grid = psychometric.of_levels(levels)
     verdicts = [(10.0, True), (30.0, False), (20.0, True), (20.0, False)]
-    expected = np.ones((len(grid.thresholds), len(grid.spreads), len(psychometric.SLIPS)))
-    for (t, threshold), (s, spread), (g, slips) in itertools.product(
-        enumerate(grid.thresholds), enumerate(grid.spreads), enumerate(psychometric.SLIPS)
+    expected = np.ones((len(grid.thresholds), len(grid.spreads), len(psychometric.LAPSE_RATES)))
+    for (t, threshold), (s, spread), (g, lapse_rate) in itertools.product(
+        enumerate(grid.thresholds), enumerate(grid.spreads), enumerate(psychometric.LAPSE_RATES)
     ):
         for level, stable in verdicts:
-            share = float(psychometric.share_stable(level, threshold, spread, slips))
+            share = float(psychometric.share_stable(level, threshold, spread, lapse_rate))
             expected[t, s, g] *= share if stable else 1.0 - share
     np.testing.assert_allclose(grid.posterior(verdicts), expected / expected.sum(), rtol=1e-9)
 
@@ -320,7 +320,7 @@ def test_values_of_k50_are_spaced_like_the_levels():
 def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(threshold, share):
     """Where levels are close together K50 is looked for as closely, also that of somebody who is very sure."""
     make = partial(search.make, "psi", levels=ratio_levels(50.0, 3000.0, 1.1))
-    observer = Observer(threshold=threshold, spread=share * threshold, slips=0.02)
+    observer = Observer(threshold=threshold, spread=share * threshold, lapse_rate=0.02)
     found = performance("psi", make, observer, 40, seed=5, off_lattice=0.04 * threshold)
     assert abs(found.bias) < 0.02 * threshold
     assert found.covered >= 0.9
@@ -360,7 +360,7 @@ def test_intervals_shrink_as_the_root_of_the_hits():
 
 def test_any_estimate_can_be_had_from_any_rules_answers():
     answers = run(RULES["ascending"], Observer(threshold=430.0, spread=15.0), seed=3)
-    low, high = psychometric.interval(LEVELS, told(answers), 0.5)
+    low, high = psychometric.interval(LEVELS, verdicts_of(answers), 0.5)
     assert low <= 430.0 <= high
 
 

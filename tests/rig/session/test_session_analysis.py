@@ -5,27 +5,32 @@ from __future__ import annotations
 import csv
 import json
 import math
+import runpy
+import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+import rig.session as rig_session
 from rig.cli import rig
 from rig.cli.session_analyse import show
 from rig.config import as_mapping, presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
-from rig.session.analysis import Options, analyse, read_study, write_tables
+from rig.session.analysis import Analysis, Options, analyse, read_study, write_tables
 from rig.session.analysis import trials as trials_module
 from rig.session.analysis.tables import column_name, tables
 from rig.session.analysis.trials import answers, half_way, levels
 from rig.session.log import SessionLog
-from rig.session.search.rule import told
+from rig.session.search.rule import verdicts_of
 from tests.conformance.studies import PRESET, VERSIONS, Person, protocol, sitting, without_sync, write_study
 
+EXAMPLE = Path(rig_session.__file__).parent / "examples" / "from_tables.py"
 UNIFORM, DUAL = 400.0, 460.0
 OFFSETS = {"P01": -30.0, "P02": 35.0, "P03": 10.0, "P04": -15.0}
 
@@ -133,6 +138,36 @@ def test_differences_that_are_the_same_for_all_are_said_to_come_of_coarse_levels
     assert message.startswith("1 paired difference is the same for all participants")
 
 
+def test_the_example_script_goes_from_the_tables_to_the_same_numbers(
+    found: Analysis, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_tables(found, tmp_path)
+    from_tables = SimpleNamespace(**runpy.run_path(str(EXAMPLE)))
+    kmax = from_tables.limits(tmp_path)
+    over = from_tables.over_participants(kmax).set_index("condition")
+    for one in found.over_participants:
+        if one.measure == "rule":
+            theirs = over.loc[one.condition, ["kmax", "low", "high"]].tolist()
+            assert theirs == pytest.approx([one.mean, one.low, one.high])
+    (paired,) = from_tables.differences(kmax, ["uniform", "dual"]).to_dict("records")
+    (ours,) = [one for one in found.paired if one.measure == "rule"]
+    assert (paired["condition"], paired["against"]) == (ours.condition, ours.against)
+    assert [paired[name] for name in ("difference", "low", "high", "p", "p_holm")] == pytest.approx(
+        [ours.difference, ours.low, ours.high, ours.p, ours.holm]
+    )
+    (model,) = [one for one in found.mixed if one.measure == "rule"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a variance near zero
+        theirs = from_tables.mixed_model(kmax)
+    assert theirs.fe_params["condition[T.uniform]"] == pytest.approx(-model.contrasts[0].difference, rel=1e-3)
+    two = next(one for one in found.agreements if (one.name, one.condition) == ("two classes", ""))
+    assert from_tables.kappa(tmp_path) == pytest.approx(two.kappa)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from_tables.main(tmp_path)
+    assert f"kappa {two.kappa:.3f}" in capsys.readouterr().out
+
+
 def test_every_trial_is_there_and_says_whether_it_counts(found):
     assert len(found.trials) == sum(len(session.state.trials) for session in found.study.sessions)
     for trial in found.trials:
@@ -158,7 +193,7 @@ def test_the_rules_own_limit_is_what_the_rule_says_of_the_replayed_log(found):
             estimate = session.state.rule(run).estimate(session.state.answers(run))
             assert row.limits["rule"].value == estimate.value
             grid = levels(session.state.protocol, run.condition)
-            half = half_way(grid, told(answers(session.state, run, "automatic")))
+            half = half_way(grid, verdicts_of(answers(session.state, run, "automatic")))
             assert row.limits["K50 automatic"] == half
 
 
@@ -208,27 +243,27 @@ def test_every_rule_finds_the_same_half_way_point(tmp_path, rule, settings):
         },
         order={"repeats": 2, "blocks": "one", "interleave": True, "kind": "fixed"},
     )
-    found = one_session(tmp_path, mapping, person(slips=0.0))
+    found = one_session(tmp_path, mapping, person(lapse_rate=0.0))
     for run in found.runs:
         truth = DUAL if run.condition == "dual" else UNIFORM
         limit = run.limits["K50 person"]
         assert limit.low - 10.0 <= truth <= limit.high + 10.0
         assert abs(limit.value - truth) < (
             90.0 if rule == "ascending" else 30.0
-        )  # each climb has one end to tell
+        )  # each series has one end to count
         assert (run.limits["rule"].share is None) == (rule == "ascending")
     caught = sum(run.catches for run in found.runs)
     assert (caught > 0) == (share > 0.0)
-    assert sum(run.slips for run in found.runs) == 0
+    assert sum(run.lapses for run in found.runs) == 0
     assert caught == sum(trial.catch for trial in found.trials) == found.counts().get("catch trials", 0)
 
 
 @pytest.mark.usefixtures("quick")
 def test_slips_show_on_catch_trials(tmp_path):
     mapping = protocol(search={"rule": "staircase", "settings": {"most": 60}, "catch_share": 0.5})
-    found = one_session(tmp_path, mapping, person(slips=0.3))
-    caught, slips = (sum(getattr(run, name) for run in found.runs) for name in ("catches", "slips"))
-    assert 0.15 < slips / caught < 0.45
+    found = one_session(tmp_path, mapping, person(lapse_rate=0.3))
+    caught, lapses = (sum(getattr(run, name) for run in found.runs) for name in ("catches", "lapses"))
+    assert 0.15 < lapses / caught < 0.45
 
 
 @pytest.mark.usefixtures("quick")
@@ -237,9 +272,9 @@ def test_kinds_of_slips_are_told_apart_and_a_wall_that_truly_holds_is_none(tmp_p
     interleaved = {"rule": "interleaved", "settings": {"most": 20}, "catch_share": 0.4}
     found = one_session(tmp_path / "a", protocol(search={**interleaved, "highest": 300.0}), person())
     assert {run.limits["rule"].censored for run in found.runs} == {"above"}
-    assert all(run.caught.stiff == run.slips == 0 for run in found.runs)
+    assert all(run.caught.stiff == run.lapses == 0 for run in found.runs)
     assert sum(run.caught.soft for run in found.runs) > 0
-    found = one_session(tmp_path / "b", protocol(search=interleaved), person(slips=0.3))
+    found = one_session(tmp_path / "b", protocol(search=interleaved), person(lapse_rate=0.3))
     write_tables(found, tmp_path)
     (row,) = pq.read_table(tmp_path / "participants.parquet").to_pylist()
     for name, field in (("soft_catches", "soft"), ("stiff_catches", "stiff")):
@@ -247,12 +282,12 @@ def test_kinds_of_slips_are_told_apart_and_a_wall_that_truly_holds_is_none(tmp_p
     for name in ("false_unstable", "false_stable"):
         assert row[name] == sum(getattr(run.caught, name) for run in found.runs)
     (one,) = found.participants
-    assert one.caught.slips == row["false_unstable"] + row["false_stable"] > 0
+    assert one.caught.lapses == row["false_unstable"] + row["false_stable"] > 0
 
 
 @pytest.mark.usefixtures("quick")
 def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path):
-    """The first verdict of the session is a slip; the climbs after it say where the limit is."""
+    """The first verdict of the session is a lapse; the series after it say where the limit is."""
     mapping = protocol(search={"rule": "ascending", "settings": {"repeats": 3}}, order={"repeats": 1})
     judged = []
 
@@ -262,7 +297,7 @@ def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path):
 
     found = one_session(tmp_path, mapping, Person(threshold=threshold, spread=1e-3))
     slipped, plain = found.runs
-    assert slipped.note == "1 of 3 climbs failed at the softest wall and enters with it"
+    assert slipped.note == "1 of 3 series failed at the softest wall and enters with it"
     assert (plain.note, plain.limits["rule"].value) == ("", 400.0)
     limit = slipped.limits["rule"]
     assert (limit.value, limit.censored) == (300.0, "")  # 100, 400 and 400

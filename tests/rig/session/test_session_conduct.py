@@ -76,7 +76,9 @@ def test_the_same_seed_gives_the_same_bytes_of_log(tmp_path: Path) -> None:
     logs = []
     for name in ("a", "b"):
         session = started(tmp_path / name)
-        person = Person(thresholds={"dual-hidden": 430.0, "uniform-hidden": 300.0}, slips=0.1, unsure=0.1)
+        person = Person(
+            thresholds={"dual-hidden": 430.0, "uniform-hidden": 300.0}, lapse_rate=0.1, unsure=0.1
+        )
         assert isinstance(session.clock, Day)
         with session:
             conduct(session, FakeRunner(), RehearsalDesk(person, session.clock))

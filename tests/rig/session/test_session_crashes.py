@@ -22,7 +22,7 @@ from rig.session.state import State
 from tests.rig.session.session_fakes import FakeRunner, decisions, protocol_of
 from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
 
-PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, slips=0.1)
+PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, lapse_rate=0.1)
 
 
 def short() -> Protocol:

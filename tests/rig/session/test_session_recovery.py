@@ -22,11 +22,14 @@ from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 K50 = 330.0
 OBSERVERS = (
-    Person(thresholds={"one": K50}, spread=12.0, slips=0.02),
-    Person(thresholds={"one": K50}, spread=30.0, slips=0.05),
+    Person(thresholds={"one": K50}, spread=12.0, lapse_rate=0.02),
+    Person(thresholds={"one": K50}, spread=30.0, lapse_rate=0.05),
 )
 TABLE = json.loads((Path(__file__).parent / "data" / "search_observers.json").read_text())["rows"]
-ALIKE = {"slips": 0.02, "spread": 15.0}, {"slips": 0.05, "spread": 40.0}  # of the table: a little vaguer
+ALIKE = (
+    {"lapse_rate": 0.02, "spread": 15.0},
+    {"lapse_rate": 0.05, "spread": 40.0},
+)  # of the table: a little vaguer
 TOLD = {
     "1u1d": "staircase 1u1d",
     "1u2d": "staircase 1u2d",
@@ -57,8 +60,8 @@ def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_known_person_is_recovered_within_the_interval(name: str, tmp_path: Path) -> None:
     """Of 8 intervals of 95 % at least 6 hold the truth (fewer: one in 170 for honest ones, and the seed is fixed).
 
-    But for the rule of the paper: a slip ends a climb early, and it reads low, as the guide says. Two people take
-    turns, a sharp one and a vague one who slips more often; neither's intervals are much wider than they must be.
+    But for the rule of the paper: a lapse ends a series early, and it reads low, as the guide says. Two people take
+    turns, a sharp one and a vague one who lapses more often; neither's intervals are much wider than they must be.
     """
     rule, settings = RULES[name]
     protocol = protocol_of(
@@ -93,7 +96,7 @@ def test_a_known_person_is_recovered_within_the_interval(name: str, tmp_path: Pa
         errors.append(estimate.value - truth)
         widths[row % 2].append((estimate.high - estimate.low) * math.sqrt(estimate.hits))
     mean = sum(errors) / SESSIONS
-    if name == "ascending":  # two climbs: its intervals are as good as none
+    if name == "ascending":  # two series: its intervals are as good as none
         assert -150.0 < mean < 0.0
         return
     assert inside >= 6

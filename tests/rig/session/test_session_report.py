@@ -17,7 +17,7 @@ from rig.config.table import parameters
 from rig.core.oscillation import OSCILLATIONS
 from rig.session.analysis import Options, analyse
 from rig.session.analysis.tables import tables
-from rig.session.search.psychometric import SLIPS
+from rig.session.search.psychometric import LAPSE_RATES
 from rig.session.state import State
 from rig.views.plots import style
 from rig.views.plots.session import draw_session, pictures, tracks_name, zwidth_figure
@@ -287,7 +287,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
         "Analysis": [
             f"Of {counts['recorded']} recorded trials {counts['counted']}",
             *(f"{n} {name}" for name, n in counts.items() if name not in ("recorded", "counted")),
-            ", ".join(f"{100 * rate:g}" for rate in SLIPS[:-1]) + f" and {100 * SLIPS[-1]:g} %",
+            ", ".join(f"{100 * rate:g}" for rate in LAPSE_RATES[:-1]) + f" and {100 * LAPSE_RATES[-1]:g} %",
         ],
         "Software": ["haptic-rig 0.1.0"],
     }
@@ -470,7 +470,7 @@ def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_das
     functions = [
         replace(
             one,
-            slips=replace(one.slips, mean=mean),
+            lapse_rate=replace(one.lapse_rate, mean=mean),
             threshold=replace(one.threshold, low=math.nan, high=math.nan),
         )
         for one, mean in zip(found.psychometrics, (0.0, 0.027, 0.06, math.nan), strict=False)

@@ -376,7 +376,7 @@ def test_an_interval_says_what_it_is_of(values, interval, low):
         assert ends["Student"] != ends["bootstrap"]
 
 
-def test_a_single_climb_has_no_interval_of_its_own():
+def test_a_single_series_has_no_interval_of_its_own():
     endless = Limit(value=400.0, low=0.0, high=math.inf, censored="", share=None)
     (one,) = kmax.of_participants([replace(run_row(), limits={"rule": endless})], {})
     assert (one.interval, math.isnan(one.low)) == ("none", True)
@@ -893,17 +893,21 @@ LEVELS = tuple(float(level) for level in range(100, 925, 25))
 
 
 def test_known_functions_lie_within_their_intervals():
-    """Verdicts along all levels, of observers with slips: each parameter's interval holds it nearly always."""
+    """Verdicts along all levels, of observers with lapses: each parameter's interval holds it nearly always."""
     drawn = np.random.default_rng(6)
     held = np.zeros(3)
     for _ in range(40):
         truth = Observer(
-            threshold=float(drawn.uniform(300, 700)), spread=float(drawn.uniform(10, 50)), slips=0.02
+            threshold=float(drawn.uniform(300, 700)), spread=float(drawn.uniform(10, 50)), lapse_rate=0.02
         )
         verdicts = [(level, truth.judge(level, drawn)) for level in LEVELS * 6]
         found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
         for place, (posterior, value) in enumerate(
-            ((found.threshold, truth.threshold), (found.spread, truth.spread), (found.slips, truth.slips))
+            (
+                (found.threshold, truth.threshold),
+                (found.spread, truth.spread),
+                (found.lapse_rate, truth.lapse_rate),
+            )
         ):
             held[place] += posterior.low <= value <= posterior.high
     assert (held >= 34).all()
@@ -920,17 +924,17 @@ def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds():
     assert share[1] == pytest.approx(0.5)
 
 
-def test_one_climb_tells_little_and_five_tell_where_the_limit_is():
-    """A single verdict that is not stable may be a slip: the median stays near it, and the interval is wide."""
-    climb = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
-    one, five = half_way(LEVELS, climb), half_way(LEVELS, climb * 5)
+def test_one_series_tells_little_and_five_tell_where_the_limit_is():
+    """A single verdict that is not stable may be a lapse: the median stays near it, and the interval is wide."""
+    series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
+    one, five = half_way(LEVELS, series), half_way(LEVELS, series * 5)
     assert one.low < 437.0 < one.high
     assert one.high - one.low > 4.0 * (five.high - five.low)
     assert abs(five.value - 437.0) < 15.0
-    held = half_way(LEVELS, climb[:-1])
+    held = half_way(LEVELS, series[:-1])
     assert (one.censored, held.censored) == ("", "above")
     assert (held.value, held.high) == (425.0, math.inf)
-    assert half_way(LEVELS, climb * 5, 0.71).value < five.value
+    assert half_way(LEVELS, series * 5, 0.71).value < five.value
 
 
 def test_k50_beyond_the_levels_is_their_end_also_after_slips():
@@ -944,9 +948,9 @@ def test_k50_beyond_the_levels_is_their_end_also_after_slips():
 
 
 def test_k50_of_a_function_is_the_median_that_limits_are_made_of():
-    """After one climb the mean of the posterior lies far above it."""
-    climb = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
-    found, limit = psychometric.fit("P01", "a", 0.0, "person", LEVELS, climb), half_way(LEVELS, climb)
+    """After one series the mean of the posterior lies far above it."""
+    series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
+    found, limit = psychometric.fit("P01", "a", 0.0, "person", LEVELS, series), half_way(LEVELS, series)
     assert (found.threshold.mean, found.threshold.low, found.threshold.high) == (
         limit.value,
         limit.low,
@@ -970,7 +974,7 @@ def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them(
     assert (found.threshold.low, found.threshold.high) == pytest.approx(interval)
     assert (found.participant, found.participants, sum(found.verdicts)) == ("", 3, len(verdicts))
     assert found.spread.mean > max(one.spread.mean for one in each)  # people differ
-    for parameter in (found.spread, found.slips):
+    for parameter in (found.spread, found.lapse_rate):
         assert math.isnan(parameter.low)
         assert math.isnan(parameter.high)
     two = psychometric.together(each[:2], LEVELS, verdicts[: len(verdicts) * 2 // 3])

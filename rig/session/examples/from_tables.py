@@ -1,0 +1,104 @@
+"""An example: from the tables of `rig session analyse` to its numbers, with pandas and statsmodels alone.
+
+    rig session analyse sessions/study --output out
+    python from_tables.py out
+
+Copy it into a notebook and change it. It reads ``runs`` and ``agreement`` and computes, for the limits by the search
+rule: means over participants, paired differences with Holm's correction, the mixed model, and Cohen's kappa. It leaves
+out what the analysis decides beside these: limits beyond the levels, too few participants, covariates that cannot be
+separated from the conditions.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import pandas as pd
+from statsmodels.formula.api import mixedlm
+from statsmodels.stats.inter_rater import cohens_kappa
+from statsmodels.stats.multitest import multipletests
+from statsmodels.stats.weightstats import DescrStatsW
+
+
+def read(directory: Path, name: str) -> pd.DataFrame:
+    """Read a table; the unit at the end of a column's name is dropped."""
+    dictionary = json.loads((directory / "tables.json").read_text(encoding="utf-8"))
+    table = pd.read_parquet(directory / f"{name}.parquet")
+    for column, told in dictionary["tables"][name]["columns"].items():
+        unit = told["unit"].lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
+        table = table.rename(columns={column: column.removesuffix(f"_{unit}")})
+    return table
+
+
+def limits(directory: Path) -> pd.DataFrame:
+    """Return K_max of each participant in each condition at each damping: the mean over repeats."""
+    runs = read(directory, "runs")
+    runs = runs[(runs["state"] == "complete") & runs["limit_rule"].notna()]
+    by = ["participant", "condition", "damping"]
+    return runs.groupby(by, as_index=False)[["limit_rule", "order", "block"]].mean()
+
+
+def over_participants(kmax: pd.DataFrame) -> pd.DataFrame:
+    """Return mean and Student's interval of each condition at each damping."""
+    rows = []
+    for (condition, damping), of in kmax.groupby(["condition", "damping"]):
+        values = DescrStatsW(of["limit_rule"])
+        low, high = values.tconfint_mean()
+        rows.append((condition, damping, len(of), values.mean, low, high))
+    return pd.DataFrame(rows, columns=["condition", "damping", "participants", "kmax", "low", "high"])
+
+
+def differences(kmax: pd.DataFrame, conditions: list[str]) -> pd.DataFrame:
+    """Return paired differences, each condition less those before it; over all dampings the damping is empty."""
+    wide = kmax.pivot(index="participant", columns=["condition", "damping"], values="limit_rule")
+    dampings = sorted(kmax["damping"].unique())
+    rows = []
+    for damping in [*dampings, None] if len(dampings) > 1 else dampings:
+        for against, condition in combinations(conditions, 2):
+            of = [damping] if damping is not None else dampings
+            less = (wide[condition][of] - wide[against][of]).mean(axis=1, skipna=False).dropna()
+            values = DescrStatsW(less)
+            p = values.ttest_mean(0.0)[1]
+            rows.append((condition, against, damping, values.mean, *values.tconfint_mean(), p))
+    table = pd.DataFrame(rows, columns=["condition", "against", "damping", "difference", "low", "high", "p"])
+    return table.assign(p_holm=multipletests(table["p"], method="holm")[1])
+
+
+def mixed_model(kmax: pd.DataFrame) -> object:
+    """Fit the mixed model of the limits; the random parts of a factor are there where it has several values."""
+    frame = kmax.assign(damping=kmax["damping"].map("B = {:g}".format))
+    several = [name for name in ("condition", "damping") if frame[name].nunique() > 1]
+    random = {f"participant × {name}": f"0 + C({name})" for name in several} if len(several) > 1 else {}
+    covariates = [name for name in ("order", "block") if frame[name].nunique() > 1]
+    formula = "limit_rule ~ " + " + ".join([" * ".join(several), *covariates])
+    model = mixedlm(formula, frame, groups="participant", re_formula="1", vc_formula=random or None)
+    return model.fit(method=["bfgs", "lbfgs", "powell"])
+
+
+def kappa(directory: Path) -> float:
+    """Return Cohen's kappa of the person's and the automatic verdicts, stable or not, over all trials."""
+    table = read(directory, "agreement")
+    of = table[(table["table"] == "two classes") & (table["condition"] == "")]
+    counts = of.pivot(index="person", columns="automatic", values="trials")
+    return float(cohens_kappa(counts.loc[counts.columns].to_numpy()).kappa)
+
+
+def main(directory: Path) -> None:
+    """Print everything."""
+    kmax = limits(directory)
+    print(over_participants(kmax).to_string(index=False), end="\n\n")
+    print(
+        differences(kmax, list(read(directory, "kmax_over_participants")["condition"].unique())).to_string(
+            index=False
+        ),
+        end="\n\n",
+    )
+    print(mixed_model(kmax).summary(), end="\n\n")  # type: ignore[attr-defined]
+    print(f"kappa {kappa(directory):.3f}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
