@@ -100,9 +100,9 @@ def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
     if as_json:
         output.print_json(
             {
-                "figure_7": [panel.as_mapping() for panel in panels],
-                "word_lengths": [row.as_mapping() for row in words],
-                "figure_8": profiles.as_mapping(),
+                "figure_7": panels,
+                "word_lengths": words,
+                "figure_8": profiles,
                 "pictures": pictures,
             }
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import click
@@ -12,10 +13,16 @@ from rig.papers import reproduction
 from rig.papers.chawda.reproduction import CHAWDA
 from rig.papers.koul.reproduction import KOUL
 from rig.papers.reproduction import Reproduction, write_report
+from rig.papers.rules import Status
 from rig.recording.files import plain_errors
 
-WIDEST = 56  # characters of a cell
-
+WIDEST = 110  # characters of a verdict
+COLOURS = {Status.REPRODUCED: "green", Status.ONLY_WITH: "yellow", Status.NOT: "red"}
+COUNTS = {
+    Status.REPRODUCED: "reproduced",
+    Status.ONLY_WITH: "reproduced under a condition",
+    Status.NOT: "not reproduced",
+}
 
 PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
 
@@ -32,7 +39,7 @@ PAPERS = {paper.name: paper for paper in (KOUL, CHAWDA)}
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("reproductions"),
     show_default=True,
-    help="Where the report goes, and the journal to go on from.",
+    help="Where the report goes, and the journal to resume from.",
 )
 @click.option("--workers", type=click.IntRange(1, 1024), help="Threads. [one for each core]")
 @options.json_option
@@ -40,8 +47,7 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
     """Reproduce a paper: every figure, a verdict on every claim, its open ideas, as one HTML report.
 
     koul: dual-rate sampling and Z-width (Koul et al. 2013), in about two minutes. chawda: velocity estimators,
-    passivity and fidelity (Chawda et al.), in about three. One that was stopped goes on when the same command is given
-    again.
+    passivity and fidelity (Chawda et al.), in about three. The same command resumes one that was stopped.
     """
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
@@ -67,12 +73,8 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
 
 def _print(found: Reproduction) -> None:
     click.echo(f"{found.title} ({found.source})")
+    counts = [f"{found.count(status)} {said}" for status, said in COUNTS.items()]
+    click.echo(f"{len(found.claims)} claims: {', '.join(counts)}")
     for claim in found.claims:
-        click.echo(f"  {claim.claim}")
-        click.echo(f"    paper {claim.paper}; here {_short(claim.ours)}")
-        colour = {"reproduced": "green", "not reproduced": "red"}.get(claim.status, "yellow")
-        click.echo(f"    {click.style(_short(claim.verdict), fg=colour, bold=True)}")
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 2 * WIDEST else text[: 2 * WIDEST - 1].rstrip() + "…"
+        verdict = textwrap.shorten(claim.verdict, WIDEST, placeholder=" …")
+        click.echo(f"  {claim.claim}\n    {click.style(verdict, fg=COLOURS[claim.status], bold=True)}")

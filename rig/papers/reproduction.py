@@ -109,9 +109,9 @@ class Reproduction:
         }
         return dict(plain(mapping))
 
-    def count(self, status: str) -> int:
-        """How many claims have this status, by the name of a `Status`."""
-        return sum(claim.status is Status[status] for claim in self.claims)
+    def count(self, status: Status) -> int:
+        """How many claims have this status."""
+        return sum(claim.status is status for claim in self.claims)
 
 
 def reproduce(
@@ -159,6 +159,7 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
         found.paper.template(PAGE),
         reproduction=found,
         marks=MARKS,
+        Status=Status,
         pictures=data_uris(pictures),
         provenance=provenance_lines(found.provenance),
         data=found.as_mapping(),

@@ -45,7 +45,8 @@ def mostly_stiffer(ratios: Sequence[float], step: float = 1.0) -> bool:
 def mostly_larger(cases: Mapping[str, tuple[int, int]]) -> Ruling:
     """How often one K-width is the larger of two, of how many readings that differ, by case."""
     held = {name: above >= MOST * differ for name, (above, differ) in cases.items() if differ}
-    return judge(held, counts=[(name, *count) for name, count in cases.items()])
+    above, differ = (sum(count[i] for count in cases.values()) for i in (0, 1))
+    return judge(held, above=above, differ=differ)
 
 
 def dropped(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
@@ -98,11 +99,17 @@ def controlled(found: Mapping[str, float], theory: float) -> Ruling:
     return judge(cases, found=list(found.items()), theory=theory)
 
 
-def lower(gains: Mapping[str, Sequence[float]]) -> Ruling:
-    """Share of the error that one estimator saves at common walls, by case and measurement; below zero it adds."""
+def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
+    """By how much one estimator's error at common walls is lower, as a share of another's.
+
+    By the other's name and upper edge of the band (Hz), measurement by measurement; below zero it is higher.
+    """
+    by_other: dict[str, list[float]] = {}
+    for (other, _), values in gains.items():
+        by_other.setdefault(other, []).extend(values)
     return judge(
-        {name: min(values) >= BETTER_COMMON for name, values in gains.items()},
-        gains=[(name, min(values), max(values)) for name, values in gains.items()],
+        {f"{other} up to {high:g} Hz": min(v) >= BETTER_COMMON for (other, high), v in gains.items()},
+        gains=[(other, min(values), max(values)) for other, values in by_other.items()],
     )
 
 

@@ -12,7 +12,7 @@ at 10 kHz the peak of the uniform wall is 35 to 46 counts, depending on the enco
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from rig.config.controller import resolution
 from rig.config.schemes import Scheme
 from rig.control.estimators.estimator import Floats
 from rig.core.errors import ConfigError
-from rig.core.present import plain
+from rig.core.present import plain, reported
 from rig.experiments.cases import Case
 from rig.experiments.compare import OFFSETS, Comparison, Entry, Start, compare, simulate
 from rig.experiments.estimators import Variant, delay, estimates
@@ -76,7 +76,7 @@ class WordLength:
     uniform: dict[int, float]
     dual: dict[int, float]
 
-    @property
+    @reported
     def as_in_the_paper(self) -> bool:
         """Whether the peaks are ordered as in figure 7.
 
@@ -89,10 +89,6 @@ class WordLength:
             and (1.0 + BETWEEN) * self.dual[slow] <= self.uniform[slow] <= (1.0 - BETWEEN) * self.none[slow]
             and all(self.dual[rate] <= MUCH_LESS * self.none[rate] for rate in POSITION_RATES)
         )
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {**asdict(self), "as_in_the_paper": self.as_in_the_paper}
 
 
 def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Experiment:
@@ -218,17 +214,13 @@ class Profile:
     velocity_rate: int
     arithmetic: str
     cutoff_hz: float
-    time_s: Floats
-    velocity: Floats
+    time_s: Floats = field(repr=False)
+    velocity: Floats = field(repr=False)
     delay_s: float | None
     noise_early: float
     noise_late: float
     reading_early: float
     reading_late: float
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values without the traces, for JSON."""
-        return {key: value for key, value in asdict(self).items() if key not in ("time_s", "velocity")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,9 +237,9 @@ class Profiles:
         Rms of the true velocity then (rad/s).
     """
 
-    time_s: Floats
-    velocity_true: Floats
-    counts: Floats
+    time_s: Floats = field(repr=False)
+    velocity_true: Floats = field(repr=False)
+    counts: Floats = field(repr=False)
     early_s: tuple[float, float]
     late_s: tuple[float, float]
     speed_early: float
@@ -260,12 +252,6 @@ class Profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
                 return profile
         raise KeyError(key)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values without the traces, for JSON."""
-        names = ("early_s", "late_s", "speed_early", "speed_late")
-        numbers = {name: getattr(self, name) for name in names}
-        return {**numbers, "profiles": [profile.as_mapping() for profile in self.profiles]}
 
 
 def koul_figure_8(

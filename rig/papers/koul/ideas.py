@@ -158,7 +158,7 @@ def _adaptive() -> list[Idea]:
         Idea(
             key=f"adaptive-{fast}-{slow}",
             group="adaptive T2",
-            label=f"T2 of {fast}Hz, {slow} Hz below {below} rad/s",
+            label=f"T2 of {_hertz(fast)}, {slow} Hz below {below} rad/s",
             scheme=Scheme.parse(f"dual:20k/{fast},slow_velocity_rate={slow},slow_below={below}"),
         )
         for fast, slow, below in (("5k", 1000, 0.2), ("2k", 1000, 0.2), ("2k", 500, 0.2))
@@ -196,12 +196,17 @@ def _velocity_rates() -> list[Idea]:
         Idea(
             key=f"rate-{rate}",
             group="T2",
-            label=f"velocity at {rate}Hz",
+            label=f"velocity at {_hertz(rate)}",
             scheme=Scheme.parse(f"uniform:{rate}" if rate == "20k" else f"dual:20k/{rate}"),
         )
         for rate in T2_RATES
         if rate != "2k"
     ]
+
+
+def _hertz(rate: str) -> str:
+    """A rate in the text form of a scheme, as a text has it: ``5 kHz``."""
+    return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
 
 
 def _cutoffs() -> list[Idea]:

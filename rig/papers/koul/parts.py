@@ -22,12 +22,14 @@ from rig.control.verdict import CRITERIA
 from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.operators import GRIPS
+from rig.core.present import plain
 from rig.experiments.compare import simulate
 from rig.experiments.hit_simulator import HitSimulator
 from rig.experiments.searches import Outcomes, Search, drive, limit_of
 from rig.experiments.sweep import Task
-from rig.experiments.zwidth import TRUE, run_series
+from rig.experiments.zwidth import TRUE, MapPlan, run_series
 from rig.papers.koul import compare as compare_koul
+from rig.papers.parts import Part
 
 SERIES = "rig.papers.koul.parts:series"
 RANGE = "rig.papers.koul.parts:damping_range"
@@ -46,6 +48,14 @@ _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion
 def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
     """A series as `rig.experiments.zwidth.run_series` has it, without the numbers that no section shows."""
     return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
+
+
+def map_part(plan: MapPlan) -> Part:
+    """The series of a map, weighed in hits of a 20 kHz rig."""
+    rungs = len(plan.search.rungs)
+    hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
+    tasks = tuple(replace(task, weight=float(hits) * task.weight / 20_000) for task in plan.tasks())
+    return Part(SERIES, tasks)
 
 
 # --- the range of damping of a soft wall, in simulation --------------------------------------------------
@@ -245,7 +255,7 @@ def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
             for p in profiles.profiles
             if p.arithmetic == compare_koul.FIXED
         }
-        rows.append({**word.as_mapping(), "read": read})
+        rows.append({**plain(word), "read": read})
     return rows
 
 

@@ -113,9 +113,8 @@ def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling
 
 def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
     """Peaks as above: the uniform wall goes as deep as the undamped one."""
-    return judge(
-        {name: uniform >= LIKE_NONE * none for name, (none, uniform, _) in peaks.items()}, peaks=peaks
-    )
+    ratios = {name: over(uniform, none) for name, (none, uniform, _) in peaks.items()}
+    return judge({name: ratio >= LIKE_NONE for name, ratio in ratios.items()}, ratios=ratios)
 
 
 def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
@@ -134,10 +133,10 @@ def null_late(readings: Mapping[str, tuple[float, float]]) -> Ruling:
     A null reading at 20 kHz that is one at 2 kHz as well would show nothing about the rate.
     """
     cases = {name: fast <= NULL < slow for name, (fast, slow) in readings.items()}
-    return judge(cases, readings=readings)
+    return judge(cases, late=[fast for fast, _ in readings.values()])
 
 
 def null_late_only(readings: Mapping[str, tuple[float, float]]) -> Ruling:
     """Share of the true velocity that is read at 20 kHz early and late in the impact, by case: seen, then not."""
     cases = {name: late <= NULL and early >= SEEN for name, (early, late) in readings.items()}
-    return judge(cases, readings=readings)
+    return judge(cases, seen=max((early for early, late in readings.values() if late <= NULL), default=0.0))

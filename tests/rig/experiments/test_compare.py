@@ -305,7 +305,7 @@ def test_early_and_late_follow_each_other_and_the_handle_is_slower_late():
     assert profiles.speed_late < 0.3 * profiles.speed_early
     assert profiles[20_000, FLOAT].cutoff_hz == 2000.0
     assert profiles.counts.max() == 57.0
-    json.dumps(profiles.as_mapping(), allow_nan=False)
+    json.dumps(plain(profiles), allow_nan=False)
 
 
 # --- what cannot be meant ---------------------------------------------------------------------------------

@@ -82,8 +82,8 @@ def test_table_one_wants_every_number_near() -> None:
 def test_wider_lower_larger_and_controlled() -> None:
     assert chawda_rules.wider({"a": 2.0}).status is Status.REPRODUCED
     assert chawda_rules.wider({"a": 2.0, "b": 0.4}).verdict == "reproduced only with a"
-    assert chawda_rules.lower({"a": [0.1, 0.08]}).status is Status.REPRODUCED
-    assert chawda_rules.lower({"a": [0.1, -0.01]}).status is Status.NOT
+    assert chawda_rules.lower({("a", 100.0): [0.1, 0.08]}).status is Status.REPRODUCED
+    assert chawda_rules.lower({("a", 100.0): [0.1, -0.01]}).status is Status.NOT
     assert chawda_rules.lower({}).status is Status.NOT
     assert chawda_rules.mostly_larger({"a": (9, 10)}).status is Status.REPRODUCED
     assert chawda_rules.mostly_larger({"a": (9, 10), "b": (1, 10)}).verdict == "reproduced only with a"

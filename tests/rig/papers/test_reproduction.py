@@ -157,8 +157,7 @@ ROOM = Path(reproduction.__file__).parent
 # Names of figures, rates and quantities, and what a paper itself says: no result is among them.
 CONSTANTS = (
     "Fig. 8a and 8b together", "Fig. 8a", "Fig. 8b", "Figs. 3 and 7", "Figs. 7 and 8", "Fig. 1", "Fig. 3", "Fig. 4",
-    "Fig. 5",
-    "Fig. 6", "Fig. 7", "Fig. 8", "equations (10) and (14)", "2013", "20/2 kHz", "20 / 2 kHz", "50 kHz", "20 kHz",
+    "Fig. 5", "Fig. 6", "Fig. 7", "Fig. 8", "equations (10) and (14)", "2013", "20/2 kHz", "50 kHz", "20 kHz",
     "10 kHz", "2 kHz", "1 kHz", "200 Hz", "1 Hz", "from 20 to", "fs/", "20k/2k", "0 < B", "B > 0", "B = 0", "K = 0",
     "T1/2", "1/T1", "T1", "T2", "μ1", "μ2", "×4", "× 4", "10⁴", "±90°", "2b/T", "2π", "b²", ")²", "m/s²", "g·m²",
     "1.17·α·T", "70 g", "1 µm",
