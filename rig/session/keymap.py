@@ -60,12 +60,8 @@ class KeyMap:
 
     @classmethod
     def from_mapping(cls, value: Mapping[str, Any]) -> KeyMap:
-        """The map that `as_mapping` gave."""
+        """The map of plain values (`rig.core.present.plain`)."""
         return cls(dict(value["keys"]), bool(value["bell"]))
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {"keys": dict(self.keys), "bell": self.bell}
 
     def meaning(self, key: str) -> str:
         """What a key means: a verdict, an action, ``stop``, ``help``, or nothing. Case does not matter."""
@@ -93,7 +89,7 @@ def _checked(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
         raise ConfigError(f"{where}: {RESERVED[key]}", remedy="give another key")
     if not (len(key) == 1 and key.isprintable()) and key not in NAMED:
         raise ConfigError(
-            f"{where} is no key",
+            f"{where} is not a key",
             remedy=f"give one character, or one of {', '.join(sorted(NAMED - set(RESERVED)))}",
         )
     twin = next((other for other, its in all_keys.items() if its.lower() == key and other != meaning), None)

@@ -121,7 +121,9 @@ def drive_at(path: Path) -> Drive:
     """Return the drive at a path; raises `DeviceNotFoundError` when no boot ROM shows itself there."""
     drive = _drive(path)
     if drive is None:
-        raise DeviceNotFoundError(f"{path} is no drive of a boot ROM: it has no {INFO_FILE}", remedy=HOLD)
+        raise DeviceNotFoundError(
+            f"{path} is not the drive of a boot ROM: it has no {INFO_FILE}", remedy=HOLD
+        )
     return drive
 
 
@@ -169,7 +171,7 @@ def _unmounted() -> Path | None:
 def _check_family(image: Path, content: bytes, drive: Drive) -> None:
     if not is_uf2(content):
         raise ConfigError(
-            f"{image} is no UF2 file", remedy="flash the .uf2 that rig firmware build made beside it"
+            f"{image} is not a UF2 file", remedy="flash the .uf2 that rig firmware build made beside it"
         )
     family = read_uf2(content, str(image)).family
     wanted = FAMILY_OF_DRIVE.get(drive.board_id)
