@@ -42,7 +42,7 @@ _HUB_CLASS = 9
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """A device on the bus: what it says of itself, its place in sysfs, and whether an interface could be a rig's."""
+    """A device on the bus: its descriptors, its place in sysfs, and whether an interface could be a rig's."""
 
     vid: int
     pid: int
@@ -71,7 +71,7 @@ class _Pipes:
 def available_devices() -> list[UsbDevice]:
     """Return the USB devices here, hubs left out; an empty list when there is no libusb.
 
-    Nothing is opened that belongs to somebody else: what a device says of itself is read from sysfs.
+    No device of another program is opened: descriptors are read from sysfs.
     """
     try:
         bus = Bus()

@@ -1,4 +1,4 @@
-"""The latency ledger: when each sample was taken, received, answered and felt, on one clock, and what that adds up to.
+"""The latency ledger: when each sample was taken, received, answered and applied, on one clock.
 
 Arithmetic on columns of rows (`rig.core.sample`), with a clock fit where there is one. A tick has five times on the
 host's clock, 0 where unknown:
@@ -10,7 +10,7 @@ computed  the law had its effort
 sent      the link had taken the COMMAND
 applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that names
           it as the active one, and a is the age that it gives; or when it was sent, if that is later. A device
-          tells in which of its ticks a COMMAND came, not when: it may have been up to a tick later
+          reports in which of its ticks a COMMAND came, not when: it may have been up to a tick later
 ========  =====================================================================================================
 
 Sampled and applied carry the errors of the clock fit, with opposite signs in the two transports; the whole way, from
@@ -18,7 +18,7 @@ sampled to applied, is free of its offset.
 
 Where the law ran on the device (`Ledger.loop`) no COMMAND answers a sample: the device applied its effort in the tick
 of the sample itself, and `execution_ns` bounds how long after it. Only sampled and received are known then, and how
-late a batch brought the sample; no tick is late, because nobody waited for it.
+late a batch brought the sample; no tick is late, because nothing waited for it.
 """
 
 from __future__ import annotations
