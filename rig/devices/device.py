@@ -59,8 +59,7 @@ class DeviceUrl:
         for name in self.options:
             if name not in options:
                 raise ConfigError(
-                    f"{self.text}: unknown option {name!r}",
-                    remedy=f"known options: {', '.join(options) or 'none'}",
+                    f"{self.text}: unknown option {name!r}", remedy=f"known options: {', '.join(options)}"
                 )
 
     def choice(self, name: str, allowed: Sequence[str], default: str) -> str:

@@ -1,8 +1,10 @@
 """A USB device with two bulk endpoints as a link: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
 
 pyusb finds, opens and claims it; the bytes then move by libusb's transfers, from the compiled loop and from Python
-alike (`rig.devices.usb_queue`). A rig is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes
-are the frames of any other link.
+alike (`rig.devices.usb_queue`), or by pyusb's own calls where those cannot be reached (`rig.devices.usb_plain`). A rig
+is an interface of vendor class (0xFF) with one bulk endpoint each way; the bytes are the frames of any other link.
+
+``?transfers=plain`` forces pyusb's own calls, ``?transfers=queued`` refuses them.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import usb.core
 import usb.util
@@ -30,10 +32,13 @@ from rig.devices.device import DeviceUrl, RealLink
 from rig.devices.failures import error_number, link_error
 from rig.devices.port import LoopPort
 from rig.devices.usb_handle import Bus, handle_of, unsuitable
+from rig.devices.usb_plain import PlainTransfers
 from rig.devices.usb_queue import QueuedTransfers
 from rig.realtime.clock import Clock, MonotonicClock
 from rig.realtime.scheduling.refusals import RULES_COMMAND
 
+OPTIONS = ("transfers",)
+TRANSFERS = ("queued", "plain")
 VENDOR_CLASS = 0xFF
 SYSFS = Path("/sys/bus/usb/devices")
 _BULK = 2
@@ -84,12 +89,13 @@ def available_devices() -> list[UsbDevice]:
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
-    """Open ``usb://vid:pid[/serial]``; see `rig.devices.open_link` for what it raises.
+    """Open ``usb://vid:pid[/serial][?transfers=…]``; see `rig.devices.open_link` for what it raises.
 
-    Besides, `IncompatibleDeviceError` for a device that has no interface of a rig, and where this computer or pyusb is
-    not as tested.
+    Besides, `IncompatibleDeviceError` for a device that has no interface of a rig, or whose transfers cannot be queued
+    though the URL demands it.
     """
-    url.allow(())
+    url.allow(OPTIONS)
+    wanted = url.choice("transfers", TRANSFERS, "")
     vendor, product, serial = _place(url)
     bus = Bus()
     try:
@@ -102,7 +108,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
             )
         detached = _claim(device, pipes, url)
         try:
-            transfers = _opened(url, device, pipes)
+            transfers = _opened(url, device, pipes, wanted)
         except BaseException:
             _release(device, pipes, detached)
             raise
@@ -158,27 +164,26 @@ def _rigs(bus: Bus) -> str:
 
 
 def _description(device: Any) -> UsbDevice:
+    ports = device.port_numbers or ()
+    path = (
+        f"{device.bus}-{'.'.join(str(port) for port in ports)}" if ports else f"{device.bus}-{device.address}"
+    )
     is_rig = _pipes(device) is not None
     return UsbDevice(
         vid=device.idVendor,
         pid=device.idProduct,
         serial=_text(device, "serial", ask=is_rig),
         product=_text(device, "product", ask=is_rig),
-        path=_path(device),
+        path=path,
         is_rig=is_rig,
     )
 
 
-def _path(device: Any) -> str:
-    """Name of its directory in sysfs, from the bus and the ports that lead to it."""
-    ports = device.port_numbers or (device.address,)
-    return f"{device.bus}-{'.'.join(map(str, ports))}"
-
-
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
     """Serial number or product name: as the kernel has read it, else the device is asked; empty when it has none."""
+    ports = device.port_numbers or ()
     with suppress(OSError):
-        return (SYSFS / _path(device) / which).read_text().strip()
+        return (SYSFS / f"{device.bus}-{'.'.join(str(port) for port in ports)}" / which).read_text().strip()
     if ask:
         with suppress(usb.core.USBError, ValueError, NotImplementedError):  # ValueError: no permission to ask
             text = device.serial_number if which == "serial" else device.product
@@ -261,6 +266,28 @@ def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
     )
 
 
+class Transfers(Protocol):
+    """The bulk pipes of a claimed interface: `rig.devices.usb_queue.QueuedTransfers`, or `PlainTransfers`."""
+
+    note: str
+
+    def read(self, timeout_s: float) -> bytes:
+        """As `rig.devices.device.Link.read`; raises OSError."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """As `rig.devices.device.Link.write`; raises OSError."""
+        ...
+
+    def plugs(self) -> tuple[Any, Any, Any, int]:
+        """Return read, write, wait and their handle."""
+        ...
+
+    def close(self) -> None:
+        """Take back what is under way; may be called twice."""
+        ...
+
+
 class UsbLink(RealLink):
     """`rig.devices.device.Link` over the bulk pipes of an interface."""
 
@@ -268,7 +295,7 @@ class UsbLink(RealLink):
         self,
         url: DeviceUrl,
         bus: Bus,
-        transfers: QueuedTransfers,
+        transfers: Transfers,
         release: Callable[[], None],
         serial_number: str | None = None,
     ) -> None:
@@ -277,9 +304,18 @@ class UsbLink(RealLink):
         self.clock: Clock = MonotonicClock()
         self.bytes_per_second: float | None = None  # packets are the limit, not bytes
         self._bus: Bus | None = bus
-        self.messages: list[str] = []  # a device that opens has everything
         self._transfers = transfers
         self._release = release
+
+    @property
+    def note(self) -> str:
+        """What a user should know of how the bytes move; empty when all is well."""
+        return self._transfers.note
+
+    @property
+    def messages(self) -> list[str]:
+        """What could not be obtained, for the user to read."""
+        return [self.note] if self.note else []
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, waiting at most `timeout_s` for the first byte."""
@@ -318,12 +354,17 @@ class UsbLink(RealLink):
         return link_error(error_number(error), self.url.text)
 
 
-def _opened(url: DeviceUrl, device: Any, pipes: _Pipes) -> QueuedTransfers:
-    if why := unsuitable(device):
+def _opened(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
+    """Return the fastest transfers that this device can have (`QueuedTransfers` or `PlainTransfers`)."""
+    why = "the URL asks for it" if wanted == "plain" else unsuitable(device)
+    if why and wanted == "queued":
         raise IncompatibleDeviceError(
-            f"{url.text} cannot be used: {why}", remedy="install a tested version: pip install 'pyusb<1.4'"
+            f"{url.text}: transfers cannot be queued: {why}",
+            remedy="leave transfers=queued out, or install pyusb 1.3",
         )
     try:
+        if why:
+            return PlainTransfers(device, pipes.endpoint_in, pipes.endpoint_out, pipes.packet, why)
         return QueuedTransfers(handle_of(device), pipes.endpoint_in, pipes.endpoint_out, pipes.packet)
     except OSError as error:
         raise _not_opened(error, device, url) from None

@@ -1,7 +1,7 @@
 """What pyusb does not show: the library, context and handle behind an open device, as addresses.
 
 This is the only file that touches pyusb's private names. `unsuitable` compares what is found with what was tested and
-says why the addresses cannot be used.
+says why the addresses cannot be had; then the device is used through pyusb's own calls (`rig.devices.usb_plain`).
 
 Each link has a libusb context of its own, with the thread that watches for devices: the devices of a new context are
 those that are there now, not those that pyusb remembers, and closing it leaves nothing behind.

@@ -29,6 +29,8 @@ _BULK = 2
 class QueuedTransfers:
     """The pipes of one interface. Errors are bare `OSError` with the numbers of `rig.devices.failures`."""
 
+    note = ""
+
     def __init__(self, handle: Handle, endpoint_in: int, endpoint_out: int, packet: int) -> None:
         self._handle = handle
         count = IN_TRANSFERS + OUT_TRANSFERS

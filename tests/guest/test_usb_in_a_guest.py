@@ -158,9 +158,9 @@ def test_unplugged_in_a_blocked_read_and_after_it_and_found_again():
 # ---------------------------------------------------------------------- what rig makes of it
 
 
-@pytest.fixture
-def link(bare):
-    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare")
+@pytest.fixture(params=["queued", "plain"])
+def link(bare, request):
+    made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare?transfers={request.param}")
     yield made
     bare.bus.heal()
     made.close()
@@ -244,8 +244,9 @@ def test_one_program_at_a_time(link):
         open_link(link.url.text)
 
 
-def test_a_pulled_plug_is_one_error_and_the_next_device_is_found():
-    url = f"usb://{VENDOR:04x}:{PRODUCT:04x}/pulled"
+@pytest.mark.parametrize("transfers", ["queued", "plain"])
+def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers):
+    url = f"usb://{VENDOR:04x}:{PRODUCT:04x}/pulled?transfers={transfers}"
     with plugged("pulled") as made:
         link = open_link(url)
         threading.Timer(STRIKE_AFTER_S, made.bus.unplug).start()

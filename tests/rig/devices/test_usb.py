@@ -98,7 +98,9 @@ def bus(monkeypatch, tmp_path):
     monkeypatch.setattr(links, "SYSFS", tmp_path)
     monkeypatch.setattr(links.usb.util, "claim_interface", claim)
     monkeypatch.setattr(links.usb.util, "release_interface", lambda device, interface: device._do("release"))
-    monkeypatch.setattr(links, "_opened", lambda url, device, pipes: SimpleNamespace(close=list))
+    monkeypatch.setattr(
+        links, "_opened", lambda url, device, pipes, wanted: SimpleNamespace(note="", close=list)
+    )
     return Bus
 
 
@@ -122,7 +124,8 @@ def test_a_place_that_names_no_device_is_refused(bus, place):
 
 
 def test_options_are_known_ones(bus):
-    assert "speed" in refused(bus, ConfigError, url="usb://1209:0001?speed=high").message
+    assert "transfers" in refused(bus, ConfigError, url="usb://1209:0001?speed=high").remedy
+    assert "queued, plain" in refused(bus, ConfigError, url="usb://1209:0001?transfers=fast").remedy
 
 
 def test_no_such_device_lists_what_is_there(bus):

@@ -19,7 +19,7 @@ from rig.recording.reader import open_recording
 from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.conformance.tolerance import tolerated
 from tests.system.usb import checks
-from tests.system.usb.emulated_bus import WAIT_S, Bus, Child, build
+from tests.system.usb.bench import WAIT_S, Bus, Child, build
 
 if numba.config.DISABLE_JIT:
     pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
@@ -33,11 +33,11 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("bridge"))
 
 
-@pytest.fixture(scope="module")
-def child(program: Path) -> Iterator[Child]:
+@pytest.fixture(scope="module", params=["queued", "plain"])
+def child(request: pytest.FixtureRequest, program: Path) -> Iterator[Child]:
     bus = Bus(program, rate=RATE)
     try:
-        process = Child(bus)
+        process = Child(bus, request.param)
         yield process
         assert process.close() == 0
     finally:
@@ -92,14 +92,20 @@ def test_waiting_sleeps(child: Child) -> None:
 
 def test_queued_transfers_need_no_lock_of_the_interpreter(child: Child) -> None:
     """Unarmed, the device sends some 100 packets a second; 40 in the time, if the machine has time."""
+    queued = child.check("says_how_it_works") == ""
     packets = child.check("packets_come_while_python_is_locked")
     print(packets)
-    assert packets > 10
+    assert packets > 10 or not queued
 
 
 def test_a_device_is_listed_with_its_url(child: Child) -> None:
     (device,) = child.check("is_listed")
     assert device == {"url": f"{checks.URL}/0001", "name": "simulated rig", "path": "1-1", "is_rig": True}
+
+
+def test_the_slow_way_is_said(child: Child) -> None:
+    note = child.check("says_how_it_works")
+    assert note == "" or "the URL asks for it" in note
 
 
 # ---------------------------------------------------------------------- a whole run of the loop
@@ -114,8 +120,11 @@ def rig(program: Path) -> Iterator[Bus]:
     bus.close()
 
 
-def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(rig: Bus, tmp_path: Path) -> None:
-    child = Child(rig)
+@pytest.mark.parametrize("transfers", ["queued", "plain"])
+def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(
+    rig: Bus, tmp_path: Path, transfers: str
+) -> None:
+    child = Child(rig, transfers)
     try:
         found = child.check("unplugged_in_a_trial", str(tmp_path))
     finally:
@@ -132,7 +141,7 @@ def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(rig: Bus, tm
         assert found["after_ms"] < SECONDS
 
 
-@pytest.mark.parametrize("url", [checks.URL, f"{checks.URL}/0001"])
+@pytest.mark.parametrize("url", [checks.URL, f"{checks.URL}/0001?transfers=plain"])
 def test_a_hit_from_the_command_line(rig: Bus, tmp_path: Path, url: str) -> None:
     """It is judged, or ends with a typed loss; either way it is recorded and every tick is accounted for."""
     rates = [

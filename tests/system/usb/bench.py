@@ -134,8 +134,10 @@ class Bus:
 class Child:
     """A process under the preload that does checks by name."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._process = bus.start("-W", "error", "-m", "tests.system.usb.child", stdin=subprocess.PIPE)
+    def __init__(self, bus: Bus, transfers: str) -> None:
+        self._process = bus.start(
+            "-W", "error", "-m", "tests.system.usb.child", transfers, stdin=subprocess.PIPE
+        )
 
     def check(self, *words: str) -> Any:
         """Do one check, with its arguments, and return what it found; its failure is ours."""
