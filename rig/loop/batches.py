@@ -1,7 +1,7 @@
 """From the frames of a device that runs the law to its samples, in order and each once.
 
-Every sample goes through a queue, because an answer of the device may decide under which wall it was taken. What came
-twice or behind newer samples is dropped and counted; what never came is a gap in the sample index.
+Every sample goes through a queue, because an answer of the device may decide under which wall it was taken. Duplicates
+and samples behind newer ones are dropped and counted; lost ones are a gap in the sample index.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _take_state(buffers: Buffers, supervised: SupervisionBuffers, words: int) ->
 def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> int:
     """Take the whole frames out of the receive buffer: samples and STATEs into their queues; return new samples.
 
-    Answers to a clock exchange and to the conversation about a new wall go where they belong. The queue must have room
+    Answers to a clock exchange and to a parameter transaction are dispatched. The queue must have room
     (`has_room`).
     """
     session = settings[0]["session"]

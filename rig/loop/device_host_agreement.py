@@ -1,9 +1,9 @@
 """Device–host agreement: the current active at a sample beside the one that the law gave a sample before.
 
-The two compute in different arithmetic, so they may differ by a little; where a limit, a ramp or a gap acts the device
-is right to differ, and nothing is compared; nor for a while after a gap, until the estimators have forgotten it. STATE
-tells limits afterwards, so what was found since the last one waits for the next; what no STATE tells about, because one
-was lost or the run ended, is left out.
+The two compute in different arithmetic, so they may differ slightly. Where a limit, a ramp or a gap acts the
+difference is expected and nothing is compared, nor for a while after a gap, until the estimators have forgotten it. A
+STATE reports limits afterwards, so what was found since the last one waits for the next; samples that no STATE covers,
+because it was lost or the run ended, are excluded.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
 
 @kernel(types.void(SUPERVISION_TYPE, INTS))
 def settle(supervision: Any, state: Any) -> None:
-    """Count what was found since the last STATE, now that the next one says whether a limit acted."""
+    """Count what was found since the last STATE, now that the next one shows whether a limit acted."""
     v = supervision[0]
     limits = state[STATE.limits] & _ACTING
     if state[CONTIGUOUS] == 1 and (limits | v["limits_before"]) == 0:

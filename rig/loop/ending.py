@@ -1,4 +1,4 @@
-"""Why a loop ends, as far as loops have that in common: somebody outside says so, or the law does."""
+"""Reasons to end that all loops share: a stop from outside, or a flag of the law."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ENERGY, _VIOLENT = int(EndReason.ENERGY), int(EndReason.VIOLENT)
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
 def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
-    """Reason to end that came from outside, or 0: the stop word, a signal, a supervisor that fell silent."""
+    """Reason to end that came from outside, or 0: the stop word, a signal, a supervisor whose heartbeat stopped."""
     if woken_by_signal(settings[0]["wake_descriptor"]) != 0:
         store_word(words + WORD * ring.STOP, 1)
     if load_word(words + WORD * ring.STOP) != 0:
@@ -44,9 +44,9 @@ def told_to_end(port: LoopPort, settings: Any, words: int) -> int:
 def ended_by_law(memory: Any) -> int:
     """Reason to end that `rig.control.step` left in its memory, or 0.
 
-    With the law on the device this is the host's own step on the samples of a BATCH, and the device knows nothing of
-    energy or violence: it drives on until our STOP is there. That is the rest of the batch (at most 5 ms, see
-    `rig.config.device_law.batch`), the way of its bytes, and the way of the STOP.
+    With the law on the device this is the host's own step on the samples of a BATCH, and the device does not watch
+    energy or violence: it drives until our STOP arrives. That takes the rest of the batch (at most 5 ms, see
+    `rig.config.device_law.batch`), the transfer of its bytes, and the transfer of the STOP.
     """
     flags = memory[0]["flags"]
     reason = 0

@@ -1,7 +1,7 @@
-"""The two clocks compared while the loop runs: GET_TIME now and then, behind a COMMAND, and its TIME when it comes.
+"""Clock exchanges while the loop runs: GET_TIME about eleven times a second, behind a COMMAND, and its answer TIME.
 
 Four stamps make an exchange: the host's at sending, the device's at receipt and at sending, the host's at receipt.
-They are kept as they are; what follows from them is `rig.core.clock_fit`'s to say.
+`rig.core.clock_fit` fits a line to them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rig.realtime.atomics import load_word, store_word
 from rig.realtime.codec import GET_TIME, TIME
 from rig.realtime.kernel import kernel
 
-EVERY_NS = 91_000_000  # some eleven a second; no multiple of a usual period, so that no beat hides a delay
+EVERY_NS = 91_000_000  # some eleven a second; no multiple of a usual period, so that aliasing hides no delay
 
 
 @kernel(types.int64(types.int64, types.int64))
@@ -31,7 +31,7 @@ def device_ns(ticks: int, device_tick_ps: int) -> int:
 def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
     """Send a GET_TIME when it is time for one: 0, or the negative errno of a broken link.
 
-    An answer that has not come by the next question is given up.
+    An answer that has not arrived by the next request is given up.
     """
     s, p = settings[0], buffers.progress[0]
     asked_at = port.now(port.clock_handle)
@@ -66,7 +66,7 @@ def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
     exchanges[place, 1] = device_ns(times[TIME.device_received], device_tick_ps)
     exchanges[place, 2] = device_ns(times[TIME.device_sent], device_tick_ps)
     exchanges[place, 3] = p["read_at"]
-    for i in range(4):  # for whoever looks at the ring: the other half is left alone meanwhile
+    for i in range(4):  # for readers of the ring: the other half is left alone meanwhile
         store_word(words + WORD * (ring.CLOCK + 4 * (done % 2) + i), exchanges[place, i])
     store_word(words + WORD * ring.EXCHANGES, done + 1)
     return 1

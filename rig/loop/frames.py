@@ -1,4 +1,4 @@
-"""From bytes as they come to whole frames: the one place where compiled code cuts a stream at its delimiters."""
+"""From a byte stream to whole frames: the one place where compiled code splits it at the delimiters."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""The loop that a person's hand feels, as one compiled function without the GIL.
+"""The control loop on the host, as one compiled function without the GIL.
 
-For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring. The beat
-is the device's (block until a sample arrives, one period at most) or the host's (wake on a grid of its own that does
-not drift, skip what passed, never burst, and take the newest sample that is there). Nothing blocks without a bound, so
-that the stop word, a signal and the heartbeat are seen within a tick. The link is drained every time and the newest
-sample kept; those behind it are counted as skipped, those that never came as lost: the law saw neither.
+For each fresh STATE: read the count, run `rig.control.step`, answer with a COMMAND, leave one row in the ring. The loop
+is paced by the device (block until a sample arrives, one period at most) or by the host (wake on a grid that does not
+drift, skip missed points, never burst, and take the newest sample available). Every wait is bounded, so that the stop
+word, a signal and the heartbeat are seen within a tick. The link is drained every time and the newest sample kept;
+older ones are counted as skipped, those that never arrived as lost: the law saw neither.
 
-Estimator, law, link and clock are plug points (`rig.realtime.plugs`), so that this text is compiled once for all of
+Estimator, law, link and clock are plug points (`rig.realtime.plugs`), so that this function is compiled once for all of
 them: the in-memory link in virtual time and a serial port in real time run the same machine code.
 
 Whatever ends the loop, it sends several STOP commands before it returns, and its caller sends them again.
@@ -50,9 +50,9 @@ LONGEST_WAIT_NS = 10_000_000
 
 @kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _overran(settings: Any, memory: Any, progress: Any) -> bool:
-    """Whether this tick came more than one period late.
+    """Whether this tick is more than one period late.
 
-    Device-paced, the newest of several samples is in time though those behind it were not: they are what tells.
+    Device-paced, the newest of several samples is in time though the skipped ones were not: they decide.
     """
     flags = memory[0]["flags"]
     behind = settings[0]["host_paced"] == 0 and flags & FLAG_GAP != 0 and progress[0]["fresh"] > 1
@@ -61,7 +61,7 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _outcome(state: Any, settings: Any, memory: Any, progress: Any) -> int:
-    """End reason that follows from this tick, 0 to go on."""
+    """End reason that follows from this tick, 0 to continue."""
     if state[STATE.fault] != 0 or state[STATE.state] == _FAULT_STATE:
         return FAULT
     reason = ended_by_law(memory)
@@ -93,7 +93,7 @@ _ENDS = -1  # times an EndReason: what `_receive` returns instead of a number of
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int:
-    """Wait for the next beat, one period at most: samples passed, 0 for none, or minus the reason to end."""
+    """Wait for the next tick, one period at most: samples passed, 0 for none, or minus the reason to end."""
     s, p = settings[0], buffers.progress[0]
     reason = told_to_end(port, settings, words)
     if reason != 0:
@@ -132,7 +132,7 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
 def run(
     port: LoopPort, controller: ControllerArguments, shared: Shared, settings: Any, buffers: Buffers
 ) -> int:
-    """Run until something ends it; then zero first, several times, then the reason.
+    """Run until an end reason; then send zero effort several times, and return the reason.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def run(
         current = step(controller, state[STATE.count], edge_age_s, elapsed)
         if (
             load_word(words + WORD * ring.STOP) == ring.ABANDONED
-        ):  # a law that took for ever: nobody waits for us
+        ):  # the law took too long, and the caller no longer waits
             store_word(words + WORD * ring.END_REASON, STOPPED)
             return STOPPED
         computed_ns = port.now(port.clock_handle)

@@ -1,4 +1,4 @@
-"""What the compiled loop reads and writes besides the ring: settings, what it remembers of the link, its buffers."""
+"""What the compiled loop reads and writes besides the ring: settings, its state of the link, its buffers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class EndReason(IntEnum):
 
     RUNNING = 0
     FINISHED = 1  # all phases done
-    STOPPED = 2  # somebody set the stop word, or a signal came
-    HEARTBEAT_MISSED = 3  # the supervisor fell silent
+    STOPPED = 2  # the stop word was set, or a signal arrived
+    HEARTBEAT_MISSED = 3  # the supervisor's heartbeat stopped
     LINK_CLOSED = 4  # the port is gone (END_ERRNO says why)
     LINK_SILENT = 5  # no fresh sample for too long
     DEVICE_FAULT = 6  # the device latched a fault
@@ -32,8 +32,8 @@ class EndReason(IntEnum):
     HOMING_FAILED = 9  # the start was not reached in time
     LAW_RAISED = 10  # law or estimator raised an exception (set by the caller)
     OVERRUN = 11  # a tick came more than one period late, and the settings say that this ends the run
-    STUCK = 12  # told to stop, it did not return: law or estimator never came back (set by the caller)
-    DEVICE_ENDED = 13  # the law on the device ended the run, the host's, in other arithmetic, did not
+    STUCK = 12  # it did not return after a stop: law or estimator never returned (set by the caller)
+    DEVICE_ENDED = 13  # the law on the device ended the run, that of the host, in other arithmetic, did not
     ENERGY = 14  # the motor gave more energy to the handle than it may
     VIOLENT = 15  # the effort oscillated between zero and its limit
 
@@ -43,7 +43,7 @@ SETTINGS = np.dtype(
         ("period_ns", "<i8"),
         ("session", "<i8"),
         ("lifetime_us", "<i8"),  # of every command: the device's watchdog
-        ("lost_after_ns", "<i8"),  # silence that ends the run
+        ("lost_after_ns", "<i8"),  # time without a sample that ends the run
         ("device_tick_ps", "<i8"),  # unit of the device's clock
         ("current_quantum_a", "<f8"),
         # 1: wait for the recorder when the ring is full (virtual time); 0: drop, count
@@ -63,7 +63,7 @@ SETTINGS = np.dtype(
     align=True,
 )
 
-# What the loop remembers of the link, one row: sequence numbers and the two clocks extended to 64 bits.
+# State of the link, one row: sequence numbers and the two clocks extended to 64 bits.
 PROGRESS = np.dtype(
     [
         ("filled", "<i8"),  # bytes of an unfinished frame at the front of the receive buffer
@@ -84,7 +84,7 @@ PROGRESS = np.dtype(
         ("parameter_set", "<i8"),  # active
         ("waiting_set", "<i8"),  # taken from the mailbox, not yet active; 0 for none
         ("sets", "<i8"),  # parameter sets that became active during the run
-        ("sync_told", "<i8"),  # time of the newest edge of the sync input as STATE told it (32 bits)
+        ("sync_told", "<i8"),  # time of the newest edge of the sync input in a STATE (32 bits)
         ("sync_time", "<i8"),  # the same extended to 64 bits (device ticks); 0 for none
     ],
     align=True,
@@ -119,7 +119,7 @@ class Buffers(NamedTuple):
     received, raw, transmit
         Bytes from the link, a decoded frame, a frame to send.
     header, candidate, state, command, question, times
-        Values of a frame's header, of a STATE that just came, the newest STATE, COMMAND, GET_TIME and TIME.
+        Values of a frame's header, of a STATE that just arrived, the newest STATE, COMMAND, GET_TIME and TIME.
     exchanges
         The four stamps of each clock exchange (ns), the newest `EXCHANGES_KEPT` of them.
     mail, waiting

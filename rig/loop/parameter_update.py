@@ -1,10 +1,10 @@
 """An update of the wall while the law runs on the device: how it becomes active there, and here at the same sample.
 
-Python makes bytes of a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the
-same wall as a block of parameters of the device. The loop says the transaction that brings the block (SET_BEGIN,
-SET_CHUNKs, SET_COMMIT; `firmware_protocol.transaction` says what and when), and begins again when the device finds the
-handle inside a wall. The last answer names the sample from which the new wall counts: exactly from there the host's law
-has it too. So, while a SET_COMMIT is on its way, samples wait.
+Python encodes a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the same
+wall as a parameter block of the device. The loop sends the block as a transaction (SET_BEGIN, SET_CHUNKs, SET_COMMIT;
+see `firmware_protocol.transaction`), and repeats it when the device finds the handle inside a wall. The last answer
+names the sample from which the new wall is active: from there the host's law uses it too. So samples wait while a
+SET_COMMIT is unanswered.
 
 The newest update counts: one that waits for free space is replaced, one that is being sent is not.
 """
@@ -54,13 +54,13 @@ AGAIN_NS = 2_000_000  # after the device found the handle inside a wall
 
 
 def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
-    """Bytes of an update: the number of a set, its block of live parameters, and what the host's law takes of it.
+    """Bytes of an update: the number of a set, its block of live parameters, and the values for the host's law.
 
-    Raises `ConfigError` for more than there is room for.
+    Raises `ConfigError` for a set that does not fit.
     """
     if len(block) > BLOCK_BYTES or VALUES_AT + 8 * len(values) > MOST_BYTES:
         raise ConfigError(
-            f"a wall of {len(block) // ENTRY_BYTES} parameters on the device and {len(values)} here is too much for a "
+            f"{len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host do not fit a "
             "running loop",
             remedy="use a law with fewer parameters",
         )
@@ -83,7 +83,7 @@ def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers)
 
 @kernel(TRANSACTION(SUPERVISION_TYPE))
 def _transaction(supervision: Any) -> Transaction:
-    """The transaction as the loop remembers it."""
+    """State of the transaction."""
     v = supervision[0]
     return Transaction(v["nonce"], v["length"], v["request"], v["offset"], v["tries"], v["again_at"])
 
@@ -134,7 +134,7 @@ def say_update(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Say what is due of an update: 0, or the negative errno of a broken link.
+    """Send what is due of an update: 0, or the negative errno of a broken link.
 
     `mailbox` is the address of that in which updates come, or 0 for a loop without one; `control` is what the host's
     law uses.
@@ -151,7 +151,7 @@ def say_update(
         if not _may_begin(control, buffers.waiting, supervised.supervision, time_ns):
             return 0
         p["nonce"] = (p["nonce"] + 1) % 65536
-        p["asking"] = 0  # a clock exchange that was on its way is given up: its answer has another nonce
+        p["asking"] = 0  # a pending clock exchange is given up: its answer has another nonce
         _remember(supervised.supervision, Transaction(p["nonce"], v["length"], BEGIN, 0, 0, 0))
     before = _transaction(supervised.supervision)
     t = after_time(before, time_ns, ENDLESS)
@@ -166,7 +166,7 @@ def say_update(
 
 @kernel(types.int64(BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def take_answer(buffers: Buffers, supervised: SupervisionBuffers) -> int:
-    """Go on with the update if an ACK is the answer to what was said last; return 1 then, else 0."""
+    """Continue the update if an ACK answers the last request; return 1 then, else 0."""
     v, p, ack = supervised.supervision[0], buffers.progress[0], supervised.ack
     if v["step"] != UNDER_WAY and v["step"] != COMMITTED:
         return 0

@@ -1,8 +1,8 @@
-"""New parameters for a loop that runs: from the mailbox, between two ticks, never with the hand in the wall.
+"""Parameter updates of a running loop: from the mailbox, between two ticks, never with the handle in the wall.
 
-A jump of stiffness, damping or place under a pressed handle is a jump of effort. So a set waits until the handle is
-outside the wall that is and outside the wall that will be; a newer set takes its place meanwhile. Each set that came
-active is kept with its tick, so that a replay can do the same.
+A step of stiffness, damping or position under a pressed handle is a step of effort. So a set waits until the handle is
+outside both the present wall and the new one; a newer set replaces it meanwhile. Each set that became active is kept
+with its tick, for the replay.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def inside(control: Any, wall_position: float, count: int) -> bool:
 
 @kernel(types.void(CONTROLLER_TYPE, FLOATS))
 def activate(controller: ControllerArguments, values: Any) -> None:
-    """Make a parameter set that of the law: `values` are the wall's position and the law's parameters."""
+    """Make a parameter set the law's: `values` are the wall's position and the law's parameters."""
     controller.control[0]["wall_position"] = values[0]
     for i in range(len(controller.law_parameters)):
         controller.law_parameters[i] = values[1 + i]
@@ -55,7 +55,7 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
 
 @kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, BUFFERS_TYPE, types.int64))
 def renew_parameters(controller: ControllerArguments, shared: Shared, buffers: Buffers, tick: int) -> None:
-    """Look into the mailbox, and activate what waits, from this tick on, if the handle is in free space."""
+    """Check the mailbox, and activate the waiting set from this tick on if the handle is in free space."""
     if shared.mailbox == 0:
         return
     p, waiting, control = buffers.progress[0], buffers.waiting, controller.control

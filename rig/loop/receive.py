@@ -1,4 +1,4 @@
-"""From the link's bytes to the newest sample: frames split, checked, and told apart."""
+"""From the link's bytes to the newest sample: frames split, checked and dispatched."""
 
 from __future__ import annotations
 

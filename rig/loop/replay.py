@@ -1,4 +1,4 @@
-"""The law over recorded rows again: the loop without a link, for a replay."""
+"""Replay: the law over recorded rows, without a link."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.realtime.kernel import kernel
 
 _TIMING = int(RowFlag.LATE | RowFlag.GAP)  # noticed by the loop, not by the law
 
-NO_SETS = np.zeros((0, 1))  # of a run whose parameters stayed as they were
+NO_SETS = np.zeros((0, 1))  # of a run without parameter updates
 
 
 @kernel(types.void(CONTROLLER_TYPE, ROWS_TYPE, ROWS_TYPE, types.float64[:, ::1]))

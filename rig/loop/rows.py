@@ -1,4 +1,4 @@
-"""One tick as one row: what arrived, what the law made of it, and when."""
+"""One tick as one row: what arrived, what the law computed, and when."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
 def sync_time(progress: Any, state: Any) -> int:
     """Device time of the newest rising edge of the sync input, extended to 64 bits (device ticks); 0 for none.
 
-    A STATE may tell an edge that is younger than its sample, since it is made after that. An edge is dated when it is
-    told first: its 32 bits stay the same while the clock wraps.
+    A STATE may report an edge that is younger than its sample, since it is made later. An edge is dated when it is
+    first reported: its 32 bits stay the same while the clock wraps.
     """
     p = progress[0]
     told = state[STATE.sync_time]
@@ -89,7 +89,7 @@ def sync_time(progress: Any, state: Any) -> int:
 
 @kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
 def show_law(rows: Any, slot: int, memory: Any) -> None:
-    """Put what `step` left in its memory into a row: all that a replay computes anew."""
+    """Copy what `step` left in its memory into a row: all that a replay computes again."""
     r, m = rows[slot], memory[0]
     r["phase"] = m["phase"]
     r["position"] = m["position"]
@@ -166,7 +166,7 @@ def leave_row(
 
 @kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
 def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: int) -> None:
-    """Flag and count lateness and gaps of this tick: samples that never came apart from those that came too late."""
+    """Flag and count lateness and gaps of this tick; lost samples are counted apart from late ones."""
     if progress[0]["late"] > settings[0]["period_ns"]:
         memory[0]["flags"] |= FLAG_LATE
         add(words, ring.LATE, 1)

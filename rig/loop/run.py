@@ -1,4 +1,4 @@
-"""The thread around the compiled loop: start it, watch it, stop it, and say how it ended.
+"""The thread around the compiled loop: start it, watch it, stop it, and report how it ended.
 
 The loop runs off the main thread with all signals blocked, so that Ctrl-C reaches Python and never
 interrupts a tick; stopping is one store into the ring, seen within a tick whoever holds the GIL. The thread
@@ -65,7 +65,7 @@ class LoopSettings:
 class LoopEnd:
     """How a loop ended: the reason, an exception of a law or of the simulation, the link's counters.
 
-    `watched` is what `rig.control.watch` saw, beside what it allows: energy given in the trial and its limit (J),
+    `watched` has the quantities of `rig.control.watch` and their limits: energy given in the trial and its limit (J),
     oscillations in a row at the end, and the time within which they are in a row (s).
     """
 
@@ -106,11 +106,11 @@ class LoopThread:
     Parameters
     ----------
     link, controller, settings, ring
-        The far end, the law, and the block that recorder and supervisor share with the loop.
+        The device, the law, and the memory that recorder and supervisor share with the loop.
     realtime
         Scheduling for the thread; None leaves it an ordinary one.
     heartbeat_s
-        The loop ends when `wait` was not there for this long; 0: never, as in virtual time.
+        The loop ends when `wait` was not called for this long; 0: never, as in virtual time.
     nonce
         Nonce of the last transaction with the device.
     """
@@ -167,9 +167,8 @@ class LoopThread:
     def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
 
-        A loop that was told to stop and has not for `JOIN_S` is not waited for any longer: a law that never returns
-        must not keep Ctrl-C from ending the program. Whatever interrupts this, Ctrl-C or an exception of `progress`,
-        the caller goes on with `finish`.
+        A stop is waited for `JOIN_S` at most: a law that never returns must not keep Ctrl-C from ending the program.
+        Whatever interrupts this, Ctrl-C or an exception of `progress`, the caller continues with `finish`.
         """
         told_at: float | None = None
         while not self._ended.wait(POLL_S):
@@ -187,7 +186,7 @@ class LoopThread:
             self.ring.put(words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
 
     def _attend(self) -> None:
-        """Do what else the loop wants of Python now and then."""
+        """Do the loop's periodic work in Python."""
 
     def finish(self) -> None:
         """Stop the loop if it still runs, and wait until it has ended. Cannot raise; Ctrl-C again changes nothing."""
@@ -200,7 +199,7 @@ class LoopThread:
             self.ring.put(words.STOP, words.ABANDONED)
 
     def end(self) -> LoopEnd:
-        """How the loop ended, once it has; `EndReason.STUCK` where it has not, though `finish` told it to."""
+        """How the loop ended; `EndReason.STUCK` where it did not, though `finish` stopped it."""
         stuck = self._started and not self._ended.is_set()
         reason = EndReason.STUCK if stuck else EndReason(self.ring.get(words.END_REASON))
         failure = self._error or self._link.failure()
@@ -216,15 +215,15 @@ class LoopThread:
 
     @property
     def fault(self) -> int:
-        """Fault that the newest STATE told, 0 for none."""
+        """Fault in the newest STATE, 0 for none."""
         return int(self._buffers.state[STATE.fault])
 
     def messages(self) -> list[str]:
-        """What the user should hear of the run, besides how it ended."""
+        """Warnings about the run for the user, besides how it ended."""
         return []
 
     def findings(self) -> dict[str, Any]:
-        """What the recording's trailer should have of the run, besides what every run has."""
+        """Entries of the recording's trailer that only this kind of loop has."""
         return {}
 
     def exchanges(self) -> NDArray[np.int64]:

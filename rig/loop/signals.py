@@ -22,7 +22,7 @@ STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """Signals that came so far, and where the loop hears of them (-1: nowhere)."""
+    """Signals received so far, and the descriptor on which the loop sees them (-1: none)."""
 
     descriptor: int = -1
     seen: list[int] = field(default_factory=list)

@@ -1,12 +1,12 @@
-"""The loop of a law that runs on the device: it listens, keeps the books, and says every few milliseconds: go on.
+"""The loop of a law that runs on the device: it receives, records, and keeps the device running every few milliseconds.
 
 The device computes each tick's current from that tick's count, and sends every tick in BATCH frames. Here
 `rig.control.step` runs on each of those samples too, and leaves the same row as if it had run the loop
-(`rig.loop.host`): so a recording, its verdict and its replay are the same, and what the device's own current differs by
-is counted (`rig.loop.device_host_agreement`). What a batch does not tell is taken from the newest STATE at or before
-the sample.
+(`rig.loop.host`): so a recording, its verdict and its replay are the same, and differences of the device's
+current are counted (`rig.loop.device_host_agreement`). What a batch does not carry is taken from the newest STATE at or
+before the sample.
 
-Nothing blocks without a bound: the stop word, a signal and the heartbeat are seen within the time between two COMMANDs.
+Every wait is bounded: the stop word, a signal and the heartbeat are seen within the time between two COMMANDs.
 Whatever ends the loop, several STOP commands leave first. Then, for a short while, what the device had sent before
 them is still taken, and then it returns; its caller sends STOPs again.
 """
@@ -92,7 +92,7 @@ def _say(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Say what is due, to go on before all: 0, or the negative errno of a broken link."""
+    """Send what is due, the keep-alive first: 0, or the negative errno of a broken link."""
     v, s = supervised.supervision[0], settings[0]
     time_ns = port.now(port.clock_handle)
     if time_ns >= v["next_command"]:
@@ -208,7 +208,7 @@ def _run_law(
             begin_set(controller, buffers, tick, words)
             v["step"] = IDLE
         current = step(controller, sample[COUNT], 0.0, elapsed)
-        if load_word(words + WORD * ring.STOP) == ring.ABANDONED:  # nobody waits for us any more
+        if load_word(words + WORD * ring.STOP) == ring.ABANDONED:  # the caller no longer waits
             return _ABANDONED
         v["sent"] = current
         v["comparable"] = 1 if v["stop_sequence"] < 0 else 0
@@ -250,7 +250,7 @@ def _ended_by_device(
 
 @kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
 def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
-    """A device that fails between two samples sends no batch of the next one: the STATE that tells is that sample."""
+    """A device that fails between two samples sends no further batch: the STATE with the fault stands for it."""
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         told = states[i % STATES_KEPT]
@@ -294,7 +294,7 @@ def run(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Supervise until something ends it; then zero first, several times, what was still on the way, and the reason.
+    """Supervise until an end reason; then send zero effort several times, take what is still in transit, and return it.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def run(
     v["stop_sequence"] = p["sequence"]
     for _ in range(STOP_FRAMES):  # also on a closed link: one that only reads badly still carries them
         send_command(port, settings, buffers, MODE_STOP, 0, NO_SYNC)
-    # What the device had told before it stopped, unless the row of the end is there.
+    # What the device had sent before it stopped, unless the row of the end is there.
     until_ns = port.now(port.clock_handle) + REST_NS
     listening = not last_row and reason in (STOPPED, HEARTBEAT, FAULT, DEVICE_ENDED)
     resting = not last_row

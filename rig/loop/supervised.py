@@ -1,4 +1,4 @@
-"""The thread around the loop of a law on the device: as around any loop, and what it must be told of new walls."""
+"""The thread around the loop of a law on the device: as around any loop, and it encodes parameter updates."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class DeviceHostAgreement:
     compared
         Ticks in which the two could be compared: no limit, no ramp, no gap.
     excluded
-        Ticks left out, because a limit acted, no STATE told, or a gap was not yet forgotten.
+        Ticks excluded, because a limit acted, no STATE covered them, or a gap was not yet forgotten.
     differing
         Ticks with another current.
     greatest_quanta
@@ -89,7 +89,7 @@ class SupervisedThread(LoopThread):
         self._live_parameters = live
         self._refused: list[str] = []
         super().__init__(*arguments, **keywords)
-        # Until the first STATE comes: a device that sends samples runs, and of its command we know nothing.
+        # Until the first STATE comes: a device that sends samples runs, and its active command is not known.
         self._buffers.state[STATE.state] = State.RUNNING
         self._buffers.state[STATE.command_age] = NO_COMMAND_YET
         self._parameter_count = 1 + len(self._controller.law.parameters)
@@ -114,7 +114,7 @@ class SupervisedThread(LoopThread):
         )
 
     def messages(self) -> list[str]:
-        """New walls that came to nothing, and a device that does not follow the law."""
+        """Parameter updates that failed, and a device that does not follow the law."""
         found, said = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:

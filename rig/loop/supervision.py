@@ -15,7 +15,7 @@ from rig.realtime.codec import ACK, BATCH, SAMPLE, SET_BEGIN, STATE
 from rig.realtime.groups import Bytes, Floats, IntRows, Ints, group, type_of
 from rig.realtime.mailbox import MOST_BYTES
 
-# One row: how far the streams have come, the conversation about a new wall, and how the two laws agree.
+# One row: how far the streams have come, the transaction of a parameter update, and the device–host agreement.
 SUPERVISION = np.dtype(
     [
         ("started", "<i8"),  # 1 once a sample has come
@@ -29,7 +29,7 @@ SUPERVISION = np.dtype(
         ("heard", "<i8"),  # 1 once a STATE has come
         ("states_head", "<i8"),
         ("states_tail", "<i8"),
-        ("next_command", "<i8"),  # when the device must hear of us again (ns)
+        ("next_command", "<i8"),  # when the next keep-alive is due (ns)
         ("stop_sequence", "<i8"),  # of the first STOP; -1 before it
         ("done_at", "<i8"),  # sample at which the device's law had ended, -1 while it runs
         ("ticks", "<i8"),  # steps of the law so far
@@ -44,15 +44,15 @@ SUPERVISION = np.dtype(
         ("not_before", "<i8"),  # host time before which it is not tried again (ns)
         ("change_at", "<i8"),  # sample from which the new wall counts
         ("inside", "<i8"),  # times that the device found the handle inside a wall
-        ("refused_set", "<i8"),  # newest set that the device refused for good, 0 for none
+        ("refused_set", "<i8"),  # newest set that the device refused finally, 0 for none
         ("refused_status", "<i8"),
         ("refused_detail", "<i8"),
         ("parameters_crc", "<i8"),  # of the device's whole block after the last change, -1 before one
         # the device's current beside the law's (rig.loop.device_host_agreement)
         ("sent", "<i8"),  # current of the law in the last row
-        ("comparable", "<i8"),  # 1 when the next sample shows what the device made of it
+        ("comparable", "<i8"),  # 1 when the next sample shows what the device computed
         ("forgetting", "<i8"),  # ticks until a gap is forgotten
-        ("limits_before", "<i8"),  # limits that the last STATE told
+        ("limits_before", "<i8"),  # limits in the last STATE
         ("compared", "<i8"),
         ("differing", "<i8"),
         ("beyond", "<i8"),

@@ -1,4 +1,4 @@
-"""The capture format (``.rigcap``): raw blocks under a header that describes them, to outlive their writer.
+"""The capture format (``.rigcap``): raw blocks under a header that describes them; readable even if the writer dies.
 
 Everything is little-endian, every part starts at a multiple of 8 bytes, every CRC is CRC-32/ISO-HDLC (that of
 zlib)::
@@ -28,9 +28,9 @@ header holds under ``schema`` the size of a row and the dtype, offset, unit and 
 reader needs this page and a JSON parser. The envelope of the header is the same in all versions, so that
 a reader can name the version that it refuses.
 
-A block's own CRC over its head lets a reader trust the length before it uses it. A damaged block is left out
-and reported, with its rows when its head is good or when the next block tells; after a damaged head reading
-goes on at the next good one. A file without an end was cut off: its last bytes may be a torn block, all
+A block's own CRC over its head lets a reader trust the length before it uses it. A damaged block is skipped
+and reported, with its number of rows when its own or the next head is good; after a damaged head reading
+continues at the next good one. A file without an end was cut off: its last bytes may be a torn block, all
 others are good.
 """
 
@@ -103,7 +103,7 @@ def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
     """Write a recording that is already in memory; the end is left out when it has none.
 
-    What was `lost` cannot be said in this format: a recording with losses is refused with `RecordingError`.
+    The format has no place for `lost`: a recording with losses is refused with `RecordingError`.
     """
     if recording.lost:
         raise RecordingError(
@@ -128,7 +128,7 @@ def _padded(text: bytes, before: int) -> bytes:
 
 @dataclass
 class _Findings:
-    """What a walk over the blocks has met so far."""
+    """What a walk over the blocks has found so far."""
 
     blocks: list[tuple[int, int]] = field(default_factory=list)  # place of the rows, their count
     lost: list[Loss] = field(default_factory=list)
@@ -146,7 +146,9 @@ def read_capture(path: Path) -> Recording:
     """
     with plain_errors("read", path), open(path, "rb") as file:
         if not file.read(1):
-            raise RecordingError(f"{path} is empty", remedy="its writer ended before it wrote anything")
+            raise RecordingError(
+                f"{path} is empty", remedy="its writer ended before it wrote anything; record again"
+            )
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             header, start = _read_header(path, data)
             dtype = dtype_of(header.get("schema", {}))
@@ -166,7 +168,10 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
         raise RecordingError(
             f"{path} is not a recording", remedy="give a .parquet or .rigcap file that `rig` wrote"
         )
-    damaged = RecordingError(f"the header of {path} is damaged", remedy="without it the rows have no meaning")
+    damaged = RecordingError(
+        f"the header of {path} is damaged",
+        remedy="restore the file from a copy; without its header the rows cannot be read",
+    )
     if len(data) < _FILE_HEAD.size:
         raise damaged
     _, version, length = _FILE_HEAD.unpack(data[: _FILE_HEAD.size])
@@ -181,7 +186,7 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
 
 
 def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
-    """Follow the blocks to the end, or to where nothing more can be made out."""
+    """Follow the blocks to the end of the file, or to the last one that can be identified."""
     found = _Findings()
     while place < len(data):
         head = _block_head(data, place)
@@ -219,7 +224,7 @@ def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int
 
 
 def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, found: _Findings) -> int:
-    """Leave out the bytes up to `resume`, and say so."""
+    """Skip the bytes up to `resume`, and report them."""
     whole = head is not None and place + HEAD_BYTES + head.size + CRC_BYTES <= len(data)
     reason = "damaged block" if whole or resume < len(data) else "torn tail"
     if head is None:
@@ -232,7 +237,7 @@ def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, foun
 
 
 def _count_missing(found: _Findings, place: int, first_row: int) -> None:
-    """Count the rows missing before a block, now that its head says its first row."""
+    """Count the rows missing before a block, from the number of its first row."""
     missing = max(0, first_row - found.next_row)
     if found.lost and found.lost[-1].rows is None:
         found.lost[-1] = replace(found.lost[-1], rows=missing)

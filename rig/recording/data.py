@@ -15,7 +15,7 @@ from rig.core.errors import RecordingError, RigError
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A stretch of a file that could not be used, and the rows in it as far as the rest of the file tells."""
+    """A stretch of a file that could not be used, and the rows in it as far as the rest of the file shows."""
 
     reason: str
     offset: int
@@ -45,12 +45,11 @@ class Recording:
         Structured array, one row a tick; its fields are those of the file: `rig.core.sample.ROW`, and in simulation
         the truth.
     trailer
-        How and why the trial ended, with its statistics; None when nobody could write it.
+        How and why the trial ended, with its statistics; None when it could not be written.
     complete
-        Whether the writer came to its end. A recording cut off by the death of its process is not complete,
-        and good to use.
+        Whether the writer reached its end. A recording cut off by the death of its process is incomplete but usable.
     lost
-        What the reader had to leave out.
+        What the reader had to skip.
     path
         The file it was read from.
     """

@@ -61,7 +61,7 @@ def export(
 
 
 def sidecar_of(path: Path) -> Path:
-    """Name of the JSON beside a CSV that says what the columns mean."""
+    """Name of the JSON file beside a CSV that describes its columns."""
     return path.with_name(path.name + ".json")
 
 

@@ -17,9 +17,9 @@ _REMEDIES = {
     errno.ENOTDIR: "check the path, or make the directory first",
     errno.EEXIST: "choose another name; recordings are never overwritten",
     errno.EISDIR: "name a file inside it",
-    errno.EACCES: "choose a place that you may use",
-    errno.EPERM: "choose a place that you may use",
-    errno.EROFS: "choose a place that you may use",
+    errno.EACCES: "choose a place that you may write to",
+    errno.EPERM: "choose a place that you may write to",
+    errno.EROFS: "choose a place that you may write to",
     errno.ENOSPC: "free some space",
     errno.EDQUOT: "free some space",
     errno.EFBIG: "free some space, or raise the limit on file sizes",
@@ -27,7 +27,7 @@ _REMEDIES = {
 
 
 def disk_error(doing: str, path: Path, number: int) -> RecordingError:
-    """Say what the system refused and what to do about it."""
+    """Error for a refusal of the operating system, with its remedy."""
     return RecordingError(f"cannot {doing} {path}: {os.strerror(number)}", remedy=_REMEDIES.get(number, ""))
 
 

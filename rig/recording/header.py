@@ -1,4 +1,4 @@
-"""What a recording says about itself before its first row.
+"""The header of a recording: everything that is known before its first row.
 
 The same seed, experiment and versions give the same header but for the keys in `VOLATILE`.
 """
@@ -62,7 +62,7 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
             }
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RecordingError(f"the recording's schema makes no sense ({error})") from error
+        raise RecordingError(f"the recording's schema is invalid ({error})") from error
 
 
 def make_header(
@@ -90,7 +90,7 @@ def make_header(
     experiment
         All parameters in effect, as the law and the device use them.
     identity
-        What the far end said about itself.
+        The device's dictionary.
     clocks
         Kind, origin and offset of the host's and the device's clock.
     seed
@@ -132,7 +132,7 @@ def make_header(
 
 
 def check_version(path: Path, found: object) -> None:
-    """Refuse a recording of another format version with a `RecordingError`: one version reads its own recordings."""
+    """Refuse a recording of another format version with a `RecordingError`: a version reads its own format only."""
     if found != VERSION:
         raise RecordingError(
             f"{path} is a recording of format version {found}, and this version of haptic-rig reads version {VERSION}",

@@ -49,18 +49,18 @@ def ledger_of(recording: Recording) -> Ledger:
     RecordingError
         There are no rows.
     RigError
-        The clock of the trailer makes no sense.
+        The clock of the trailer is invalid.
     """
     if not len(recording):
         raise RecordingError(
-            "the recording has no rows", remedy="its loop never saw a sample: nothing to time"
+            "the recording has no rows", remedy="record again: its loop never received a sample"
         )
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     return ledger(recording.rows, clock_of(recording), period_ns_of(recording), loop)
 
 
 def clock_of(recording: Recording) -> ClockFit | None:
-    """Return the clock fit of a recording's trailer; None when it has none. `RigError` when it makes no sense."""
+    """Return the clock fit of a recording's trailer; None when it has none. `RigError` when it is invalid."""
     clock = (recording.trailer or {}).get(CLOCK_KEY)
     return None if clock is None else ClockFit.from_mapping(clock)
 

@@ -79,18 +79,18 @@ class LineFile:
                 data = data[self._file.write(data) :]
 
     def sync(self, *, at_once: bool = False) -> None:
-        """Bring to disk what was appended, at most every `SYNC_S` seconds unless asked."""
+        """Sync what was appended to disk, at most every `SYNC_S` seconds unless asked."""
         if self._dirty and (at_once or time.monotonic() - self._synced_s >= SYNC_S):
             with plain_errors("write", self.path):
                 os.fsync(self._file.fileno())
             self._dirty, self._synced_s = False, time.monotonic()
 
     def sync_name(self) -> None:
-        """Bring to disk that the file exists."""
+        """Sync the directory entry of the file to disk."""
         sync_directory(self.path.parent)
 
     def close(self, *, sync: bool = True) -> None:
-        """Bring everything to disk and let others have the file."""
+        """Sync everything to disk and release the lock."""
         try:
             if sync:
                 self.sync(at_once=True)

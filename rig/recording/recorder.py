@@ -41,8 +41,8 @@ SYNC_NS = 500_000_000
 AT_RISK_S = 1.0  # of a run in real time, when the power goes: flushed and synced with the next block but two
 POLL_NS = 2_000_000
 POLL_VIRTUAL_NS = 200_000
-PATIENCE = 1000  # tries to write to a descriptor that takes nothing
-EINVAL, EROFS = 22, 30  # what fdatasync answers for files that cannot be synced
+PATIENCE = 1000  # attempts to write to a descriptor that accepts nothing
+EINVAL, EROFS = 22, 30  # fdatasync's errors for files that cannot be synced
 
 _HEAD_WORDS = HEAD_BYTES // 8
 _ROW_WORDS = ROW.itemsize // 8
@@ -282,8 +282,8 @@ class Recorder:
         self._thread.join(timeout_s)
         if self._thread.is_alive():  # it still uses the descriptor: leave it open
             raise RecordingError(
-                f"{self.path} did not take its rows in {timeout_s:g} s",
-                remedy="the disk hangs; see the system's log",
+                f"{self.path}: the disk did not accept the last rows within {timeout_s:g} s",
+                remedy="check the disk in the system's log; the rows written before are in the file",
             )
         counts = {"rows": self.rows, "blocks": self._blocks}
         counts |= {"ticks": self._ring.get(TICKS), "dropped": self._ring.get(DROPPED)}
@@ -310,7 +310,7 @@ class Recorder:
 def _create(path: Path, header: bytes) -> int:
     """Make a new file that begins with the header; leaves nothing behind when it cannot.
 
-    It is locked as long as it is open, which tells a file that is being written from one that a crash cut off.
+    It is locked while it is open, which distinguishes a file that is being written from one that a crash cut off.
     """
     with plain_errors("write", path):
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)

@@ -1,4 +1,4 @@
-"""Sealing: from the capture that survives anything to the one file to keep.
+"""Sealing: from the crash-safe capture to the one file to keep.
 
 The capture goes only after the sealed file is on disk, has been read back and is equal to the last bit.
 Sealing can be repeated: when a crash left both files, the next call compares them and finishes.
@@ -70,7 +70,7 @@ def seal(
     assert capture is not None
     if capture.suffix == SEALED_SUFFIX:  # it would be compared with itself, and removed
         raise RecordingError(
-            f"{capture} is no capture: it has the name of a sealed recording", remedy="name a .rigcap"
+            f"{capture} is not a capture: it has the name of a sealed recording", remedy="name a .rigcap"
         )
     timed = with_sync_edges(with_ledger(recording))
     sealed = timed if truth is None else with_truth(timed, truth)
@@ -142,7 +142,7 @@ class _ReadBack:
         )
         if not same:
             raise RecordingError(
-                f"{path} does not hold what {expected.path} holds",
+                f"{path} differs from {expected.path}",
                 remedy="the capture is kept; move one of them away",
             )
         self._found = found

@@ -5,12 +5,12 @@ host's clock, 0 where unknown:
 
 ========  =====================================================================================================
 sampled   the device read its encoder: device time through the clock fit
-received  the loop had the STATE
-computed  the law had its effort
-sent      the link had taken the COMMAND
+received  the loop received the STATE
+computed  the law had computed its effort
+sent      the link had accepted the COMMAND
 applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that names
           it as the active one, and a is the age that it gives; or when it was sent, if that is later. A device
-          reports in which of its ticks a COMMAND came, not when: it may have been up to a tick later
+          reports the tick in which a COMMAND came, not the time: it may have been up to a tick later
 ========  =====================================================================================================
 
 Sampled and applied carry the errors of the clock fit, with opposite signs in the two transports; the whole way, from

@@ -9,25 +9,9 @@ from typing import Any
 import numpy as np
 
 from rig.control.estimators import levant_regions
-from rig.papers.chawda import derived, rules
+from rig.papers.chawda import derived, rigs, rules
 from rig.papers.chawda.parts import fidelity_without_wall
 from rig.papers.chawda.results import Chawda, spread
-from rig.papers.chawda.rigs import (
-    AKF,
-    CONTROL_BAND,
-    ESTIMATORS,
-    FDM,
-    FILTERED,
-    FILTERS,
-    FOAW,
-    GAINS,
-    HBA_SC,
-    HIGHEST_HZ,
-    LEVANT,
-    LFBA,
-    PRINTED,
-    RENDERING_HZ,
-)
 from rig.papers.rules import MOST, Ruling, judge, judge_share, over
 
 
@@ -44,16 +28,16 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
         "regions": _regions(),
         "levant-stiffer": _stiffer_levant(chawda),
         "levant-stiffer-below": _stiffer_below(chawda),
-        "filter-holds": judge({"": drops[FILTERED] > rules.FILTER_HOLDS}, drop=drops[FILTERED]),
+        "filter-holds": judge({"": drops[rigs.FILTERED] > rules.FILTER_HOLDS}, drop=drops[rigs.FILTERED]),
         "levant-limited": _limited(chawda),
         "sharp-drop": _sharp(chawda),
         "where-it-drops": rules.drops_at(
             {
-                HBA_SC: (drops[HBA_SC], rules.DROP),
-                LFBA: (drops[LFBA], rules.DROP),
+                rigs.HBA_SC: (drops[rigs.HBA_SC], rules.DROP),
+                rigs.LFBA: (drops[rigs.LFBA], rules.DROP),
                 chawda.adjusted: (drops[chawda.adjusted], rules.DROP_ADJUSTED),
             },
-            [value for name, value in drops.items() if name != FILTERED],
+            [value for name, value in drops.items() if name != rigs.FILTERED],
         ),
         "order": _order(chawda),
         "levant-stiffest": _levant_stiffest(chawda),
@@ -79,7 +63,11 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
             sum(widths for widths, _ in fits),
             len(fits),
             closed=list(
-                zip(HIGHEST_HZ, *(derived.closed_widths(chawda, name) for name in (FDM, AKF)), strict=True)
+                zip(
+                    rigs.HIGHEST_HZ,
+                    *(derived.closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)),
+                    strict=True,
+                )
             ),
         ),
         "errors": judge_share(
@@ -87,21 +75,21 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
             len(fits),
             floors=list(derived.floors().items()),
             edges=[
-                (name, PRINTED[name].worst_fidelity, derived.edge_of(PRINTED[name].worst_fidelity))
-                for name in (FOAW, FDM)
+                (name, rigs.PRINTED[name].worst_fidelity, derived.edge_of(rigs.PRINTED[name].worst_fidelity))
+                for name in (rigs.FOAW, rigs.FDM)
             ],
         ),
         "both": _both(chawda),
         "wider": rules.wider(
             {
-                name: over(spread(chawda.widths(name), "stiffness").mean, PRINTED[name].stiffness)
-                for name in ESTIMATORS
+                name: over(spread(chawda.widths(name), "stiffness").mean, rigs.PRINTED[name].stiffness)
+                for name in rigs.ESTIMATORS
             }
         ),
         "search": _search(chawda),
-        "control-undamped": rules.controlled(controls["stiffness"], 2.0 * damping * RENDERING_HZ),
+        "control-undamped": rules.controlled(controls["stiffness"], 2.0 * damping * rigs.RENDERING_HZ),
         "control-bare": rules.controlled(
-            controls["fidelity"], fidelity_without_wall(mass, damping, CONTROL_BAND)
+            controls["fidelity"], fidelity_without_wall(mass, damping, rigs.CONTROL_BAND)
         ),
     }
 
@@ -109,7 +97,7 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
 def _regions() -> Ruling:
     gains = levant_regions.NAMED_GAINS["hba-sc"]
     inside = levant_regions.in_hba(*gains) or levant_regions.in_lfba(*gains)
-    extra, missed = GAINS[LFBA], (2.0, 4.0)
+    extra, missed = rigs.GAINS[rigs.LFBA], (2.0, 4.0)
     extends = levant_regions.in_lfba(*extra) and not levant_regions.in_hba(*extra)
     misses = levant_regions.in_hba(*missed) and not levant_regions.in_lfba(*missed)
     return judge(
@@ -136,7 +124,7 @@ def _stiffer_levant(chawda: Chawda) -> Ruling:
     best = {
         name: max(derived.over_filtered(chawda, name), default=0.0)
         for name in chawda.hit_names
-        if name != FILTERED
+        if name != rigs.FILTERED
     }
     winner = max(best, key=lambda name: best[name])
     return judge(
@@ -149,7 +137,7 @@ def _stiffer_levant(chawda: Chawda) -> Ruling:
 
 
 def _stiffer_below(chawda: Chawda) -> Ruling:
-    names = (HBA_SC, LFBA)
+    names = (rigs.HBA_SC, rigs.LFBA)
     cases = {name: derived.over_filtered(chawda, name, rules.BETTER_UP_TO) for name in names}
     known = {name: ratios for name, ratios in cases.items() if ratios}
     found = rules.stiffer(known, chawda.scale.hit_ratio)
@@ -158,19 +146,20 @@ def _stiffer_below(chawda: Chawda) -> Ruling:
 
 def _limited(chawda: Chawda) -> Ruling:
     excited, hit = {}, {}
-    for name in (FDM, LEVANT):
+    for name in (rigs.FDM, rigs.LEVANT):
         values = [width.damping for width in chawda.widths(name) if math.isfinite(width.damping)]
         excited[name] = float(np.mean(values)) if values else 0.0
-        hit[name] = chawda.slow_hits.width(ESTIMATORS.index(name), "felt").damping_range
+        hit[name] = chawda.slow_hits.width(rigs.ESTIMATORS.index(name), "felt").damping_range
     return rules.limited(
-        {"with excitation": excited[LEVANT], "by hits at 1 kHz": hit[LEVANT]}, min(excited[FDM], hit[FDM])
+        {"with excitation": excited[rigs.LEVANT], "by hits at 1 kHz": hit[rigs.LEVANT]},
+        min(excited[rigs.FDM], hit[rigs.FDM]),
     )
 
 
 def _sharp(chawda: Chawda) -> Ruling:
-    names = (HBA_SC, LFBA, chawda.adjusted)
+    names = (rigs.HBA_SC, rigs.LFBA, chawda.adjusted)
     falls = {name: rules.sharpness(derived.curve(chawda, name)) for name in names}
-    filtered = rules.sharpness(derived.curve(chawda, FILTERED))
+    filtered = rules.sharpness(derived.curve(chawda, rigs.FILTERED))
     cases = {name: fall >= rules.SHARP and fall > filtered for name, fall in falls.items()}
     return judge(cases, falls=list(falls.items()), filtered=filtered)
 
@@ -181,7 +170,7 @@ def _stiffnesses(chawda: Chawda) -> list[dict[str, float]]:
 
 def _order(chawda: Chawda) -> Ruling:
     widths = _stiffnesses(chawda)
-    count = sum(rules.in_order([k[LEVANT], k[AKF], k[FDM], k[FOAW]]) for k in widths)
+    count = sum(rules.in_order([k[rigs.LEVANT], k[rigs.AKF], k[rigs.FDM], k[rigs.FOAW]]) for k in widths)
     return judge_share(count, len(widths))
 
 
@@ -189,22 +178,22 @@ def _levant_stiffest(chawda: Chawda) -> Ruling:
     widths, variants = _stiffnesses(chawda), derived.variant_widths(chawda)
     best = max(variants, key=lambda name: variants[name].stiffness)
     return judge_share(
-        sum(k[LEVANT] > max(k[name] for name in FILTERS) for k in widths),
+        sum(k[rigs.LEVANT] > max(k[name] for name in rigs.FILTERS) for k in widths),
         len(widths),
-        lowest=sum(k[LEVANT] <= min(k[name] for name in FILTERS) for k in widths),
+        lowest=sum(k[rigs.LEVANT] <= min(k[name] for name in rigs.FILTERS) for k in widths),
         variants=len(variants),
         best=best,
         stiffness=variants[best].stiffness,
-        levant=spread(chawda.widths(LEVANT), "stiffness").mean,
-        fdm=spread(chawda.widths(FDM), "stiffness").mean,
+        levant=spread(chawda.widths(rigs.LEVANT), "stiffness").mean,
+        fdm=spread(chawda.widths(rigs.FDM), "stiffness").mean,
         constant=min(identified["lipschitz"] for identified in chawda.constants),
     )
 
 
 def _akf_over_fdm(chawda: Chawda) -> Ruling:
     widths = _stiffnesses(chawda)
-    differ = [k for k in widths if k[AKF] != k[FDM]]
-    above = sum(k[AKF] > k[FDM] for k in differ)
+    differ = [k for k in widths if k[rigs.AKF] != k[rigs.FDM]]
+    above = sum(k[rigs.AKF] > k[rigs.FDM] for k in differ)
     ratios = derived.akf_over_fdm(chawda)
     steps = dict(zip(ratios, (1.0, chawda.scale.hit_ratio**0.5), strict=True))
     cases = {name: rules.mostly_stiffer(values, steps[name]) for name, values in ratios.items()}
@@ -226,16 +215,16 @@ def _damping_width(chawda: Chawda) -> Ruling:
     ]
     some = [of for of in every if max(of.values()) >= 0.0]
     return judge_share(
-        sum(of[FDM] > max(value for name, value in of.items() if name != FDM) for of in some),
+        sum(of[rigs.FDM] > max(value for name, value in of.items() if name != rigs.FDM) for of in some),
         len(some),
-        widest=sum(of[FDM] >= max(of.values()) for of in some),
+        widest=sum(of[rigs.FDM] >= max(of.values()) for of in some),
     )
 
 
 def _lowest_error(chawda: Chawda) -> Ruling:
     errors = [{name: width.worst_fidelity for name, width in of.items()} for of in chawda.read]
-    some = [of for of in errors if all(math.isfinite(of[name]) for name in FILTERS)]
-    return judge_share(sum(of[FOAW] < min(of[FDM], of[AKF]) for of in some), len(some))
+    some = [of for of in errors if all(math.isfinite(of[name]) for name in rigs.FILTERS)]
+    return judge_share(sum(of[rigs.FOAW] < min(of[rigs.FDM], of[rigs.AKF]) for of in some), len(some))
 
 
 def _error_grows(chawda: Chawda) -> Ruling:
@@ -247,9 +236,11 @@ def _error_grows(chawda: Chawda) -> Ruling:
 
 
 def _both(chawda: Chawda) -> Ruling:
-    foaw = PRINTED[FOAW].worst_fidelity
-    closed = zip(HIGHEST_HZ, *(derived.closed_widths(chawda, name) for name in (FDM, AKF)), strict=True)
-    largest = max(printed.stiffness for printed in PRINTED.values())
+    foaw = rigs.PRINTED[rigs.FOAW].worst_fidelity
+    closed = zip(
+        rigs.HIGHEST_HZ, *(derived.closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True
+    )
+    largest = max(printed.stiffness for printed in rigs.PRINTED.values())
     return judge(
         {
             f"a band up to {high:g} Hz": any(widths and errors for widths, errors in of)
@@ -263,7 +254,9 @@ def _both(chawda: Chawda) -> Ruling:
 
 
 def _search(chawda: Chawda) -> Ruling:
-    searches = [chawda.search(name, m) for name in ESTIMATORS for m in range(chawda.map.grid.measurements)]
+    searches = [
+        chawda.search(name, m) for name in rigs.ESTIMATORS for m in range(chawda.map.grid.measurements)
+    ]
     return rules.traced(
         sum(search.above for search in searches),
         sum(search.below for search in searches),

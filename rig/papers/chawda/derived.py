@@ -13,26 +13,10 @@ from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.experiments.searches import connected
 from rig.experiments.table_one import FrequencyWidth, Spread, tuned_numbers
-from rig.papers.chawda import rules
+from rig.papers.chawda import rigs, rules
 from rig.papers.chawda.parts import fidelity_without_wall
 from rig.papers.chawda.readings import Readings
 from rig.papers.chawda.results import Chawda, spread
-from rig.papers.chawda.rigs import (
-    AKF,
-    CONTROL_BAND,
-    ESTIMATORS,
-    FDM,
-    FILTERED,
-    FILTERS,
-    FOAW,
-    HIGHEST_HZ,
-    MAIN,
-    PAPERS_DUAL,
-    PRINTED,
-    READINGS,
-    RIG,
-    SCHEMES,
-)
 from rig.papers.rules import over
 
 # --- wall hits ---------------------------------------------------------------------------------------------------
@@ -51,7 +35,7 @@ def drops(chawda: Chawda) -> dict[str, float]:
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
     """K over that of the filtered difference at each damping above 0, where not both are only caps."""
-    of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, FILTERED))
+    of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
     return [
         over(a.stiffness, b.stiffness)
         for a, b in zip(of, filtered, strict=True)
@@ -61,7 +45,7 @@ def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[fl
 
 def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
     """K of AKF over K of FDM+filter from `rules.LEAST_DAMPING` on: linear theory and hits at 1 kHz."""
-    akf, fdm = (chawda.linear[name]["stable"] for name in (AKF, FDM))
+    akf, fdm = (chawda.linear[name]["stable"] for name in (rigs.AKF, rigs.FDM))
     linear = [
         over(a, f)
         for b, a, f in zip(chawda.linear_dampings, akf, fdm, strict=True)
@@ -70,7 +54,8 @@ def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
     hits = [
         over(a.stiffness, f.stiffness)
         for a, f in zip(
-            *(chawda.slow_hits.curve(ESTIMATORS.index(name), "felt") for name in (AKF, FDM)), strict=True
+            *(chawda.slow_hits.curve(rigs.ESTIMATORS.index(name), "felt") for name in (rigs.AKF, rigs.FDM)),
+            strict=True,
         )
         if rules.LEAST_DAMPING <= a.damping <= chawda.linear_dampings[-1]
     ]
@@ -82,14 +67,14 @@ def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
 
 def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
     """For each upper edge of the band: whether K-widths and errors are near Table I, reading by reading."""
-    fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in HIGHEST_HZ}
-    stiffness = {name: printed.stiffness for name, printed in PRINTED.items()}
-    error = {name: printed.worst_fidelity for name, printed in PRINTED.items()}
+    fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in rigs.HIGHEST_HZ}
+    stiffness = {name: printed.stiffness for name, printed in rigs.PRINTED.items()}
+    error = {name: printed.worst_fidelity for name, printed in rigs.PRINTED.items()}
     for number, of in enumerate(chawda.read):
         widths = {name: width.stiffness for name, width in of.items()}
         errors = {name: float(np.nan_to_num(width.worst_fidelity)) for name, width in of.items()}
         near = rules.near_table(widths, stiffness), rules.near_table(errors, error)
-        fits[READINGS[number % len(READINGS)].high_hz].append(near)
+        fits[rigs.READINGS[number % len(rigs.READINGS)].high_hz].append(near)
     return fits
 
 
@@ -101,19 +86,19 @@ def closed_widths(chawda: Chawda, name: str) -> list[float]:
 @cache
 def mass_and_damping() -> tuple[float, float]:
     """Mass and viscous damping of the paper's rig."""
-    mechanics = presets.load(RIG).rig.mechanics
+    mechanics = presets.load(rigs.RIG).rig.mechanics
     return mechanics.motor_inertia + mechanics.link_inertia, mechanics.motor_damping + mechanics.link_damping
 
 
 def floors() -> dict[float, float]:
     """Fidelity error without a wall by upper edge of the band: no estimator's maximum can be much below it."""
-    low, _ = CONTROL_BAND
-    return {high: fidelity_without_wall(*mass_and_damping(), (low, high)) for high in HIGHEST_HZ}
+    low, _ = rigs.CONTROL_BAND
+    return {high: fidelity_without_wall(*mass_and_damping(), (low, high)) for high in rigs.HIGHEST_HZ}
 
 
 def edge_of(error: float) -> float:
     """Upper edge (Hz) of the band in which the error without a wall is this large."""
-    edges, (low, _) = np.arange(2.0, 1000.0), CONTROL_BAND
+    edges, (low, _) = np.arange(2.0, 1000.0), rigs.CONTROL_BAND
     errors = [fidelity_without_wall(*mass_and_damping(), (low, float(edge))) for edge in edges]
     return float(np.interp(error, errors, edges))
 
@@ -144,7 +129,7 @@ class Edge:
 
 def edges(chawda: Chawda) -> list[Edge]:
     """Upper edges of the band."""
-    closed = zip(*(closed_widths(chawda, name) for name in (FDM, AKF)), strict=True)
+    closed = zip(*(closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True)
     return [
         Edge(
             high=high,
@@ -160,9 +145,9 @@ def edges(chawda: Chawda) -> list[Edge]:
     ]
 
 
-def common_gains(chawda: Chawda, reading: int = MAIN) -> dict[str, list[float]]:
+def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[float]]:
     """Share of the mean error that FOAW saves at the walls that three estimators hold, by measurement."""
-    numbers = {name: ESTIMATORS.index(name) for name in FILTERS}
+    numbers = {name: rigs.ESTIMATORS.index(name) for name in rigs.FILTERS}
     common = chawda.map.common(reading, list(numbers.values()))
     if not common.any():
         return {}
@@ -171,32 +156,35 @@ def common_gains(chawda: Chawda, reading: int = MAIN) -> dict[str, list[float]]:
         for name, number in numbers.items()
     }
     return {
-        name: [1.0 - foaw / other for foaw, other in zip(mean[FOAW], mean[name], strict=True)]
-        for name in (FDM, AKF)
+        name: [1.0 - foaw / other for foaw, other in zip(mean[rigs.FOAW], mean[name], strict=True)]
+        for name in (rigs.FDM, rigs.AKF)
     }
 
 
 def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
     """The same for each upper edge of the band (Hz)."""
-    main = READINGS[MAIN]
-    return {high: common_gains(chawda, READINGS.index(replace(main, high_hz=high))) for high in HIGHEST_HZ}
+    main = rigs.READINGS[rigs.MAIN]
+    return {
+        high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
+        for high in rigs.HIGHEST_HZ
+    }
 
 
 def common_error(chawda: Chawda, name: str) -> Spread:
     """Mean error of one of three estimators at walls that all three hold, over measurements."""
-    held = chawda.map.common(MAIN, [ESTIMATORS.index(one) for one in FILTERS])
-    of = chawda.map.fidelity[:, MAIN, ESTIMATORS.index(name)]
-    return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in FILTERS else [])
+    held = chawda.map.common(rigs.MAIN, [rigs.ESTIMATORS.index(one) for one in rigs.FILTERS])
+    of = chawda.map.fidelity[:, rigs.MAIN, rigs.ESTIMATORS.index(name)]
+    return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in rigs.FILTERS else [])
 
 
 def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
     """Mean fidelity error of the connected region in its softest and its stiffest quarter of walls."""
     found = {}
-    for number, name in enumerate(ESTIMATORS):
-        held = chawda.map.common(MAIN, [number])
+    for number, name in enumerate(rigs.ESTIMATORS):
+        held = chawda.map.common(rigs.MAIN, [number])
         if held.sum() < 4:
             continue
-        errors = np.mean(chawda.map.fidelity[:, MAIN, number], axis=0)[held]
+        errors = np.mean(chawda.map.fidelity[:, rigs.MAIN, number], axis=0)[held]
         stiffness = np.array(chawda.map.grid.stiffnesses)[np.nonzero(held)[1]]
         low, high = np.percentile(stiffness, (25.0, 75.0))
         found[name] = float(errors[stiffness <= low].mean()), float(errors[stiffness >= high].mean())
@@ -217,13 +205,13 @@ def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
 
 def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
     """In how many maps the largest error stands at the softest wall of the grid, and how many maps there are."""
-    worst = [width.worst_stiffness for name in SCHEMES for width in chawda.widths(name)]
+    worst = [width.worst_stiffness for name in rigs.SCHEMES for width in chawda.widths(name)]
     return sum(k == chawda.map.grid.stiffnesses[0] for k in worst), len(worst)
 
 
 def tuned(chawda: Chawda, name: str) -> int:
     """How many numbers of an estimator were chosen."""
-    controller = SCHEMES[name].applied(chawda.map.grid.experiment).controller
+    controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
 
@@ -255,7 +243,7 @@ class Ranked:
 def ranked(found: Readings, reading: int) -> list[Ranked]:
     """Every scheme, the widest first."""
     schemes = found.grid.schemes
-    reference = schemes.index(Scheme.parse(PAPERS_DUAL))
+    reference = schemes.index(Scheme.parse(rigs.PAPERS_DUAL))
     rows = []
     for number, scheme in enumerate(schemes):
         widths = found.widths(reading, number)

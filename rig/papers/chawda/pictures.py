@@ -11,34 +11,15 @@ import numpy as np
 from rig.analysis.impedance.ideal import ideal_wall
 from rig.core.deferred import colors
 from rig.experiments.searches import connected
-from rig.papers.chawda import derived
+from rig.papers.chawda import derived, rigs
 from rig.papers.chawda.results import Chawda, spread
-from rig.papers.chawda.rigs import (
-    AKF,
-    DUAL_READINGS,
-    FDM,
-    FILTERED,
-    GAINS,
-    HBA_SC,
-    HIGHEST_HZ,
-    KOUL,
-    LFBA,
-    LOWEST_HZ,
-    MAIN,
-    NAMES,
-    PRINTED,
-    READINGS,
-    SCHEMES,
-    TOLERANCES,
-    Reading,
-)
 from rig.views.plots import style
 from rig.views.plots.impedance import draw_impedance
 from rig.views.plots.levant import draw_levant_regions, levant_regions
 from rig.views.plots.zwidth import draw_boundaries
 
 DAMPING, STIFFNESS = "damping B (N·s/m)", "stiffness K (kN/m)"
-ORDER = list(SCHEMES)
+ORDER = list(rigs.SCHEMES)
 COLOUR = dict(zip(ORDER, style.SERIES, strict=False))
 NOT_PASSIVE = "#ececec"
 
@@ -50,7 +31,7 @@ def _figure_1(_: Chawda, path: Path) -> None:
 def _figure_3(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2, sharey=True)
-    main = dict.fromkeys((FILTERED, HBA_SC, LFBA, chawda.adjusted))
+    main = dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, chawda.adjusted))
     for axes, criterion in zip(panels, ("felt", "heard"), strict=True):
         for number, name in enumerate(main):
             curve = chawda.hits.curve(chawda.hit_names.index(name), criterion)
@@ -64,7 +45,7 @@ def _figure_3(chawda: Chawda, path: Path) -> None:
 def _figure_3_gains(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, kind in zip(panels, GAINS, strict=True):
+    for axes, kind in zip(panels, rigs.GAINS, strict=True):
         names = [name for name in chawda.hit_names if name.startswith(f"{kind}, C")]
         for number, name in enumerate(names):
             curve = chawda.hits.curve(chawda.hit_names.index(name), "felt")
@@ -78,7 +59,7 @@ def _figure_3_gains(chawda: Chawda, path: Path) -> None:
 def _hits(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(7.0, 4.6)
     axes = figure.subplots()
-    for number, name in enumerate(SCHEMES):
+    for number, name in enumerate(rigs.SCHEMES):
         curve = chawda.slow_hits.curve(number, "felt")
         draw_boundaries(axes, [b.damping for b in curve], curve, COLOUR[name], name)
         if name in chawda.linear:
@@ -97,12 +78,12 @@ def _figure_4(chawda: Chawda, path: Path) -> None:
 def _figure_6(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(9.0, 6.4)
     size, error = figure.subplots(2, 1, sharex=True)
-    for name, result in zip(SCHEMES, chawda.impedances[1:], strict=True):
+    for name, result in zip(rigs.SCHEMES, chawda.impedances[1:], strict=True):
         measured = result.impedance
         if measured is None:
             continue
         ideal = np.abs(ideal_wall(*result.wall, measured.lines_hz))
-        if name == FDM:
+        if name == rigs.FDM:
             size.plot(measured.lines_hz, ideal, "k--", linewidth=1.0, label="ideal K/(jω) + B")
         size.plot(measured.lines_hz, measured.magnitude, color=COLOUR[name], linewidth=1.0, label=name)
         error.plot(measured.lines_hz, measured.magnitude - ideal, color=COLOUR[name], linewidth=1.0)
@@ -117,8 +98,8 @@ def _figure_6(chawda: Chawda, path: Path) -> None:
 
 def _figure_5(chawda: Chawda, path: Path) -> None:
     figure, panels = _panels()
-    for axes, name in zip(panels, SCHEMES, strict=True):
-        passive = chawda.map.passive[0, MAIN, ORDER.index(name)]
+    for axes, name in zip(panels, rigs.SCHEMES, strict=True):
+        passive = chawda.map.passive[0, rigs.MAIN, ORDER.index(name)]
         k, b = _places(chawda)
         cells = np.where(passive, 1.0, np.nan).T
         axes.set_facecolor(NOT_PASSIVE)
@@ -135,14 +116,14 @@ def _figure_5(chawda: Chawda, path: Path) -> None:
 
 def _figure_7(chawda: Chawda, path: Path) -> None:
     figure, panels = _panels()
-    errors = chawda.map.fidelity[:, MAIN]
-    seen = errors[np.isfinite(errors) & chawda.map.passive[:, MAIN]]
+    errors = chawda.map.fidelity[:, rigs.MAIN]
+    seen = errors[np.isfinite(errors) & chawda.map.passive[:, rigs.MAIN]]
     norm = colors.LogNorm(float(seen.min()), float(seen.max())) if len(seen) else colors.LogNorm(1.0, 10.0)
     k, b = _places(chawda)
     mesh = None
-    for axes, name in zip(panels, SCHEMES, strict=True):
+    for axes, name in zip(panels, rigs.SCHEMES, strict=True):
         number = ORDER.index(name)
-        passive = chawda.map.passive[:, MAIN, number]
+        passive = chawda.map.passive[:, rigs.MAIN, number]
         held = connected(passive).mean(axis=0) > 0.5
         shown = np.where(held, _seen_mean(errors[:, number]), np.nan)
         axes.set_facecolor(NOT_PASSIVE)
@@ -163,7 +144,7 @@ def _linear_lines(axes: Any, chawda: Chawda, name: str) -> None:
     """Closed forms in the coordinates of the grid's cells."""
     grid, of = chawda.map.grid, chawda.linear[name]
     x = np.interp(chawda.linear_dampings, grid.dampings, np.arange(len(grid.dampings)))
-    passive = of["passive"][HIGHEST_HZ.index(READINGS[MAIN].high_hz)]
+    passive = of["passive"][rigs.HIGHEST_HZ.index(rigs.READINGS[rigs.MAIN].high_hz)]
     for stiffness, look in ((of["stable"], "--"), (passive, ":")):
         y = np.interp(np.log(stiffness), np.log(grid.stiffnesses), np.arange(len(grid.stiffnesses)))
         axes.plot(x, y, look, color=style.BAD, linewidth=1.2)
@@ -205,27 +186,31 @@ def _ticks(axes: Any, chawda: Chawda) -> None:
 
 def _readings(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(12.0, 7.0)
-    panels = figure.subplots(2, len(SCHEMES), sharex=True, sharey="row")
+    panels = figure.subplots(2, len(rigs.SCHEMES), sharex=True, sharey="row")
     least = derived.floors()
-    for column, name in enumerate(SCHEMES):
-        for number, (tolerance, kind) in enumerate(TOLERANCES):
+    for column, name in enumerate(rigs.SCHEMES):
+        for number, (tolerance, kind) in enumerate(rigs.TOLERANCES):
             read = [
-                READINGS.index(Reading(low_hz=LOWEST_HZ[0], high_hz=high, tolerance=tolerance, kind=kind))
-                for high in HIGHEST_HZ
+                rigs.READINGS.index(
+                    rigs.Reading(low_hz=rigs.LOWEST_HZ[0], high_hz=high, tolerance=tolerance, kind=kind)
+                )
+                for high in rigs.HIGHEST_HZ
             ]
-            label = READINGS[read[0]].allowed
+            label = rigs.READINGS[read[0]].allowed
             for row, what in enumerate(("stiffness", "worst_fidelity")):
                 found = [spread(chawda.widths(name, one), what) for one in read]
                 scale = 1e3 if row == 0 else 1.0
                 panels[row, column].errorbar(
-                    HIGHEST_HZ,
+                    rigs.HIGHEST_HZ,
                     [one.mean / scale for one in found],
                     [np.nan_to_num(one.deviation) / scale for one in found],
                     color=style.SERIES[number], linewidth=1.2, marker=".", capsize=2, label=label,
                 )  # fmt: skip
-        panels[0, column].axhline(PRINTED[name].stiffness / 1e3, color="k", linewidth=1.0, linestyle=":")
-        panels[1, column].axhline(PRINTED[name].worst_fidelity, color="k", linewidth=1.0, linestyle=":")
-        panels[1, column].plot(HIGHEST_HZ, [least[high] for high in HIGHEST_HZ], "k--", linewidth=0.8)
+        panels[0, column].axhline(rigs.PRINTED[name].stiffness / 1e3, color="k", linewidth=1.0, linestyle=":")
+        panels[1, column].axhline(rigs.PRINTED[name].worst_fidelity, color="k", linewidth=1.0, linestyle=":")
+        panels[1, column].plot(
+            rigs.HIGHEST_HZ, [least[high] for high in rigs.HIGHEST_HZ], "k--", linewidth=0.8
+        )
         panels[0, column].set_title(name, fontsize=10)
         panels[0, column].set_yscale("symlog", linthresh=4.0)
         panels[1, column].set_xlabel("upper edge of the band (Hz)")
@@ -241,10 +226,10 @@ def _readings(chawda: Chawda, path: Path) -> None:
 def _theory(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, name in zip(panels, (FDM, AKF), strict=True):
+    for axes, name in zip(panels, (rigs.FDM, rigs.AKF), strict=True):
         of = chawda.linear[name]
         axes.plot(chawda.linear_dampings, np.array(of["stable"]) / 1e3, "k", linewidth=1.6, label="stable")
-        for number, (high, passive) in enumerate(zip(HIGHEST_HZ, of["passive"], strict=True)):
+        for number, (high, passive) in enumerate(zip(rigs.HIGHEST_HZ, of["passive"], strict=True)):
             axes.plot(
                 chawda.linear_dampings, np.array(passive) / 1e3, "--",
                 color=style.SERIES[number], linewidth=1.2, label=f"passive up to {high:g} Hz",
@@ -257,12 +242,12 @@ def _theory(chawda: Chawda, path: Path) -> None:
 
 def _dual(chawda: Chawda, path: Path) -> None:
     figure = style.new_figure(11.0, 7.0)
-    panels = figure.subplots(1, len(KOUL), sharey=True)
+    panels = figure.subplots(1, len(rigs.KOUL), sharey=True)
     texts = [scheme.text for scheme in chawda.dual_schemes]
     place = np.arange(len(texts))[::-1]
-    for axes, preset in zip(panels, KOUL, strict=True):
-        width = 0.8 / len(DUAL_READINGS)
-        for number, reading in enumerate(DUAL_READINGS):
+    for axes, preset in zip(panels, rigs.KOUL, strict=True):
+        width = 0.8 / len(rigs.DUAL_READINGS)
+        for number, reading in enumerate(rigs.DUAL_READINGS):
             rows = {row.scheme.text: row for row in derived.ranked(chawda.dual[preset], number)}
             axes.barh(
                 place + (1 - number) * width,
@@ -274,7 +259,7 @@ def _dual(chawda: Chawda, path: Path) -> None:
             )
         axes.set_yticks(place, [text.replace("estimator=", "") for text in texts], fontsize=7.5)
         axes.set_xlabel("area (N·m/rad × N·m·s/rad)")
-        axes.set_title(NAMES[preset], fontsize=10)
+        axes.set_title(rigs.NAMES[preset], fontsize=10)
         style.lighten(axes)
     panels[0].legend(fontsize=8)
     style.save(figure, path)

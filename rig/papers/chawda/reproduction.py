@@ -32,39 +32,6 @@ from rig.papers.chawda.claims import rulings
 from rig.papers.chawda.pictures import PICTURES
 from rig.papers.chawda.readings import Grid, Readings
 from rig.papers.chawda.results import Chawda, numbers, provenance, read_all
-from rig.papers.chawda.rigs import (
-    AKF,
-    CONTROL_BAND,
-    DUAL_READINGS,
-    FDM,
-    FIGURE_3_RATE,
-    FILTERED,
-    FILTERED_SCHEME,
-    FOAW,
-    FRICTIONLESS,
-    FULL,
-    GAINS,
-    HBA_SC,
-    HIGHEST_HZ,
-    KOUL,
-    LOWEST_HZ,
-    LOWEST_STIFFNESS,
-    MAIN,
-    QUICK,
-    READINGS,
-    RIG,
-    SCHEMES,
-    VARIANT_CONSTANTS,
-    VARIANT_DAMPINGS,
-    VARIANT_FORMS,
-    VARIANT_OUTPUTS,
-    Scale,
-    dual_rig,
-    dual_schemes,
-    excited_rig,
-    levant,
-    pushed_rig,
-)
 from rig.papers.koul import parts as koul_parts
 from rig.papers.parts import Part, Parts, part
 from rig.papers.reproduction import Paper
@@ -82,15 +49,15 @@ CONTROL_SEARCH = Search(way="bisection", lowest=13_000.0, highest=53_000.0, rati
 class ChawdaPlan:
     """All parts of the work, by name, and the way back from their results."""
 
-    def __init__(self, scale: Scale) -> None:
+    def __init__(self, scale: rigs.Scale) -> None:
         self._scale = scale
         self._lipschitz = chawda_parts.identified(*WALLS[0])["lipschitz"]
         self._named_hits = self._hit_schemes()
-        self._hits = self._hit_plan(FIGURE_3_RATE, tuple(self._named_hits.values()), scale.hit_ratio)
-        self._slow_hits = self._hit_plan(1000, tuple(SCHEMES.values()), scale.hit_ratio**0.5)
+        self._hits = self._hit_plan(rigs.FIGURE_3_RATE, tuple(self._named_hits.values()), scale.hit_ratio)
+        self._slow_hits = self._hit_plan(1000, tuple(rigs.SCHEMES.values()), scale.hit_ratio**0.5)
         self._variants = {
-            f"C = {c:g} m/s², {form}, {out}": levant(1000, c, GAINS[HBA_SC], form, out)
-            for c, form, out in product(VARIANT_CONSTANTS, VARIANT_FORMS, VARIANT_OUTPUTS)
+            f"C = {c:g} m/s², {form}, {out}": rigs.levant(1000, c, rigs.GAINS[rigs.HBA_SC], form, out)
+            for c, form, out in product(rigs.VARIANT_CONSTANTS, rigs.VARIANT_FORMS, rigs.VARIANT_OUTPUTS)
         }
         self._grids = self._all_grids()
 
@@ -102,19 +69,19 @@ class ChawdaPlan:
         for stiffness, damping in WALLS:
             payload: dict[str, Any] = {"stiffness": stiffness, "damping": damping}
             parts[f"constant/{stiffness:g}"] = part(chawda_parts.CONSTANT, payload, 300.0)
-        rig = config.excited(excited_rig(self._scale))
-        for name in (FDM, AKF):
+        rig = config.excited(rigs.excited_rig(self._scale))
+        for name in (rigs.FDM, rigs.AKF):
             payload = {
                 "experiment": config.as_mapping(rig),
-                "scheme": SCHEMES[name].text,
+                "scheme": rigs.SCHEMES[name].text,
                 "dampings": self._linear_dampings(),
-                "low_hz": LOWEST_HZ[0],
-                "highest_hz": list(HIGHEST_HZ),
+                "low_hz": rigs.LOWEST_HZ[0],
+                "highest_hz": list(rigs.HIGHEST_HZ),
             }
             parts[f"linear/{name}"] = part(chawda_parts.LINEAR, payload, 500.0)
         # The printed process noise allows no fine encoder; without damping any filter does.
-        for name, scheme in {**SCHEMES, AKF: Scheme.parse("uniform:1k,estimator=kalman")}.items():
-            payload = chawda_parts.control_payload(rig, scheme, CONTROL_SEARCH, CONTROL_BAND)
+        for name, scheme in {**rigs.SCHEMES, rigs.AKF: Scheme.parse("uniform:1k,estimator=kalman")}.items():
+            payload = chawda_parts.control_payload(rig, scheme, CONTROL_SEARCH, rigs.CONTROL_BAND)
             parts[f"control/{name}"] = part(chawda_parts.CONTROL, payload, 20.0)
         return parts
 
@@ -135,69 +102,72 @@ class ChawdaPlan:
             frictionless=found["frictionless"],
             variants=found["variants"],
             variant_names=tuple(self._variants),
-            linear={name: done.one(f"linear/{name}") for name in (FDM, AKF)},
+            linear={name: done.one(f"linear/{name}") for name in (rigs.FDM, rigs.AKF)},
             linear_dampings=tuple(self._linear_dampings()),
-            controls={name: done.one(f"control/{name}") for name in SCHEMES},
+            controls={name: done.one(f"control/{name}") for name in rigs.SCHEMES},
             impedances=_impedances(self._scale),
-            dual={preset: found[f"dual/{preset}"] for preset in KOUL},
-            dual_schemes=dual_schemes(),
+            dual={preset: found[f"dual/{preset}"] for preset in rigs.KOUL},
+            dual_schemes=rigs.dual_schemes(),
         )
 
     def _hit_schemes(self) -> dict[str, Scheme]:
         """The filtered difference, Levant's differentiator with the identified C, and what is tried to adjust it."""
-        named = {FILTERED: FILTERED_SCHEME}
-        named |= {name: levant(FIGURE_3_RATE, self._lipschitz, gains) for name, gains in GAINS.items()}
-        for (name, gains), constant in product(GAINS.items(), self._scale.constants):
-            named[f"{name}, C = {constant:g} m/s²"] = levant(FIGURE_3_RATE, constant, gains)
+        named = {rigs.FILTERED: rigs.FILTERED_SCHEME}
+        named |= {
+            name: rigs.levant(rigs.FIGURE_3_RATE, self._lipschitz, gains)
+            for name, gains in rigs.GAINS.items()
+        }
+        for (name, gains), constant in product(rigs.GAINS.items(), self._scale.constants):
+            named[f"{name}, C = {constant:g} m/s²"] = rigs.levant(rigs.FIGURE_3_RATE, constant, gains)
         return named
 
     def _hit_plan(self, rate: int, schemes: tuple[Scheme, ...], ratio: float) -> MapPlan:
-        experiment = pushed_rig(rate)
+        experiment = rigs.pushed_rig(rate)
         return MapPlan(
             experiment=experiment,
             schemes=schemes,
             dampings=self._scale.hit_dampings,
-            search=search_for(experiment, "ladder", ratio=ratio, lowest=LOWEST_STIFFNESS),
+            search=search_for(experiment, "ladder", ratio=ratio, lowest=rigs.LOWEST_STIFFNESS),
             offsets=self._scale.offsets,
         )
 
     def _all_grids(self) -> dict[str, Grid]:
-        scale, main = self._scale, (READINGS[MAIN],)
+        scale, main = self._scale, (rigs.READINGS[rigs.MAIN],)
         soft = tuple(b for b in scale.dampings if b <= 200.0)
         grids = {
             "map": Grid(
-                experiment=excited_rig(scale),
-                schemes=tuple(SCHEMES.values()),
+                experiment=rigs.excited_rig(scale),
+                schemes=tuple(rigs.SCHEMES.values()),
                 stiffnesses=scale.stiffnesses,
                 dampings=scale.dampings,
-                readings=READINGS,
+                readings=rigs.READINGS,
                 measurements=scale.measurements,
             ),
             "frictionless": Grid(
-                experiment=excited_rig(replace(scale, measurements=2), FRICTIONLESS),
-                schemes=(SCHEMES[FDM], SCHEMES[FOAW]),
+                experiment=rigs.excited_rig(replace(scale, measurements=2), rigs.FRICTIONLESS),
+                schemes=(rigs.SCHEMES[rigs.FDM], rigs.SCHEMES[rigs.FOAW]),
                 stiffnesses=scale.stiffnesses,
                 dampings=soft,
-                readings=READINGS,
+                readings=rigs.READINGS,
                 measurements=2,
             ),
             "variants": Grid(
-                experiment=excited_rig(replace(scale, measurements=1)),
+                experiment=rigs.excited_rig(replace(scale, measurements=1)),
                 schemes=tuple(self._variants.values()),
                 stiffnesses=scale.stiffnesses[:: scale.coarse],
-                dampings=VARIANT_DAMPINGS,
+                dampings=rigs.VARIANT_DAMPINGS,
                 readings=main,
                 measurements=1,
             ),
         }
-        for preset in KOUL:
-            rig = dual_rig(preset, scale)
+        for preset in rigs.KOUL:
+            rig = rigs.dual_rig(preset, scale)
             grids[f"dual/{preset}"] = Grid(
                 experiment=rig,
-                schemes=dual_schemes(),
+                schemes=rigs.dual_schemes(),
                 stiffnesses=scale.dual_stiffnesses,
                 dampings=scale.dual_dampings,
-                readings=DUAL_READINGS,
+                readings=rigs.DUAL_READINGS,
                 measurements=scale.dual_measurements,
                 signal="count" if rig.rig.mechanics.structure == "rigid" else "truth",
             )
@@ -213,15 +183,15 @@ class ChawdaPlan:
 
 def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
     """Levant's gains whose Z-width has the largest area: what somebody would find who tries them on the rig."""
-    tried = [number for number, name in enumerate(names) if name != FILTERED]
+    tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 
 
-def _impedances(scale: Scale) -> tuple[Any, ...]:
+def _impedances(scale: rigs.Scale) -> tuple[Any, ...]:
     """The bare rig, and one wall under each estimator."""
-    rig = excited_rig(replace(scale, measurements=1))
-    (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[SCHEMES[FDM]])
-    return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(SCHEMES.values())))
+    rig = rigs.excited_rig(replace(scale, measurements=1))
+    (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[rigs.SCHEMES[rigs.FDM]])
+    return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(rigs.SCHEMES.values())))
 
 
 def words(chawda: Chawda) -> dict[str, Any]:
@@ -236,14 +206,14 @@ def words(chawda: Chawda) -> dict[str, Any]:
         "levant": levant_regions,
         "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S),
         "nominal_wall": WALLS[0],
-        "verdict": presets.load(RIG).verdict,
+        "verdict": presets.load(rigs.RIG).verdict,
     }
 
 
 CHAWDA = Paper(
     name="chawda",
-    quick=QUICK,
-    full=FULL,
+    quick=rigs.QUICK,
+    full=rigs.FULL,
     plan=ChawdaPlan,
     rulings=rulings,
     words=words,

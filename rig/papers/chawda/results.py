@@ -17,21 +17,8 @@ from rig.experiments.searches import GridSearch, trace_grid
 from rig.experiments.sweep.executors import code_version
 from rig.experiments.table_one import FrequencyWidth, Spread
 from rig.experiments.zwidth import ZWidth
+from rig.papers.chawda import rigs
 from rig.papers.chawda.readings import Readings
-from rig.papers.chawda.rigs import (
-    FILTERED,
-    HBA_SC,
-    KOUL,
-    LFBA,
-    MAIN,
-    PUSH,
-    READINGS,
-    RIG,
-    SCHEMES,
-    SEED,
-    Scale,
-    excited_rig,
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +73,7 @@ class Chawda:
         Koul's rigs by preset, the schemes of `dual_schemes`.
     """
 
-    scale: Scale
+    scale: rigs.Scale
     lipschitz: float
     constants: tuple[Mapping[str, float], ...]
     hits: ZWidth
@@ -105,20 +92,20 @@ class Chawda:
     dual: Mapping[str, Readings]
     dual_schemes: tuple[Scheme, ...]
 
-    def widths(self, name: str, reading: int = MAIN) -> list[FrequencyWidth]:
+    def widths(self, name: str, reading: int = rigs.MAIN) -> list[FrequencyWidth]:
         """Widths of one of the four estimators, one for each measurement."""
-        return [of[name] for of in self.read[reading :: len(READINGS)]]
+        return [of[name] for of in self.read[reading :: len(rigs.READINGS)]]
 
     def search(self, name: str, measurement: int = 0) -> GridSearch:
         """The paper's boundary search in one measurement's map, by the main reading."""
         grid = self.map.grid
-        passive = self.map.passive[measurement, MAIN, list(SCHEMES).index(name)]
+        passive = self.map.passive[measurement, rigs.MAIN, list(rigs.SCHEMES).index(name)]
         return trace_grid(passive, grid.dampings, grid.stiffnesses)
 
     @property
     def figure_3(self) -> list[str]:
         """The schemes that the paper has in Fig. 3."""
-        return list(dict.fromkeys((FILTERED, HBA_SC, LFBA, self.adjusted)))
+        return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[Search]:
         """The boundary search in every map of the four estimators."""
@@ -132,7 +119,7 @@ class Chawda:
                 width=width.stiffness,
                 wrong=search.above + search.below + search.unseen,
             )
-            for name in SCHEMES
+            for name in rigs.SCHEMES
             for m, width in enumerate(self.widths(name))
         ]
 
@@ -151,7 +138,7 @@ def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
     """Widths of the four estimators by every reading of every measurement."""
     grid = found.grid
     return tuple(
-        {name: found.width(m, r, s) for s, name in enumerate(SCHEMES)}
+        {name: found.width(m, r, s) for s, name in enumerate(rigs.SCHEMES)}
         for m in range(grid.measurements)
         for r in range(len(grid.readings))
     )
@@ -172,17 +159,17 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
             "adjusted": chawda.adjusted,
             **chawda.hits.as_mapping(),
         },
-        "hits_1_kHz": {"names": list(SCHEMES), **chawda.slow_hits.as_mapping()},
-        "map": _grid(chawda.map, list(SCHEMES)),
+        "hits_1_kHz": {"names": list(rigs.SCHEMES), **chawda.slow_hits.as_mapping()},
+        "map": _grid(chawda.map, list(rigs.SCHEMES)),
         "searches": {
             name: [plain(chawda.search(name, m)) for m in range(chawda.map.grid.measurements)]
-            for name in SCHEMES
+            for name in rigs.SCHEMES
         },
         "readings": {
-            READINGS[number].text: {
-                name: [_width(width) for width in chawda.widths(name, number)] for name in SCHEMES
+            rigs.READINGS[number].text: {
+                name: [_width(width) for width in chawda.widths(name, number)] for name in rigs.SCHEMES
             }
-            for number in range(len(READINGS))
+            for number in range(len(rigs.READINGS))
         },
         "frictionless": _grid(chawda.frictionless, [s.text for s in chawda.frictionless.grid.schemes]),
         "variants": _grid(chawda.variants, chawda.variant_names),
@@ -228,7 +215,7 @@ def _mean(values: Any) -> Any:
 
 
 def _main(found: Readings) -> int:
-    return found.grid.readings.index(READINGS[MAIN])
+    return found.grid.readings.index(rigs.READINGS[rigs.MAIN])
 
 
 def _width(width: FrequencyWidth) -> list[float | None]:
@@ -253,16 +240,16 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
     """What the numbers come from, the same on every machine."""
-    x = excited_rig(chawda.scale)
+    x = rigs.excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),
         "scale": asdict(chawda.scale),
-        "seed": SEED,
+        "seed": rigs.SEED,
         "runs": chawda.runs,
         "hits": chawda.hits.hits + chawda.slow_hits.hits,
-        "schemes": {name: scheme.text for name, scheme in SCHEMES.items()},
-        "readings": [reading.text for reading in READINGS],
+        "schemes": {name: scheme.text for name, scheme in rigs.SCHEMES.items()},
+        "readings": [reading.text for reading in rigs.READINGS],
         "excitation": asdict(x.excitation),
-        "push": dict(PUSH),
-        "presets": {name: config.as_mapping(presets.load(name)) for name in (RIG, *KOUL)},
+        "push": dict(rigs.PUSH),
+        "presets": {name: config.as_mapping(presets.load(name)) for name in (rigs.RIG, *rigs.KOUL)},
     }

@@ -6,49 +6,36 @@ from collections.abc import Sequence
 from typing import Any
 
 from rig.control.verdict import CRITERIA
-from rig.papers.koul import rules
+from rig.papers.koul import rigs, rules
 from rig.papers.koul.compare import FLOAT
 from rig.papers.koul.results import Koul, word_name
-from rig.papers.koul.rigs import (
-    COMPLIANT,
-    DUAL,
-    FAST,
-    FAST_1K,
-    HELD,
-    MAIN,
-    NAMES,
-    PRESETS,
-    RIGID,
-    SCHEMES,
-    SLOW,
-    WITH_LAG,
-    WITHOUT_LAG,
-)
 from rig.papers.koul.ways import columns
 from rig.papers.rules import Ruling, judge, over, within
 
-RIGS = {COMPLIANT: "compliant (fitted)", RIGID: "rigid"}
-CUTOFFS = {FAST: "2 kHz", FAST_1K: "1 kHz"}  # of the uniform 20 kHz wall
-NUMBERS = {key: number for number, key in enumerate(SCHEMES)}
+RIGS = {rigs.COMPLIANT: "compliant (fitted)", rigs.RIGID: "rigid"}
+CUTOFFS = {rigs.FAST: "2 kHz", rigs.FAST_1K: "1 kHz"}  # of the uniform 20 kHz wall
+NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 
 def rulings(koul: Koul) -> dict[str, Ruling]:
     """On every claim, by key."""
-    k_max = {NAMES[p]: [b.stiffness for b in koul.kmax[p, WITH_LAG].curve("any")] for p in PRESETS}
+    k_max = {
+        rigs.NAMES[p]: [b.stiffness for b in koul.kmax[p, rigs.WITH_LAG].curve("any")] for p in rigs.PRESETS
+    }
     at_fast = koul.scale.rates.index(rules.FAST_HZ)
     panels = {f"{p.position_rate / 1e3:g} kHz, {p.arithmetic}": p.peaks for p in koul.figure_7}
     return {
         "rises": rules.rises(k_max, koul.scale.rates),
-        "levels-off": rules.levels_off(*(_saturation(koul, lag) for lag in (WITH_LAG, WITHOUT_LAG))),
+        "levels-off": rules.levels_off(*(_saturation(koul, lag) for lag in (rigs.WITH_LAG, rigs.WITHOUT_LAG))),
         "level": rules.near(
             {name: curve[at_fast] for name, curve in k_max.items()},
-            rules.LEVEL, rules.LEVEL_FACTOR, unfitted=NAMES[RIGID],
+            rules.LEVEL, rules.LEVEL_FACTOR, unfitted=rigs.NAMES[rigs.RIGID],
         ),
         "same-range": _same_range(koul),
-        "same-range-plants": rules.same_of_plants(_of_plants(koul, DUAL, SLOW)),
+        "same-range-plants": rules.same_of_plants(_of_plants(koul, rigs.DUAL, rigs.SLOW)),
         "range": rules.near(_ranges(koul), rules.DAMPING_RANGE, rules.NUMBER),
         "half": rules.half(_halves(koul)),
-        "half-plants": rules.half_of_plants(_of_plants(koul, FAST, DUAL)),
+        "half-plants": rules.half_of_plants(_of_plants(koul, rigs.FAST, rigs.DUAL)),
         "higher-peak": rules.higher_peak(_peak_ratios(koul)),
         "peaks": _peaks(koul),
         "left-at-range": _left_at_range(koul),
@@ -73,7 +60,7 @@ def by_cutoff(names: Sequence[str]) -> list[tuple[str, list[str]]]:
 
 
 def _saturation(koul: Koul, lag: str) -> dict[str, float | None]:
-    return {NAMES[preset]: koul.kmax[preset, lag].saturation("any") for preset in PRESETS}
+    return {rigs.NAMES[preset]: koul.kmax[preset, lag].saturation("any") for preset in rigs.PRESETS}
 
 
 def _of_plants(koul: Koul, *keys: str) -> list[tuple[float, float]]:
@@ -83,39 +70,40 @@ def _of_plants(koul: Koul, *keys: str) -> list[tuple[float, float]]:
 
 def _same_range(koul: Koul) -> Ruling:
     simulated = {
-        f"{name}, {criterion}": over(of[DUAL][criterion].damping, of[SLOW][criterion].damping)
+        f"{name}, {criterion}": over(of[rigs.DUAL][criterion].damping, of[rigs.SLOW][criterion].damping)
         for name, of in koul.ranges.items()
         for criterion in CRITERIA
     }
-    linear = {name: over(of[DUAL]["range"], of[SLOW]["range"]) for name, of in koul.linear.items()}
+    linear = {name: over(of[rigs.DUAL]["range"], of[rigs.SLOW]["range"]) for name, of in koul.linear.items()}
     return rules.same(simulated, linear, koul.scale.range_ratio)
 
 
 def _ranges(koul: Koul) -> dict[str, float]:
     values: dict[str, float] = {}
-    for held in MAIN:
+    for held in rigs.MAIN:
         rig, found = RIGS[held.preset], koul.maps[held.name]
         for criterion in ("felt", "heard"):
-            values[f"{rig}, soft wall, {criterion}"] = koul.ranges[held.name][DUAL][criterion].damping
+            values[f"{rig}, soft wall, {criterion}"] = koul.ranges[held.name][rigs.DUAL][criterion].damping
             if found.plan.search.way == "grid":
-                damped = [c.damping for c in columns(found, NUMBERS[DUAL], criterion) if c.highest > 0.0]
+                damped = [c.damping for c in columns(found, NUMBERS[rigs.DUAL], criterion) if c.highest > 0.0]
                 values[f"{rig}, any wall, {criterion}"] = max(damped)
-        values[f"{rig}, theory"] = koul.linear[held.name][DUAL]["range"]
+        values[f"{rig}, theory"] = koul.linear[held.name][rigs.DUAL]["range"]
     return values
 
 
 def _halves(koul: Koul) -> dict[str, float]:
-    walls = [(held, fast) for held in MAIN for fast in (FAST, FAST_1K)]
+    walls = [(held, fast) for held in rigs.MAIN for fast in (rigs.FAST, rigs.FAST_1K)]
     ratios = {
         f"{RIGS[held.preset]}, {CUTOFFS[fast]}, {criterion}": over(
-            koul.ranges[held.name][fast][criterion].damping, koul.ranges[held.name][DUAL][criterion].damping
+            koul.ranges[held.name][fast][criterion].damping,
+            koul.ranges[held.name][rigs.DUAL][criterion].damping,
         )
         for held, fast in walls
         for criterion in CRITERIA
     }
     return ratios | {
         f"{RIGS[held.preset]}, {CUTOFFS[fast]}, theory": over(
-            koul.linear[held.name][fast]["range"], koul.linear[held.name][DUAL]["range"]
+            koul.linear[held.name][fast]["range"], koul.linear[held.name][rigs.DUAL]["range"]
         )
         for held, fast in walls
     }
@@ -124,19 +112,19 @@ def _halves(koul: Koul) -> dict[str, float]:
 def _peak_ratios(koul: Koul) -> dict[tuple[str, str, str, str], float]:
     return {
         (RIGS[held.preset], held.push, CUTOFFS[fast], criterion): over(
-            *(koul.width(held, key, criterion).stiffness_peak for key in (DUAL, fast))
+            *(koul.width(held, key, criterion).stiffness_peak for key in (rigs.DUAL, fast))
         )
-        for held in HELD
-        for fast in (FAST, FAST_1K)
+        for held in rigs.HELD
+        for fast in (rigs.FAST, rigs.FAST_1K)
         for criterion in CRITERIA
     }
 
 
 def _peaks(koul: Koul) -> Ruling:
     cases, found = {}, []
-    for held in MAIN:
-        for fast in (FAST, FAST_1K):
-            wanted = {DUAL: rules.PEAK_DUAL, fast: rules.LEVEL, SLOW: rules.PEAK_SLOW}
+    for held in rigs.MAIN:
+        for fast in (rigs.FAST, rigs.FAST_1K):
+            wanted = {rigs.DUAL: rules.PEAK_DUAL, fast: rules.LEVEL, rigs.SLOW: rules.PEAK_SLOW}
             peaks = [koul.width(held, key).stiffness_peak for key in wanted]
             name = f"{RIGS[held.preset]}, {CUTOFFS[fast]}"
             cases[name] = all(map(lambda k, k0: within(k, k0, rules.LEVEL_FACTOR), peaks, wanted.values()))
@@ -146,10 +134,10 @@ def _peaks(koul: Koul) -> Ruling:
 
 def _left_at_range(koul: Koul) -> Ruling:
     values = {}
-    for held in MAIN:
-        curve = koul.maps[held.name].curve(NUMBERS[DUAL], "any")
+    for held in rigs.MAIN:
+        curve = koul.maps[held.name].curve(NUMBERS[rigs.DUAL], "any")
         at = min(curve, key=lambda boundary: abs(boundary.damping - rules.DAMPING_RANGE))
-        values[f"{NAMES[held.preset]} (B = {at.damping:.2f})"] = at.stiffness
+        values[f"{rigs.NAMES[held.preset]} (B = {at.damping:.2f})"] = at.stiffness
     return rules.near(values, rules.DUAL_AT_RANGE, rules.LEVEL_FACTOR)
 
 

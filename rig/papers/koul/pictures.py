@@ -9,31 +9,17 @@ from typing import Any
 
 import numpy as np
 
+from rig.papers.koul import rigs
 from rig.papers.koul import ways as koul_ways
 from rig.papers.koul.ideas import REFERENCE, Tried, ranked
 from rig.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
 from rig.papers.koul.results import Koul
-from rig.papers.koul.rigs import (
-    DUAL,
-    EFFECTS,
-    FAST,
-    FAST_1K,
-    HELD,
-    LABELS,
-    LAGS,
-    MAIN,
-    NAMES,
-    PRESETS,
-    SCHEMES,
-    SLOW,
-    WITH_LAG,
-)
 from rig.papers.koul.rules import LEVEL
 from rig.views.plots import style
 from rig.views.plots.zwidth import draw_boundaries, draw_zwidth
 
 STIFFNESS, DAMPING = "stiffness K (N·m/rad)", "damping B (N·m·s/rad)"
-ORDER = list(SCHEMES)
+ORDER = list(rigs.SCHEMES)
 COLOUR = dict(zip(ORDER, style.SERIES, strict=False))
 
 
@@ -41,8 +27,8 @@ def _figure_5(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.4)
     panels = figure.subplots(1, 2, sharey=True)
     rates = koul.scale.rates
-    for axes, preset in zip(panels, PRESETS, strict=True):
-        for number, lag in enumerate(LAGS):
+    for axes, preset in zip(panels, rigs.PRESETS, strict=True):
+        for number, lag in enumerate(rigs.LAGS):
             colour, found = style.SERIES[number], koul.kmax[preset, lag]
             draw_boundaries(axes, rates, found.curve("any"), colour, f"simulated, {lag}")
             axes.plot(
@@ -55,10 +41,10 @@ def _figure_5(koul: Koul, path: Path) -> None:
             )
         axes.plot([20_000], [LEVEL], "k*", markersize=11, label="Koul et al.")
         axes.set_xscale("log")
-        top = max(b.highest for p in PRESETS for b in koul.kmax[p, WITH_LAG].curve("any"))
+        top = max(b.highest for p in rigs.PRESETS for b in koul.kmax[p, rigs.WITH_LAG].curve("any"))
         axes.set_ylim(0.0, 1.6 * top)
         axes.set_xlabel("sampling rate 1/T1 (Hz)")
-        axes.set_title(NAMES[preset], fontsize=10)
+        axes.set_title(rigs.NAMES[preset], fontsize=10)
         style.lighten(axes)
     panels[0].set_ylabel("largest K at B = 0 (N·m/rad)")
     panels[0].legend(fontsize=8, loc="upper left")
@@ -66,7 +52,7 @@ def _figure_5(koul: Koul, path: Path) -> None:
 
 
 def _figure_6(koul: Koul, path: Path, preset: str) -> None:
-    name = next(held.name for held in MAIN if held.preset == preset)
+    name = next(held.name for held in rigs.MAIN if held.preset == preset)
     curves = {
         ORDER.index(key): tuple(zip(*linear["curve"], strict=True))
         for key, linear in koul.linear[name].items()
@@ -77,28 +63,28 @@ def _figure_6(koul: Koul, path: Path, preset: str) -> None:
 def _hands(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.4)
     panels = figure.subplots(1, 2)
-    for axes, preset in zip(panels, PRESETS, strict=True):
-        for number, held in enumerate(h for h in HELD if h.preset == preset):
+    for axes, preset in zip(panels, rigs.PRESETS, strict=True):
+        for number, held in enumerate(h for h in rigs.HELD if h.preset == preset):
             found, colour = koul.maps[held.name], style.SERIES[number]
-            for key, look in ((DUAL, "-"), (FAST, ":")):
+            for key, look in ((rigs.DUAL, "-"), (rigs.FAST, ":")):
                 curve = found.curve(ORDER.index(key), "any")
-                label = held.push if key == DUAL else None
+                label = held.push if key == rigs.DUAL else None
                 x, y = [b.damping for b in curve], [b.stiffness for b in curve]
                 axes.plot(x, y, look, color=colour, linewidth=1.6, label=label)
                 capped = [(b.damping, b.stiffness) for b in curve if b.capped]
                 if capped:
                     axes.plot(*zip(*capped, strict=True), "^", color=colour, markersize=5)
-        _label(axes, f"{NAMES[preset]}: solid dual-rate, dotted uniform 20 kHz")
+        _label(axes, f"{rigs.NAMES[preset]}: solid dual-rate, dotted uniform 20 kHz")
     panels[0].legend(fontsize=8)
     style.save(figure, path)
 
 
 def _ways(koul: Koul, path: Path) -> None:
-    keys = (DUAL, FAST, SLOW)
+    keys = (rigs.DUAL, rigs.FAST, rigs.SLOW)
     figure = style.new_figure(12.0, 4.2)
     panels = figure.subplots(1, len(keys), sharey=True)
     for axes, key in zip(panels, keys, strict=True):
-        columns = koul_ways.columns(koul.maps[MAIN[0].name], ORDER.index(key), "any")
+        columns = koul_ways.columns(koul.maps[rigs.MAIN[0].name], ORDER.index(key), "any")
         for passes, colour, label in ((True, "#b7dbc6", "holds"), (False, "#eec6c6", "fails")):
             points = [(c.damping, k) for c in columns for k, p in c.tried.items() if p is passes]
             if points:
@@ -107,7 +93,7 @@ def _ways(koul: Koul, path: Path) -> None:
         axes.plot(b, [c.ladder for c in columns], color=style.MEASURED, linewidth=1.6, label="ladder")
         axes.plot(b, [c.bisection for c in columns], "--", color=style.SENT, linewidth=1.4, label="bisection")
         axes.set_yscale("log")
-        _label(axes, LABELS[key])
+        _label(axes, rigs.LABELS[key])
         axes.set_ylim(auto=True)
         axes.set_ylabel("")
     panels[0].set_ylabel(STIFFNESS)
@@ -126,16 +112,16 @@ def _figure_8(koul: Koul, path: Path) -> None:
 def _theory(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.6)
     panels = figure.subplots(1, 2)
-    for axes, held in zip(panels, MAIN, strict=True):
+    for axes, held in zip(panels, rigs.MAIN, strict=True):
         top = 0.0
         for key, linear in koul.linear[held.name].items():
             b, k = zip(*linear["curve"], strict=True)
             top = max(top, linear["peak"])
-            axes.plot(b, k, color=COLOUR[key], linewidth=1.6, label=LABELS[key])
+            axes.plot(b, k, color=COLOUR[key], linewidth=1.6, label=rigs.LABELS[key])
             for at, low, high in linear["islands"]:
                 axes.plot([at, at], [low, high], color=COLOUR[key], linewidth=4.0, alpha=0.3, zorder=0)
             axes.plot(*linear["passive_curve"], "--", color=COLOUR[key], linewidth=0.9)
-        _label(axes, f"{NAMES[held.preset]}: dashed, passive below; bars, islands")
+        _label(axes, f"{rigs.NAMES[held.preset]}: dashed, passive below; bars, islands")
         axes.set_ylim(0.0, 1.15 * top)
     panels[0].legend(fontsize=8)
     style.save(figure, path)
@@ -144,18 +130,18 @@ def _theory(koul: Koul, path: Path) -> None:
 def _effects(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.0)
     left, right = figure.subplots(1, 2)
-    linear = koul.linear[MAIN[0].name]
-    names = ["linear theory", *EFFECTS]
+    linear = koul.linear[rigs.MAIN[0].name]
+    names = ["linear theory", *rigs.EFFECTS]
     undamped = {
-        key: [linear[key]["undamped"], *(koul.effects[name].undamped[key] for name in EFFECTS)]
-        for key in (DUAL, SLOW)
+        key: [linear[key]["undamped"], *(koul.effects[name].undamped[key] for name in rigs.EFFECTS)]
+        for key in (rigs.DUAL, rigs.SLOW)
     }
     ranges = {
-        key: [linear[key]["range"], *(koul.effects[name].ranges[key]["any"].damping for name in EFFECTS)]
-        for key in (DUAL, FAST, FAST_1K, SLOW)
+        key: [linear[key]["range"], *(koul.effects[name].ranges[key]["any"].damping for name in rigs.EFFECTS)]
+        for key in (rigs.DUAL, rigs.FAST, rigs.FAST_1K, rigs.SLOW)
     }
-    _bars(left, names, undamped, "K at B = 0 (N·m/rad)", {DUAL: "20 kHz", SLOW: "2 kHz"})
-    _bars(right, names, ranges, f"range of B at the softest wall {DAMPING.split(' ', 2)[2]}", LABELS)
+    _bars(left, names, undamped, "K at B = 0 (N·m/rad)", {rigs.DUAL: "20 kHz", rigs.SLOW: "2 kHz"})
+    _bars(right, names, ranges, f"range of B at the softest wall {DAMPING.split(' ', 2)[2]}", rigs.LABELS)
     style.save(figure, path)
 
 
@@ -179,9 +165,9 @@ def _plants(koul: Koul, path: Path) -> None:
     figure = style.new_figure(11.0, 4.2)
     left, right = figure.subplots(1, 2)
     ranges = np.array([plant["ranges"] for plant in koul.plants])
-    dual, fast, slow = (ranges[:, ORDER.index(key)] for key in (DUAL, FAST, SLOW))
+    dual, fast, slow = (ranges[:, ORDER.index(key)] for key in (rigs.DUAL, rigs.FAST, rigs.SLOW))
     stiffness = np.array([plant["transmission_stiffness"] for plant in koul.plants])
-    ends = [max(1e-3, ranges[:, ORDER.index(DUAL)].min()), dual.max()]
+    ends = [max(1e-3, ranges[:, ORDER.index(rigs.DUAL)].min()), dual.max()]
     left.plot(ends, ends, color=style.WALL, linewidth=1.0)
     left.plot(slow, dual, "o", color=style.MEASURED, markersize=4, alpha=0.6)
     left.set_xlabel("range of B, uniform 2 kHz (N·m·s/rad)")
@@ -249,7 +235,7 @@ def _label(axes: Any, title: str) -> None:
 
 PICTURES: dict[str, Callable[[Koul, Path], None]] = {
     "figure-5": _figure_5,
-    **{f"figure-6-{preset}": partial(_figure_6, preset=preset) for preset in PRESETS},
+    **{f"figure-6-{preset}": partial(_figure_6, preset=preset) for preset in rigs.PRESETS},
     "hands": _hands,
     "ways": _ways,
     "figure-7": _figure_7,

@@ -30,24 +30,6 @@ from rig.papers.koul.ideas import Idea
 from rig.papers.koul.parts import Range
 from rig.papers.koul.pictures import PICTURES
 from rig.papers.koul.results import Effect, Koul, cutoff, numbers, provenance
-from rig.papers.koul.rigs import (
-    COMPLIANT,
-    DUAL,
-    EFFECTS,
-    FULL,
-    HELD,
-    HIGHEST_STIFFNESS,
-    LAGS,
-    LOWEST_STIFFNESS,
-    MAIN,
-    PRESETS,
-    QUICK,
-    SCHEMES,
-    SEED,
-    SLOW,
-    Held,
-    Scale,
-)
 from rig.papers.koul.rules import DAMPING_RANGE, DAMPING_RANGE_FAST
 from rig.papers.parts import Part, Parts, part
 from rig.papers.reproduction import Paper
@@ -56,16 +38,16 @@ from rig.papers.reproduction import Paper
 class KoulPlan:
     """All parts of the work, by name, and the way back from their results."""
 
-    def __init__(self, scale: Scale) -> None:
+    def __init__(self, scale: rigs.Scale) -> None:
         self._scale = scale
-        self._dampings = {held.preset: _dampings(held.experiment(), scale.columns) for held in MAIN}
-        self._kmax = {(p, lag): self._kmax_plan(p, lag) for p in PRESETS for lag in LAGS}
-        self._maps = {held.name: self._map_plan(held) for held in HELD}
+        self._dampings = {held.preset: _dampings(held.experiment(), scale.columns) for held in rigs.MAIN}
+        self._kmax = {(p, lag): self._kmax_plan(p, lag) for p in rigs.PRESETS for lag in rigs.LAGS}
+        self._maps = {held.name: self._map_plan(held) for held in rigs.HELD}
         self._ideas = koul_ideas.ideas()
         self._idea_maps = {idea.key: self._idea_plan(idea) for idea in self._ideas}
         self._effects = {
-            name: MAIN[0].experiment({**changes, "trial.duration_s": scale.effect_s})
-            for name, changes in EFFECTS.items()
+            name: rigs.MAIN[0].experiment({**changes, "trial.duration_s": scale.effect_s})
+            for name, changes in rigs.EFFECTS.items()
         }
         self._effect_maps = {name: self._effect_plan(x) for name, x in self._effects.items()}
 
@@ -81,9 +63,9 @@ class KoulPlan:
             )
         for name, plan in self._maps.items():
             parts[f"map/{name}"] = koul_parts.map_part(plan)
-        for held in HELD:
+        for held in rigs.HELD:
             parts[f"range/{held.name}"] = self._ranges(held.experiment())
-            for key, scheme in SCHEMES.items():
+            for key, scheme in rigs.SCHEMES.items():
                 parts[f"linear/{held.name}/{key}"] = self._linear(held, scheme)
         for name, experiment in self._effects.items():
             parts[f"effect-range/{name}"] = self._ranges(experiment)
@@ -104,10 +86,10 @@ class KoulPlan:
         chunks = np.array_split(np.arange(scale.plants), max(1, scale.plants // 10))
         for number, chunk in enumerate(chunks):
             payload = {
-                "schemes": [s.text for s in SCHEMES.values()],
+                "schemes": [s.text for s in rigs.SCHEMES.values()],
                 "numbers": chunk.tolist(),
-                "islands": [list(SCHEMES).index(key) for key in (DUAL, SLOW)],
-                "seed": SEED,
+                "islands": [list(rigs.SCHEMES).index(key) for key in (rigs.DUAL, rigs.SLOW)],
+                "seed": rigs.SEED,
             }
             parts[f"plants/{number}"] = part(koul_parts.PLANTS, payload, 50.0 * len(chunk))
         parts["noise"] = part(koul_parts.NOISE, {"offsets": scale.impact_offsets}, 60.0)
@@ -131,12 +113,12 @@ class KoulPlan:
             linear = done.one(f"idea-linear/{idea.key}")
             known = None if "not_linear" in linear else {name: linear[name] for name in ("peak", "range")}
             ideas[idea.key] = koul_ideas.Tried(idea, found, of_idea, known)
-        ranges = {held.name: self._ranges_of(done.results[f"range/{held.name}"]) for held in HELD}
+        ranges = {held.name: self._ranges_of(done.results[f"range/{held.name}"]) for held in rigs.HELD}
         effects = {
             name: Effect(
                 undamped={
                     key: ZWidth.of(plan, done.results[f"effect/{name}"]).curve(number, "felt")[0].stiffness
-                    for number, key in enumerate((DUAL, SLOW))
+                    for number, key in enumerate((rigs.DUAL, rigs.SLOW))
                 },
                 ranges=self._ranges_of(done.results[f"effect-range/{name}"]),
             )
@@ -149,7 +131,8 @@ class KoulPlan:
             maps=maps,
             ranges=ranges,
             linear={
-                held.name: {key: done.one(f"linear/{held.name}/{key}") for key in SCHEMES} for held in HELD
+                held.name: {key: done.one(f"linear/{held.name}/{key}") for key in rigs.SCHEMES}
+                for held in rigs.HELD
             },
             effects=effects,
             figure_7=compare_koul.koul_figure_7(offsets=scale.impact_offsets),
@@ -169,17 +152,17 @@ class KoulPlan:
         )
 
     def _kmax_plan(self, preset: str, lag: str) -> MapPlan:
-        experiment = Held(preset=preset, grip="normal").experiment(LAGS[lag])
+        experiment = rigs.Held(preset=preset, grip="normal").experiment(rigs.LAGS[lag])
         search = search_for(experiment, "bisection", ratio=self._scale.kmax_ratio, lowest=1.0)
         return kmax_plan(experiment, search, rates=self._scale.rates, offsets=self._scale.offsets)
 
-    def _map_plan(self, held: Held) -> MapPlan:
+    def _map_plan(self, held: rigs.Held) -> MapPlan:
         experiment, scale = held.experiment(), self._scale
-        main = held in MAIN
-        way: Way = "grid" if held == MAIN[0] else "ladder"
+        main = held in rigs.MAIN
+        way: Way = "grid" if held == rigs.MAIN[0] else "ladder"
         return MapPlan(
             experiment=experiment,
-            schemes=tuple(SCHEMES.values()),
+            schemes=tuple(rigs.SCHEMES.values()),
             dampings=self._dampings[held.preset][:: 1 if main else 2],
             search=_search(experiment, way, scale.ratio if main else scale.ratio**1.5),
             offsets=scale.offsets if main else scale.offsets[:1],
@@ -198,7 +181,7 @@ class KoulPlan:
     def _effect_plan(self, experiment: Experiment) -> MapPlan:
         return MapPlan(
             experiment=experiment,
-            schemes=(SCHEMES[DUAL], SCHEMES[SLOW]),
+            schemes=(rigs.SCHEMES[rigs.DUAL], rigs.SCHEMES[rigs.SLOW]),
             dampings=(0.0,),
             search=_search(experiment, "bisection", self._scale.kmax_ratio),
             offsets=self._scale.offsets,
@@ -208,9 +191,9 @@ class KoulPlan:
         search = Search(way="bisection", lowest=0.02, highest=10.0, ratio=self._scale.range_ratio)
         tasks = koul_parts.range_tasks(
             experiment,
-            schemes or tuple(SCHEMES.values()),
+            schemes or tuple(rigs.SCHEMES.values()),
             self._scale.offsets,
-            stiffness=LOWEST_STIFFNESS,
+            stiffness=rigs.LOWEST_STIFFNESS,
             search=search,
             weight=15.0,
         )
@@ -218,30 +201,30 @@ class KoulPlan:
 
     def _ranges_of(self, results: Sequence[Any]) -> dict[str, dict[str, Range]]:
         found = koul_parts.ranges_of(results, len(self._scale.offsets))
-        return dict(zip(SCHEMES, found, strict=True))
+        return dict(zip(rigs.SCHEMES, found, strict=True))
 
-    def _linear(self, held: Held, scheme: Scheme) -> Part:
+    def _linear(self, held: rigs.Held, scheme: Scheme) -> Part:
         plan = self._maps[held.name]
-        main = held in MAIN
+        main = held in rigs.MAIN
         points = self._scale.theory_points if main else self._scale.theory_points // 4
         payload = {
             "experiment": config.as_mapping(plan.experiment),
             "scheme": scheme.text,
             "dampings": np.linspace(0.0, max(plan.dampings), points).tolist(),
-            "islands": main and self._scale.theory_points > QUICK.theory_points,
+            "islands": main and self._scale.theory_points > rigs.QUICK.theory_points,
         }
         return part(koul_parts.LINEAR, payload, 100.0 if main else 30.0)
 
 
 def _search(experiment: Experiment, way: Way, ratio: float) -> Search:
-    highest = min(HIGHEST_STIFFNESS, highest_stiffness(experiment))
-    return search_for(experiment, way, ratio=ratio, lowest=LOWEST_STIFFNESS, highest=highest)
+    highest = min(rigs.HIGHEST_STIFFNESS, highest_stiffness(experiment))
+    return search_for(experiment, way, ratio=ratio, lowest=rigs.LOWEST_STIFFNESS, highest=highest)
 
 
 def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
     """Evenly to beyond the linear range of each scheme, those of almost the same range together; and the paper's."""
     widest: list[float] = []
-    for scheme in SCHEMES.values():
+    for scheme in rigs.SCHEMES.values():
         own = koul_parts.linear_range(theory.as_lifted(experiment, scheme))
         if not any(abs(own - other) < 0.2 * other for other in widest):
             widest.append(own)
@@ -261,7 +244,7 @@ def words(koul: Koul) -> dict[str, Any]:
         "parts": koul_parts,
         "ideas": koul_ideas,
         "compare": compare_koul,
-        "verdict": presets.load(COMPLIANT).verdict,
+        "verdict": presets.load(rigs.COMPLIANT).verdict,
         "by_cutoff": by_cutoff,
         "cutoff": cutoff,
     }
@@ -269,8 +252,8 @@ def words(koul: Koul) -> dict[str, Any]:
 
 KOUL = Paper(
     name="koul",
-    quick=QUICK,
-    full=FULL,
+    quick=rigs.QUICK,
+    full=rigs.FULL,
     plan=KoulPlan,
     rulings=rulings,
     words=words,

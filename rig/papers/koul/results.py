@@ -13,7 +13,7 @@ from rig.config import presets
 from rig.experiments.kmax import KMax
 from rig.experiments.sweep.executors import code_version
 from rig.experiments.zwidth import Width, ZWidth
-from rig.papers.koul import rules
+from rig.papers.koul import rigs, rules
 from rig.papers.koul.compare import Panel, Profiles
 from rig.papers.koul.ideas import (
     FINEST_LINES,
@@ -26,26 +26,10 @@ from rig.papers.koul.ideas import (
     ranked,
 )
 from rig.papers.koul.parts import Range
-from rig.papers.koul.rigs import (
-    COMPLIANT,
-    DUAL,
-    FAST,
-    HELD,
-    LAGS,
-    LOWEST_STIFFNESS,
-    MAIN,
-    PRESETS,
-    PUSH,
-    SCHEMES,
-    SEED,
-    SLOW,
-    Held,
-    Scale,
-)
 from rig.papers.koul.ways import Way, ways_of
 from rig.papers.rules import over, within
 
-NUMBERS = {key: number for number, key in enumerate(SCHEMES)}
+NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +85,7 @@ class Koul:
         Maps of the ideas, by name.
     """
 
-    scale: Scale
+    scale: rigs.Scale
     kmax: Mapping[tuple[str, str], KMax]
     kmax_theory: Mapping[tuple[str, str], list[float]]
     maps: Mapping[str, ZWidth]
@@ -116,31 +100,32 @@ class Koul:
     ideas: Mapping[str, Tried]
     hits: int
 
-    def width(self, held: Held, key: str, criterion: str = "any") -> Width:
+    def width(self, held: rigs.Held, key: str, criterion: str = "any") -> Width:
         """Summary of a map of Fig. 6, by key of the scheme."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:
         """The last K_max over that at 20 kHz, with lag and without: simulated, and by linear theory."""
         fast = self.scale.rates.index(rules.FAST_HZ)
-        linear = [self.kmax_theory[preset, lag] for lag in LAGS]
-        simulated = [self.kmax[preset, lag].saturation("any") for lag in LAGS]
+        linear = [self.kmax_theory[preset, lag] for lag in rigs.LAGS]
+        simulated = [self.kmax[preset, lag].saturation("any") for lag in rigs.LAGS]
         return simulated, [stiffness[-1] / stiffness[fast] for stiffness in linear]
 
-    def by_preset(self) -> list[Held]:
+    def by_preset(self) -> list[rigs.Held]:
         """Every rig in every hand, rig by rig."""
-        return sorted(HELD, key=lambda held: PRESETS.index(held.preset))
+        return sorted(rigs.HELD, key=lambda held: rigs.PRESETS.index(held.preset))
 
     def spread_of_hands(self) -> list[tuple[str, float, float]]:
         """Lowest and highest peak of the dual-rate wall over who pushes, by preset."""
         peaks = {
-            p: [self.width(held, DUAL).stiffness_peak for held in HELD if held.preset == p] for p in PRESETS
+            p: [self.width(held, rigs.DUAL).stiffness_peak for held in rigs.HELD if held.preset == p]
+            for p in rigs.PRESETS
         }
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
         """Ladder, bisection and grid through the map that has every wall."""
-        found = self.maps[MAIN[0].name]
+        found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)
             for key, number in NUMBERS.items()
@@ -155,7 +140,7 @@ class Koul:
 
     def effect_ratios(self) -> list[OverLinear]:
         """Limits over linear theory: without both, with friction, with the quantiser, with both."""
-        linear = self.linear[MAIN[0].name]
+        linear = self.linear[rigs.MAIN[0].name]
         return [
             OverLinear(
                 {key: over(value, linear[key]["undamped"]) for key, value in effect.undamped.items()},
@@ -167,7 +152,7 @@ class Koul:
     def plant_shares(self) -> dict[str, Any]:
         """Ranges of damping on random plants: fast uniform over dual-rate, and where dual-rate is like slow."""
         ranges = np.array([plant["ranges"] for plant in self.plants])
-        dual, fast, slow = (ranges[:, NUMBERS[key]] for key in (DUAL, FAST, SLOW))
+        dual, fast, slow = (ranges[:, NUMBERS[key]] for key in (rigs.DUAL, rigs.FAST, rigs.SLOW))
         ratios = fast / np.maximum(dual, 1e-9)
         whole = [plant["with_islands"][0] / plant["with_islands"][1] for plant in self.plants]
         return {
@@ -209,7 +194,7 @@ class Koul:
     def finest_encoder(self) -> list[tuple[str, Change, float]]:
         """For each rig: what the finest encoder changes for dual-rate; area of uniform 20 kHz over dual-rate then."""
         found = []
-        for preset in PRESETS:
+        for preset in rigs.PRESETS:
             dual, fast, usual = (
                 self.ideas[encoder_key(preset, scheme, lines)]
                 for scheme, lines in (
@@ -268,14 +253,14 @@ def numbers(koul: Koul) -> dict[str, Any]:
 
 def provenance(koul: Koul) -> dict[str, Any]:
     """What the numbers come from, the same on every machine."""
-    limits = presets.load(COMPLIANT).verdict
+    limits = presets.load(rigs.COMPLIANT).verdict
     return {
         "haptic-rig": code_version(),
         "scale": asdict(koul.scale),
-        "seed": SEED,
+        "seed": rigs.SEED,
         "hits": koul.hits,
-        "presets": {name: config.as_mapping(presets.load(name)) for name in PRESETS},
+        "presets": {name: config.as_mapping(presets.load(name)) for name in rigs.PRESETS},
         "verdict": asdict(limits),
-        "lowest_stiffness": LOWEST_STIFFNESS,
-        "automated_trial": PUSH,
+        "lowest_stiffness": rigs.LOWEST_STIFFNESS,
+        "automated_trial": rigs.PUSH,
     }

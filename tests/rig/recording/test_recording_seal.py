@@ -71,7 +71,7 @@ def test_sealing_replaces_the_capture_by_an_equal_file(capture: Path, recording:
 def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> None:
     sealed = sealed_file(capture)
     content = sealed.read_bytes()
-    with pytest.raises(RecordingError, match="is no capture"):
+    with pytest.raises(RecordingError, match="is not a capture"):
         sealed_file(sealed)
     assert sealed.read_bytes() == content
 
@@ -222,7 +222,7 @@ def test_sealing_again_after_a_crash_finishes(capture: Path, recording: Recordin
 def test_another_recording_of_that_name_stays(tmp_path: Path, capture: Path, recording: Recording) -> None:
     other = Recording(recording.header, example_rows(50, seed=9), recording.trailer)
     sealed = sealed_file(write(tmp_path / "other.rigcap", other)).rename(capture.with_suffix(".parquet"))
-    with pytest.raises(RecordingError, match=r"does not hold what .*rigcap holds"):
+    with pytest.raises(RecordingError, match=r"differs from .*rigcap"):
         sealed_file(capture)
     assert capture.exists()
     assert open_recording(sealed).rows.tobytes() == other.rows.tobytes()
@@ -250,7 +250,7 @@ def test_a_file_that_reads_back_wrong_never_replaces_the_capture(
         recording.rows["count"][7] -= 1
 
     monkeypatch.setattr(seal_module, "write_parquet", wrong)
-    with pytest.raises(RecordingError, match=r"does not hold what .*rigcap holds"):
+    with pytest.raises(RecordingError, match=r"differs from .*rigcap"):
         sealed_file(capture)
     assert open_recording(capture).rows.tobytes() == recording.rows.tobytes()
     assert list(capture.parent.iterdir()) == [capture]
