@@ -68,7 +68,7 @@ class Multisine:
     Raises
     ------
     ConfigError
-        No lines, lines that are no rising multiples of 1/period, or arrays of different lengths.
+        No lines, lines that are not ascending multiples of 1/period, or arrays of different lengths.
     """
 
     period_s: float
@@ -80,19 +80,23 @@ class Multisine:
         for name in ("lines_hz", "amplitudes", "phases"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64).reshape(-1))
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
-            raise ConfigError(f"a period of {self.period_s!r} s", remedy="give a time above zero")
+            raise ConfigError(
+                f"period_s = {self.period_s!r} s is not a period", remedy="give a time above zero"
+            )
         n = len(self.lines_hz)
         if n == 0 or len(self.amplitudes) != n or len(self.phases) != n:
             raise ConfigError(
-                f"{n} lines, {len(self.amplitudes)} amplitudes and {len(self.phases)} phases",
+                f"there are {n} lines, but {len(self.amplitudes)} amplitudes and {len(self.phases)} phases",
                 remedy="give one of each for every line, and at least one line",
             )
         if not all(np.isfinite(a).all() for a in (self.lines_hz, self.amplitudes, self.phases)):
-            raise ConfigError("a line, an amplitude or a phase is no number", remedy="give finite numbers")
+            raise ConfigError(
+                "a line, an amplitude or a phase is not a finite number", remedy="give finite numbers"
+            )
         off = np.abs(self.lines_hz * self.period_s - self.harmonics)
         if self.harmonics[0] < 1 or (np.diff(self.harmonics) < 1).any() or off.max() > ON_GRID:
             raise ConfigError(
-                f"lines that are no rising multiples of 1/{self.period_s:g} s",
+                f"the lines are not ascending multiples of 1/{self.period_s:g} s",
                 remedy="choose lines, or a period, that fit",
             )
 
@@ -223,7 +227,7 @@ class Multisine:
         samples = round(rate_hz * self.period_s)
         if samples < 1 or abs(rate_hz * self.period_s - samples) > ON_GRID:
             raise ConfigError(
-                f"a period of {self.period_s:g} s is no whole number of samples at {rate_hz:g} Hz",
+                f"a period of {self.period_s:g} s is not a whole number of samples at {rate_hz:g} Hz",
                 remedy="choose a period that is",
             )
         if 2 * self.harmonics[-1] >= samples:
@@ -316,7 +320,7 @@ class Multisine:
     def _divided(self, by: Complexes) -> Multisine:
         if not (np.isfinite(by) & (by != 0.0)).all():
             raise ConfigError(
-                "an impedance of zero, or one that is no number", remedy="check the model at every line"
+                "the impedance is zero or not a number at some line", remedy="check the model at every line"
             )
         return self.through(1.0 / by)
 
@@ -340,7 +344,7 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
     low, high = band
     if not (math.isfinite(high) and 0.0 < low <= high and period_s > 0.0 and spacing >= 1):
         raise ConfigError(
-            f"a band of {low:g} to {high:g} Hz in a period of {period_s:g} s, every {spacing} lines",
+            f"no line fits the band of {low:g} to {high:g} Hz with a period of {period_s:g} s and spacing {spacing}",
             remedy="give 0 < low ≤ high, a period above zero and a spacing of 1 or more",
         )
     first, last = math.ceil(low * period_s - ON_GRID), math.floor(high * period_s + ON_GRID)
@@ -351,7 +355,7 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
         harmonics = np.arange(first, last + 1, spacing)
     if len(harmonics) == 0:
         raise ConfigError(
-            f"no line between {low:g} and {high:g} Hz: they stand {1.0 / period_s:g} Hz apart",
+            f"no line lies between {low:g} and {high:g} Hz: they are {1.0 / period_s:g} Hz apart",
             remedy="widen the band or lengthen the period",
         )
     return harmonics / period_s
@@ -360,7 +364,9 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
 def _spectrum(spectrum: Spectrum, lines: Floats) -> Floats:
     if isinstance(spectrum, str):
         if spectrum not in ("flat", "mass"):
-            raise ConfigError(f"no spectrum {spectrum!r}", remedy="choose flat, mass, or give amplitudes")
+            raise ConfigError(
+                f"there is no spectrum {spectrum!r}", remedy="choose flat, mass, or give amplitudes"
+            )
         return np.ones_like(lines) if spectrum == "flat" else lines / lines[-1]
     amplitudes = np.array(spectrum, dtype=np.float64).reshape(-1)
     if len(amplitudes) != len(lines) or not (amplitudes >= 0.0).all() or not amplitudes.any():
@@ -377,13 +383,15 @@ def _wrapped(phases: Floats) -> Floats:
 
 def _sized(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float | None) -> Multisine:
     if rms is not None and peak is not None:
-        raise ConfigError("both an rms and a peak", remedy="give one of them")
+        raise ConfigError("both an rms and a peak are given", remedy="give one of them")
     if rms is None and peak is None:
         if isinstance(spectrum, str):
-            raise ConfigError("an excitation without a size", remedy="give its rms or its peak (N·m or N)")
+            raise ConfigError("the excitation has no size", remedy="give its rms or its peak (N·m or N)")
         return shape
     wanted, has = (rms, shape.rms) if rms is not None else (peak, shape.peak)
     assert wanted is not None
     if not (math.isfinite(wanted) and wanted > 0.0):
-        raise ConfigError(f"an excitation of size {wanted!r}", remedy="give a number above zero")
+        raise ConfigError(
+            f"an excitation of size {wanted!r} is not possible", remedy="give a number above zero"
+        )
     return shape.scaled(wanted / has)

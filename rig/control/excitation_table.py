@@ -125,11 +125,13 @@ class ExcitationTable:
             value = getattr(self, name)
             if not least <= value <= most:
                 raise ConfigError(
-                    f"an excitation of the device with {name} = {value}",
+                    f"an excitation by the device cannot have {name} = {value}",
                     remedy=f"choose {name} from {least} to {most}",
                 )
         if self.phases not in PHASES:
-            raise ConfigError(f"no phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}")
+            raise ConfigError(
+                f"there are no phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}"
+            )
         if int(self.harmonics[-1]) > (self.period - 1) // 2:
             raise ConfigError(
                 f"line {int(self.harmonics[-1])} in a period of {self.period} ticks cannot be played",
@@ -186,7 +188,7 @@ class ExcitationTable:
             )
         if abs(ticks - round(ticks)) > 1e-6:
             raise ConfigError(
-                f"a period of {multisine.period_s:g} s is no whole number of ticks at {rate_hz:g} Hz",
+                f"a period of {multisine.period_s:g} s is not a whole number of ticks at {rate_hz:g} Hz",
                 remedy="choose a period that is",
             )
         table = cls(
@@ -212,7 +214,7 @@ class ExcitationTable:
                 better.__dict__["_sums"] = self._sums  # they do not depend on the bits, and take a while
                 return better
         raise ConfigError(
-            f"an excitation with a peak beyond {GREATEST} current quanta",
+            f"the peak of the excitation exceeds {GREATEST} current quanta",
             remedy="choose a smaller excitation",
         )
 

@@ -78,16 +78,17 @@ class Compensation:
     def __post_init__(self) -> None:
         if not (0.0 <= self.up < math.inf and 0.0 <= self.down < math.inf):
             raise ConfigError(
-                f"friction levels {self.up!r} and {self.down!r}", remedy="give numbers that are not negative"
+                f"friction levels of {self.up!r} and {self.down!r} are not possible",
+                remedy="give numbers that are not negative",
             )
         if not 0.0 < self.dead_band < math.inf:
             raise ConfigError(
-                f"a dead band of {self.dead_band!r}",
+                f"a dead band of {self.dead_band!r} is not a speed",
                 remedy="give a speed above the noise of the velocity estimate (`dead_band_of`)",
             )
         if not 0.0 <= self.share < 1.0:
             raise ConfigError(
-                f"a share of {self.share!r} of the friction",
+                f"a compensated share of {self.share!r} is out of range",
                 remedy=f"choose 0 to below 1; {DEFAULT_SHARE} leaves room for friction that varies",
             )
 

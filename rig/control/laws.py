@@ -52,7 +52,7 @@ def get(name: str) -> Law:
             return cast("Law", point.load())
         except Exception as error:
             raise ConfigError(
-                f"law {name!r} ({point.value}) does not load: {error!r}", remedy="mend or remove that package"
+                f"law {name!r} ({point.value}) does not load: {error!r}", remedy="fix or remove that package"
             ) from error
     raise ConfigError(f"there is no law {name!r}", remedy=f"choose one of: {', '.join(names())}")
 

@@ -97,7 +97,9 @@ class SharedHand:
                 return cls(mmap.mmap(descriptor, SIZE, access=access), path)
         except (OSError, ValueError):  # a directory, a pipe
             pass
-        raise ConfigError(f"{path} is not the file of a hand", remedy="give it a name that nothing else has")
+        raise ConfigError(
+            f"{path} is not the file of a driven hand", remedy="give it a name that nothing else has"
+        )
 
     def move(self, position: float, press: float) -> None:
         """Say where the hand wants to be (rad or m, at the link), and how hard it presses into the wall (N).

@@ -103,7 +103,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
         pipes = _pipes(device)
         if pipes is None:
             raise IncompatibleDeviceError(
-                f"{url.text} is no haptic rig: no interface of vendor class with one bulk endpoint each way",
+                f"{url.text} is not a haptic rig: it has no interface of vendor class with one bulk endpoint each way",
                 remedy=_rigs(bus),
             )
         detached = _claim(device, pipes, url)

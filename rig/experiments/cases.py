@@ -162,7 +162,7 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     divider = round(position_rate / rate)
     if divider < 1 or abs(divider * rate - position_rate) > 1e-6 * position_rate:
         raise ConfigError(
-            f"{rate:g} Hz is no whole fraction of the recording's {position_rate} Hz",
+            f"{rate:g} Hz is not a whole fraction of the recording's {position_rate} Hz",
             remedy=f"choose {position_rate / max(1, divider):g} Hz",
         )
     if len(recording) < 2:

@@ -93,7 +93,7 @@ class IdentifyRequest:
     def __post_init__(self) -> None:
         if self.realisations < 2:
             raise ConfigError(
-                f"{self.realisations} realisations tell no interval",
+                f"{self.realisations} realisation is too few for an interval",
                 remedy="use 2 or more; 6 are usual",
             )
         if not 0.1 <= self.period_s <= 10.0:

@@ -93,7 +93,7 @@ def replay(
         replay_rows(bundle.arguments(), recorded, replayed, _sets(recording, changes, law))
     except Exception as error:
         raise LawError(
-            f"the law or the estimator raised {error!r}", remedy="mend it: a kernel raises nothing"
+            f"the law or the estimator raised {error!r}", remedy="correct it, since a kernel must not raise"
         ) from error
     if len(recorded):
         _as_the_loop_ended(recorded, replayed)

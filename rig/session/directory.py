@@ -201,7 +201,7 @@ def resume(directory: Path, *, at: str = "trial", clock: Clock = WALL) -> Sessio
 def _refuse_no_session(directory: Path) -> None:
     if not (directory / LOG).is_file():
         raise ConfigError(
-            f"{directory} is no session's directory: it has no {LOG}",
+            f"{directory} is not the directory of a session: it has no {LOG}",
             remedy="give the participant's directory",
         )
 
@@ -254,9 +254,9 @@ def amend(
             )
         (name,) = AMENDABLE[kind]
         if name == "verdict" and value not in VERDICTS:
-            raise ConfigError(f"{value!r} is no verdict", remedy=f"choose one of {', '.join(VERDICTS)}")
+            raise ConfigError(f"{value!r} is not a verdict", remedy=f"choose one of {', '.join(VERDICTS)}")
         if not why.strip():
-            raise ConfigError("a correction without a reason", remedy="say why: --why TEXT")
+            raise ConfigError("a correction needs a reason", remedy="say why: --why TEXT")
         if name == "void" and value not in OF_TRIAL:
             raise ConfigError(
                 f"event {number} is a trial, of which {value!r} cannot be said",
@@ -277,7 +277,7 @@ def _corrected_answer(state: State, name: str, value: str) -> str | int:
         return value
     kept = parse_answer(asked(item), value)
     if kept is None:
-        raise ConfigError(f"{value!r} is no answer to {name}", remedy=f"give {wanted(asked(item))}")
+        raise ConfigError(f"{value!r} is not an answer to {name}", remedy=f"give {wanted(asked(item))}")
     return kept
 
 

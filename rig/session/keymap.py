@@ -93,7 +93,7 @@ def _checked(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
         raise ConfigError(f"{where}: {RESERVED[key]}", remedy="give another key")
     if not (len(key) == 1 and key.isprintable()) and key not in NAMED:
         raise ConfigError(
-            f"{where} is no key",
+            f"{where} is not a key",
             remedy=f"give one character, or one of {', '.join(sorted(NAMED - set(RESERVED)))}",
         )
     twin = next((other for other, its in all_keys.items() if its.lower() == key and other != meaning), None)

@@ -84,10 +84,10 @@ def refuse_nobody(person: Person, protocol: Protocol) -> None:
     stiffnesses = {f"--threshold {name}=": value for name, value in person.thresholds.items()}
     for option, value in {**stiffnesses, "--spread ": person.spread}.items():
         if not 0.0 < value < math.inf:
-            raise ConfigError(f"{option}{value:g} is no stiffness", remedy="give a number above 0")
+            raise ConfigError(f"{option}{value:g} is not a stiffness", remedy="give a number above 0")
     for option, share in (("--lapse-rate", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
-            raise ConfigError(f"{option} {share:g} is no share", remedy="give a number from 0 to 1")
+            raise ConfigError(f"{option} {share:g} is not a share", remedy="give a number from 0 to 1")
 
 
 class Day:

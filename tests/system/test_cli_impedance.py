@@ -100,7 +100,7 @@ def test_plan_lists_a_excited_run(run, tmp_path):
     [
         (("--band", "1-250"), "--band 1-250: no band"),
         (("--band", "250:1"), "--band 250:1: no band"),
-        (("--judged", "300:400"), "no line between 300 and 400 Hz"),
+        (("--judged", "300:400"), "no line lies between 300 and 400 Hz"),
         (("-K", "1,2,3", "-B", "1,2"), "3 stiffnesses and 2 dampings"),
         (("-K", "hard"), "'hard': no numbers"),
         (("--stiffness=-5",), "not negative"),

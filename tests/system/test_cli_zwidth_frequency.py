@@ -88,7 +88,7 @@ def test_dual_rate_on_another_rig(run):
         (("--url", "sim://"), "--url is for hits", "rig impedance"),
         (("--band", "250:1"), "--band 250:1: no band", "1:250"),
         (("--judged-band", "many"), "--judged-band many: no band", "1:250"),
-        (("--judged-band", "300:400"), "no line between 300 and 400 Hz", "1 to 250"),
+        (("--judged-band", "300:400"), "no line lies between 300 and 400 Hz", "1 to 250"),
         (("-K", "10:100"), "--stiffness '10:100'", "first:last:count"),
         (("-K", "100,10"), "not in rising order", "lowest first"),
         (("--damping=-3",), "-3 is out of range", "at least 0"),

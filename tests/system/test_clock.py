@@ -229,7 +229,7 @@ def test_a_picture_does_not_overwrite_the_recording(command, sealed):
     content = sealed.read_bytes()
     code, out, err = command("timing", sealed, "-o", sealed)
     assert (code, "counted apart" in out) == (9, True)
-    assert "no name for a picture" in err
+    assert "not a name for a picture" in err
     assert sealed.read_bytes() == content
 
 

@@ -122,7 +122,7 @@ class Impedance:
         inside = (self.lines_hz >= low - slack) & (self.lines_hz <= high + slack)
         if not inside.any():
             raise ConfigError(
-                f"no line between {low:g} and {high:g} Hz",
+                f"no line lies between {low:g} and {high:g} Hz",
                 remedy=f"choose a band within {self.lines_hz.min():g} to {self.lines_hz.max():g} Hz",
             )
         names = ("lines_hz", "z", "variance", "coherence_effort", "coherence_motion")
@@ -241,7 +241,9 @@ def _coherence(lines: Sequence[_Lines], channel: Literal["effort", "velocity"]) 
 def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
     """Return the first of runs that have rate, period and lines in common; `ConfigError` if they have not."""
     if not runs:
-        raise ConfigError("no runs to estimate an impedance from", remedy="excite the rig at least once")
+        raise ConfigError(
+            "there are no runs to estimate an impedance from", remedy="excite the rig at least once"
+        )
     first = runs[0]
     for run in runs[1:]:
         if (

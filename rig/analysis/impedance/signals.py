@@ -66,7 +66,7 @@ class ExcitedRun:
         samples = self.period_samples * self.periods
         if samples < 1 or not self.rate_hz > 0.0:
             raise ConfigError(
-                "a record without samples, or without a rate", remedy="excite for whole periods"
+                "the record has no samples or no sampling rate", remedy="excite for whole periods"
             )
         for name in ("excitation", "effort", "position"):
             channel = getattr(self, name)
@@ -77,12 +77,12 @@ class ExcitedRun:
                     remedy="cut the record to whole periods",
                 )
             if not np.isfinite(channel).all():
-                raise ConfigError(f"{name} has a value that is no number", remedy="measure again")
+                raise ConfigError(f"{name} contains a value that is not a number", remedy="measure again")
         off = np.abs(self.lines_hz * self.period_samples / self.rate_hz - self.bins)
         inside = len(self.bins) and self.bins[0] >= 1 and 2 * self.bins[-1] < self.period_samples
         if not inside or (np.diff(self.bins) < 1).any() or off.max() > ON_GRID:
             raise ConfigError(
-                "lines that are no rising multiples of 1/period below half the rate",
+                "the lines are not ascending multiples of 1/period below half the rate",
                 remedy="give the lines of the excitation",
             )
 

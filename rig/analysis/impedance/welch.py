@@ -98,7 +98,9 @@ def welch(
     """
     first = same_lines(runs)
     if not 0.0 <= settings.overlap < 1.0:
-        raise ConfigError(f"an overlap of {settings.overlap:g}", remedy="give 0 or more and less than 1")
+        raise ConfigError(
+            f"an overlap of {settings.overlap:g} is out of range", remedy="give 0 or more and less than 1"
+        )
     spectra = [_Spectra.of(run, settings) for run in runs]
     grid = spectra[0].frequency
     if any(len(one.frequency) != len(grid) for one in spectra):

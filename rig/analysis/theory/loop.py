@@ -196,7 +196,7 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
         raise ConfigError("a rig without an experiment has no scheme", remedy="give one, like dual:20k/2k")
     if scheme.position_rate % scheme.velocity_rate:
         raise ConfigError(
-            f"scheme {scheme.text}: {scheme.position_rate} Hz is no multiple of {scheme.velocity_rate} Hz",
+            f"scheme {scheme.text}: {scheme.position_rate} Hz is not a multiple of {scheme.velocity_rate} Hz",
             remedy="choose rates that divide",
         )
     estimator = scheme.estimator or "fdm-butterworth"

@@ -99,7 +99,7 @@ def find(image: bytes, name: str) -> Record:
     if damaged:
         raise ConfigError(f"{name} is damaged: its record fails its check", remedy="build it again")
     raise ConfigError(
-        f"{name} is not a firmware of this project: it has no record",
+        f"{name} is not firmware of this project: it has no description",
         remedy="name an image that rig firmware build has made (.elf, .uf2 or .bin)",
     )
 

@@ -124,7 +124,9 @@ def estimate_with_window(
 ) -> tuple[Floats, Ints]:
     """Return the velocities of `estimate`, and how many velocity periods each of them spans (int64, shape (n,))."""
     if not (math.isfinite(dt) and dt > 0.0):
-        raise ConfigError(f"dt = {dt!r} s is no period", remedy="give the time between two samples in s")
+        raise ConfigError(
+            f"dt = {dt!r} s is not a sampling period", remedy="give the time between two samples in s"
+        )
     _check_resolution(resolution)
     prepared = family.get(name).prepare(parameters, resolution, dt)
     return run(prepared, *inputs(counts, dt, edge_time, elapsed))
@@ -203,4 +205,4 @@ def _integers(values: ArrayLike, what: str) -> Ints:
 
 def _check_resolution(resolution: float) -> None:
     if not (math.isfinite(resolution) and resolution != 0.0):
-        raise ConfigError(f"resolution = {resolution!r} is no travel of a count", remedy="give rad or m")
+        raise ConfigError(f"resolution = {resolution!r} is not the travel of a count", remedy="give rad or m")

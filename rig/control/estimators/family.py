@@ -46,6 +46,6 @@ def get(name: str) -> Estimator:
         except Exception as error:
             raise ConfigError(
                 f"estimator {name!r} ({point.value}) does not load: {error!r}",
-                remedy="mend or remove that package",
+                remedy="fix or remove that package",
             ) from error
     raise ConfigError(f"there is no estimator {name!r}", remedy=f"choose one of: {', '.join(names())}")

@@ -98,7 +98,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
     state = Format(int(settings["word_bits"]), int(settings["state_bits"]))
     if state.word_bits - state.fraction_bits < 2:
         raise ConfigError(
-            f"estimator fdm-butterworth-fixed: {state} cannot hold one count a period",
+            f"estimator fdm-butterworth-fixed: {state} cannot represent one count per period",
             remedy="choose word_bits at least two above state_bits",
         )
     section = low_pass("fdm-butterworth-fixed", 2, settings["cutoff_hz"], period_s)[0]

@@ -1,4 +1,4 @@
-"""From sessions on disk to everything that can be said of them."""
+"""From sessions on disk to all results of a study."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """What sessions say.
+    """The results of a study.
 
     Attributes
     ----------
@@ -101,16 +101,16 @@ class Analysis:
     def messages(self) -> tuple[str, ...]:
         """What a reader must know: of the sessions, and of what was left out."""
         left = [run for run in self.runs if run.state != "complete"]
-        told = []
+        found = []
         for state in ("unfinished", "skipped"):
             count = sum(run.state == state for run in left)
             if count:
-                told.append(
+                found.append(
                     f"{_plural(count, 'run')} {_was(count)} {state}: in the table of runs, not in K_max"
                 )
         noted = sum(run.note != "" and "rule" not in run.limits for run in self.runs)
         if noted:
-            told.append(
+            found.append(
                 f"of {_plural(noted, 'run')} trials were amended after the rule had followed them: no limit by the "
                 "rule, since its walk would have been another; K50 stands"
             )
@@ -122,13 +122,13 @@ class Analysis:
             for one in self.of_participants
         )
         if vague:
-            told.append(
-                f"{_plural(vague, 'K50')} {_is(vague)} hardly told by so few verdicts: the interval is wider than "
+            found.append(
+                f"{_plural(vague, 'K50')} {_is(vague)} hardly known from so few verdicts: the interval is wider than "
                 f"{100 * _VAGUE:.0f} % of the range that was searched"
             )
         alike = sum(one.alike for one in self.paired)
         if alike:
-            told.append(
+            found.append(
                 f"{_plural(alike, 'paired difference')} {_is(alike)} the same for all participants: no interval and no "
                 "p, since the levels are too coarse to show how much people differ"
             )
@@ -138,18 +138,18 @@ class Analysis:
             if one.measure == self.options.measure and Beyond(one.limits, one.above, one.below).mostly
         ]
         if mostly:
-            told.append(
+            found.append(
                 "most limits lie beyond the levels, so that their mean is a bound and no difference with it is tested: "
                 + ", ".join(mostly)
             )
-        return (*self.study.messages, *told)
+        return (*self.study.messages, *found)
 
     def _range(self, condition: str) -> float:
         grid = levels(self.study.protocol, condition)
         return grid[-1] - grid[0]
 
     def counts(self) -> dict[str, int]:
-        """Trials by what became of them; "counted" ones told limits."""
+        """Trials by what became of them; "counted" ones made limits."""
         return {"recorded": len(self.trials), **dict(sorted(fates(self.trials, self.runs).items()))}
 
     def as_mapping(self) -> dict[str, Any]:
@@ -194,7 +194,7 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
     options
         How.
     watch
-        Told of what is being done, how many steps of it are done, and of how many.
+        Called with what is being done, how many steps of it are done, and of how many.
 
     Raises
     ------
@@ -204,22 +204,22 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
         Sessions that are not of one study, or that this version cannot read.
     """
     options = options or Options()
-    told = watch or (lambda _what, _done, _total: None)
+    report = watch or (lambda _what, _done, _total: None)
     study = read_study(
-        paths, hashes=options.hashes, watch=lambda done, total: told("sessions read", done, total)
+        paths, hashes=options.hashes, watch=lambda done, total: report("sessions read", done, total)
     )
     trials = trials_of(study)
-    runs = runs_of(study, watch=lambda done, total: told("limits told", done, total))
-    told("intervals", 0, 4)
+    runs = runs_of(study, watch=lambda done, total: report("limits estimated", done, total))
+    report("intervals", 0, 4)
     pooled = _pooled(study, runs)
     each = of_participants(runs, pooled, options.seed)
-    told("intervals", 1, 4)
+    report("intervals", 1, 4)
     names = [condition.name for condition in study.protocol.condition]
     known = [measure for measure in MEASURES if any(measure in run.limits for run in runs)]
     models = tuple(mixed(observed(runs, measure, pooled), measure, names) for measure in known)
-    told("intervals", 2, 4)
+    report("intervals", 2, 4)
     functions = psychometrics(study, complete_runs(runs))
-    told("intervals", 3, 4)
+    report("intervals", 3, 4)
     found = Analysis(
         study=study,
         options=options,
@@ -237,7 +237,7 @@ def analyse(paths: Iterable[Path], options: Options | None = None, *, watch: Wat
         slopes=slopes(runs, trials),
         blocks=blocks(trials),
     )
-    told("intervals", 4, 4)
+    report("intervals", 4, 4)
     return found
 
 

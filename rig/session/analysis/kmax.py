@@ -1,14 +1,12 @@
 """K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
 
-By the rule, a participant's K_max is the mean over repeats. With three or more of them its interval is Student's, from
-ten on a bootstrap over them (BCa, Efron 1987); the other one stands beside it. Of 1000 samples from a normal
-distribution, the intervals of 95 % of scipy's BCa held the mean in 74, 78, 83, 90 and 92 % with 3, 4, 5, 10 and 20
-values, Student's in 94 to 95 %. With two repeats, or when all came out alike, repeats say nothing of how sure one can
-be: the interval is then that of all verdicts together (the posterior of the stiffness), which is not told from the mean
-of the limits and need not hold it; that of a single run is its own. Values that are all alike have no interval and no p
-by Student's test either: the levels are too coarse to show by how much they differ. K50 is told from all verdicts
-together in any case (`Observed` says why), with their interval, which takes it to be one K50 in all repeats: of a
-person whose limit wanders from repeat to repeat it is too narrow.
+By the rule, a participant's K_max is the mean over repeats, with Student's interval from three repeats on and a
+bootstrap over them (BCa, Efron 1987) from ten on; the other one stands beside it. With two repeats, or when all came
+out alike, repeats do not show how sure one can be: the interval is then that of all verdicts together (the posterior of
+the stiffness), which need not hold the mean of the limits; that of a single run is its own. K50 is estimated from all
+verdicts together in any case (`Observed` says why), with their interval, which takes it to be one K50 in all repeats:
+of a person whose limit wanders from repeat to repeat it is too narrow. ``rig/session/README.md`` says how often these
+intervals hold what they promise.
 
 A limit beyond the levels is *censored*. It enters with the end of the levels and is counted, so a mean with censored
 limits is a bound, and differences are biased: usually towards zero, but unequal spread can make a difference out of
@@ -26,9 +24,12 @@ from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.core.deferred import stats
 from rig.session.analysis.rows import MEASURES, Limit, Measure, Observed, RunRow
+
+Floats = NDArray[np.float64]
 
 LEAST_REPEATS = 3  # for an interval over them
 RESAMPLES = 9999
@@ -78,7 +79,7 @@ class OfParticipant:
         Over repeats; as K50, the median of the posterior, and no deviation (NaN).
     low, high, interval
         95 %, and what it is of: "Student" or "bootstrap" over repeats, the single "run", all "verdicts", or "none"
-        (NaN). That of all verdicts is of the stiffness that they tell, and need not hold the mean of the rule's limits.
+        (NaN). That of all verdicts is of the stiffness that they show, and need not hold the mean of the rule's limits.
         Beyond the levels it is open: from zero, or to infinity.
     student_low, student_high, bootstrap_low, bootstrap_high
         Both intervals over repeats; NaN for one, for repeats that came out alike or of which most are censored, and for
@@ -160,7 +161,7 @@ class Paired:
 
     @property
     def alike(self) -> bool:
-        """Whether several participants differ by the same, so that the levels are too coarse to tell more."""
+        """Whether several participants differ by the same, so that the levels are too coarse to show more."""
         return self.participants > 1 and math.isnan(self.p) and not self.withheld
 
 
@@ -234,7 +235,8 @@ def of_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tu
             beyond = next(iter(beyond_of((*cell, limit) for limit in limits).values()))
             by_student, by_bootstrap = (math.nan, math.nan), (math.nan, math.nan)
             if not beyond.mostly:
-                by_student, by_bootstrap = student(values), _bootstrap(values, seed)
+                tested = student(values)
+                by_student, by_bootstrap = (tested.low, tested.high), _bootstrap(values, seed)
             low, high, interval = _interval(
                 limits, pooled.get((measure, code, cell)), by_student, by_bootstrap
             )
@@ -276,7 +278,7 @@ def over_participants(
         of = groups[measure, condition, damping]
         values = np.array([one.mean for one in of])
         beyond = sum((one.beyond for one in of), NONE_BEYOND)
-        low, high = (math.nan, math.nan) if beyond.mostly else student(values)
+        interval = Student() if beyond.mostly else student(values)
         found.append(
             OverParticipants(
                 measure=measure,
@@ -286,8 +288,8 @@ def over_participants(
                 runs=sum(one.repeats for one in of),
                 mean=float(values.mean()),
                 deviation=_deviation(values),
-                low=low,
-                high=high,
+                low=interval.low,
+                high=interval.high,
                 limits=beyond.limits,
                 above=beyond.above,
                 below=beyond.below,
@@ -325,7 +327,7 @@ def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequenc
                 continue
             behind = _behind(beyond, against, condition, damping)
             withheld = any(one.mostly for one in behind.values())
-            low, high = (math.nan, math.nan) if withheld else student(differences)
+            tested = Student() if withheld else student(differences)
             found.append(
                 Paired(
                     measure=measure,
@@ -334,9 +336,9 @@ def _paired(each: Sequence[OfParticipant], measure: Measure, conditions: Sequenc
                     damping=damping,
                     participants=len(differences),
                     difference=float(differences.mean()),
-                    low=low,
-                    high=high,
-                    p=math.nan if withheld else paired_p(differences),
+                    low=tested.low,
+                    high=tested.high,
+                    p=tested.p,
                     holm=math.nan,
                     bound=bound_of(behind, condition, against),
                     beyond=sum(behind.values(), NONE_BEYOND),
@@ -358,56 +360,54 @@ def _behind(
     }
 
 
-def student(values: np.ndarray) -> tuple[float, float]:
-    """Student's interval of 95 % for a mean; NaN for fewer than two values, or when all are alike."""
-    count = len(values)
-    if count < 2 or _alike(values):
-        return math.nan, math.nan
-    half = float(stats.t.ppf(0.975, count - 1)) * _deviation(values) / math.sqrt(count)
-    return float(values.mean()) - half, float(values.mean()) + half
+@dataclass(frozen=True, slots=True)
+class Student:
+    """Student's interval of 95 % for a mean, and two-sided p that it is zero."""
+
+    low: float = math.nan
+    high: float = math.nan
+    p: float = math.nan
 
 
-def paired_p(differences: np.ndarray) -> float:
-    """Two-sided p of Student's test that a mean difference is zero; NaN for fewer than two, or when all are alike."""
-    count, deviation = len(differences), _deviation(differences)
-    if count < 2 or _alike(differences):
-        return math.nan
-    return float(2.0 * stats.t.sf(abs(differences.mean()) / (deviation / math.sqrt(count)), count - 1))
+def student(values: Floats) -> Student:
+    """Student's interval and test of a mean, by scipy; NaN for fewer than two values, or when all are alike."""
+    if len(values) < 2 or _alike(values):
+        return Student()
+    tested = stats.ttest_1samp(values, 0.0)
+    low, high = tested.confidence_interval(0.95)
+    return Student(float(low), float(high), float(tested.pvalue))
 
 
 def holm(p: Sequence[float]) -> list[float]:
     """Correct a family of p (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays, and counts for none."""
-    told = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
+    known = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
     adjusted, largest = [math.nan] * len(p), 0.0
-    for rank, (value, place) in enumerate(told):
-        largest = max(largest, min(1.0, (len(told) - rank) * value))
+    for rank, (value, place) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * value))
         adjusted[place] = largest
     return adjusted
 
 
-def bootstrap(values: np.ndarray, seed: int = 0) -> tuple[float, float] | None:
-    """BCa interval of 95 % for a mean (scipy); percentiles where BCa has none, None where all values are alike."""
+def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
+    """BCa interval of 95 % for a mean, by scipy; percentiles where BCa has none, NaN where all values are alike."""
     if len(values) < 2 or np.ptp(values) == 0.0:
-        return None
+        return math.nan, math.nan
     for method in ("BCa", "percentile"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate: then it is NaN, and the next one is taken
-            interval = stats.bootstrap(
-                (values,),
-                np.mean,
-                n_resamples=RESAMPLES,
-                method=method,
-                random_state=np.random.default_rng(seed),
-            ).confidence_interval
-        if math.isfinite(interval.low) and math.isfinite(interval.high):
-            return float(interval.low), float(interval.high)
-    return None
+            drawn = np.random.default_rng(seed)
+            found = stats.bootstrap(
+                (values,), np.mean, n_resamples=RESAMPLES, method=method, random_state=drawn
+            )
+        low, high = found.confidence_interval
+        if math.isfinite(low) and math.isfinite(high):
+            break
+    return float(low), float(high)
 
 
-def _bootstrap(values: np.ndarray, seed: int) -> tuple[float, float]:
-    """The bootstrap's interval where it has one, else NaN."""
-    ends = bootstrap(values, seed) if len(values) >= LEAST_REPEATS else None
-    return (math.nan, math.nan) if ends is None else ends
+def _bootstrap(values: Floats, seed: int) -> tuple[float, float]:
+    """The same for `LEAST_REPEATS` values or more."""
+    return bootstrap(values, seed) if len(values) >= LEAST_REPEATS else (math.nan, math.nan)
 
 
 def _interval(
@@ -429,7 +429,7 @@ def _interval(
 
 def _differences(
     means: Mapping[tuple[str, str, float], float], against: str, condition: str, damping: float | None
-) -> np.ndarray:
+) -> Floats:
     """Condition less the other, one value for each participant who has both (at every damping that both have)."""
     participants = dict.fromkeys(code for code, _, _ in means)
     of = {name: {value for _, other, value in means if other == name} for name in (against, condition)}
@@ -439,9 +439,9 @@ def _differences(
     values: list[Any] = []
     for code in participants:
         pairs = [(means.get((code, condition, b)), means.get((code, against, b))) for b in dampings]
-        told = [_less(one, other) for one, other in pairs if one is not None and other is not None]
-        if told and len(told) == len(pairs):
-            values.append(sum(told) / len(told))
+        known = [_less(one, other) for one, other in pairs if one is not None and other is not None]
+        if known and len(known) == len(pairs):
+            values.append(sum(known) / len(known))
     return np.array(values)
 
 
@@ -450,11 +450,11 @@ def _less(one: float, other: float) -> float:
     return 0.0 if math.isclose(one, other, rel_tol=_ALIKE) else one - other
 
 
-def _alike(values: np.ndarray) -> bool:
+def _alike(values: Floats) -> bool:
     return float(np.ptp(values)) <= _ALIKE * float(np.abs(values).max())
 
 
-def _deviation(values: np.ndarray) -> float:
+def _deviation(values: Floats) -> float:
     if len(values) < 2:
         return math.nan
     return 0.0 if _alike(values) else float(values.std(ddof=1))

@@ -3,7 +3,7 @@
 The posterior on the grid of `rig.session.search.psychometric`, of all verdicts of a participant's complete runs under a
 condition at one damping, whatever rule asked for them. Its K50 is the one that K_max is made of
 (`rig.session.analysis.trials.half_way`). The interval takes all repeats for those of one K50: somebody who wanders
-between them is known less well than it says, and Student's interval over the repeats' own limits tells that.
+between them is known less well than it says, and Student's interval over the repeats' own limits shows that.
 
 Over participants K50 is the mean of their own, with Student's interval over them. Spread and lapse rate there are of
 all verdicts together, where differences between people make the spread wider, and have no interval: verdicts of one
@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.session.analysis.kmax import student
+from rig.session.analysis.kmax import Student, student
 from rig.session.analysis.rows import RunRow
 from rig.session.analysis.study import Study
 from rig.session.analysis.trials import answers, half_way, levels
@@ -181,12 +181,12 @@ def together(
 ) -> Psychometric:
     """The function of several participants under one condition, of whose verdicts these are all."""
     own = np.array([one.threshold.mean for one in each])
-    low, high = student(own) if len(each) >= LEAST_PEOPLE else (math.nan, math.nan)
+    interval = student(own) if len(each) >= LEAST_PEOPLE else Student()
     pooled = fit("", each[0].condition, each[0].damping, each[0].judge, levels, verdicts)
     return replace(
         pooled,
         participants=len(each),
-        threshold=Posterior(mean=float(own.mean()), low=low, high=high),
+        threshold=Posterior(mean=float(own.mean()), low=interval.low, high=interval.high),
         above=sum(one.above for one in each),
         below=sum(one.below for one in each),
         spread=Posterior(mean=pooled.spread.mean, low=math.nan, high=math.nan),

@@ -87,7 +87,7 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
     """Raise `rig.core.errors.ConfigError` unless a setting is a whole number in its range."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise ConfigError(
-            f"{name} = {value!r} is no whole number from {least} to {most}", remedy="choose another"
+            f"{name} = {value!r} is not a whole number from {least} to {most}", remedy="choose another"
         )
 
 

@@ -300,7 +300,7 @@ def test_what_does_not_belong_together_is_refused():
         replace(run, lines_hz=np.array([1.5]))
     with pytest.raises(ConfigError, match="lines"):
         replace(run, lines_hz=np.array([2000.0]))
-    with pytest.raises(ConfigError, match="no number"):
+    with pytest.raises(ConfigError, match="not a number"):
         replace(run, position=np.full(4000, np.nan))
     with pytest.raises(ConfigError, match="no line"):
         periodic([run]).within((30.0, 40.0))

@@ -37,7 +37,7 @@ def test_a_damaged_record_is_refused(data):
     content = bytearray(pack(Record(FACTS, PACKED)))
     at = data.draw(st.integers(0, len(content) - 1))
     content[at] ^= data.draw(st.integers(1, 255))
-    with pytest.raises(ConfigError, match=r"damaged|not a firmware of this project"):
+    with pytest.raises(ConfigError, match=r"damaged|not firmware of this project"):
         find(bytes(content), "x")
 
 
@@ -63,7 +63,7 @@ def test_a_file_that_is_none_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         read_image(tmp_path / "none.uf2")
     (tmp_path / "text.bin").write_text("hello")
-    with pytest.raises(ConfigError, match="not a firmware of this project"):
+    with pytest.raises(ConfigError, match="not firmware of this project"):
         read_image(tmp_path / "text.bin")
 
 

@@ -185,7 +185,7 @@ def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign():
     ("given", "message"),
     [
         ({"coefficient_bits": 14.5}, r"coefficient_bits = 14\.5 is not whole"),
-        ({"state_bits": 20, "word_bits": 21}, r"Q1\.20 cannot hold one count"),
+        ({"state_bits": 20, "word_bits": 21}, r"Q1\.20 cannot represent one count"),
         ({"coefficient_bits": 30, "word_bits": 40}, r"overflow 64 bits"),
         ({"cutoff_hz": 1.0, "coefficient_bits": 8}, r"another filter.*more coefficient_bits than 8"),
         ({"cutoff_hz": 1000.0}, r"estimator fdm-butterworth-fixed: .*Nyquist 1000 Hz"),

@@ -68,10 +68,10 @@ def test_nothing_else_is_overwritten(tmp_path):
     other.write_text("x" * SIZE)
     os.mkfifo(tmp_path / "pipe")
     for use in (SharedHand.create, SharedHand.open):
-        with pytest.raises(ConfigError, match=r"notes\.txt is not the file of a hand"):
+        with pytest.raises(ConfigError, match=r"notes\.txt is not the file of a driven hand"):
             use(other)
         for odd in (tmp_path, tmp_path / "pipe"):
-            with pytest.raises(ConfigError, match=r"is not the file of a hand|directory"):
+            with pytest.raises(ConfigError, match=r"is not the file of a driven hand|directory"):
                 use(odd)
     with pytest.raises(ConfigError, match="no hand there"):
         SharedHand.open(tmp_path / "missing")

@@ -482,8 +482,8 @@ def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
     [
         (10_000, "buzz", "x", "no event 10000"),
         (0, "buzz", "x", "cannot be corrected"),
-        (4, "fine", "x", "is no verdict"),
-        (4, "buzz", " ", "without a reason"),
+        (4, "fine", "x", "is not a verdict"),
+        (4, "buzz", " ", "needs a reason"),
     ],
 )
 def test_corrections_that_are_none(tmp_path: Path, number: int, value: str, why: str, said: str) -> None:

@@ -192,7 +192,7 @@ def test_keys_of_a_protocol() -> None:
         (Keys(note="?"), "shows the keys"),
         (Keys(buzz="1"), "that key is buzz already"),
         (Keys(buzz="G"), "that key is go already|that key is buzz already"),
-        (Keys(abort="pedal"), "is no key"),
+        (Keys(abort="pedal"), "is not a key"),
     ],
 )
 def test_keys_that_cannot_be_meant(keys: Keys, says: str) -> None:
