@@ -248,6 +248,6 @@ def _hidden(protocol: Protocol) -> Iterator[str]:
     if blind in ("both", "operator"):
         yield "operator: the console shows no condition, stiffness or damping, and effort in words"
     if blind in ("both", "participant"):
-        yield "participant: nobody tells which condition or wall it is"
+        yield "participant: condition and wall are not disclosed"
     if blind == "none":
         yield "nobody"

@@ -96,7 +96,7 @@ class Trial(Presented, Hit):
 
     @property
     def invalid(self) -> bool:
-        """Whether the hit says nothing about its wall: it is repeated, and nobody is asked about it."""
+        """Whether the hit cannot be judged: it is repeated, and nobody is asked about it."""
         return self.automatic == Kind.INVALID
 
     @property
