@@ -1,4 +1,4 @@
-"""What the kernel says about its scheduling, read from /proc and /sys.
+"""Facts about the kernel's scheduling, read from /proc and /sys.
 
 `root` is where those trees hang; what cannot be read is an empty text, None or an empty set.
 """
@@ -92,7 +92,7 @@ def governors(root: Path = ROOT) -> dict[int, str]:
 
 
 def idle_driver(root: Path = ROOT) -> str:
-    """Who puts idle processors to sleep; empty when nobody does."""
+    """The driver that puts idle processors to sleep; empty without one."""
     name = text_of(root / _CPUS / "cpuidle/current_driver")
     return "" if name == "none" else name
 

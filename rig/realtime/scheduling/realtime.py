@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Request(Protocol):
-    """What is asked for; `rig.config.sections.Host` says what each means."""
+    """The settings requested; `rig.config.sections.Host` has their meaning."""
 
     @property
     def realtime(self) -> str:
@@ -38,7 +38,7 @@ class Request(Protocol):
 
 
 class Realtime:
-    """What a run asked for and what it has; made by `obtained`.
+    """What a run requested and what it obtained; made by `obtained`.
 
     Attributes
     ----------
