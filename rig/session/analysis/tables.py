@@ -458,7 +458,7 @@ _EFFECTS = (
     _own("of", str, "", "limit (stiffness), response time (natural logarithm), said nothing (0 or 1)"),
     _own("along", str, "", "order (place in the block), block, or trial (number in the session)"),
     _own("measure", str, "", "of the limit; empty for others"),
-    _own("values", int, "", "that it is told from", "count"),
+    _own("values", int, "", "that it is estimated from", "count"),
     _own("participants", int, "", "who have a slope of their own"),
     _own(
         "slope",
