@@ -28,7 +28,7 @@ def refused(text: str, remedy: str = "") -> Check:
 
 
 def skipped(text: str) -> Check:
-    """It could not be examined, or nobody asked for it."""
+    """It could not be examined, or was not requested."""
     return Check("", Outcome.SKIPPED, text)
 
 

@@ -13,10 +13,10 @@ from rig.cli import output
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError
-from rig.core.present import plain
+from rig.core.present import Table, plain
 from rig.core.sample import unit_of
 from rig.experiments import compare as comparing
-from rig.experiments.compare import Comparison, Entry, default_entries
+from rig.experiments.compare import Comparison, Entry, SchemeImpacts, default_entries
 from rig.experiments.plan import STANDS_FOR_DEVICE
 from rig.papers.koul import compare as koul
 from rig.papers.koul import impact_pictures
@@ -81,7 +81,7 @@ def run(
         f"B = {wall.damping:g} {unit_of('damping', motion)}, the same hit, "
         f"mean over {len(comparison.outcomes[0].impacts)} encoder offsets"
     )
-    _print_table(comparison)
+    output.print_table(_table(comparison))
     if changed.controller.loop == "device":
         click.echo(f"  {STANDS_FOR_DEVICE}")
     if picture is not None:
@@ -107,9 +107,7 @@ def run_as_in_the_paper(directory: Path, *, plot: bool, as_json: bool) -> None:
             }
         )
         return
-    _print_figure_7(panels)
-    _print_word_lengths(words)
-    _print_figure_8(profiles)
+    output.show([_figure_7(panels), _word_lengths(words), _figure_8(profiles)])
     output.print_pairs([(name, path) for name, path in pictures.items() if path is not None])
 
 
@@ -126,81 +124,80 @@ def entries(experiment: Experiment, schemes: Sequence[str]) -> tuple[Entry, ...]
 
 
 def _drawn(path: Path, draw: Callable[[Any, Path], Path], what: Any) -> str | None:
-    """Draw; a picture that fails is reported and takes nothing with it."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return str(draw(what, path))
-    except Exception as error:
-        click.echo(f"rig: no picture: {error}", err=True)
-        return None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return output.drawn(lambda: draw(what, path))
 
 
-def _print_table(comparison: Comparison) -> None:
-    velocity = unit_of("velocity", comparison.experiment.rig.motion)
-    labels = [outcome.label for outcome in comparison.outcomes]
-    width = max(map(len, labels))
-    columns = ("impact", "peak", "of offsets", "second", "rest", "bounces", "decay", "settling")
-    units = (velocity, "counts", "counts", "counts", "counts", "", "", "s")
-    for line in (columns, units):
-        click.echo(f"  {'':<{width}}" + "".join(f"{text:>11}" for text in line))
-    for outcome in comparison.outcomes:
-        n, (least, most) = outcome.numbers, outcome.peaks
-        cells = (
-            f"{n.impact_velocity:.3g}",
-            f"{n.peak:.2f}",
-            f"{least:.4g}…{most:.4g}",
-            "none" if n.second_peak is None else f"{n.second_peak:.2f}",
-            f"{n.rest:.2f}",
-            f"{n.bounces:.3g}",
-            f"{n.decay:.2f}",
-            "never" if n.settling_s is None else f"{n.settling_s:.3g}",
-        )
-        ended = "" if all(i.complete for i in outcome.impacts) else "  the guard ended it"
-        click.echo(f"  {outcome.label:<{width}}" + "".join(f"{cell:>11}" for cell in cells) + ended)
-
-
-def _print_figure_7(panels: Sequence[Panel]) -> None:
-    click.echo("figure 7: peak penetration (counts), mean over the encoder offsets (least…largest)")
-    click.echo(f"  {'':<24}" + "".join(f"{name:>18}" for name in ("no damping", "uniform", "dual-rate")))
-    for panel in panels:
-        name = f"{panel.arithmetic}, {panel.position_rate / 1e3:g} kHz"
-        cells = [
-            f"{peak:.2f} ({outcome.peaks[0]:g}…{outcome.peaks[1]:g})"
-            for peak, outcome in zip(panel.peaks, panel.comparison.outcomes, strict=True)
-        ]
-        click.echo(f"  {name:<24}" + "".join(f"{cell:>18}" for cell in cells))
-
-
-def _print_word_lengths(words: Sequence[WordLength]) -> None:
-    click.echo("the same for word lengths: none / uniform / dual-rate; * as in the paper")
-    rates = list(words[0].none)
-    heads = ("state bits", "cut-off", *(f"{rate / 1e3:g} kHz" for rate in rates))
-    click.echo("  " + "".join(f"{head:>{10 if i < 2 else 22}}" for i, head in enumerate(heads)))
-    for row in words:
-        peaks = [f"{row.none[r]:.4g} / {row.uniform[r]:.4g} / {row.dual[r]:.4g}" for r in rates]
-        cells = [
-            f"{row.state_bits:>10}",
-            f"{f'fs/{1 / row.uniform_share:g}':>10}",
-            *(f"{p:>22}" for p in peaks),
-        ]
-        click.echo("  " + "".join(cells) + (" *" if row.as_in_the_paper else ""))
-
-
-def _print_figure_8(profiles: Profiles) -> None:
-    click.echo(
-        f"figure 8: velocity after the impact, early ({profiles.speed_early:.2g} rad/s rms) "
-        f"and late ({profiles.speed_late:.2g} rad/s rms)"
+def _table(comparison: Comparison) -> Table:
+    velocity = unit_of("velocity", comparison.motion)
+    head = (
+        "counts",
+        f"impact ({velocity})",
+        "peak",
+        "of offsets",
+        "second",
+        "rest",
+        "bounces",
+        "decay",
+        "settling (s)",
     )
-    columns = ("delay", "off, early", "off, late", "read, early", "read, late")
-    click.echo(f"  {'':<24}" + "".join(f"{text:>12}" for text in columns))
-    click.echo(f"  {'':<24}" + "".join(f"{text:>12}" for text in ("ms", "rad/s", "rad/s", "%", "%")))
-    for p in profiles.profiles:
-        cells = (
+    return Table(head, [_row(outcome) for outcome in comparison.outcomes])
+
+
+def _row(outcome: SchemeImpacts) -> tuple[str, ...]:
+    n, (least, most) = outcome.numbers, outcome.peaks
+    return (
+        outcome.label + ("" if outcome.complete else ", ended by the guard"),
+        f"{n.impact_velocity:.3g}",
+        f"{n.peak:.2f}",
+        f"{least:.4g}…{most:.4g}",
+        "none" if n.second_peak is None else f"{n.second_peak:.2f}",
+        f"{n.rest:.2f}",
+        f"{n.bounces:.3g}",
+        f"{n.decay:.2f}",
+        "never" if n.settling_s is None else f"{n.settling_s:.3g}",
+    )
+
+
+def _figure_7(panels: Sequence[Panel]) -> Table:
+    rows = []
+    for panel in panels:
+        outcomes = zip(panel.peaks, panel.comparison.outcomes, strict=True)
+        cells = [f"{peak:.2f} ({one.peaks[0]:g}…{one.peaks[1]:g})" for peak, one in outcomes]
+        rows.append((f"{panel.arithmetic}, {panel.position_rate / 1e3:g} kHz", *cells))
+    caption = "figure 7: peak penetration (counts), mean over the encoder offsets (least…largest)"
+    return Table(("", "no damping", "uniform", "dual-rate"), rows, caption)
+
+
+def _word_lengths(words: Sequence[WordLength]) -> Table:
+    rates = list(words[0].none)
+    rows = [
+        (
+            f"{row.state_bits}{' *' if row.as_in_the_paper else ''}",
+            f"fs/{1 / row.uniform_share:g}",
+            *(f"{row.none[r]:.4g} / {row.uniform[r]:.4g} / {row.dual[r]:.4g}" for r in rates),
+        )
+        for row in words
+    ]
+    caption = "the same for word lengths: none / uniform / dual-rate; * as in the paper"
+    return Table(("state bits", "cut-off", *(f"{rate / 1e3:g} kHz" for rate in rates)), rows, caption)
+
+
+def _figure_8(profiles: Profiles) -> Table:
+    rows = [
+        (
+            f"{p.arithmetic}, {p.velocity_rate / 1e3:g} kHz",
             "–" if p.delay_s is None else f"{1e3 * p.delay_s:.3f}",
             f"{p.noise_early:.3g}",
             f"{p.noise_late:.3g}",
             f"{100 * p.reading_early:.3g}",
             f"{100 * p.reading_late:.3g}",
         )
-        name = f"{p.arithmetic}, {p.velocity_rate / 1e3:g} kHz"
-        click.echo(f"  {name:<24}" + "".join(f"{cell:>12}" for cell in cells))
+        for p in profiles.profiles
+    ]
+    caption = (
+        f"figure 8: velocity after the impact, early ({profiles.speed_early:.2g} rad/s rms) "
+        f"and late ({profiles.speed_late:.2g} rad/s rms)"
+    )
+    head = ("", "delay (ms)", "off, early (rad/s)", "off, late (rad/s)", "read, early (%)", "read, late (%)")
+    return Table(head, rows, caption)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,12 @@ import click
 from rig.cli import options, output
 from rig.control import estimators as family
 from rig.core.errors import ConfigError
-from rig.core.present import plain
+from rig.core.present import Row, Table, plain
 from rig.core.sample import unit_of
 from rig.core.signals import SIGNALS
 from rig.experiments import estimators as experiment
 from rig.experiments.cases import Case, recording_case, signal_case
-from rig.experiments.estimators import Comparison, Score, Variant, score
+from rig.experiments.estimators import Score, Variant, score
 from rig.experiments.lipschitz import lipschitz_of
 from rig.experiments.tuning import Tuning, shown_range
 from rig.experiments.tuning import tune as run
@@ -111,13 +112,14 @@ def compare(
         cases += [_recording_case(path, rate) for rate in (_rates(rates) if rates else (None,))]
     variants = [_variant(text) for text in chosen] or list(experiment.default_variants())
     comparison = experiment.compare(cases, variants, timed=timed)
-    picture = None if no_plot else _draw(comparison, plot)
+    picture = None if no_plot else output.drawn(lambda: draw_comparison(comparison, plot))
     if as_json:
         output.print_json({**plain(comparison), "picture": picture})
         return
+    names = [variant.label for variant in variants]
     for i, case in enumerate(cases):
         click.echo(_headline(case))
-        _print_table(case, comparison.scores[i * len(variants) : (i + 1) * len(variants)], variants)
+        _print_table(case, comparison.scores[i * len(names) : (i + 1) * len(names)], names)
     if picture:
         output.print_pairs([("picture", picture)])
 
@@ -212,20 +214,16 @@ def _headline(case: Case) -> str:
     )
 
 
-def _print_table(case: Case, scores: Any, variants: list[Variant] | list[str]) -> None:
-    names = [v if isinstance(v, str) else v.label for v in variants]
-    width, unit = max(len(name) for name in names), unit_of("velocity", case.motion)
-    columns = ("error", "delay", "without", "at rest", "toggling", "cost")
-    units = (unit, "ms", "delay", unit, unit, "ns")
-    for line in (columns, units):
-        click.echo(f"  {'':<{width}}" + "".join(f"{text:>10}" for text in line))
-    for name, each in zip(names, scores, strict=True):
-        click.echo(f"  {name:<{width}}{_cells(each)}")
+def _print_table(case: Case, scores: Sequence[Score], names: Sequence[str]) -> None:
+    unit = unit_of("velocity", case.motion)
+    head = ("", f"error ({unit})", "delay (ms)", f"without delay ({unit})", f"at rest ({unit})", f"toggling ({unit})",
+            "cost (ns)")  # fmt: skip
+    scored = [(name, each) for name, each in zip(names, scores, strict=True) if each.refused is None]
+    output.print_table(Table(head, [(name, *_cells(each)) for name, each in scored]))
+    output.print_rows([Row(n, each.refused) for n, each in zip(names, scores, strict=True) if each.refused])
 
 
-def _cells(score: Score) -> str:
-    if score.refused is not None:
-        return f"  {score.refused}"
+def _cells(score: Score) -> list[str]:
     numbers = (
         f"{score.rms:.3g}",
         f"{1e3 * score.delay_s:.3f}",
@@ -234,16 +232,7 @@ def _cells(score: Score) -> str:
         f"{score.toggling_rms:.3g}",
         f"{score.ns_per_sample:.1f}",
     )
-    return "".join(f"{'–' if text == 'nan' else text:>10}" for text in numbers)
-
-
-def _draw(comparison: Comparison, plot: Path) -> str | None:
-    """Draw; a picture that fails is reported and takes nothing with it."""
-    try:
-        return str(draw_comparison(comparison, plot))
-    except Exception as error:
-        click.echo(f"rig: no picture: {error}", err=True)
-        return None
+    return ["–" if text == "nan" else text for text in numbers]
 
 
 def _rate(text: str) -> int:

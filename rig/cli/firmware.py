@@ -17,9 +17,7 @@ from rig.bench.firmware.info import info as look
 from rig.bench.firmware.selftest import SelfTestRequest, failure
 from rig.bench.firmware.selftest import selftest as run
 from rig.cli import options, output
-from rig.config import Experiment
 from rig.core.errors import ConfigError, IncompatibleDeviceError
-from rig.core.model import RigModel
 from rig.devices import open_device
 
 DEFAULT_BOARD = "rp2040"
@@ -86,7 +84,12 @@ def build(
             output.show(item for one in found for item in one.items())
         return
     chosen = {**_settings(settings_file), **options.key_values(sets)}
-    request = BuildRequest(model=_rig(preset), board=board, output=directory, settings=chosen)
+    request = BuildRequest(
+        model=config.rig_model(options.named_experiment(preset)),
+        board=board,
+        output=directory,
+        settings=chosen,
+    )
     with output.Status(quiet=as_json) as status:
         built = build_image(request, status.on_progress)
     if as_json:
@@ -174,7 +177,7 @@ def selftest(
 
     Exits with 5 when a check fails.
     """
-    experiment = None if preset is None else _experiment(preset)
+    experiment = None if preset is None else options.named_experiment(preset)
     if move and not as_json:
         click.echo("move the handle by hand until the test has ended", err=True)
     request = SelfTestRequest(experiment=experiment, rate=rate, seconds=seconds, move=move, stream=stream)
@@ -188,16 +191,6 @@ def selftest(
     if error is not None:
         error.reported = as_json
         raise error
-
-
-def _rig(preset: str) -> RigModel:
-    return config.rig_model(_experiment(preset))
-
-
-def _experiment(preset: str) -> Experiment:
-    path = Path(preset)
-    chosen = (path, None) if path.suffix == ".toml" else (None, preset)
-    return options.chosen_experiment(*chosen)
 
 
 def _settings(path: Path | None) -> dict[str, Any]:

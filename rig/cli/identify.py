@@ -120,14 +120,9 @@ def _print_plan(plan: Plan) -> None:
 
 
 def _draw(found: Identification) -> str | None:
-    """Draw; a picture that fails is reported and takes nothing with it."""
     first = found.recordings["signs"][0]
-    stem = first.name.partition("-signs")[0]
-    try:
-        return str(draw_identification(found, first.with_name(f"{stem}.png")))
-    except (RecordingError, ValueError, ImportError) as error:
-        click.echo(f"rig: no picture: {error}", err=True)
-        return None
+    picture = first.with_name(f"{first.name.partition('-signs')[0]}.png")
+    return output.drawn(lambda: draw_identification(found, picture))
 
 
 def _write(found: Identification, path: Path) -> Path:

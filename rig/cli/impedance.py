@@ -15,7 +15,7 @@ from rig.cli import options, output
 from rig.cli.map_options import numbers
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.errors import ConfigError, GuardError, RecordingError
+from rig.core.errors import ConfigError, GuardError
 from rig.core.sample import unit_of
 from rig.experiments import impedance as measuring
 from rig.experiments.impedance import ImpedanceResult, Wall
@@ -119,14 +119,17 @@ def impedance(
         agrees = None if yes or as_json or device.simulated else _agrees
         results = tuple(measuring.measure_on_device(experiment, device, agrees=agrees, **shared))
     table, summary = measuring.write_results(results, place)
-    picture = _draw(results, place / "impedance.png") if plot else None
+    measured = any(result.impedance is not None for result in results)
+    picture = (
+        output.drawn(lambda: draw_impedance(results, place / "impedance.png")) if plot and measured else None
+    )
     if as_json:
         output.print_json({"results": results, "table": str(table), "picture": picture})
     else:
         _print(results)
         pairs = [("every line", str(table)), ("summary", str(summary))]
         output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
-    if results and all(result.impedance is None for result in results):
+    if results and not measured:
         error = GuardError(
             f"the guard ended every run: {results[0].ended}",
             remedy="take a softer wall or a smaller excitation",
@@ -171,8 +174,8 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     b = (own.damping,) if damping is None else numbers(damping, "--damping")
     if len(k) != len(b) and 1 not in (len(k), len(b)):
         raise ConfigError(
-            f"{len(k)} stiffnesses and {len(b)} dampings",
-            remedy="give as many of both, or one of one of them",
+            f"{len(k)} stiffnesses and {len(b)} dampings do not pair",
+            remedy="give as many of both, or a single one of either",
         )
     n = max(len(k), len(b))
     walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))
@@ -197,17 +200,6 @@ def _agrees(experiment: Experiment) -> bool:
         f"Excite {experiment.rig.name} about a wall of {wall.stiffness:g} {stiffness}, {wall.damping:g} {damping}?",
         err=True,
     )
-
-
-def _draw(results: tuple[ImpedanceResult, ...], path: Path) -> str | None:
-    """Draw; a picture that fails takes no measurement with it."""
-    if all(result.impedance is None for result in results):
-        return None
-    try:
-        return str(draw_impedance(results, path))
-    except RecordingError as error:
-        click.echo(f"rig: no picture: {error}", err=True)
-        return None
 
 
 def _print(results: tuple[ImpedanceResult, ...]) -> None:

@@ -15,6 +15,7 @@ from rig.core.sample import unit_of
 from rig.experiments import maps
 from rig.experiments.kmax import KMax, kmax_plan
 from rig.experiments.ranges import kmax_theory
+from rig.experiments.zwidth import Boundary
 from rig.views.plots.zwidth import draw_kmax
 
 SPAN = 500.0  # highest stiffness over the lowest: at slow rates only soft walls are stable
@@ -57,7 +58,11 @@ def kmax(
     place = maps.directory_for(plan, directory, "kmax")
     with SweepBar("series", unit="ticks", plain=as_json) as bar:
         found = KMax.of(maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch))
-    picture = map_options.drawn(lambda: _draw(found, place / "kmax.png")) if plot else None
+    picture = (
+        output.drawn(lambda: draw_kmax(found, place / "kmax.png", theory=kmax_theory(found)))
+        if plot
+        else None
+    )
     if as_json:
         output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
         return
@@ -66,8 +71,9 @@ def kmax(
     output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
 
 
-def _draw(found: KMax, path: Path) -> str:
-    return str(draw_kmax(found, path, theory=kmax_theory(found)))
+def _limit(found: Boundary) -> str:
+    scatter = f" ± {found.deviation:.2g}" if len(found.limits) > 1 else ""
+    return f"{'≥ ' if found.capped else ''}{found.stiffness:.4g}{scatter}"
 
 
 def _print(found: KMax) -> None:
@@ -78,9 +84,7 @@ def _print(found: KMax) -> None:
     rows = [("rate (Hz)", *curves)]
     for number, rate in enumerate(found.rates):
         row = [curve[number] for curve in curves.values()]
-        rows.append(
-            (f"{rate}", *(f"{'≥ ' if b.capped else ''}{b.stiffness:.4g} ± {b.deviation:.2g}" for b in row))
-        )
+        rows.append((f"{rate}", *(_limit(b) for b in row)))
     output.print_table(Table(rows[0], rows[1:]))
     for name in curves:
         ratio = found.saturation(name)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from rig.cli import options
+from rig.core.present import plain
 from rig.core.sample import Motion
 from rig.session.lsl.serve import serve
 
@@ -43,14 +44,14 @@ def lsl(
 
     Two streams: "NAME samples" has position, velocity, penetration, effort sent, effort applied and phase, each sample
     at its own time on LSL's clock; "NAME markers" has JSON texts: phases, contacts, edges of the sync input, and what a
-    session says. A loop is only looked at: no receiver can slow it. The samples tell a stiffness to whoever plots
-    effort over penetration; --blind concerns the markers.
+    session says. A loop is only looked at: no receiver can slow it. Whoever plots effort over penetration sees the
+    stiffness; --blind concerns the markers.
 
     --markers reads lines like {"at": NS, "marker": {"mark": "stimulus"}}; at is on CLOCK_MONOTONIC, or left out.
     --json prints a line for each stream and loop, the last with what was sent.
     """
 
-    def told(news: Mapping[str, Any]) -> None:
+    def report(news: Mapping[str, Any]) -> None:
         if as_json:
             click.echo(json.dumps(dict(news)))
         else:
@@ -64,10 +65,10 @@ def lsl(
         once=once,
         markers=sys.stdin.fileno() if markers else None,
         expected=expect,
-        told=told,
+        report=report,
     )
     if as_json:
-        click.echo(json.dumps({"served": served.as_mapping()}))
+        click.echo(json.dumps({"served": plain(served)}))
         return
     click.echo(
         f"{served.loops} loops, {served.samples} samples, {served.markers} markers sent; {served.lost} rows came "

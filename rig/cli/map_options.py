@@ -125,15 +125,6 @@ def search(
     return search_for(experiment, way, ratio=ratio, lowest=low, highest=high, span=span, on_device=device)
 
 
-def drawn(draw: Callable[[], str]) -> str | None:
-    """Draw a picture; one that fails is reported and takes nothing with it: the map is on disk."""
-    try:
-        return draw()
-    except Exception as error:  # a picture has many ways to fail
-        click.echo(f"rig: no picture: {error}", err=True)
-        return None
-
-
 def numbers(text: str, option: str) -> tuple[float, ...]:
     """Numbers of ``0,0.5,1`` or, equally spaced, ``0:3.6:17``."""
     try:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
+from pathlib import Path
 from typing import Any, Self, cast
 
 import click
@@ -89,6 +90,15 @@ def print_check(check: Check) -> None:
 def coloured(kind: str) -> str:
     """Return a verdict in its colour."""
     return click.style(kind, fg=_COLOURS.get(kind), bold=True)
+
+
+def drawn(draw: Callable[[], Path]) -> str | None:
+    """Draw a picture and return its path; a failure is reported and costs nothing but the picture."""
+    try:
+        return str(draw())
+    except Exception as error:  # a picture has many ways to fail, and its data are on disk
+        click.echo(f"rig: no picture: {error}", err=True)
+        return None
 
 
 def on_terminal() -> bool:

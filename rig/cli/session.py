@@ -11,11 +11,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "new": ("rig.cli.session_protocol:new", "Write a commented protocol file to start from."),
     "check": (
         "rig.cli.session_protocol:check",
-        "Say what a protocol will do, and check it, before anyone touches the handle.",
+        "Show what a protocol will do, and check it, before anyone touches the handle.",
     ),
     "run": ("rig.cli.session_run:run", "Run a participant's session, or rehearse it on a simulated rig."),
-    "resume": ("rig.cli.session_run:resume", "Go on with a session that was left, whatever ended it."),
-    "show": ("rig.cli.session_run:show", "Say where a session stands, and list its log."),
+    "resume": ("rig.cli.session_run:resume", "Resume a session that was left, whatever ended it."),
+    "show": ("rig.cli.session_run:show", "Show where a session stands, and list its log."),
     "amend": ("rig.cli.session_run:amend", "Record a correction in a session's log; nothing is erased."),
     "analyse": (
         "rig.cli.session_analyse:analyse",

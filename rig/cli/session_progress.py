@@ -1,4 +1,4 @@
-"""How a rehearsal goes on, on standard error: on a terminal one line, written over; elsewhere a line for each event."""
+"""The progress of a rehearsal on standard error: one line on a terminal, written over; elsewhere one for each event."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from rig.session.desk import View
 from rig.session.log import Event
 from rig.session.telling import line_of_event
 
-_SURE = 2  # trials that are timed before the time that is left is told
+_SURE = 2  # trials that are timed before the remaining time is shown
 
 
 class Rehearsed:
-    """Tells of a rehearsal; `looks` is shown what a desk would show, `told` each event.
+    """Shows the progress of a rehearsal; `looks` is shown what a desk would show, `on_event` is called with each event.
 
     Parameters
     ----------
     quiet
-        Tell nothing.
+        Show nothing.
     clock
         Time (s).
     """
@@ -41,7 +41,7 @@ class Rehearsed:
         if self._line and not self._quiet:
             click.echo("\r\033[K", nl=False, err=True)
 
-    def told(self, event: Event) -> None:
+    def on_event(self, event: Event) -> None:
         """An event was written."""
         if not self._line and not self._quiet:
             click.echo(f"  {line_of_event(event)}", err=True)

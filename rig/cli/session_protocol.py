@@ -12,6 +12,7 @@ from rich.table import Table
 
 from rig.cli import options, output
 from rig.core.errors import PlanError
+from rig.core.present import plain
 from rig.core.sample import unit_of
 from rig.session import check as checking
 from rig.session import template_files as templates
@@ -87,7 +88,7 @@ def check(file: Path, participants: int | None, url: str | None, unblind: bool, 
     protocol = load_protocol(file)
     plan = checking.check(protocol, file.parent, participants=participants, url=url)
     if as_json:
-        shown = plan.as_mapping()
+        shown = plain(plan)
         if plan.blinded and not unblind:
             shown["orders"] = None
         output.print_json(shown)

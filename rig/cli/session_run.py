@@ -13,6 +13,7 @@ import click
 from rig.cli import options, output
 from rig.cli.session_progress import Rehearsed
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.session import rehearsal
 from rig.session import run as sessions
 from rig.session.console.desk import at_console
@@ -83,7 +84,7 @@ def _device_options(command: Any) -> Any:
     help="Rehearsal: where half of this person's verdicts are stable. [judges as the program does]",
 )
 @click.option("--spread", type=float, help="Rehearsal: how gradually verdicts change over stiffness. [15]")
-@click.option("--lapse-rate", type=float, help="Rehearsal: share of wrong verdicts. [0]")
+@click.option("--lapse-rate", type=float, help="Rehearsal: share of verdicts that are turned round. [0]")
 @_device_options
 def run(
     protocol: Path,
@@ -109,7 +110,7 @@ def run(
     time, with the console, and the simulated hand, the mouse or the keyboard moves the handle.
 
     Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
-    session resume` goes on.
+    session resume` continues it.
     """
     if not rehearse and (thresholds or realtime or spread is not None or lapse_rate is not None):
         raise ConfigError(
@@ -136,7 +137,7 @@ def run(
             study=study,
             row=row,
             person=person,
-            told=seen.told,
+            on_event=seen.on_event,
             lsl=lsl,
         )
     _print(result, as_json=as_json)
@@ -149,12 +150,12 @@ def run(
     type=click.Choice(["trial", "block"]),
     default="trial",
     show_default=True,
-    help="Go on with the next trial, or start the block over.",
+    help="Continue with the next trial, or restart the block.",
 )
 @click.option(
     "--other-device",
     is_flag=True,
-    help="Go on though it is another device than before; the analysis tells it.",
+    help="Continue on another device than before; the analysis reports it.",
 )
 @click.option(
     "--drop-damaged-line",
@@ -176,9 +177,9 @@ def resume(
     lsl: bool,
     as_json: bool,
 ) -> None:
-    """Go on with the session in DIRECTORY, whatever ended it: Ctrl-C, kill -9, a power cut, an unplugged rig.
+    """Resume the session in DIRECTORY, whatever ended it: Ctrl-C, kill -9, a power cut, an unplugged rig.
 
-    It goes on where it took place: without --url on the device of the log. A real rig needs --verified again: somebody
+    It resumes where it took place: without --url on the device of the log. A real rig needs --verified again: somebody
     has looked at its signs, and the handle is at zero.
     """
     if drop_damaged_line and (directory / LOG).is_file():
@@ -190,7 +191,7 @@ def resume(
     with Rehearsed(quiet=as_json or person is None) as seen:
         desk = _desk(person, seen, hand=hand, plain=plain)
         result = sessions.resume_session(
-            directory, desk, runner=runner, at=at, told=seen.told, lsl=lsl, other_device=other_device
+            directory, desk, runner=runner, at=at, on_event=seen.on_event, lsl=lsl, other_device=other_device
         )
     _print(result, as_json=as_json)
 
@@ -221,7 +222,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
             }
             for event in events
         ]
-        output.print_json({**result.as_mapping(), "events": listed})
+        output.print_json({**plain(result), "events": listed})
     else:
         _print(result, as_json=False)
     if with_log and not as_json:
@@ -315,11 +316,11 @@ def _thresholds(given: tuple[str, ...]) -> dict[str, float]:
 
 def _print(result: SessionResult, *, as_json: bool) -> None:
     if as_json:
-        output.print_json(result.as_mapping())
+        output.print_json(result)
         return
     for message in result.messages:
         click.echo(f"rig: {message}", err=True)
-    stands = result.ended or (f"left: {result.stopped}" if result.stopped else "goes on")
+    stands = result.ended or (f"left: {result.stopped}" if result.stopped else "running")
     click.echo(f"session of {result.code}: {stands}")
     output.print_pairs(
         [
@@ -332,4 +333,4 @@ def _print(result: SessionResult, *, as_json: bool) -> None:
         ]
     )
     if result.ended is None:
-        click.echo(f"  go on with: {result.resume}")
+        click.echo(f"  resume it with: {result.resume}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -36,12 +35,7 @@ def sim() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Announce the port as JSON.")
 def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
     """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
-    path = Path(preset)
-    experiment = (
-        options.chosen_experiment(path, None)
-        if path.suffix == ".toml"
-        else options.chosen_experiment(None, preset)
-    )
+    experiment = options.named_experiment(preset)
 
     def announce(port: str) -> None:
         if as_json:

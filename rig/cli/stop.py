@@ -28,11 +28,11 @@ def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
     stopped = running.stop(pid)
     nothing = "no loop runs in real time: nothing to stop"
     _show([one.as_mapping() for one in stopped], nothing, as_json)
-    deaf = [str(one.loop.pid) for one in stopped if not one.ended]
-    if deaf:
+    silent = [str(one.loop.pid) for one in stopped if not one.ended]
+    if silent:
         error = RigError(
-            f"process {', '.join(deaf)} was told to stop but has not said that it did",
-            remedy=f"cut the motor's power; then kill -9 {' '.join(deaf)}, and the device's watchdog takes over",
+            f"process {', '.join(silent)} was asked to stop but has not confirmed it",
+            remedy=f"cut the motor's power; then kill -9 {' '.join(silent)}, and the device's watchdog takes over",
         )
         error.reported = as_json
         raise error
@@ -56,9 +56,9 @@ def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
 
 def _line(loop: dict[str, Any]) -> str:
     """``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, 3 s, recordings/….rigcap``."""
-    did = {None: "runs,", True: "stopped after", False: "told to stop after"}[loop.get("ended")]
-    said = [f"process {loop['pid']}: {did} {loop['ticks']:,} ticks ({loop['phase']})"]
+    did = {None: "runs,", True: "stopped after", False: "asked to stop after"}[loop.get("ended")]
+    parts = [f"process {loop['pid']}: {did} {loop['ticks']:,} ticks ({loop['phase']})"]
     if loop["since"]:
-        said.append(f"since {time.strftime('%H:%M:%S', time.localtime(loop['since']))}")
-    said += [loop[key] for key in ("url", "recording") if loop[key]]
-    return ", ".join(said)
+        parts.append(f"since {time.strftime('%H:%M:%S', time.localtime(loop['since']))}")
+    parts += [loop[key] for key in ("url", "recording") if loop[key]]
+    return ", ".join(parts)

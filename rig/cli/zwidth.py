@@ -126,7 +126,11 @@ def zwidth(
     else:
         dialogue = Dialogue(plan, url, realtime=realtime, confirm=confirm)
         place, found = dialogue.map(directory, verified=verified)
-    picture = map_options.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
+    picture = (
+        output.drawn(lambda: draw_zwidth(found, place / "zwidth.png", theory=theory_curves(plan)))
+        if plot
+        else None
+    )
     if as_json:
         output.print_json({**found.as_mapping(), "directory": str(place), "picture": picture})
         return
@@ -159,10 +163,6 @@ def _refuse_with_device(workers: int | None, scheduler: str | None) -> None:
         raise ConfigError(
             "a device is hit by one program at a time", remedy="drop --workers and --scheduler, or --url"
         )
-
-
-def _draw(found: ZWidth, path: Path) -> str:
-    return str(draw_zwidth(found, path, theory=theory_curves(found.plan)))
 
 
 def _print(found: ZWidth) -> None:

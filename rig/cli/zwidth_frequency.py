@@ -123,7 +123,10 @@ def map_frequency(
     place = maps.directory_for(plan, directory, "zwidth-frequency")
     with SweepBar("columns", unit="runs", plain=as_json) as bar:
         found = maps.map_into(plan, place, scheduler=scheduler, workers=workers, watch=bar.watch)
-    picture = map_options.drawn(lambda: _draw(found, place / "zwidth.png")) if plot else None
+    picture = None
+    if plot:
+        curves = linear_curves(plan)
+        picture = output.drawn(lambda: draw_frequency_map(found, place / "zwidth.png", theory=curves))
     if as_json:
         output.print_json({**maps.summary(found), "directory": str(place), "picture": picture})
         return
@@ -174,10 +177,6 @@ def _band(text: str, option: str) -> tuple[float, float]:
     if not 0.0 < low <= high < math.inf:
         raise ConfigError(f"{option} {text}: no band", remedy="write it as LOW:HIGH in Hz, like 1:250")
     return low, high
-
-
-def _draw(found: FrequencyMap, path: Path) -> str:
-    return str(draw_frequency_map(found, path, theory=linear_curves(found.plan)))
 
 
 def _print(found: FrequencyMap, table: TableOne) -> None:

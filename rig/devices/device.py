@@ -59,7 +59,8 @@ class DeviceUrl:
         for name in self.options:
             if name not in options:
                 raise ConfigError(
-                    f"{self.text}: unknown option {name!r}", remedy=f"known options: {', '.join(options)}"
+                    f"{self.text}: unknown option {name!r}",
+                    remedy=f"known options: {', '.join(options) or 'none'}",
                 )
 
     def choice(self, name: str, allowed: Sequence[str], default: str) -> str:

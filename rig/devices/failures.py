@@ -23,7 +23,7 @@ from rig.core.errors import (
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Kind of error, what happened in words that follow "the link …", and what to do."""
+    """Kind of error, what happened, to follow "the link …", and what to do."""
 
     kind: type[LinkLostError]
     cause: str
@@ -68,14 +68,14 @@ FAILURES: dict[int, Failure] = {
     errno.EILSEQ: _BROKEN,
     errno.EIO: _BROKEN,
 }
-# A terminal has no word for "unplugged": when its device is gone it says EIO, and so does ppoll here.
+# A terminal has no error for "unplugged": when its device is gone it gives EIO, and so does ppoll here.
 _SERIAL = FAILURES | {errno.EIO: _UNPLUGGED, errno.EPIPE: _UNPLUGGED}
 
 
 def failure(number: int, url: str) -> Failure:
     """Return what an error number (positive errno) means on the link behind a URL.
 
-    Numbers that are not in the table keep the kernel's words.
+    Numbers that are not in the table keep the kernel's text.
     """
     table = _SERIAL if url.startswith("serial:") else FAILURES
     found = table.get(number)

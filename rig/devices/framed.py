@@ -1,6 +1,6 @@
-"""A device on the other end of a link of frames: transactions with retries, arming, and what it says of its faults.
+"""A device on the other end of a link of frames: transactions with retries, arming, and the report of its faults.
 
-`firmware_protocol.connection` knows what may be said; this file owns the waiting: each transaction is sent
+`firmware_protocol.connection` knows what may be sent; this file does the waiting: each transaction is sent
 again after 20, 40 and 80 ms and then given up with a typed error. Streams (COMMAND, STATE) belong to the
 compiled loop while it runs (`rig.loop`), which hands them back through `take_back`.
 """
@@ -31,7 +31,7 @@ from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLos
 from rig.devices.device import Link
 
 STOP_FRAMES = 5
-SUPERVISE_EVERY_S = 0.005  # a quarter of what a law on the device goes on without a word
+SUPERVISE_EVERY_S = 0.005  # a quarter of the time that a law on the device continues without a command
 EXCHANGES = 8  # of the clock, unless told otherwise
 DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
 DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
@@ -42,7 +42,7 @@ FAULT_LOG_S = 2.0
 DICTIONARY_LIMIT = 0xFFFF
 BLOCK_LIMIT = 0xFFFF
 
-# Dictionaries that this process has read, by their hash: a device that is opened again says only the hash.
+# Dictionaries that this process has read, by their hash: a device that is opened again sends only the hash.
 DICTIONARIES_KEPT = 16
 _dictionaries: dict[int, dictionaries.Dictionary] = {}
 
@@ -96,7 +96,7 @@ class FramedDevice:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """What the device says of itself; asked once."""
+        """The device's description of itself; read once."""
         if self._dictionary is None:
             self._dictionary = self.identify()
         return self._dictionary
@@ -139,7 +139,7 @@ class FramedDevice:
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
-        """Activate parameters, all of them or none, and say what is active now.
+        """Activate parameters, all of them or none, and return what is active now.
 
         The device's answer has the CRC of every active parameter. Where it is the one of the values that must be in
         force now, they are known; otherwise (another host was there, or the device holds values of its own) they are
@@ -182,7 +182,7 @@ class FramedDevice:
     def _make_configurable(self) -> None:
         """Bring a faulty, restarted or still armed device (a host died) into a state that takes parameters."""
         met_real = self._dictionary is not None and not self._dictionary.simulated
-        about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # tells the state, and leaves BOOT
+        about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)  # reports the state, and leaves BOOT
         if met_real and self._has_forgotten(about):
             raise self._zero_lost("has restarted")
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
@@ -217,7 +217,7 @@ class FramedDevice:
 
         Raises `DeviceRefusedError` when it sends none for `COUNT_TIMEOUT_S`.
         """
-        self.dictionary  # noqa: B018  (a device in BOOT says nothing)
+        self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         for event in self._events(COUNT_TIMEOUT_S):
             if isinstance(event.message, m.State):
                 return event.message.count
@@ -273,7 +273,7 @@ class FramedDevice:
 
     @property
     def nonce(self) -> int:
-        """Nonce of the last transaction: the compiled loop goes on from there with its clock exchanges."""
+        """Nonce of the last transaction: the compiled loop continues from there with its clock exchanges."""
         return self._nonce
 
     def take_back(
@@ -287,7 +287,7 @@ class FramedDevice:
     ) -> None:
         """Take the streams and the nonces back from the compiled loop (see `Connection.resume`).
 
-        A `state` that nobody knows counts as RUNNING: it must not keep the host from stopping. `parameters_crc` is the
+        An unknown `state` counts as RUNNING: it must not keep the host from stopping. `parameters_crc` is the
         fingerprint of the active parameters, where the loop has changed some.
         """
         self._nonce = nonce
@@ -301,15 +301,15 @@ class FramedDevice:
 
         For a look at it, not for a run: the compiled loop supervises without Python. A fault ends it early.
         """
-        said: list[m.Message] = []
+        received: list[m.Message] = []
         end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
         while (left_ns := end_ns - self.link.clock.now_ns()) > 0 and self.connection.state != State.FAULT:
             self.link.write(self.connection.send(m.Command(0, lifetime_us, int(m.Mode.SUPERVISE), 0, 0)))
-            said += [event.message for event in self._events(min(SUPERVISE_EVERY_S, left_ns * 1e-9))]
-        return [message for message in said if isinstance(message, m.State | m.Batch)]
+            received += [event.message for event in self._events(min(SUPERVISE_EVERY_S, left_ns * 1e-9))]
+        return [message for message in received if isinstance(message, m.State | m.Batch)]
 
     def stop(self) -> None:
-        """Zero effort, now, several times. Cannot raise: what happens afterwards is somebody else's error."""
+        """Zero effort, now, several times. Cannot raise: a lost link is reported by the next call."""
         for _ in range(STOP_FRAMES):
             with suppress(Exception):
                 self.link.write(self.connection.send(m.Command(0, 1000, int(m.Mode.STOP), 0, 0)))
@@ -324,7 +324,7 @@ class FramedDevice:
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
         """Compare the clocks: so many exchanges of four stamps, dtype `rig.core.clock_fit.EXCHANGE`.
 
-        They follow each other at once, or at odd distances over `over_s` (s), so that they do not beat with the
+        They follow each other at once, or at odd distances over `over_s` (s), so that they do not interfere with the
         frames of a bus or the ticks of the device. Raises as every question does.
         """
         stamps = np.zeros(exchanges, EXCHANGE)
@@ -355,25 +355,25 @@ class FramedDevice:
 
     def states(self, seconds: float) -> list[m.State]:
         """Return the STATE frames that come on their own within a time; an unarmed device sends a hundred a second."""
-        self.dictionary  # noqa: B018  (a device in BOOT says nothing)
+        self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         return [event.message for event in self._events(seconds) if isinstance(event.message, m.State)]
 
     def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
         """Send a request of one's own making, with a fresh nonce, and return the status of its answer.
 
-        For requests that must be refused: whoever sends one that may be taken undoes it.
+        For requests that must be refused; the caller undoes one that was accepted.
         """
         answer = self._transact(replace(request, nonce=self._next_nonce()), session=session)  # type: ignore[type-var]
         return Status(answer.status) if isinstance(answer, m.Ack) else Status.OK
 
     def _listen_until(self, deadline_ns: int) -> None:
-        """Let time pass, and throw away what the device says meanwhile, so that it does not stand before an answer."""
+        """Let time pass, and discard what the device sends meanwhile, so that it does not delay an answer."""
         remaining_ns = deadline_ns - self.link.clock.now_ns()
         for _ in self._events(max(0, remaining_ns) * 1e-9):
             pass
 
     def explain_fault(self, code: int) -> FaultReport:
-        """Say in words what a fault code means, without asking the device."""
+        """Explain a fault code, without asking the device."""
         info = self.dictionary.explain_fault(code)
         return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
 
@@ -393,8 +393,8 @@ class FramedDevice:
             if not page or len(entries) >= reply.total or self.link.clock.now_ns() > deadline:
                 break
         time_ns = round(reply.device_time * self.dictionary.time_unit_ns)
-        said = self.explain_fault(reply.fault)
-        return replace(said, later=reply.later, device_time_ns=time_ns, entries=entries)
+        explained = self.explain_fault(reply.fault)
+        return replace(explained, later=reply.later, device_time_ns=time_ns, entries=entries)
 
     def close(self) -> None:
         """Disarm if a session is open, and release the link; never raises."""
@@ -430,15 +430,15 @@ class FramedDevice:
         raise self._refusal(answer)
 
     def _transact(self, *requests: m.Message, session: int | None = None) -> m.Message:
-        """Say the requests of a transaction, each again while nobody answers; return the last answer."""
-        connection, clock, said = self.connection, self.link.clock, requests[0]
+        """Send the requests of a transaction, each again until it is answered; return the last answer."""
+        connection, clock, request = self.connection, self.link.clock, requests[0]
         connection.begin(*requests, session=session)
         while connection.transaction.step != UNANSWERED:
             now_ns = clock.now_ns()
             with self._understood():
                 frame = connection.say(now_ns)
             if frame:
-                said = connection.request
+                request = connection.request
                 if connection.transaction.tries == 1:  # a late answer may be to the first
                     self._said_ns = clock.now_ns()
                 self.link.write(frame)
@@ -449,13 +449,13 @@ class FramedDevice:
                 if connection.transaction != before:
                     break
         raise LinkLostError(
-            f"the device at {self.link.url.text} does not answer {type(said).__name__}",
+            f"the device at {self.link.url.text} does not answer {type(request).__name__}",
             remedy="check that the right firmware runs there, that the port is the right one, and the baud rate",
             statistics=connection.statistics,
         )
 
     def _events(self, timeout_s: float) -> Iterator[Received]:
-        """Yield what the device says until the time is over."""
+        """Yield what the device sends until the time is over."""
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
             data = self.link.read(remaining * 1e-9)
@@ -525,6 +525,6 @@ class _Translated:
             ) from error
         if isinstance(error, RemoteProtocolError | ParameterError):
             raise IncompatibleDeviceError(
-                f"the device at {self._url} does not make sense: {error}",
+                f"the device at {self._url} sends invalid data: {error}",
                 remedy="check that it runs the firmware of this project",
             ) from error

@@ -31,7 +31,7 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """Scheduling of a simulated device: a board's timer waits for nobody, so it comes before any host's loop."""
+    """Scheduling of a simulated device: a board's timer never waits, so it has priority over any host's loop."""
 
     realtime: str = "try"
     priority: int = 90
@@ -70,14 +70,14 @@ def serve_locally(url: str, model: RigModel, *, seed: int = 0, realtime: str = "
     """Start a device process and yield the URL of its port; the process ends with the context.
 
     A name in the URL wins over `model`, and ``firmware=1`` means the firmware, as in virtual time. ``hand=PATH`` lets
-    somebody lead the hand that holds the handle, through a file that exists (`rig.devices.hand`). `realtime` as in
+    a program drive the hand that holds the handle, through a file that exists (`rig.devices.hand`). `realtime` as in
     `serve`.
 
     Raises
     ------
     ConfigError
-        A scheme that cannot be served, an unknown name, no such hand, nobody who holds the handle, or another option:
-        those belong to virtual time.
+        A scheme that cannot be served, an unknown name, no such hand, an experiment without a hand, or another option,
+        which belongs to virtual time.
     DeviceNotFoundError
         The process does not come up.
     """
@@ -117,7 +117,7 @@ def opened(
     Parameters
     ----------
     url
-        Of the device; where the law runs on it, as `rig.devices.url_for` says.
+        Of the device; where the law runs on it, see `rig.devices.url_for`.
     model
         What is simulated; None for a real device.
     in_real_time
@@ -158,11 +158,11 @@ def _served_options(url: DeviceUrl) -> dict[str, Any]:
 
 
 def _check_led(path: str, model: RigModel | None) -> None:
-    """Say here what the process could only die of."""
+    """Raise here what would only end the process."""
     SharedHand.open(path).close()
     if model is None or model.operator is None:
         raise ConfigError(
-            f"{path} leads a hand, and nobody holds the handle", remedy='set trial.kind = "human"'
+            f"{path} drives a hand, but the experiment has none", remedy='set trial.kind = "human"'
         )
 
 

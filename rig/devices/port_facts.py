@@ -30,7 +30,7 @@ class PortFacts:
     port, device
         The name as given, and the device node behind its symbolic links.
     driver
-        Of the kernel: ``ftdi_sio``, ``cdc_acm``, …; None for a pseudo-terminal, or where sysfs does not say.
+        Of the kernel: ``ftdi_sio``, ``cdc_acm``, …; None for a pseudo-terminal, or where sysfs does not have it.
     vid_pid, serial_number, product
         Of the USB device that the port belongs to; None without one.
     by_id
@@ -40,7 +40,7 @@ class PortFacts:
     latency_timer_ms
         That timer (ms); None on all other ports.
     low_latency
-        Low-latency mode as the driver says; None when it has none, or when the port is not open here.
+        Low-latency mode as the driver reports it; None when it has none, or when the port is not open here.
     exclusive, hangs_up, dtr
         Whether others are refused the port, whether closing it drops DTR, and DTR itself; None when the line does not
         know it, or when the port is not open here.
@@ -94,7 +94,7 @@ def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/
     port
         Name of the port, or of a symbolic link to it. It need not exist: then nothing is known.
     descriptor
-        Of the open port, for what only the line itself can say.
+        Of the open port, for what only the line itself reports.
     root
         Where ``sys`` and ``dev`` are (for tests).
     """

@@ -190,7 +190,7 @@ def _capacity(port: str, baud: int) -> float | None:
 def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[str]]:
     """Set everything up and read it back: the facts, and what could not be obtained.
 
-    Raises `DeviceNotFoundError` when the line cannot tell silence from hang-up, `termios.error` when it is gone.
+    Raises `DeviceNotFoundError` when the line cannot distinguish silence from hang-up, `termios.error` when it is gone.
     """
     tty.configure(descriptor)
     if not tty.blocks_for_a_byte(descriptor):

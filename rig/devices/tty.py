@@ -32,13 +32,13 @@ def _serial_struct(descriptor: int) -> array[int] | None:
 
 
 def low_latency(descriptor: int) -> bool | None:
-    """Whether the driver is told to pass bytes on at once; None when it has no such settings."""
+    """Whether the driver is set to pass bytes on at once; None when it has no such settings."""
     settings = _serial_struct(descriptor)
     return None if settings is None else bool(settings[_FLAGS] & ASYNC_LOW_LATENCY)
 
 
 def set_low_latency(descriptor: int) -> bool | None:
-    """Tell the driver to pass bytes on at once; what it then says, as `low_latency`."""
+    """Set the driver to pass bytes on at once; returns what it then reports, as `low_latency`."""
     settings = _serial_struct(descriptor)
     if settings is None:
         return None
@@ -49,7 +49,7 @@ def set_low_latency(descriptor: int) -> bool | None:
 
 
 def is_exclusive(descriptor: int) -> bool | None:
-    """Whether the kernel refuses others the line (but for root); None when it does not say."""
+    """Whether the kernel refuses others the line (but for root); None when it does not report it."""
     answer = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
@@ -59,7 +59,7 @@ def is_exclusive(descriptor: int) -> bool | None:
 
 
 def set_exclusive(descriptor: int, wanted: bool) -> bool | None:
-    """Refuse others the line, or not any more; what the kernel then says, as `is_exclusive`."""
+    """Refuse others the line, or not any more; returns what the kernel then reports, as `is_exclusive`."""
     with suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL if wanted else termios.TIOCNXCL)
     return is_exclusive(descriptor)

@@ -47,7 +47,7 @@ _HUB_CLASS = 9
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """A device on the bus: what it says of itself, its place in sysfs, and whether an interface could be a rig's."""
+    """A device on the bus: its descriptors, its place in sysfs, and whether an interface could be a rig's."""
 
     vid: int
     pid: int
@@ -76,7 +76,7 @@ class _Pipes:
 def available_devices() -> list[UsbDevice]:
     """Return the USB devices here, hubs left out; an empty list when there is no libusb.
 
-    Nothing is opened that belongs to somebody else: what a device says of itself is read from sysfs.
+    No device of another program is opened: descriptors are read from sysfs.
     """
     try:
         bus = Bus()
@@ -164,26 +164,27 @@ def _rigs(bus: Bus) -> str:
 
 
 def _description(device: Any) -> UsbDevice:
-    ports = device.port_numbers or ()
-    path = (
-        f"{device.bus}-{'.'.join(str(port) for port in ports)}" if ports else f"{device.bus}-{device.address}"
-    )
     is_rig = _pipes(device) is not None
     return UsbDevice(
         vid=device.idVendor,
         pid=device.idProduct,
         serial=_text(device, "serial", ask=is_rig),
         product=_text(device, "product", ask=is_rig),
-        path=path,
+        path=_path(device),
         is_rig=is_rig,
     )
 
 
+def _path(device: Any) -> str:
+    """Name of its directory in sysfs, from the bus and the ports that lead to it."""
+    ports = device.port_numbers or (device.address,)
+    return f"{device.bus}-{'.'.join(map(str, ports))}"
+
+
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
     """Serial number or product name: as the kernel has read it, else the device is asked; empty when it has none."""
-    ports = device.port_numbers or ()
     with suppress(OSError):
-        return (SYSFS / f"{device.bus}-{'.'.join(str(port) for port in ports)}" / which).read_text().strip()
+        return (SYSFS / _path(device) / which).read_text().strip()
     if ask:
         with suppress(usb.core.USBError, ValueError, NotImplementedError):  # ValueError: no permission to ask
             text = device.serial_number if which == "serial" else device.product

@@ -82,7 +82,7 @@ class Handle:
         return int(address)
 
     def free_transfer(self, address: int) -> None:
-        """Give a transfer back that nobody uses any more."""
+        """Free a transfer that is no longer used."""
         _function(self._library, "libusb_free_transfer", None, ctypes.c_void_p)(address)
 
 
@@ -132,7 +132,7 @@ def _own_backend() -> Any:
             libusb1._lib = libusb1._load_library()  # noqa: SLF001
             libusb1._setup_prototypes(libusb1._lib)  # noqa: SLF001
         return libusb1._LibUSB(libusb1._lib)  # noqa: SLF001
-    except Exception:  # whatever is missing, pyusb's own search says it better
+    except Exception:  # whatever is missing, pyusb's own search gives a better error
         return None
 
 
@@ -153,7 +153,7 @@ def unsuitable(device: usb.core.Device) -> str:
 
 
 def _strange(device: usb.core.Device) -> str:
-    """Look at the private names; say what is not as tested."""
+    """Compare the private names; return what is not as tested."""
     try:
         backend = device.backend
         if not isinstance(backend, libusb1._LibUSB):  # noqa: SLF001

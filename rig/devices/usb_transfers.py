@@ -179,7 +179,7 @@ def _settle_out(block: int) -> int:
 
 @kernel(types.void(_i64))
 def _pass_head(block: int) -> None:
-    """Give the IN transfer that has been read back to the kernel, and go on to the next."""
+    """Give the IN transfer that has been read back to the kernel, and continue with the next."""
     head = _word(block, _IN_HEAD)
     slot = _slot(block, head)
     error = _status(slot)

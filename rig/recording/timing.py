@@ -1,4 +1,4 @@
-"""The latency ledger: when each sample was taken, received, answered and applied, on one clock, and a summary.
+"""The latency ledger: when each sample was taken, received, answered and applied, on one clock.
 
 Arithmetic on columns of rows (`rig.core.sample`), with a clock fit where there is one. A tick has five times on the
 host's clock, 0 where unknown:
@@ -18,7 +18,7 @@ sampled to applied, is free of its offset.
 
 Where the law ran on the device (`Ledger.loop`) no COMMAND answers a sample: the device applied its effort in the tick
 of the sample itself, and `execution_ns` bounds how long after it. Only sampled and received are known then, and how
-late a batch brought the sample; no tick is late, because nobody waited for it.
+late a batch brought the sample; no tick is late, because nothing waited for it.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def export_bids(
     Raises
     ------
     ConfigError
-        Two codes that BIDS cannot tell apart, a decimation below 1.
+        Two codes that are one in BIDS, a decimation below 1.
     RecordingError
         The directory exists, a recording cannot be read, or the disk refuses. What is missing or was changed is
         left out and named.
@@ -183,7 +183,7 @@ class _Writer:
         columns = bids_motion.channels(motion, recording.experiment["controller"]["estimator"])
         extra = {
             "TaskDescription": "A hit against a virtual wall, rendered by a motor on the handle, in the search for "
-            "the stiffest wall that holds still.",
+            "the stiffest stable wall.",
             "Instructions": protocol.trial.say,
             "Recording": {"file": trial.recording, "sha256": trial.sha256},
         }
@@ -226,8 +226,8 @@ def _labels(study: Study) -> dict[str, str]:
     labels = {session.code: label_of(session.code) for session in study.sessions}
     if len(set(labels.values())) < len(labels):
         raise ConfigError(
-            f"BIDS cannot tell these codes apart: {', '.join(sorted(labels))}",
-            remedy="codes there have letters and digits alone; export them as two datasets",
+            f"these codes are the same in BIDS: {', '.join(sorted(labels))}",
+            remedy="BIDS keeps only letters and digits; export them as two datasets",
         )
     return labels
 
@@ -301,8 +301,8 @@ def _readme(study: Study, options: Options) -> str:
     lines = [
         f"# {' '.join(study.protocol.study.title.split())}",
         "",
-        "Hits against virtual walls on a haptic rig with one degree of freedom, in a search for the stiffest wall that "
-        "holds still (Z-width). One run of the task `wallhit` is one trial: the motor brings the handle to its start, "
+        "Hits against virtual walls on a haptic rig with one degree of freedom, in a search for the stiffest "
+        "stable wall (Z-width). One run of the task `wallhit` is one trial: the motor brings the handle to its start, "
         "the wall is switched on, the handle hits it, and somebody judges whether the wall was stable.",
         "",
         "What was hit in each run (condition, stiffness, damping), and the verdicts, stand in each participant's "

@@ -41,7 +41,7 @@ EVENTS: Mapping[str, str] = {
     "settle": "the handle comes to rest at the start",
     "baseline": "free space before the hit: the wall is there, and the handle must not touch it",
     "hit": "the handle may hit the wall",
-    "release": "the law goes on until the handle is let go",
+    "release": "the law stays active until the handle is released",
     "contact": "first contact of the hit with the wall, as long as it lasted without a break",
     "sync": "rising edge at the device's sync input",
     "trial_out": "rising edge of the device's sync output for trials: its tick began then",
@@ -140,7 +140,7 @@ def sidecar(
     duration = float(recording.time_s[-1])
     rate = float(experiment["controller"]["position_rate"])
     counts = {name: sum(channel.type == name for channel in columns) for name in TYPES}
-    told = {f"{name}ChannelCount": count for name, count in counts.items()}
+    channel_counts = {f"{name}ChannelCount": count for name, count in counts.items()}
     wall, motion = experiment["wall"], recording.header["motion"]
     return {
         "TaskName": TASK,
@@ -152,7 +152,7 @@ def sidecar(
         "SoftwareVersions": f"haptic-rig {versions.get('haptic-rig', '?')}, firmware {identity.get('firmware', '?')}",
         "TrackedPointsCount": 1,
         "MotionChannelCount": len(columns),
-        **told,
+        **channel_counts,
         "ACCELChannelCount": 0,
         "ANGACCELChannelCount": 0,
         "JNTANGChannelCount": 0,

@@ -181,7 +181,7 @@ def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
 def _durations(
     protocol: Protocol, blocks: Sequence[Block], trials: Range, times: TrialTimes, stiffest: Experiment
 ) -> Iterator[tuple[str, Range]]:
-    """What a session's time goes into (s)."""
+    """Durations of the parts of a session (s)."""
     yield "homing and free space", trials * (times.homing + times.baseline)
     yield "hits", trials * (times.hit + times.release)
     yield "ready and verdict", trials * (times.ready + times.verdict)
@@ -248,6 +248,6 @@ def _hidden(protocol: Protocol) -> Iterator[str]:
     if blind in ("both", "operator"):
         yield "operator: the console shows no condition, stiffness or damping, and effort in words"
     if blind in ("both", "participant"):
-        yield "participant: nobody tells which condition or wall it is"
+        yield "participant: condition and wall are not disclosed"
     if blind == "none":
         yield "nobody"

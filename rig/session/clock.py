@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """A clock, and what it must be told where it does not move by itself (`rig.session.rehearsal.Day`)."""
+    """A clock that may have to be moved on (`rig.session.rehearsal.Day`)."""
 
     def __call__(self) -> float:
         """Time of day (s)."""
@@ -23,7 +23,7 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """The clock on the wall, which nobody needs to tell anything."""
+    """The clock on the wall."""
 
     def __call__(self) -> float:
         """Time of day (s)."""
@@ -33,4 +33,4 @@ class WallClock:
         """It has passed already."""
 
     def goes_on_from(self, at: float) -> None:
-        """It goes on by itself."""
+        """It moves by itself."""

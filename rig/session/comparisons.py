@@ -18,7 +18,7 @@ from rig.session.schedule import schedule
 from rig.session.times import Heat, TrialTimes
 
 TIRES_S = 1200.0  # chosen: so long without a rest, and a hand tires
-COARSE = 0.25  # of the expected limit: a step that tells little
+COARSE = 0.25  # of the expected limit: a step that resolves little
 SLOW = 4  # chosen: pauses more often than every so many trials, and people grow impatient
 FAR = 10.0  # times the stiffest wall: a cap beyond is none
 SEVERITY = (Outcome.OK, Outcome.WARNING, Outcome.REFUSED)
@@ -58,7 +58,7 @@ def _severity(check: Check) -> int:
 
 
 def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
-    """Whether the limit is likely to lie among the levels: beyond them it is censored, and no mean can be told."""
+    """Whether the limit is likely to lie among the levels: beyond them it is censored, and there is no mean."""
     unit = unit_of("stiffness", motion)
     beyond = []
     for cell in cells:
@@ -73,7 +73,7 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
     yield Check(
         "expected limits",
         Outcome.WARNING if beyond else Outcome.OK,
-        "beyond the levels, where only the side is told: " + "; ".join(beyond)
+        "beyond the levels, where limits are censored: " + "; ".join(beyond)
         if beyond
         else "likely among the levels everywhere",
         "move search.lowest or search.highest",
@@ -84,7 +84,7 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
         yield Check(
             "linear theory",
             Outcome.WARNING,
-            f"says nothing of {'; '.join(map(_cell, silent))}: {note}",
+            f"gives no limit for {'; '.join(map(_cell, silent))}: {note}",
             "trials and times are guessed from the levels there; begin with soft walls",
         )
     coarse = [cell for cell in cells if _step_at(cell.levels, cell.expected.limit.likely) > COARSE]
@@ -147,17 +147,19 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
 
 
 def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Whether a cap can ever act: one far beyond what any hit here can give is a slip of the pen."""
+    """Whether a cap can ever act: one far beyond what any hit here can give is a typing error."""
     caps, experiments = protocol.caps, [one for of in under for one in of]
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
     unit = unit_of("stiffness", experiments[0].rig.motion)
     remedy = "check its power of ten"
     if caps.stiffness is not None and caps.stiffness > FAR * stiffest:
-        text = f"{caps.stiffness:g} {unit} holds nothing back: the stiffest wall is {stiffest:g} {unit}"
+        text = f"{caps.stiffness:g} {unit} has no effect: the stiffest wall is {stiffest:g} {unit}"
         yield Check("caps.stiffness", Outcome.WARNING, text, remedy)
     if caps.energy is not None and caps.energy > most:
-        text = f"{caps.energy:g} J holds nothing back: with all effort at the highest speed a hit gives {most:.2g} J"
+        text = (
+            f"{caps.energy:g} J has no effect: with all effort at the highest speed a hit gives {most:.2g} J"
+        )
         yield Check("caps.energy", Outcome.WARNING, text, remedy)
 
 

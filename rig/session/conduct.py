@@ -1,6 +1,6 @@
 """The engine of a session: takes what comes next from the state, does it, and writes it down before anything follows.
 
-There is no other memory than the log: whatever ends the process, the same function goes on from the log. It knows the
+There is no other memory than the log: whatever ends the process, the same function resumes from the log. It knows the
 rig only as a `TrialRunner`, and people only as a `Desk`.
 """
 
@@ -61,7 +61,12 @@ _PHASES = {
     Phase.DONE: "release",
 }
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
-_ASKED = (GuardError, LinkLostError, OverrunError, StoppedError)  # after these somebody says how to go on
+_ASKED = (
+    GuardError,
+    LinkLostError,
+    OverrunError,
+    StoppedError,
+)  # after these somebody decides how to continue
 # Errors that a blinded operator may read: nothing in their texts comes from a wall.
 _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
 
@@ -97,7 +102,7 @@ def conduct(
     desk: Desk,
     *,
     walls: Walls | None = None,
-    told: Callable[[Event], None] | None = None,
+    on_event: Callable[[Event], None] | None = None,
     marks: Marks | None = None,
 ) -> State:
     """Run a session to its end, or until somebody leaves it.
@@ -112,10 +117,10 @@ def conduct(
         Who sits there.
     walls
         Of its study; None for those of the protocol and the experiment in its log.
-    told
-        Told each event after it was written.
+    on_event
+        Called with each event after it was written.
     marks
-        Told what happens when it does: each trial before it begins, with its wall, and each event.
+        Called with what happens when it does: each trial before it begins, with its wall, and each event.
 
     Returns
     -------
@@ -125,10 +130,10 @@ def conduct(
     Raises
     ------
     RigError
-        What cannot go on: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
+        What cannot continue: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
         and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
     """
-    engine = _Engine(session, runner, desk, walls or walls_in(session.state), told, marks)
+    engine = _Engine(session, runner, desk, walls or walls_in(session.state), on_event, marks)
     try:
         engine.open()
         while engine.step():
@@ -161,12 +166,12 @@ def _for_the_blinded(state: State, error: Exception) -> RigError | None:
         text = f"trial {state.newest + 1} was refused before anything moved"
     else:
         text = f"an error before trial {state.newest + 1}"
-    told = (PlanError if isinstance(error, ConfigError) else RigError)(
+    shown = (PlanError if isinstance(error, ConfigError) else RigError)(
         text, remedy="see why with rig session show --log --unblind"
     )
-    told.exit_code = error.exit_code if isinstance(error, RigError) else RigError.exit_code
-    told.recording = recording
-    return told
+    shown.exit_code = error.exit_code if isinstance(error, RigError) else RigError.exit_code
+    shown.recording = recording
+    return shown
 
 
 def walls_in(state: State) -> Walls:
@@ -188,13 +193,13 @@ class _Engine:
         runner: TrialRunner,
         desk: Desk,
         walls: Walls,
-        told: Callable[[Event], None] | None,
+        on_event: Callable[[Event], None] | None,
         marks: Marks | None,
     ) -> None:
         self._session = session
         self._runner = runner
         self._desk = desk
-        self._told = told
+        self._on_event = on_event
         self._marks = marks
         self._walls = walls
         self._last = ""
@@ -207,11 +212,11 @@ class _Engine:
         return self._session.state
 
     def record(self, kind: str, **content: Any) -> None:
-        """Write down an event, and tell those who listen."""
+        """Write down an event, and pass it to those who listen."""
         event = self._session.record(kind, **content)
         self._lines.append(line_of_event(event))
-        if self._told is not None:
-            self._told(event)
+        if self._on_event is not None:
+            self._on_event(event)
         if self._marks is not None:
             self._marks.push(kind, text=line_of_event(event))
 
@@ -396,7 +401,7 @@ class _Engine:
         self.record("continued")
 
     def _redoable(self) -> Trial | None:
-        """The trial that `redo` is about: the newest that counts, in the block that goes on."""
+        """The trial that `redo` is about: the newest that counts, in the current block."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None

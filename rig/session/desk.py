@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from rig.session.directory import Session
 
 QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
-# ready: before a trial. verdict: after one. rest: `seconds` of it are due; "go" ends it early. paused: "go" goes on.
+# ready: before a trial. verdict: after one. rest: `seconds` of it are due; "go" ends it early. paused: "go" continues.
 # item: of the questionnaire. trouble: something went wrong (`text` says what): go tries again.
 
 Action = Literal[
@@ -78,14 +78,10 @@ class View:
     last: str = ""
     lines: tuple[str, ...] = ()
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What somebody must say before the session goes on.
+    """What somebody must say before the session continues.
 
     Attributes
     ----------
@@ -106,10 +102,6 @@ class Question:
     item: Mapping[str, Any] | None = None
     trial: int = 0
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
@@ -126,7 +118,7 @@ class Desk(ABC):
     who: Literal["person", "simulated"] = "person"  # who judges here
 
     def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
-        """Told once, before anything else, which session it is. It goes on by itself: nothing of it may be changed."""
+        """Called once, before anything else, with the session. It changes by itself: change nothing of it here."""
 
     @abstractmethod
     def show(self, view: View) -> None:

@@ -1,4 +1,4 @@
-"""The directory of one participant: how a session begins, goes on after whatever ended it, and is corrected.
+"""The directory of one participant: how a session begins, is resumed after whatever ended it, and is corrected.
 
 session.log               every decision (`rig.session.log`); nothing else is remembered
 protocol.toml             the protocol file as it was
@@ -28,7 +28,7 @@ from rig.session.place import resume_command
 from rig.session.protocol import VERDICTS, Protocol
 from rig.session.state import AMENDABLE, State
 
-OF_TRIAL = {"void": True, "counts": False}  # what an amendment may say of a trial itself
+OF_TRIAL = {"void": True, "counts": False}  # what an amendment may change of a trial itself
 WALL = WallClock()
 LOG, PROTOCOL, TRIALS, ABANDONED = "session.log", "protocol.toml", "trials", "abandoned"
 
@@ -59,7 +59,7 @@ class Session:
         return event
 
     def close(self) -> None:
-        """Let others have the directory."""
+        """Release the directory."""
         self.log.close()
 
     def __enter__(self) -> Session:
@@ -143,13 +143,13 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
     return ConfigError(
         f"{directory} holds a {'rehearsal with a simulated person' if rehearsal else 'session'} already "
         f"({len(events)} events)",
-        remedy=f"go on with it: {resume_command(directory, events)}; or give another "
+        remedy=f"resume it: {resume_command(directory, events)}; or give another "
         + ("code, or a place for people: --study" if rehearsal else "code"),
     )
 
 
 def resume(directory: Path, *, at: str = "trial", clock: Clock = WALL) -> Session:
-    """Go on with a session, whatever ended it.
+    """Resume a session, whatever ended it.
 
     Recordings of trials that nobody logged are moved aside, hashed, and named in the log.
 
@@ -165,7 +165,7 @@ def resume(directory: Path, *, at: str = "trial", clock: Clock = WALL) -> Sessio
     Raises
     ------
     ConfigError
-        There is nothing to go on with.
+        There is nothing to resume.
     RecordingError
         Another process has it open, the log is damaged, or the disk refuses.
     """

@@ -1,9 +1,9 @@
 """What to expect of a search before anybody has touched the handle: where theory puts its limit, and what it costs.
 
-Linear theory knows no Coulomb friction, which holds walls up to `FRICTION_RAISES` times stiffer, and no encoder, whose
-noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range about
-that of theory; observers whose K50 lie at both ends and between (`rig.session.search.observer`) say how many trials a
-rule takes there.
+Linear theory knows no Coulomb friction, which stabilises walls up to `FRICTION_RAISES` times stiffer, and no encoder,
+whose noise under damping leaves as little as `ENCODER_LEAVES` of the limit. So the limit is expected in a wide range
+about that of theory; observers whose K50 lie at both ends and between (`rig.session.search.observer`) show how many
+trials a rule takes there.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Expected:
     limit
         Of a search, friction and encoder allowed for; without theory the whole range of levels.
     note
-        Why theory says nothing, or with what it was helped out; empty when all is plain.
+        Why theory gives no limit, or what it assumes instead of the estimator; empty otherwise.
     """
 
     by_hand: Mapping[str, float]
@@ -99,7 +99,7 @@ def expected_limits(
     dampings
         B of its searches.
     wanted
-        Whose levels stand in where theory says nothing.
+        Whose levels stand in where theory gives no limit.
     """
     levels = levels_of(wanted)
     unknown = Range(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
@@ -132,7 +132,7 @@ def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
-    """What one search takes: trials, and how many of them are of walls that do not hold."""
+    """What one search takes: trials, and how many of them are of unstable walls."""
 
     count: Range
     failures: Range
@@ -150,7 +150,7 @@ NO_TRIALS = Trials(count=NOTHING, failures=NOTHING)
 def expected_trials(wanted: Search, limit: Range) -> Trials:
     """What one search takes, by observers whose K50 lie where the limit is expected.
 
-    Verdicts that say nothing and trials that are repeated come on top.
+    Invalid and repeated trials come on top.
     """
     levels, settings = levels_of(wanted), wanted.settings
     if wanted.rule == "psi" and not settings.get("enough"):  # the same whoever answers, half of it above K50
@@ -162,8 +162,8 @@ def expected_trials(wanted: Search, limit: Range) -> Trials:
         hits = repeats * len(levels)
         return Trials(count=Range(hits, hits, hits), failures=Range(*above))
     if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # series are all alike
-        single = replace(wanted, settings={**settings, "repeats": 1})
-        return expected_trials(single, limit) * float(settings.get("repeats", 5))
+        series = replace(wanted, settings={**settings, "repeats": 1})
+        return expected_trials(series, limit) * float(settings.get("repeats", 5))
     taken = [_taken(wanted, max(k50, 1e-3 * levels[0])) for k50 in limit.values]
     count, failures = zip(*taken, strict=True)
     return Trials(

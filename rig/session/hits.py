@@ -73,7 +73,7 @@ class DeviceRunner:
     hand
         File through which somebody moves the simulated hand (`rig.devices.hand`); None: it plays its script.
     messages
-        What this computer or the port did not grant, told once.
+        What this computer or the port did not grant, once each.
     """
 
     url: str | None = None
@@ -131,7 +131,7 @@ class DeviceRunner:
         Raises
         ------
         PlanError, ConfigError
-            A wall that this rig must not or cannot run, consent or not; or nobody vouches for its signs.
+            A wall that this rig must not or cannot run, consent or not; or the polarity of the rig is not verified.
         """
         if self.simulated or not walls:
             return ()

@@ -60,12 +60,8 @@ class KeyMap:
 
     @classmethod
     def from_mapping(cls, value: Mapping[str, Any]) -> KeyMap:
-        """The map that `as_mapping` gave."""
+        """The map of plain values (`rig.core.present.plain`)."""
         return cls(dict(value["keys"]), bool(value["bell"]))
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {"keys": dict(self.keys), "bell": self.bell}
 
     def meaning(self, key: str) -> str:
         """What a key means: a verdict, an action, ``stop``, ``help``, or nothing. Case does not matter."""

@@ -80,7 +80,7 @@ def check_code(protocol: Protocol, code: str) -> None:
     pattern = protocol.study.code
     remedy = f"give the code that the study's list has for this person; it matches {pattern}"
     if "@" in code:
-        why = "is an e-mail address, which tells who somebody is"
+        why = "is an e-mail address, which identifies a person"
     elif any(mark in code for mark in "/\\") or code in (".", "..") or code.startswith("."):
         why = "has parts of a path in it; it names a directory"
     elif any(character.isspace() or not character.isprintable() for character in code):

@@ -19,7 +19,7 @@ from rig.recording.header import checkout, versions
 from rig.session.log import Event
 
 OTHER_DEVICE = "--other-device"
-# What of an ``opened`` event tells one device from another; what one of two events does not know tells nothing.
+# What of an ``opened`` event distinguishes devices; what one of two events does not know distinguishes nothing.
 _TELLING = {"simulated": "", "device": "device", "serial_number": "serial number"}
 
 
@@ -42,12 +42,12 @@ def last_place(events: Sequence[Event]) -> Place:
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """What the log says of the device that was opened last; empty where none was."""
+    """What the log says about the device that was opened last; empty where none was."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 
 def resume_command(directory: Path, events: Sequence[Event]) -> str:
-    """The command that goes on with a session where it took place."""
+    """The command that resumes a session where it took place."""
     place = last_place(events)
     words = ["rig", "session", "resume", str(directory)]
     if place.url is not None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from rig.core.check import Check, Outcome
+from rig.core.present import reported
 from rig.core.sample import Motion
 from rig.session.expected import NOTHING, Expected, Range, Trials
 from rig.session.times import Heat, TrialTimes
@@ -27,7 +27,7 @@ class CellPlan:
         Of one search, and how many of its walls do not hold.
     unstable_free, unstable_in_hand
         Levels that linear theory calls unstable when nobody holds the handle, and in one hand at least; None where it
-        says nothing.
+        gives none.
     """
 
     condition: str
@@ -97,17 +97,12 @@ class StudyPlan:
     blinded: bool
     checks: tuple[Check, ...]
 
-    @property
+    @reported
     def session_s(self) -> Range:
         """Length of a session (s)."""
         return sum(self.duration_s.values(), NOTHING)
 
-    @property
+    @reported
     def ok(self) -> bool:
         """Whether nothing is refused."""
         return all(check.outcome is not Outcome.REFUSED for check in self.checks)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        plain = asdict(self)
-        return {**plain, "session_s": asdict(self.session_s), "ok": self.ok}

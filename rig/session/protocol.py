@@ -49,8 +49,8 @@ class Study:
         Literal["both", "operator", "participant", "none"],
         Quantity(
             "",
-            "who sees no condition, stiffness or damping; operator and both hide them on the console, and participant "
-            "says that nobody tells the participant",
+            "who sees no condition, stiffness or damping; operator and both hide them on the console, participant is a "
+            "promise of the operator",
         ),
     ] = "both"
     judge: Annotated[
@@ -109,8 +109,8 @@ class Search:
         Le(MOST_SHARE),
         Quantity(
             "1",
-            "of trials that are catch trials, of the softest or the stiffest wall: they count for no limit and tell "
-            "how often somebody lapses",
+            "of trials that are catch trials, of the softest or the stiffest wall: they count for no limit and "
+            "show the lapse rate",
         ),
     ] = 0.0
 
@@ -156,7 +156,7 @@ class Trial:
         float | None, Gt(0), Le(600), Quantity("s", "the hit itself; left out: the experiment's")
     ] = None
     attempts: Annotated[
-        int, Ge(1), Le(20), Quantity("", "at a trial that says nothing, before somebody is asked what to do")
+        int, Ge(1), Le(20), Quantity("", "at a trial that is invalid, before somebody is asked what to do")
     ] = 3
     unsure: Annotated[
         int,
@@ -228,9 +228,9 @@ class Stop:
     minutes: Annotated[float | None, Gt(0), Le(1440), Quantity("min", "after this time, rests included")] = (
         None
     )
-    invalid: Annotated[
-        int | None, Ge(1), Le(1000), Quantity("", "after so many trials in a row that say nothing")
-    ] = None
+    invalid: Annotated[int | None, Ge(1), Le(1000), Quantity("", "after so many invalid trials in a row")] = (
+        None
+    )
     aborts: Annotated[
         int | None,
         Ge(1),
@@ -267,7 +267,7 @@ class Keys:
     buzz: Annotated[str, MinLen(1), Quantity("", "verdict: buzz")] = "2"
     unstable: Annotated[str, MinLen(1), Quantity("", "verdict: unstable")] = "3"
     unsure: Annotated[str, MinLen(1), Quantity("", "verdict: unsure")] = "4"
-    go: Annotated[str, MinLen(1), Quantity("", "go on; enter does so too")] = "g"
+    go: Annotated[str, MinLen(1), Quantity("", "continue; enter does so too")] = "g"
     redo: Annotated[str, MinLen(1), Quantity("", "the last trial does not count and comes again")] = "r"
     pause: Annotated[str, MinLen(1), Quantity("", "pause before the next trial")] = "p"
     note: Annotated[str, MinLen(1), Quantity("", "write a note into the log")] = "n"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,10 +50,6 @@ class Person:
     spread: float = 15.0
     lapse_rate: float = 0.0
     unsure: float = 0.0
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for the log."""
-        return {**asdict(self), "thresholds": dict(self.thresholds)}
 
     def judge(self, trial: Trial, drawn: np.random.Generator) -> str:
         """Their verdict of a trial."""
@@ -122,7 +118,7 @@ class RealDay(WallClock):
 
 
 class RehearsalDesk(Desk):
-    """A simulated person at a desk, who answers at once and lets the clock go on by what it would have taken."""
+    """A simulated person at a desk, who answers at once and moves the clock on by what it would have taken."""
 
     who = "simulated"
 
@@ -132,7 +128,7 @@ class RehearsalDesk(Desk):
         self.person = person
         self.day = day
         self.looks = looks
-        self.state: State | None = None  # of the session, as it goes on
+        self.state: State | None = None  # of the session, as it is now
 
     def attend(self, session: Session) -> None:
         """Judge what stands in its log, and live by its clock."""
@@ -146,7 +142,7 @@ class RehearsalDesk(Desk):
             self.looks(view)
 
     def ask(self, question: Question) -> Reply:
-        """Answer as this person does; a run whose trials say nothing is left."""
+        """Answer as this person does; a run whose trials are invalid is left."""
         reply = self._answer(question)
         (self.day.rests if question.kind == "rest" else self.day.took)(reply.took_s)
         return reply

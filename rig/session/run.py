@@ -6,13 +6,14 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rig import config
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
+from rig.core.present import plain
 from rig.recording.files import plain_errors
 from rig.session.arming import refuse_unarmable
 from rig.session.check import refuse_walls
@@ -45,7 +46,7 @@ from rig.session.telling import lost
 
 SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 
-Told = Callable[[Event], None]
+OnEvent = Callable[[Event], None]
 DeskFor = Callable[
     [Protocol, Mapping[str, Any], TrialRunner], Desk
 ]  # the experiment is the study's, as a mapping
@@ -53,7 +54,7 @@ DeskFor = Callable[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResult:
-    """How a session stands when nobody is at it any more. Nothing in it tells a wall.
+    """How a session stands when nobody is at it any more. Nothing in it identifies a wall.
 
     Attributes
     ----------
@@ -64,11 +65,11 @@ class SessionResult:
     ended, stopped
         Why it is over, or why it was left; None where it is not.
     trials, counted, invalid, aborted
-        Recorded hits; those that count and were judged; those that said nothing; those cut off for safety.
+        Recorded hits; those that count and were judged; invalid ones; those cut off for safety.
     blocks, blocks_done
         Of the order, practice aside, and how many of them are finished.
     resume
-        The command that goes on with it; empty when it is over.
+        The command that resumes it; empty when it is over.
     messages
         What this computer or the port did not grant.
     """
@@ -87,10 +88,6 @@ class SessionResult:
     resume: str = ""
     messages: tuple[str, ...] = ()
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {**asdict(self), "directory": str(self.directory), "messages": list(self.messages)}
-
 
 def run_session(
     protocol_file: Path,
@@ -101,7 +98,7 @@ def run_session(
     study: Path | None = None,
     row: int | None = None,
     person: Person | None = None,
-    told: Told | None = None,
+    on_event: OnEvent | None = None,
     lsl: bool = False,
 ) -> SessionResult:
     """Run a participant's session from its beginning.
@@ -123,8 +120,8 @@ def run_session(
         Of the order; the number in the code, from 1, unless given.
     person
         Who is rehearsed, for the log; None with a participant.
-    told
-        Told each event once it is written.
+    on_event
+        Called with each event once it is written.
     lsl
         Stream samples and markers (`rig.session.lsl`), without walls where somebody is blinded.
 
@@ -166,11 +163,11 @@ def run_session(
                 code=code,
                 row=row,
                 versions=software(),
-                rehearsal=None if person is None else person.as_mapping(),
+                rehearsal=None if person is None else plain(person),
                 clock=_clock(person, runner),
             ) as session,
         ):
-            return _conducted(session, runner, somebody, walls, told, marks)
+            return _conducted(session, runner, somebody, walls, on_event, marks)
 
 
 def resume_session(
@@ -179,11 +176,11 @@ def resume_session(
     *,
     runner: TrialRunner,
     at: str = "trial",
-    told: Told | None = None,
+    on_event: OnEvent | None = None,
     lsl: bool = False,
     other_device: bool = False,
 ) -> SessionResult:
-    """Go on with a session; see `rig.session.directory.resume` and `run_session`.
+    """Resume a session; see `rig.session.directory.resume` and `run_session`.
 
     Raises `ConfigError`, before anything is written, on another device than the session took place on; with
     `other_device` somebody knows that.
@@ -196,7 +193,7 @@ def resume_session(
         if not other_device and state.ended is None:
             _refuse_another_device(state, events, runner, walls)
         refuse_unarmable(walls, runner)
-        return _resumed(directory, desk, state, person, runner, walls, at, told, lsl=lsl)
+        return _resumed(directory, desk, state, person, runner, walls, at, on_event, lsl=lsl)
 
 
 def _refuse_another_device(state: State, events: list[Event], runner: TrialRunner, walls: Walls) -> None:
@@ -208,8 +205,8 @@ def _refuse_another_device(state: State, events: list[Event], runner: TrialRunne
         url = (before.get("place") or {}).get("url")
         raise ConfigError(
             f"the session of {state.code} took place on {device_words(before)}; this is {device_words(now)}",
-            remedy=f"give that rig's URL{f', --url {url}' if url else ' (none simulates)'}; who means to go on here "
-            f"says {OTHER_DEVICE}, and the analysis tells it",
+            remedy=f"give that rig's URL{f', --url {url}' if url else ' (none simulates)'}; to continue here say "
+            f"{OTHER_DEVICE}, and the analysis reports it",
         )
 
 
@@ -221,7 +218,7 @@ def _resumed(
     runner: TrialRunner,
     walls: Walls,
     at: str,
-    told: Told | None,
+    on_event: OnEvent | None,
     *,
     lsl: bool,
 ) -> SessionResult:
@@ -230,7 +227,7 @@ def _resumed(
         _streams(state.protocol, state.experiment, wanted=lsl) as marks,
         resume(directory, at=at, clock=_clock(person, runner)) as session,
     ):
-        return _conducted(session, runner, somebody, walls, told, marks)
+        return _conducted(session, runner, somebody, walls, on_event, marks)
 
 
 def rehearsed(directory: Path) -> Person | None:
@@ -263,7 +260,7 @@ def session_state(directory: Path) -> tuple[State, list[Event]]:
 def summary(
     directory: Path, state: State, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
-    """How a session stands, without anything that tells a wall."""
+    """How a session stands, without anything that identifies a wall."""
     counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
     blocks = [block for block in state.blocks if not block.practice]
     return SessionResult(
@@ -324,7 +321,7 @@ def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
     """Nobody is simulated at a rig that moves."""
     if person is not None and not runner.simulated:
         raise ConfigError(
-            "a rehearsal with a real rig: its simulated person would go on after a STOP",
+            "a rehearsal with a real rig: its simulated person would continue after a STOP",
             remedy="leave --url out, or leave --rehearse out and sit there yourself",
         )
 
@@ -340,11 +337,11 @@ def _conducted(
     runner: TrialRunner,
     somebody: Desk,
     walls: Walls,
-    told: Told | None,
+    on_event: OnEvent | None,
     marks: LslMarks | None,
 ) -> SessionResult:
     try:
-        conduct(session, runner, somebody, walls=walls, told=told, marks=marks)
+        conduct(session, runner, somebody, walls=walls, on_event=on_event, marks=marks)
     finally:
         if marks is not None:
             sent = marks.close()

@@ -1,4 +1,4 @@
-"""What the engine knows of a rig: a place where trials are run, and what it says of them."""
+"""What the engine knows of a rig: a place where trials are run, and what it reports about them."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class TrialRunner(Protocol):
 
     @property
     def messages(self) -> Sequence[str]:
-        """What this computer or the port did not grant, told once."""
+        """What this computer or the port did not grant, once each."""
         ...
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:

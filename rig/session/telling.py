@@ -1,4 +1,4 @@
-"""What may be said of a session to anybody: lines without conditions and walls."""
+"""Sentences about a session that anybody may read: without conditions and walls."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def line_of_event(event: Event) -> str:
         )
     if event.kind == "opened" and event.content.get("armed_anyway"):
         walls = sum(len(one["stiffness"]) for one in event.content["armed_anyway"])
-        return f"opened; the arming gate refuses {walls} walls, and they are armed all the same"
+        return (
+            f"opened; the arming gate refuses {walls} walls, and they are armed with the operator's consent"
+        )
     if event.kind == "amended" and "trial" in event.content:
         value = event.content["value"]
         said = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
@@ -41,19 +43,19 @@ def line_of_event(event: Event) -> str:
 
 def lost(event: Event) -> list[str]:
     """What a log had lost when the session was resumed, as sentences without a full stop."""
-    told = []
+    losses = []
     if torn := event.content.get("torn"):
-        told.append(
+        losses.append(
             f"its log ended in the middle of a line, as when a computer dies: {torn} bytes were dropped"
         )
     damaged = [one["file"] for one in event.content.get("damaged", ())]
     if damaged:
-        told.append(f"a damaged line of its log was set aside: {', '.join(damaged)}")
-    return told
+        losses.append(f"a damaged line of its log was set aside: {', '.join(damaged)}")
+    return losses
 
 
 def outcome(trial: Trial) -> str:
-    """What a trial came to, without anything that tells the wall; nothing that leads a person before their verdict."""
+    """The result of a trial, without its wall, and without anything that could influence a verdict."""
     if trial.invalid:
         return f"trial {trial.trial}: invalid, it is repeated"
     if not trial.verdict:

@@ -49,7 +49,7 @@ class Presented:
 
     @property
     def marked(self) -> dict[str, Any]:
-        """What a marker says of the wall."""
+        """What a marker reports about the wall."""
         return {name: getattr(self, name) for name in MARKED}
 
 
@@ -96,7 +96,7 @@ class Trial(Presented, Hit):
 
     @property
     def invalid(self) -> bool:
-        """Whether the hit says nothing about its wall: it is repeated, and nobody is asked about it."""
+        """Whether the hit cannot be judged: it is repeated, and nobody is asked about it."""
         return self.automatic == Kind.INVALID
 
     @property

@@ -359,7 +359,7 @@ def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
     leave(operator)
     assert operator.rested == 2
     second = operator.of_kind("trial")[-1]
-    assert "the console said nothing for 2 s while a hit ran" in check_stopped(operator, second)
+    assert "the console was silent for 2 s while a hit ran" in check_stopped(operator, second)
 
 
 def leave(operator: Operator) -> None:

@@ -213,7 +213,7 @@ def _ticks(number: int) -> str:
 
 
 def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
-    """What holds for any wall on this link."""
+    """Checks of the link, the same for any wall."""
     found = [_delay(experiment, measurement), _losses(measurement)]
     times = measurement.travel_s
     if times.p999.high is None and not measurement.virtual:
@@ -288,7 +288,7 @@ def _rounded_down(value: float) -> str:
 
 
 def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
-    """What else theory says: the stand-in for an estimator, homing, passivity."""
+    """Further results of theory: the stand-in for an estimator, homing, passivity."""
     if loops.stand_in:
         yield replace(warning(loops.stand_in), name="estimator")
     homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)
@@ -380,5 +380,5 @@ def check_armable(
         return found
     raise PlanError(
         f"this wall must not be armed: {found.text}",
-        remedy=f"{found.remedy}; or, when you know better, --arm-anyway",
+        remedy=f"{found.remedy}; or accept the risk: --arm-anyway",
     )

@@ -1,4 +1,4 @@
-"""Which experiment is in effect on a device: what the user says, then what real time asks for, then the file."""
+"""The experiment that is in effect on a device: the user's changes, then those of real time, then the file."""
 
 from __future__ import annotations
 

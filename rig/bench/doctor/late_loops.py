@@ -1,7 +1,7 @@
 """Linear theory of an experiment whose commands act a number of ticks late, in every hand that may hold the handle.
 
 Theory covers the spring and damper of the built-in walls with linear estimators. For an estimator that is not linear,
-the usual filtered difference at the same rates stands in, and every result computed with it says so: without damping
+the usual filtered difference at the same rates stands in, and every result computed with it is marked: without damping
 the estimator has no effect, and with damping an adaptive one has at best a little less lag than this filter, which was
 designed for the same noise. Two velocity rates that alternate are computed one by one. A law that is not a spring and
 damper is not computed.

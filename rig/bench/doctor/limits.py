@@ -16,7 +16,7 @@ from rig.realtime.scheduling.facts import rt_period_us, rt_runtime_us, status_ki
     "an ordinary thread waits behind other programs, for milliseconds when the machine is busy",
 )
 def priority(machine: Machine) -> Check:
-    """Whether SCHED_FIFO is granted: limits and control group say why not, and a thread that ends at once tries it."""
+    """Whether SCHED_FIFO is granted: by limits and control group, then by trying it in a short-lived thread."""
     wanted = machine.request.priority
     if not machine.rights.may_schedule(wanted):
         return machine.judged(refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root))

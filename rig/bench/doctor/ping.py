@@ -54,7 +54,7 @@ _NONCES = 1 << 16
 
 @group
 class PingBuffers(NamedTuple):
-    """Bytes from the link, a decoded frame, a frame to send; fields of a header, of what came, of the last answer."""
+    """Bytes from the link, a decoded frame, a frame to send; fields of a header, of a message, of the last answer."""
 
     received: Bytes
     raw: Bytes

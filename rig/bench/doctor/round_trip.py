@@ -47,7 +47,7 @@ class LinkMeasurement:
     Attributes
     ----------
     url, virtual, simulated
-        The device, whether its time is virtual, whether it says that it is simulated.
+        The device, whether its time is virtual, whether it is simulated.
     duration_s
         Length of the measurement (s, the link's clock).
     asked_rate_hz

@@ -1,4 +1,4 @@
-"""The udev rules that rigs want, as text; nobody installs them but the person who asks for it."""
+"""The udev rules for rigs, as text; they are printed, never installed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.realtime.scheduling.refusals import GROUP, RULES_COMMAND, RULES_FILE
 RIGS = ((0x2E8A, 0x000A),)  # Raspberry Pi Pico with the firmware of this project
 
 _HEAD = f"""\
-# haptic-rig: what the kernel's device manager should know about rigs.
+# haptic-rig: rules of the device manager for rigs.
 #     {RULES_COMMAND}
 # The name {RULES_FILE} matters: after 60 (names), before 73 (access of who sits here).
 

@@ -86,7 +86,7 @@ def _header(board: Board, model: RigModel, settings: dict[str, SettingValue]) ->
             "",
             "extern const struct board board_config;",
             "",
-            "/* By which a file says what it is; the linker must keep it. */",
+            "/* Identifies the image; the linker must keep it. */",
             "extern const uint8_t image_record[];",
             "",
             "#endif",

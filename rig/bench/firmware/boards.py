@@ -1,4 +1,4 @@
-"""What a board is to the compiler and to whoever wires it, read from the ``board.toml`` beside its port.
+"""A board as the compiler and its wiring see it, read from the ``board.toml`` beside its port.
 
 A port is a directory of `firmware_protocol/firmware/boards`: C files, a linker script and this file. A new board needs
 no line of Python.
@@ -60,7 +60,7 @@ class Board:
     directory
         Of its port.
     description
-        In a few words.
+        In one line.
     processor, compile, link
         Flags for the compiler; for the linker.
     linker_script

@@ -86,7 +86,7 @@ class BuildResult:
         The files: for a debugger, as plain bytes, for the boot ROM's drive (None: the board takes none), and all of
         this as JSON.
     firmware
-        Version, as the device will say it.
+        Version, as the device will report it.
     dictionary_hash
         As in IDENTITY and ARM.
     flash_bytes, ram_bytes

@@ -71,7 +71,7 @@ def flash(
     Raises
     ------
     ConfigError
-        The image is none, or for another processor or board.
+        The file is not an image, or for another processor or board.
     DeviceNotFoundError
         No board shows its drive, or several do.
     LinkLostError
@@ -141,8 +141,10 @@ def _drive(path: Path) -> Drive | None:
         text = (path / INFO_FILE).read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    said = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
-    return Drive(path=path, board_id=said.get("Board-ID", "").strip(), model=said.get("Model", "").strip())
+    fields = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+    return Drive(
+        path=path, board_id=fields.get("Board-ID", "").strip(), model=fields.get("Model", "").strip()
+    )
 
 
 def _only(drives: list[Drive]) -> Drive:
@@ -177,7 +179,7 @@ def _check_family(image: Path, content: bytes, drive: Drive) -> None:
     wanted = FAMILY_OF_DRIVE.get(drive.board_id)
     if wanted is None:
         raise DeviceNotFoundError(
-            f"the drive at {drive.path} is of a board that is not known: {drive.board_id or 'it says no Board-ID'}",
+            f"the drive at {drive.path} belongs to an unknown board: {drive.board_id or 'no Board-ID'}",
             remedy=f"known boards: {', '.join(FAMILY_OF_DRIVE)}",
         )
     if family != wanted:
@@ -213,7 +215,7 @@ def _copy(content: bytes, drive: Drive, name: str, on_progress: Progress) -> Non
             return
         if gone:
             raise LinkLostError(
-                f"the board at {drive.path} went away in mid-copy, after {at} of {len(content)} bytes",
+                f"the board at {drive.path} disappeared while copying, after {at} of {len(content)} bytes",
                 remedy=HOLD,
             ) from None
         raise LinkLostError(
@@ -231,7 +233,7 @@ def _is_there(drive: Drive) -> bool:
 
 
 def _wait_until_gone(drive: Drive, on_progress: Progress) -> None:
-    """Wait for the board to restart: nothing else says that it has taken the image."""
+    """Wait for the board to restart, the only sign that it has taken the image."""
     deadline = time.monotonic() + VANISH_S
     while _is_there(drive):
         left = deadline - time.monotonic()

@@ -1,7 +1,7 @@
-"""The record by which an image says what it is: found in an ELF, a UF2 or plain bytes alike.
+"""The record that identifies an image, in an ELF, a UF2 or plain bytes alike.
 
 Sixteen bytes of magic, then the lengths of a text and of the compressed dictionary, the CRC-32 of both, and both. The
-text is JSON; the dictionary is the one that the device tells its host, so that a file answers what a device would.
+text is JSON; the dictionary is the one that the device sends to its host, so that a file gives the same facts.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ImageFacts:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What an image says of itself."""
+    """The description of an image that is in it."""
 
     facts: ImageFacts
     packed: bytes
@@ -62,7 +62,7 @@ class Record:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """What the device will say of itself; raises `ConfigError` for one that cannot be read."""
+        """The dictionary that the device will send; raises `ConfigError` for one that cannot be read."""
         try:
             return dictionaries.decode(self.packed)
         except RemoteProtocolError as error:
@@ -113,8 +113,8 @@ def _read(image: bytes, at: int) -> Record | None:
     if len(content) != text_bytes + packed_bytes or crc32(content) != crc:
         return None
     try:
-        said: dict[str, Any] = json.loads(content[:text_bytes])
-        known = {name: said[name] for name in ImageFacts.__dataclass_fields__}  # a newer record says more
+        facts: dict[str, Any] = json.loads(content[:text_bytes])
+        known = {name: facts[name] for name in ImageFacts.__dataclass_fields__}  # a newer record has more
         return Record(ImageFacts(**known), content[text_bytes:])
     except (ValueError, KeyError, TypeError):
         return None

@@ -384,24 +384,24 @@ def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:
     device.configure({**wanted, "current_limit": 0, "hold_to_run": 0})
     try:
         device.arm()
-        said = device.supervise(request.seconds, int(wanted["supervise_lifetime_us"]))
+        received = device.supervise(request.seconds, int(wanted["supervise_lifetime_us"]))
         device.stop()
         device.disarm(clear_fault=True)
     finally:
         device.configure(before)
     rate = experiment.controller.position_rate
-    return judge_stream(said, rate * request.seconds, rate, device.dictionary)
+    return judge_stream(received, rate * request.seconds, rate, device.dictionary)
 
 
 def _link(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    said, ours = device.statistics(), device.connection.statistics
+    theirs, ours = device.statistics(), device.connection.statistics
     bad = {
-        "frames that the device could not read": said.framing_errors + said.crc_errors,
+        "frames that the device could not read": theirs.framing_errors + theirs.crc_errors,
         "frames that this computer could not read": ours.framing_errors + ours.crc_errors,
-        "frames that the device found malformed": said.malformed,
+        "frames that the device found malformed": theirs.malformed,
     }
     wrong = [f"{count} {what}" for what, count in bad.items() if count]
-    text = f"{said.frames} frames there, {ours.frames} back"
+    text = f"{theirs.frames} frames to the device, {ours.frames} to the host"
     if wrong:
         remedy = (
             "check cable, ground and baud rate; try again, since noise from before the opening counts, too"

@@ -1,4 +1,4 @@
-"""The cross compiler of the distribution: where it is, what it says, and what to install when there is none."""
+"""The cross compiler of the distribution: where it is, its version, and what to install when it is missing."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Compiler:
         """Compile or link in a directory; raises `ToolchainError` with the first lines of its complaint."""
         done = _called([self.path, *arguments], directory)
         if done.returncode != 0:
-            said = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
-            raise ToolchainError(f"the firmware does not build:\n{said}\n", remedy=_remedy(done.stderr))
+            shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
+            raise ToolchainError(f"the firmware does not build:\n{shown}\n", remedy=_remedy(done.stderr))
 
 
 def find_compiler() -> Compiler:
-    """Find the compiler; raises `ToolchainError` that says how to install it, or the C library that it lacks."""
+    """Find the compiler; raises `ToolchainError` with the way to install it, or the C library that it lacks."""
     named = os.environ.get(COMPILER_VARIABLE)
     path = shutil.which(named or COMPILER)
     if path is None:
@@ -77,7 +77,7 @@ def _called(command: list[str], directory: Path | None) -> subprocess.CompletedP
 
 def _remedy(complaint: str) -> str:
     if "overflowed" in complaint or "will not fit" in complaint:
-        return "it is too large for the board: make what its board.toml sizes smaller, or take a larger board"
+        return "it is too large for the board: reduce the sizes in its board.toml, or use a larger board"
     if "#error" in complaint:
         return "change the setting that it names (--set)"
     return "report it, with this output and the compiler's version"

@@ -8,7 +8,7 @@
 * `memory`, `idle`: locked pages, and processors kept from deep sleep; of the process, counted
 * `thread`: policy, processor and timer slack of the calling thread, and its stack
 * `rights`, `refusals`: what this process may do, and what would get it granted
-* `facts`: what the kernel says about itself
+* `facts`: what the kernel reports about itself
 * `calls`: the C library
 
 Linux only, as the compiled loop is. Nothing here loads numba.

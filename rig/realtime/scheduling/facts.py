@@ -1,4 +1,4 @@
-"""Facts about the kernel's scheduling, read from /proc and /sys.
+"""What the kernel reports about its scheduling, read from /proc and /sys.
 
 `root` is where those trees hang; what cannot be read is an empty text, None or an empty set.
 """
@@ -92,7 +92,7 @@ def governors(root: Path = ROOT) -> dict[int, str]:
 
 
 def idle_driver(root: Path = ROOT) -> str:
-    """The driver that puts idle processors to sleep; empty without one."""
+    """Who puts idle processors to sleep; empty when nobody does."""
     name = text_of(root / _CPUS / "cpuidle/current_driver")
     return "" if name == "none" else name
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Request(Protocol):
-    """The settings requested; `rig.config.sections.Host` has their meaning."""
+    """What is requested; `rig.config.sections.Host` explains each."""
 
     @property
     def realtime(self) -> str:
@@ -38,7 +38,7 @@ class Request(Protocol):
 
 
 class Realtime:
-    """What a run requested and what it obtained; made by `obtained`.
+    """What a run asked for and what it has; made by `obtained`.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Realtime:
         }
 
     def ask(self, undo: ExitStack) -> None:
-        """Ask for everything and note what is refused; `undo` takes back what was granted."""
+        """Request everything and note what is refused; `undo` takes back what was granted."""
         self._thread, refused = thread.tried(self._host.priority, self._host.cpu)
         refusal = memory.take()
         if refusal is None:
@@ -159,7 +159,7 @@ def obtained(host: Request, *, virtual: bool = False) -> Iterator[Realtime]:
     host
         ``experiment.host``. With ``realtime = "off"`` nothing is touched.
     virtual
-        Virtual time needs none of it: nothing is touched, whatever `host` says.
+        Virtual time needs none of it: nothing is touched, whatever `host` is.
 
     Raises
     ------

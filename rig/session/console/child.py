@@ -131,7 +131,7 @@ class Child:
             self.kill()
 
     def complaint(self) -> str:
-        """The last line of what it wrote to standard error; empty when it said nothing."""
+        """The last line of what it wrote to standard error; empty when it wrote none."""
         length = os.fstat(self._complaints).st_size
         text = os.pread(self._complaints, 4096, max(0, length - 4096)).decode(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]

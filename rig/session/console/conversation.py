@@ -17,7 +17,7 @@ from rig.session.keymap import STOP, KeyMap
 from rig.session.protocol import VERDICTS
 
 LATER: tuple[Action, ...] = ("pause", "note", "abort")  # what may be asked for while nobody asks
-TWICE: dict[Action, str] = {  # what a slip of the key must not do
+TWICE: dict[Action, str] = {  # what a wrong key must not do
     "abort": "leave the session (it can be resumed)",
     "skip": "leave this run without a limit",
 }
@@ -211,7 +211,7 @@ class Conversation:
         if entry.purpose == "note":
             if text:
                 return self._answer(Answer("note", text))
-            self.entry = None  # a note that says nothing is none
+            self.entry = None  # an empty note is none
             return []
         value = self._answer_of(text)
         if value is None:

@@ -14,6 +14,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, cast
 
 from rig.core.errors import ConfigError, StoppedError
+from rig.core.present import plain as plain_of
 from rig.devices.hand import SharedHand
 from rig.session.console import terminal
 from rig.session.console.child import Child, Message
@@ -31,7 +32,7 @@ POLL_S = 0.1
 SHORTEST_S = 1e-3  # of a rest that is as good as over
 TERMINAL = Path("/dev/tty")
 PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
-REMEDY = "`rig session resume` goes on; with --plain it needs next to nothing of the terminal"
+REMEDY = "continue with `rig session resume`; with --plain it needs next to nothing of the terminal"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +68,7 @@ class ConsoleDesk(Desk):
     Raises
     ------
     ConfigError
-        Keys that cannot be meant, or a terminal that belongs to another job.
+        Invalid keys, or a terminal that belongs to another job.
     RigError
         The console does not start.
     """
@@ -95,7 +96,7 @@ class ConsoleDesk(Desk):
         self._before = terminal.attributes(self._place) if self._place >= 0 else None
         self._setup: Message = {
             "pid": os.getpid(),
-            "keys": self._keymap.as_mapping(),
+            "keys": plain_of(self._keymap),
             "plain": plain or self._before is None or os.environ.get("TERM", "dumb") == "dumb",
             "attributes": None if self._before is None else terminal.as_plain(self._before),
             "hand": None if hand is None else {**asdict(hand), "path": str(hand.path)},
@@ -119,7 +120,7 @@ class ConsoleDesk(Desk):
     def show(self, view: View) -> None:
         """Show how things stand; returns at once, also when the console hangs."""
         self._view = view
-        self._child.say("view", view=view.as_mapping())
+        self._child.say("view", view=plain_of(view))
 
     def ask(self, question: Question) -> Reply:
         """Ask, and wait for the answer; a console that hangs or died meanwhile is started anew.
@@ -131,7 +132,7 @@ class ConsoleDesk(Desk):
         """
         if (
             question.kind != "rest" or question != self._question
-        ):  # a rest goes on while somebody writes a note
+        ):  # a rest continues while somebody writes a note
             self._began_s = time.monotonic()
         self._question = question
         self._number += 1
@@ -151,7 +152,7 @@ class ConsoleDesk(Desk):
                 self._ask(question)
 
     def watch(self) -> Callable[[int, int], None] | None:
-        """Watch the console while a hit runs: STOP, and a console that says nothing, end it."""
+        """Watch the console while a hit runs: STOP, and a silent console, end it."""
         return self._watch
 
     def close(self) -> None:
@@ -176,7 +177,7 @@ class ConsoleDesk(Desk):
         limit_s = self._silence_s if self._child.greeted or self._restarts else START_S
         if time.monotonic() - self._child.heard_s > limit_s:
             raise StoppedError(
-                f"the console said nothing for {limit_s:g} s while a hit ran; the effort is zero",
+                f"the console was silent for {limit_s:g} s while a hit ran; the effort is zero",
                 remedy=REMEDY,
             )
 
@@ -190,7 +191,7 @@ class ConsoleDesk(Desk):
         if seconds:
             seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))
         asked = replace(question, seconds=seconds)
-        self._child.say("ask", number=self._number, question=asked.as_mapping())
+        self._child.say("ask", number=self._number, question=plain_of(asked))
 
     def _next(self, patience_s: float) -> Message | None:
         """The next message of the console that is; what an earlier one said is over."""
@@ -236,7 +237,7 @@ class ConsoleDesk(Desk):
         self._restarts += 1
         self._child = self._started()
         if self._view is not None:
-            self._child.say("view", view=self._view.as_mapping())
+            self._child.say("view", view=plain_of(self._view))
 
 
 def at_console(

@@ -14,20 +14,20 @@ class PlainLines:
         self._said: dict[str, str] = {}
         self._log: tuple[str, ...] = ()
 
-    def lines(self, told: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
+    def lines(self, talk: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
         """What is new, a line each."""
-        view = told.view
-        found = [self._new("place", words.place(view)), self._new("state", f"state: {words.state(told)}")]
-        found.append(self._new("wall", self._wall(told)))
+        view = talk.view
+        found = [self._new("place", words.place(view)), self._new("state", f"state: {words.state(talk)}")]
+        found.append(self._new("wall", self._wall(talk)))
         found.append(self._new("say", f"say: {view.say}" if view.say else ""))
         found.append(self._new("phase", "" if live is None else f"phase: {live.phase}"))
         found.append(self._new("last", f"last: {view.last}" if view.last else ""))
         fresh = view.lines[_common(self._log, view.lines) :]
         self._log = view.lines
         found += [f"log: {line}" for line in fresh]
-        found.append(self._new("help", self._help(told)))
-        found.append(self._new(f"question {told.asked}", self._question(told)))
-        found.append(self._new("notice", told.notice))
+        found.append(self._new("help", self._help(talk)))
+        found.append(self._new(f"question {talk.asked}", self._question(talk)))
+        found.append(self._new("notice", talk.notice))
         return [line for line in found if line]
 
     def _new(self, name: str, text: str) -> str:
@@ -36,8 +36,8 @@ class PlainLines:
         return text if text != before else ""
 
     @staticmethod
-    def _wall(told: Conversation) -> str:
-        view = told.view
+    def _wall(talk: Conversation) -> str:
+        view = talk.view
         if view.condition is None and view.stiffness is None:
             return ""
         return "wall: " + ", ".join(
@@ -45,21 +45,21 @@ class PlainLines:
         )
 
     @staticmethod
-    def _question(told: Conversation) -> str:
-        if told.question is None and told.twice is None:
+    def _question(talk: Conversation) -> str:
+        if talk.question is None and talk.twice is None:
             return ""
-        if told.entry is not None:
-            purpose = told.entry.purpose
-            item = "" if purpose == "note" else words.question(told, told.due_s)
+        if talk.entry is not None:
+            purpose = talk.entry.purpose
+            item = "" if purpose == "note" else words.question(talk, talk.due_s)
             return f"{item} {purpose}, then enter:".strip()
-        began_s = told.due_s - (told.question.seconds if told.question else 0.0)
-        return f"{words.question(told, began_s)} {words.choices(told)}".strip()
+        began_s = talk.due_s - (talk.question.seconds if talk.question else 0.0)
+        return f"{words.question(talk, began_s)} {words.choices(talk)}".strip()
 
     @staticmethod
-    def _help(told: Conversation) -> str:
-        if not told.help:
+    def _help(talk: Conversation) -> str:
+        if not talk.help:
             return ""
-        return "\n".join(f"{key}: {meaning}" for key, meaning in words.help_pairs(told.keymap))
+        return "\n".join(f"{key}: {meaning}" for key, meaning in words.help_pairs(talk.keymap))
 
 
 def _common(before: tuple[str, ...], now: tuple[str, ...]) -> int:

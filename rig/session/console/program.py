@@ -45,7 +45,7 @@ ESCAPE_S = 0.05  # how long a lone escape waits for the rest of a sequence
 IN, OUT = 0, 1
 GONE = 3  # exit code: the terminal is gone
 READ_BYTES = 4096
-LEFT = "the session's program has ended; `rig session resume` goes on\n"
+LEFT = "the session's program has ended; continue with `rig session resume`\n"
 
 
 def main(arguments: list[str]) -> int:
@@ -89,9 +89,9 @@ class _Console:
         self._lines = Lines()
         setup, self._early = self._setup()
         self._session_pid = int(setup["pid"])
-        self._told = Conversation(KeyMap.from_mapping(setup["keys"]))
+        self._talk = Conversation(KeyMap.from_mapping(setup["keys"]))
         self._attributes = setup["attributes"]
-        self._bell = self._told.keymap.bell
+        self._bell = self._talk.keymap.bell
         self._live = Live(self._session_pid)
         self._snapshot: Snapshot | None = None
         self._keyboard = Keyboard()
@@ -145,7 +145,7 @@ class _Console:
         sources = [self._from, self._woken]
         if not self._script_over:
             sources.append(IN)
-        wait = ROUND_S if self._told.moving else QUIET_S
+        wait = ROUND_S if self._talk.moving else QUIET_S
         if self._keyboard.waiting:
             wait = min(wait, max(0.0, self._read_s + ESCAPE_S - time.monotonic()))
         ready, _, _ = select.select(sources, [], [], wait)
@@ -164,28 +164,28 @@ class _Console:
         if self._keyboard.waiting and time.monotonic() - self._read_s >= ESCAPE_S:
             self._take(self._keyboard.flush())
         self._run_script()
-        self._do(self._told.pass_time(time.monotonic()))
+        self._do(self._talk.pass_time(time.monotonic()))
         self._snapshot = self._live.look()
-        self._told.live = self._snapshot is not None
+        self._talk.live = self._snapshot is not None
         if self._hand is not None:
             self._hand.hold()
-        if ready or self._told.moving or time.monotonic() - self._drawn_s > REDRAW_S:
-            self._face.show(self._told, self._snapshot)
+        if ready or self._talk.moving or time.monotonic() - self._drawn_s > REDRAW_S:
+            self._face.show(self._talk, self._snapshot)
             self._drawn_s = time.monotonic()
         return True
 
     def _hear(self, message: dict[str, Any]) -> None:
         kind = message["kind"]
         if kind == "view":
-            before = self._told.view.state
-            self._told.see(message["view"])
+            before = self._talk.view.state
+            self._talk.see(message["view"])
             if self._hand is not None:
-                self._hand.scale(self._told.view.scale)
-            if self._told.view.state != before and self._told.view.state == "hit":
+                self._hand.scale(self._talk.view.scale)
+            if self._talk.view.state != before and self._talk.view.state == "hit":
                 self._ring()
         elif kind == "ask":
             self._number = message["number"]
-            answered = self._told.ask(message["question"], time.monotonic())
+            answered = self._talk.ask(message["question"], time.monotonic())
             if message["question"]["kind"] == "ready":
                 self._ring()
             self._do(answered)
@@ -221,19 +221,19 @@ class _Console:
 
     def _run_script(self) -> None:
         """Without a terminal, each key waits for a question: nobody is there to see when one is asked."""
-        while self._typed and self._told.question is not None:
+        while self._typed and self._talk.question is not None:
             self._event(self._typed.pop(0))
-        if self._script_over and not self._typed and self._told.question is not None:
+        if self._script_over and not self._typed and self._talk.question is not None:
             self._say("gone", why="standard input has ended, and nobody else can answer")
             self._script_over = True
-            self._told.question = None
+            self._talk.question = None
 
     def _event(self, event: Event) -> None:
         if isinstance(event, Key):
-            if self._hand is not None and self._hand.key(event.name) and self._told.entry is None:
+            if self._hand is not None and self._hand.key(event.name) and self._talk.entry is None:
                 return
-            self._face.typed(self._told, event.name)
-            self._do(self._told.press(event.name))
+            self._face.typed(self._talk, event.name)
+            self._do(self._talk.press(event.name))
         elif self._hand is not None:
             self._hand.mouse(event)
 
@@ -241,7 +241,7 @@ class _Console:
         for outcome in outcomes:
             if isinstance(outcome, Stop):
                 running.ask_to_stop(self._session_pid)  # before anything that may take time
-                if self._told.moving:
+                if self._talk.moving:
                     self._say("stop")
             else:
                 self._say("reply", number=self._number, action=outcome.action, value=outcome.value)
@@ -259,10 +259,10 @@ class _Face:
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         pass
 
-    def show(self, told: Conversation, live: Snapshot | None) -> None:
+    def show(self, talk: Conversation, live: Snapshot | None) -> None:
         """Show how things stand."""
 
-    def typed(self, told: Conversation, key: str) -> None:
+    def typed(self, talk: Conversation, key: str) -> None:
         """A key is about to be understood."""
 
 
@@ -276,18 +276,18 @@ class _Lines(_Face):
         if isinstance(error, BrokenPipeError):
             _write(LEFT)
 
-    def show(self, told: Conversation, live: Snapshot | None) -> None:
+    def show(self, talk: Conversation, live: Snapshot | None) -> None:
         """Print what is new."""
-        for line in self._plain.lines(told, live, time.monotonic()):
+        for line in self._plain.lines(talk, live, time.monotonic()):
             _write(line + "\n")
 
-    def typed(self, told: Conversation, key: str) -> None:
+    def typed(self, talk: Conversation, key: str) -> None:
         """Echo a line that is being typed: the terminal does not."""
-        if told.entry is None or not terminal.is_terminal(IN):
+        if talk.entry is None or not terminal.is_terminal(IN):
             return
         if key == "enter":
             _write("\n")
-        elif key == "backspace" and told.entry.text:
+        elif key == "backspace" and talk.entry.text:
             _write("\b \b")
         elif key == "space" or len(key) == 1:
             _write(" " if key == "space" else key)
@@ -317,13 +317,13 @@ class _Screen(_Face):
         if isinstance(error, BrokenPipeError):
             _write(LEFT)
 
-    def show(self, told: Conversation, live: Snapshot | None) -> None:
+    def show(self, talk: Conversation, live: Snapshot | None) -> None:
         """Draw what has changed; now and then everything, should somebody else have written there."""
         now_s = time.monotonic()
         width, height = size = self._console.size.width, self._console.size.height
         with self._console.capture() as drawn:
             self._console.print(
-                picture(told, live, now_s, width=width, height=height, blocks=self._blocks),
+                picture(talk, live, now_s, width=width, height=height, blocks=self._blocks),
                 height=height,
                 end="",
             )
@@ -343,10 +343,10 @@ class _Screen(_Face):
 class _MovedHand:
     """The simulated hand that somebody moves at this terminal."""
 
-    def __init__(self, told: dict[str, Any]) -> None:
-        self.kind = told["kind"]
-        self._hand: Hand = SharedHand.create(Path(told["path"]))
-        self._pointer = Pointer(float(told["press"]))
+    def __init__(self, talk: dict[str, Any]) -> None:
+        self.kind = talk["kind"]
+        self._hand: Hand = SharedHand.create(Path(talk["path"]))
+        self._pointer = Pointer(float(talk["press"]))
         self._pixels = False
 
     def scale(self, scale: Any) -> None:

@@ -13,26 +13,26 @@ from rig.session.console.conversation import Conversation
 from rig.session.console.live import Snapshot
 from rig.session.desk import View
 
-NARROW, LOW = 60, 18  # below these the picture leaves out what is not needed to go on
+NARROW, LOW = 60, 18  # below these the picture leaves out what is not needed to continue
 BAR = 12
 COLOURS = {"stable": "green", "buzz": "yellow", "unstable": "red", "unsure": "magenta"}
 
 
 def picture(
-    told: Conversation, live: Snapshot | None, now_s: float, *, width: int, height: int, blocks: bool = True
+    talk: Conversation, live: Snapshot | None, now_s: float, *, width: int, height: int, blocks: bool = True
 ) -> Layout:
     """All of it, for a terminal of this size; without `blocks` in ASCII alone."""
-    parts = [Layout(_title(told, width), size=1)]
-    if told.help:
-        parts.append(Layout(Panel(_help(told), title="keys")))
+    parts = [Layout(_title(talk, width), size=1)]
+    if talk.help:
+        parts.append(Layout(Panel(_help(talk), title="keys")))
         return _stacked(parts)
     parts.append(
-        Layout(Panel(Text(told.view.say, style="bold"), title="say"), size=4 if height >= LOW else 3)
+        Layout(Panel(Text(talk.view.say, style="bold"), title="say"), size=4 if height >= LOW else 3)
     )
     if height >= LOW:
-        parts.append(_middle(told.view, live, width, blocks))
-        parts.append(Layout(Panel(_log(told.view, height), title="log"), minimum_size=3))
-    bottom = _bottom(told, now_s)
+        parts.append(_middle(talk.view, live, width, blocks))
+        parts.append(Layout(Panel(_log(talk.view, height), title="log"), minimum_size=3))
+    bottom = _bottom(talk, now_s)
     lines = sum(1 + max(0, len(line) - 1) // max(1, width) for line in bottom.plain.split("\n"))
     parts.append(Layout(bottom, size=min(lines, height // 2)))
     return _stacked(parts)
@@ -44,11 +44,11 @@ def _stacked(parts: list[Layout]) -> Layout:
     return whole
 
 
-def _title(told: Conversation, width: int) -> Text:
-    left, state = words.place(told.view), words.state(told)
+def _title(talk: Conversation, width: int) -> Text:
+    left, state = words.place(talk.view), words.state(talk)
     gap = max(1, width - len(left) - len(state) - 2)
     text = Text(f" {left}{' ' * gap}{state} ", style=Style(reverse=True), no_wrap=True, overflow="ellipsis")
-    if told.moving and told.view.state != "starting":
+    if talk.moving and talk.view.state != "starting":
         text.stylize("bold")
     return text
 
@@ -94,20 +94,20 @@ def _log(view: View, height: int) -> Text:
     return Text("\n".join(lines), no_wrap=True, overflow="ellipsis")
 
 
-def _bottom(told: Conversation, now_s: float) -> Text:
-    text = Text(words.question(told, now_s), style="bold")
+def _bottom(talk: Conversation, now_s: float) -> Text:
+    text = Text(words.question(talk, now_s), style="bold")
     text.append("\n")
-    line = words.entry(told)
+    line = words.entry(talk)
     if line:
         text.append(line, style="bold cyan")
     else:
-        text.append(words.choices(told))
+        text.append(words.choices(talk))
     text.append("\n")
-    text.append(told.notice, style="red" if told.notice == "STOP" else "yellow")
+    text.append(talk.notice, style="red" if talk.notice == "STOP" else "yellow")
     text.append("\n")
-    text.append(words.always(told), style="dim")
+    text.append(words.always(talk), style="dim")
     return text
 
 
-def _help(told: Conversation) -> Table:
-    return _pairs(words.help_pairs(told.keymap))
+def _help(talk: Conversation) -> Table:
+    return _pairs(words.help_pairs(talk.keymap))

@@ -15,7 +15,7 @@ from rig.session.keymap import KeyMap
 
 HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
 MEANINGS: dict[str, str] = {
-    "go": "go on (also enter)",
+    "go": "continue (also enter)",
     "redo": "the last trial does not count and comes again",
     "pause": "pause before the next trial",
     "note": "write a note into the log",
@@ -48,10 +48,10 @@ def place(view: View) -> str:
     return " · ".join(parts)
 
 
-def state(told: Conversation) -> str:
-    """What is going on, in a word or two."""
-    waits = "" if told.later is None else f" ({told.later} next)"
-    return told.view.state + waits
+def state(talk: Conversation) -> str:
+    """What is happening, in a word or two."""
+    waits = "" if talk.later is None else f" ({talk.later} next)"
+    return talk.view.state + waits
 
 
 def facts(view: View) -> list[tuple[str, str]]:
@@ -110,14 +110,14 @@ def effort(view: View, live: Snapshot, name: str = "effort") -> Gauge:
     return Gauge(name, 0.1, "low")
 
 
-def question(told: Conversation, now_s: float) -> str:
+def question(talk: Conversation, now_s: float) -> str:
     """What is asked now, or what to wait for."""
-    if told.twice is not None:
-        return f"{TWICE[told.twice]}?"
-    asked = told.question
+    if talk.twice is not None:
+        return f"{TWICE[talk.twice]}?"
+    asked = talk.question
     if asked is None:
-        return "the rig moves: SPACE stops it" if told.live else "wait"
-    left = told.left_s(now_s)
+        return "the rig moves: SPACE stops it" if talk.live else "wait"
+    left = talk.left_s(now_s)
     text = asked.text
     item = asked.item or {}
     if asked.kind == "item" and item.get("text") and item["text"] not in text:
@@ -130,28 +130,28 @@ def question(told: Conversation, now_s: float) -> str:
     return text + (f"  ({left:.0f} s left)" if asked.kind == "rest" and asked.seconds else "")
 
 
-def entry(told: Conversation) -> str:
+def entry(talk: Conversation) -> str:
     """The line that is being typed."""
-    if told.entry is None:
+    if talk.entry is None:
         return ""
-    purpose = "note" if told.entry.purpose == "note" else "answer"
-    return f"{purpose}> {told.entry.text}_   (enter: done, escape: not now)"
+    purpose = "note" if talk.entry.purpose == "note" else "answer"
+    return f"{purpose}> {talk.entry.text}_   (enter: done, escape: not now)"
 
 
-def choices(told: Conversation) -> str:
+def choices(talk: Conversation) -> str:
     """Keys that answer what is asked."""
-    keymap = told.keymap
-    if told.twice is not None:
-        return f"[y] yes, or {keymap.key_of(told.twice)} again; any other key: no"
-    allowed = told.allowed
+    keymap = talk.keymap
+    if talk.twice is not None:
+        return f"[y] yes, or {keymap.key_of(talk.twice)} again; any other key: no"
+    allowed = talk.allowed
     parts = [f"[{key}] {verdict}" for key, verdict in keymap.verdicts] if "judge" in allowed else []
-    if told.question is not None and told.question.kind == "item":
+    if talk.question is not None and talk.question.kind == "item":
         parts.append("[enter] answer")
     parts += [f"[{keymap.key_of(action)}] {action}" for action in ORDER if action in allowed]
     return "  ".join(parts)
 
 
-def always(told: Conversation) -> str:
+def always(talk: Conversation) -> str:
     """Keys that always work."""
     return "[SPACE] STOP  [?] keys  [^C] stop and leave"
 

@@ -8,7 +8,7 @@ clock    the clocks were compared: `bound_s`, by which time stamps may be off; n
 phase    the phase changed (`rig.core.sample.Phase`): wait, homing, settle, trial, release, done
 contact  the first sample inside the wall in the trial (`contact` = 1), and each first one after one outside
 sync     a rising edge of the device's sync input
-wall     another parameter set is active: its number; unless blinded its wall, when the loop still tells
+wall     another parameter set is active: its number; unless blinded its wall, when the loop still has it
 end      the loop has ended: the reason, rows, and how many of them came too late to be seen (`lost`)
 =======  ==================================================================================================
 
@@ -166,12 +166,12 @@ class Follower:
             for place in places:
                 row = both[place]
                 yield Marker(int(times[place - new]), self._content(name, row))
-        told = both["sync_time"]
-        edges = 1 + np.flatnonzero((told[1:] != told[:-1]) & (told[1:] != 0))
+        reported = both["sync_time"]
+        edges = 1 + np.flatnonzero((reported[1:] != reported[:-1]) & (reported[1:] != 0))
         for place in edges:
-            when = self._clock.host_of(rows, told[place : place + 1])
+            when = self._clock.host_of(rows, reported[place : place + 1])
             row = both[place]
-            content = {"mark": "sync", "tick": int(row["tick"]), "device_time": int(told[place])}
+            content = {"mark": "sync", "tick": int(row["tick"]), "device_time": int(reported[place])}
             yield Marker(int(when[0]), content)
 
     def _content(self, name: str, row: Any) -> dict[str, Any]:
@@ -208,7 +208,7 @@ class Follower:
 
 
 def _wall(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Stiffness and damping that the info of a run tells."""
+    """Stiffness and damping in the info of a run."""
     wall = (info.get("experiment") or {}).get("wall") or {}
     return {name: wall.get(name) for name in ("stiffness", "damping")}
 

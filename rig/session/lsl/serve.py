@@ -39,10 +39,6 @@ class Served:
     offset_s: float = 0.0
     offset_uncertainty_s: float = 0.0
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
 
 class Markers:
     """Markers that somebody else writes, a line of JSON each: ``{"at": host time in ns, "marker": {...}}``.
@@ -90,7 +86,7 @@ def serve(
     once: bool = False,
     markers: int | None = None,
     expected: tuple[Motion, float] | None = None,
-    told: Callable[[Mapping[str, Any]], None] | None = None,
+    report: Callable[[Mapping[str, Any]], None] | None = None,
 ) -> Served:
     """Send what loops in real time do, until Ctrl-C or until what is followed is over.
 
@@ -112,7 +108,7 @@ def serve(
     expected
         Motion and position rate of loops to come, so that the samples' stream is there before the first of them; else
         it opens with the first loop, and a receiver misses what comes before it has found the stream.
-    told
+    report
         Called with a mapping when something is new: streams that opened, a loop that began or ended.
 
     Returns
@@ -134,7 +130,7 @@ def serve(
     if pid is not None and not _alive(pid):
         raise ConfigError(f"there is no process {pid} of yours", remedy="rig stop --list shows what runs")
     pylsl = library.load()
-    server = _Server(pylsl, rate, name, blind, told or (lambda _: None))
+    server = _Server(pylsl, rate, name, blind, report or (lambda _: None))
     if expected is not None:
         server.open_samples(*expected)
     source = None if markers is None else Markers(markers)
@@ -153,9 +149,9 @@ class _Server:
         rate: float | None,
         name: str,
         blind: bool,
-        told: Callable[[Mapping[str, Any]], None],
+        report: Callable[[Mapping[str, Any]], None],
     ) -> None:
-        self._pylsl, self._rate, self._name, self._blind, self._told = pylsl, rate, name, blind, told
+        self._pylsl, self._rate, self._name, self._blind, self._report = pylsl, rate, name, blind, report
         self._offset = library.clock_offset(pylsl)
         with Ring.allocate(1) as ring:
             Follower(ring).poll()
@@ -165,7 +161,7 @@ class _Server:
         self._markers = MarkerStream(pylsl, name, self._offset)
         self._samples: SampleStream | None = None
         self._context: dict[str, Any] = {}  # what every marker of a loop says: the session's trial
-        told({"stream": f"{name} markers", **asdict(self._offset)})
+        report({"stream": f"{name} markers", **asdict(self._offset)})
 
     def run(self, pid: int | None, source: Markers | None, *, once: bool) -> None:
         """Until `pid` is dead, the source of markers is over, or with `once` a loop has ended."""
@@ -188,13 +184,13 @@ class _Server:
         follower = Follower(ring, rate=self._rate, blind=self._blind)
         rig = (follower.info.get("experiment") or {}).get("rig") or {}
         self.open_samples("linear" if rig.get("motion") == "linear" else "rotary", follower.position_rate)
-        self._told({"loop": owner, "position_rate": follower.position_rate, "rate": follower.rate})
+        self._report({"loop": owner, "position_rate": follower.position_rate, "rate": follower.rate})
         try:
             self._to_the_end(owner, follower, source)
         finally:
             self.served.loops += 1
             self.served.lost += follower.lost
-            self._told({"ended": owner, "rows": follower.rows, "lost": follower.lost})
+            self._report({"ended": owner, "rows": follower.rows, "lost": follower.lost})
 
     def _to_the_end(self, owner: int, follower: Follower, source: Markers | None) -> None:
         heard = time.monotonic()
@@ -226,7 +222,7 @@ class _Server:
             return
         self._samples = SampleStream(self._pylsl, self._name, motion, rate, position_rate, self._offset)
         self.served.rate = rate
-        self._told({"stream": f"{self._name} samples", "rate": rate})
+        self._report({"stream": f"{self._name} samples", "rate": rate})
 
     def _pass_on(self, source: Markers | None) -> None:
         """Send what others mark; a `trial` that one names is part of all markers that follow."""

@@ -54,7 +54,7 @@ class LslMarks:
     rate
         Samples a second at most; None: every row.
     blind
-        Markers say nothing of walls and conditions, whatever `push` is given.
+        Markers contain nothing of walls and conditions, whatever `push` is given.
     expected
         Motion and position rate of the loops to come, so that the samples' stream is there when `wait` returns.
 
@@ -116,7 +116,7 @@ class LslMarks:
                     f"LSL does not start: {self._complaint()}", remedy="`rig lsl` alone shows more"
                 )
             if time.monotonic() > deadline:
-                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="go on without --lsl")
+                raise RigError(f"LSL has not started in {timeout_s:g} s", remedy="run without --lsl")
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
@@ -134,7 +134,7 @@ class LslMarks:
                 raise BrokenPipeError
             os.write(self._descriptor, line)
         except OSError:
-            self._lose("the process for LSL does not take markers; the session goes on without")
+            self._lose("the process for LSL does not take markers; the session continues without")
 
     def _lose(self, why: str) -> None:
         self.lost += 1

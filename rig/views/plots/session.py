@@ -36,7 +36,7 @@ VERDICTS: Mapping[str, tuple[str, str]] = {  # colour, marker
     "unsure": ("#56b4e9", "d"),
     "": (style.KINDS["invalid"], "x"),
 }
-_VERDICT_WORDS = {"": "said nothing"}
+_VERDICT_WORDS = {"": "invalid"}
 _RUNS_IN_A_ROW = 4
 _TOGETHER = 10  # verdicts whose median time is one point
 _QUIET = "#bbbbbb"
@@ -311,9 +311,9 @@ def _functions(axes: Any, of: Sequence[Psychometric], judge: str, colour: str) -
 
 
 def _k50(one: Psychometric) -> str:
-    """What is told of K50, as a bound or the number of those beyond where some lie beyond the levels."""
+    """K50, as a bound, or the number of censored ones where there are both kinds."""
     if one.above and one.below:
-        return f"K50 of {one.above + one.below} of {one.participants} beyond the levels"
+        return f"K50 of {one.above + one.below} of {one.participants} censored"
     mark = "≥" if one.above else "≤" if one.below else "="
     return f"K50 {mark} {one.threshold.mean:.4g}"
 
@@ -467,7 +467,7 @@ def _confusions(axes: Any, table: Agreement) -> None:
 def effects_figure(found: Analysis) -> Any:
     """Limits against the place in the block, the block and the trial, less the mean of each participant and condition.
 
-    Below: the time to a verdict along the session, and the share of trials of each block that said nothing, were
+    Below: the time to a verdict along the session, and the share of trials of each block that were invalid,
     redone, or were cut off.
     """
     measure = found.options.measure
@@ -515,7 +515,7 @@ def _slope(axes: Any, found: Analysis, of: str, along: str, measure: str, at: Se
         if (slope.of, slope.along, slope.measure) != (of, along, measure):
             continue
         if slope.problem:
-            axes.set_title("no slope can be told", fontsize=8)
+            axes.set_title("no slope", fontsize=8)
             return
         p = "" if math.isnan(slope.holm) else f", p (Holm) = {slope.holm:.2g}"
         axes.set_title(f"slope {slope.slope:+.3g} ({slope.low:+.3g} … {slope.high:+.3g}){p}", fontsize=8)

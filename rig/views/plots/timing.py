@@ -27,7 +27,7 @@ US = 1e-3  # µs in a ns
 
 
 def label(name: str) -> str:
-    """Say what a stage is."""
+    """Return the name of a stage."""
     return STAGES[name].label if name in STAGES else "late on the grid"
 
 

@@ -95,8 +95,12 @@ def draw_boundaries(
 def _how(found: ZWidth) -> str:
     trial, plan = found.plan.experiment.trial, found.plan
     push = (
-        f"held ({found.plan.experiment.operator.grip})"
+        f"in a {found.plan.experiment.operator.grip} hand"
         if trial.kind == "human"
         else f"pushed by {trial.effort:g} {unit_of('effort', plan.experiment.rig.motion)}"
     )
-    return f"{push}; {len(plan.offsets)} offsets × {plan.repeats} repeats, {plan.search.way}"
+    offsets, repeats = (
+        f"{n} {name}{'' if n == 1 else 's'}"
+        for n, name in ((len(plan.offsets), "offset"), (plan.repeats, "repeat"))
+    )
+    return f"{push}; {offsets} × {repeats}, {plan.search.way}"

@@ -168,4 +168,4 @@ def _edges(values: Sequence[float]) -> Floats:
 
 def _ends(values: Sequence[float]) -> tuple[float, float]:
     edges = _edges(values)
-    return min(0.0, float(edges[0])), float(edges[-1])
+    return max(0.0, float(edges[0])), float(edges[-1])

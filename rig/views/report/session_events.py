@@ -17,6 +17,11 @@ from rig.views.report.template import fill_text
 
 TEMPLATE = "session_events.j2"
 KINDS = ("redone", "amended", "restarted", "skipped", "retried", "stopped", "resumed", "ended", "continued")
+_CUT_OFF = {
+    "violent": "effort oscillation",
+    "energy": "energy limit",
+    "out_of_window": "position or speed limit",
+}
 _MEASURED = {"felt": "velocity", "heard": "effort", "moved": "position"}
 _REASON = re.compile(r"\b(felt|heard|moved) [-+.\de]+ above [-+.\de]+")
 
@@ -55,7 +60,8 @@ def invalid_trials(study: Study) -> tuple[Deviation, ...]:
         for event in session.of_kind("trial"):
             aborted = event.content["aborted"]
             if aborted or event.content["automatic"] == Kind.INVALID:
-                what = f"cut off: {aborted}" if aborted else "invalid"
+                why = _CUT_OFF.get(aborted, aborted.replace("_", " "))
+                what = f"cut off: {why}" if aborted else "invalid"
                 found.append(_deviation(session, event, what, _sentence(session, event)))
     return tuple(found)
 

@@ -96,7 +96,8 @@ def contrasts(found: Analysis, some: Iterable[Contrast | Paired], caption: str) 
         )
         for one in some
     ]
-    head = ("difference", "B", f"({found.study.unit('stiffness')})", "95 %", "p", "p (Holm)", "censored")
+    damping, stiffness = (found.study.unit(name) for name in ("damping", "stiffness"))
+    head = ("conditions", f"B ({damping})", f"difference ({stiffness})", "95 %", "p", "p (Holm)", "censored")
     return Table(head, rows, caption)
 
 
@@ -110,16 +111,20 @@ def terms(found: Analysis, model: Mixed) -> Table:
     """The terms of the mixed model."""
     named = [
         *[(f"{condition}, B = {damping:g}", term) for (condition, damping), term in model.means],
-        *[(f"for each {place(slope.name)}", slope) for slope in model.slopes],
+        *[(f"slope per {place(slope.name)}", slope) for slope in model.slopes],
     ]
     rows = [(name, number(term.value), interval(term.low, term.high)) for name, term in named]
-    rows += [(f"SD of {name}", number(value), "") for name, value in model.deviations]
+    rows += [(f"SD of {name}", number(value), "") for name, value in model.deviations[:-1]]
+    rows += [("residual SD", number(value), "") for _, value in model.deviations[-1:]]
     return Table(("term", "value", "95 %"), rows, f"Terms of the model ({found.study.unit('stiffness')})")
 
 
 def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) -> Table:
     """Parameters of psychometric functions."""
     unit = found.study.unit("stiffness")
+    some = list(some)
+    spread = [interval(one.spread.low, one.spread.high) for one in some]
+    shown = any(text != NOTHING for text in spread)  # there is none of all participants
     rows = [
         (
             one.participant or "all",
@@ -129,13 +134,21 @@ def psychometric(found: Analysis, some: Iterable[Psychometric], caption: str) ->
             bounded(one.threshold.mean, one.above, one.below),
             NOTHING if _mostly_censored(one) else interval(one.threshold.low, one.threshold.high),
             number(one.spread.mean),
-            interval(one.spread.low, one.spread.high),
+            *([text] if shown else []),
             lapse_rate(one.lapse_rate.mean),
             str(sum(one.verdicts)),
         )
-        for one in some
+        for one, text in zip(some, spread, strict=True)
     ]
-    head = ("participant", "condition", "judge", "B", f"K50 ({unit})", "95 %", f"spread ({unit})", "95 %")
+    head = [
+        "participant",
+        "condition",
+        "judge",
+        f"B ({found.study.unit('damping')})",
+        f"K50 ({unit})",
+        "95 %",
+    ]
+    head += [f"spread ({unit})", *(["95 %"] if shown else [])]
     return Table((*head, "lapse rate", "verdicts"), rows, caption, words=3)
 
 
@@ -196,11 +209,10 @@ def slopes(found: Analysis, some: Iterable[Slope]) -> Table:
             p(one.holm),
             str(one.participants),
             str(one.count),
-            one.problem,
         )
         for one in some
     ]
-    head = ("of", "for each", "unit", "slope", "95 %", "p", "p (Holm)", "participants", "values", "")
+    head = ("of", "for each", "unit", "slope", "95 %", "p", "p (Holm)", "participants", "values")
     return Table(
         head, rows, "Slopes along the session, exploratory: one for each participant, and their mean", words=3
     )
@@ -291,7 +303,7 @@ def _participant(found: Analysis, session: Session) -> tuple[object, ...]:
     began = datetime.fromtimestamp(session.began_at, UTC)
     return (
         session.code,
-        "in simulated time" if found.study.rehearsed else f"{began:%Y-%m-%d %H:%M}",
+        NOTHING if found.study.rehearsed else f"{began:%Y-%m-%d %H:%M}",
         state.ended or (f"left: {state.stopped}" if state.stopped else "not ended"),
         state.row,
         f"{state.active_s / 60.0:.0f}",
@@ -320,8 +332,8 @@ def tracks(found: Analysis) -> Table:
                 run.repeat, value, ends, run.hits, f"{run.lapses} of {run.catches}",
             )
         )  # fmt: skip
-    head = ("participant", "condition", "rule", "state", "run", "block", "B", "repeat")
-    unit = found.study.unit("stiffness")
+    unit, damping = found.study.unit("stiffness"), found.study.unit("damping")
+    head = ("participant", "condition", "rule", "state", "run", "block", f"B ({damping})", "repeat")
     return Table((*head, f"limit ({unit})", "95 %", "hits", "lapses"), rows, "Searches", words=4)
 
 
@@ -409,6 +421,16 @@ def whole(found: Analysis) -> tuple[list[Psychometric], list[Psychometric]]:
     every = list(found.psychometrics)
     together = [one for one in every if alone or not one.participant]
     return together, [one for one in every if one not in together]
+
+
+def no_slope(found: Analysis) -> dict[str, list[str]]:
+    """Why there are slopes without a value: what of and along, by problem."""
+    problems: dict[str, list[str]] = {}
+    for one in found.slopes:
+        if one.problem:
+            of = one.of + (f" ({one.measure})" if one.measure else "")
+            problems.setdefault(one.problem, []).append(f"{of} per {place(one.along)}")
+    return problems
 
 
 def no_interval(found: Analysis) -> dict[str, list[str]]:

@@ -85,7 +85,7 @@ def test_where_nobody_can_lead_that_is_said(tmp_path):
     url = f"sim://?hand={tmp_path / 'hand'}"
     with pytest.raises(ConfigError, match="nobody can lead a hand in virtual time"):
         open_link(DeviceUrl.parse(url), rotary_rig())
-    with pytest.raises(ConfigError, match="nobody holds the handle"), serve_locally(url, rotary_rig()):
+    with pytest.raises(ConfigError, match="the experiment has none"), serve_locally(url, rotary_rig()):
         pass
     with pytest.raises(ConfigError, match="no hand there"), serve_locally(f"{url}less", rotary_rig()):
         pass

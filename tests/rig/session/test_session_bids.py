@@ -281,7 +281,7 @@ def test_codes_that_bids_cannot_tell_apart_are_refused(tmp_path):
         for row, code in enumerate(("P-1", "P_1")):
             with sitting(tmp_path / code, mapping, person, code=code, row=row) as one:
                 one.run(1)
-    with pytest.raises(ConfigError, match="apart"):
+    with pytest.raises(ConfigError, match="P-1, P_1"):
         export_bids(read_study([tmp_path]), tmp_path / "bids")
     with pytest.raises(ConfigError, match="cannot name"):
         label_of("-_")

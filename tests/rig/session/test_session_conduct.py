@@ -15,6 +15,7 @@ import pytest
 
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, LinkLostError, PlanError, RecordingError, StoppedError
+from rig.core.present import plain
 from rig.session.conduct import conduct
 from rig.session.desk import Question, Reply
 from rig.session.directory import LOG, Session, amend, begin, event_of_trial, resume
@@ -97,14 +98,14 @@ def test_a_blinded_operator_is_shown_no_condition_and_no_wall(tmp_path: Path, bl
     runner = FakeRunner({2: (INVALID, None), 3: ({"aborted": "energy"}, None)})
     lines: list[str] = []
     with started(tmp_path / "P01", protocol) as session:
-        conduct(session, runner, desk, told=lambda event: lines.append(line_of_event(event)))
+        conduct(session, runner, desk, on_event=lambda event: lines.append(line_of_event(event)))
         result = summary(session.directory, session.state)
     seen = json.dumps(
         [
-            [view.as_mapping() for view in desk.views],
-            [question.as_mapping() for question in desk.questions],
+            [plain(view) for view in desk.views],
+            [plain(question) for question in desk.questions],
             lines,
-            result.as_mapping(),
+            plain(result),
             sorted(str(path) for path in tmp_path.rglob("*")),
         ]
     )
@@ -389,7 +390,7 @@ def test_a_person_hears_that_a_hit_was_cut_off_only_after_their_verdict(tmp_path
     seen: dict[str, str] = {}
 
     def answer(question: Question) -> Reply | None:
-        told = json.dumps([desk.views[-1].as_mapping(), question.as_mapping()])
+        told = json.dumps([plain(desk.views[-1]), plain(question)])
         if question.kind == "verdict" and question.trial == 2:
             seen["before"] = told
         if question.kind == "ready" and "before" in seen:

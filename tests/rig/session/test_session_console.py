@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from rig.core.errors import ConfigError
+from rig.core.present import plain
 from rig.core.sample import ROW, Phase, RowFlag
 from rig.realtime import ring as ring_words
 from rig.realtime.ring import Ring
@@ -60,9 +61,9 @@ SNAPSHOT = Snapshot(
 
 def told(question: Question | None = None, view: View | None = None) -> Conversation:
     conversation = Conversation(KEYMAP)
-    conversation.see((view or View(state="ready", scale=SCALE)).as_mapping())
+    conversation.see(plain(view or View(state="ready", scale=SCALE)))
     if question is not None:
-        assert conversation.ask(question.as_mapping(), 0.0) == []
+        assert conversation.ask(plain(question), 0.0) == []
     return conversation
 
 
@@ -163,7 +164,7 @@ def test_a_space_anywhere_in_what_is_typed_stops_what_moves(
     found: list[Any] = []
     for data, waited in [*before, (space.encode(), False), *after]:
         if live:
-            conversation.ask(asked().as_mapping(), 0.0)  # whatever was answered meanwhile
+            conversation.ask(plain(asked()), 0.0)  # whatever was answered meanwhile
         events = keyboard.feed(data) + (keyboard.flush() if waited else [])
         for event in events:
             found += conversation.press(event.name) if isinstance(event, Key) else []
@@ -180,7 +181,7 @@ def test_keys_of_a_protocol() -> None:
     assert keymap.meaning("space") == "stop"
     assert keymap.meaning("R") == "redo"
     assert keymap.meaning("1") == ""
-    assert KeyMap.from_mapping(keymap.as_mapping()) == keymap
+    assert KeyMap.from_mapping(plain(keymap)) == keymap
 
 
 @pytest.mark.parametrize(
@@ -216,7 +217,7 @@ def test_what_is_pressed_before_the_question_is_no_answer() -> None:
     conversation = told()
     assert conversation.press("1") == []
     assert "not now" in conversation.notice
-    assert conversation.ask(asked("verdict", ("judge", "redo")).as_mapping(), 0.0) == []
+    assert conversation.ask(plain(asked("verdict", ("judge", "redo"))), 0.0) == []
     assert conversation.press("g") == []
     assert conversation.press("r") == [Answer("redo")]
 
@@ -226,7 +227,7 @@ def test_pause_and_note_wait_for_the_next_question(action: Action) -> None:
     conversation = told()
     assert conversation.press(KEYMAP.key_of(action)) == []
     assert conversation.later == action
-    answered = conversation.ask(asked().as_mapping(), 0.0)
+    answered = conversation.ask(plain(asked()), 0.0)
     if action == "pause":
         assert answered == [Answer("pause")]
     else:
@@ -257,7 +258,7 @@ def test_abort_in_a_hit_stops_it_and_answers_the_next_question() -> None:
     conversation.live = True
     assert conversation.press("a") == []
     assert conversation.press("y") == [Stop()]
-    assert conversation.ask(asked().as_mapping(), 0.0) == [Answer("abort")]
+    assert conversation.ask(plain(asked()), 0.0) == [Answer("abort")]
 
 
 @pytest.mark.parametrize("help_shown", [False, True])
@@ -284,13 +285,13 @@ def test_what_shows_the_keys_hides_no_stop_and_no_question() -> None:
     assert not conversation.help
     conversation.press("?")
     assert conversation.help
-    conversation.ask(asked("trouble", ("go", "abort")).as_mapping(), 0.0)
+    conversation.ask(plain(asked("trouble", ("go", "abort"))), 0.0)
     assert not conversation.help
 
 
 def test_a_rest_ends_itself_but_not_under_a_note() -> None:
     conversation = told()
-    conversation.ask(asked("rest", ("go", "note", "abort"), seconds=10.0).as_mapping(), 100.0)
+    conversation.ask(plain(asked("rest", ("go", "note", "abort"), seconds=10.0)), 100.0)
     assert conversation.left_s(104.0) == 6.0
     assert conversation.pass_time(109.0) == []
     conversation.press("n")
@@ -323,7 +324,7 @@ def test_an_item_can_be_left_for_a_note() -> None:
     conversation.press("escape")
     conversation.press("n")
     assert type_line(conversation, "a b") == [Answer("note", "a b")]
-    conversation.ask(asked("item", ("answer", "note", "abort"), item={"kind": "text"}).as_mapping(), 0.0)
+    conversation.ask(plain(asked("item", ("answer", "note", "abort"), item={"kind": "text"})), 0.0)
     for key in ("y", "e", "x", "backspace", "s"):
         conversation.press(key)
     assert conversation.press("enter") == [Answer("answer", "yes")]
@@ -349,7 +350,7 @@ questions = st.sampled_from(
 def test_an_answer_is_always_one_that_was_asked_for(rounds: list[tuple[Question, list[str]]]) -> None:
     conversation = Conversation(KEYMAP)
     for question, keys in rounds:
-        outcomes = conversation.ask(question.as_mapping(), 0.0)
+        outcomes = conversation.ask(plain(question), 0.0)
         for key in keys:
             stands = conversation.question
             outcomes += conversation.press(key)
@@ -401,7 +402,7 @@ def test_a_picture_fits_its_terminal(kind: str, width: int, height: int) -> None
     conversation.help = kind == "help"
     if kind == "long":
         conversation.ask(
-            Question(kind="trouble", text="what [red] went wrong " * 40, actions=("go",)).as_mapping(), 0
+            plain(Question(kind="trouble", text="what [red] went wrong " * 40, actions=("go",))), 0
         )
     lines = drawn(conversation, SNAPSHOT, width, height).split("\n")
     assert len(lines) <= height + 1
@@ -412,17 +413,24 @@ def test_a_picture_fits_its_terminal(kind: str, width: int, height: int) -> None
 
 
 def test_lines_say_each_thing_once() -> None:
-    conversation, plain = told(asked("verdict", ("judge", "redo"))), PlainLines()
-    first = plain.lines(conversation, None, 0.0)
+    conversation, printer = told(asked("verdict", ("judge", "redo"))), PlainLines()
+    first = printer.lines(conversation, None, 0.0)
     assert first[-1].startswith("? [1] stable")
-    assert plain.lines(conversation, None, 1.0) == []
+    assert printer.lines(conversation, None, 1.0) == []
     conversation.press("1")
-    conversation.see(View(state="hit", lines=("one", "two")).as_mapping())
-    assert plain.lines(conversation, SNAPSHOT, 2.0) == ["state: hit", "phase: trial", "log: one", "log: two"]
-    conversation.see(View(state="hit", lines=("two", "three")).as_mapping())
-    assert plain.lines(conversation, SNAPSHOT, 3.0) == ["log: three"]
-    conversation.ask(asked("verdict", ("judge", "redo")).as_mapping(), 4.0)
-    assert plain.lines(conversation, SNAPSHOT, 4.0) == first[-1:]  # the same question once more is a new one
+    conversation.see(plain(View(state="hit", lines=("one", "two"))))
+    assert printer.lines(conversation, SNAPSHOT, 2.0) == [
+        "state: hit",
+        "phase: trial",
+        "log: one",
+        "log: two",
+    ]
+    conversation.see(plain(View(state="hit", lines=("two", "three"))))
+    assert printer.lines(conversation, SNAPSHOT, 3.0) == ["log: three"]
+    conversation.ask(plain(asked("verdict", ("judge", "redo"))), 4.0)
+    assert (
+        printer.lines(conversation, SNAPSHOT, 4.0) == first[-1:]
+    )  # the same question once more is a new one
 
 
 # The running loop

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from rig.core.present import plain
 from rig.realtime.ring import STOP, Ring
 from rig.session.console import program
 from rig.session.console.conversation import Conversation, Stop
@@ -38,7 +39,7 @@ def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console,
     woken, wake = os.pipe()
     typed, types = os.pipe()
     monkeypatch.setattr(program, "IN", typed)
-    keys = KeyMap.of(Keys()).as_mapping()
+    keys = plain(KeyMap.of(Keys()))
     os.write(to_console, line_of("setup", pid=os.getpid(), keys=keys, attributes=None, plain=True, hand=None))
     yield program._Console(hear, say, woken), Ends(to_console, from_console)
     for descriptor in (hear, to_console, from_console, say, woken, wake, typed, types):
@@ -53,7 +54,7 @@ def test_stop_is_in_the_loops_memory_before_the_session_hears_of_it(
     os.set_blocking(one._to, False)
     while select.select([], [one._to], [], 0.0)[1]:
         os.write(one._to, bytes(4096))
-    assert one._told.moving
+    assert one._talk.moving
     with Ring.allocate(16, info={}, shared=True) as ring:
         with pytest.raises(BlockingIOError):
             one._do([Stop()])
@@ -89,10 +90,10 @@ def test_pictures_come_ten_to_twenty_times_a_second_while_the_handle_moves(
         looks.append(clock[0])
 
     one._face = face
-    one._hear({"kind": "view", "view": View(state="hit").as_mapping()})
+    one._hear({"kind": "view", "view": plain(View(state="hit"))})
     if not moving:
         question = Question(kind="ready", text="ready?", actions=("go",))
-        one._hear({"kind": "ask", "number": 1, "question": question.as_mapping()})
+        one._hear({"kind": "ask", "number": 1, "question": plain(question)})
     monkeypatch.setattr(program, "select", SimpleNamespace(select=wait))
     monkeypatch.setattr(program, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr(one._live, "look", look)

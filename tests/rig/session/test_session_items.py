@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.core.present import plain
 from rig.session.console.conversation import Answer, Conversation
 from rig.session.desk import Question
 from rig.session.items import asked, parse_answer, wanted
@@ -60,7 +61,7 @@ def test_an_answer_that_was_parsed_is_parsed_again_to_itself(item: dict[str, Any
 def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) -> None:
     told = Conversation(KeyMap.of(Keys()))
     question = Question(kind="item", text="How tired?", actions=("answer", "abort"), item=SCALE)
-    told.ask(question.as_mapping(), 0.0)
+    told.ask(plain(question), 0.0)
     answers = [answer for key in (*text, "enter") for answer in told.press(key)]
     assert answers == ([] if kept is None else [Answer("answer", kept)])
     assert (told.notice == wanted(SCALE)) is (kept is None)

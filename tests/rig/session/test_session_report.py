@@ -244,7 +244,7 @@ def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found, page):
     two = [one for one in found.of_participants if (one.measure, one.repeats) == ("rule", 2)]
     assert two
     assert {one.interval for one in two} == {"verdicts"}
-    methods_text = {paragraph.heading: paragraph.text for paragraph in methods(found)}["Analysis"]
+    methods_text = {paragraph.heading: paragraph.text for paragraph in methods(found)}["Limits"]
     meaning = {
         table.name: {column.name: column.meaning for column in table.columns} for table in tables(found)
     }
@@ -272,7 +272,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
     x = effective(found)["uniform <i>"]
     limits, judged = x.rig.limits, x.verdict
     parts = {
-        "Participants": [len(study.sessions), 2],
+        "Participants": ["Three participants", "3 planned", "2 completed"],
         "Apparatus": [f"{x.rig.encoder.resolution:.4g}", f"{limits.effort:g} N·m"],
         "Conditions": ["20 kHz", "2 kHz", "200 Hz", "2 N", "0 and 0.5 N·m·s/rad"],
         "Task": [f"{x.homing.speed:g} rad/s", "K = 100 N·m/rad", study.protocol.trial.say],
@@ -284,9 +284,12 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
         "Search": ["17 stiffnesses from 100 to 900 N·m/rad, 50 N·m/rad apart", "2 reversals", "10 verdicts"],
         "Order and blinding": ["seed 7", "3 of the 4 rows", "row 2: 1 participant", "not balanced"],
         "Safety and rests": [f"{limits.speed:g} rad/s", OSCILLATIONS, f"{1000 * limits.oscillation_s:g} ms"],
-        "Analysis": [
+        "Limits": [
             f"Of {counts['recorded']} recorded trials {counts['counted']}",
             *(f"{n} {name}" for name, n in counts.items() if name not in ("recorded", "counted")),
+        ],
+        "Comparisons": ["19 runs", "2 degrees of freedom"],
+        "Psychometric functions and agreement": [
             ", ".join(f"{100 * rate:g}" for rate in LAPSE_RATES[:-1]) + f" and {100 * LAPSE_RATES[-1]:g} %",
         ],
         "Software": ["haptic-rig 0.1.0"],
@@ -330,7 +333,7 @@ def protocol_keys():
         (
             "psi",
             {"hits": 30},
-            "the limit is the median of the posterior of K50, with the prior given under Analysis",
+            "the limit is the median of the posterior of K50, with the prior given under Psychometric functions",
         ),
         ("grid", {"repeats": 1}, "Every level was presented 1 time, in a new random order"),
     ],

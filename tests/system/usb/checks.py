@@ -62,7 +62,7 @@ def count_reads(read, wait, handle, into, deadline_ns):  # type: ignore[no-untyp
     return count
 
 
-class Bench:
+class Cable:
     """Opens links and orders faults."""
 
     def __init__(self, transfers: str) -> None:
@@ -106,46 +106,46 @@ class Bench:
         self._answers.close()
 
 
-def conforms_as_a_link(bench: Bench) -> None:
+def conforms_as_a_link(cable: Cable) -> None:
     def speaking() -> UsbLink:
-        bench.order("speak")
-        return bench.open()
+        cable.order("speak")
+        return cable.open()
 
-    check_link(speaking, bench.open_silent, slack_s=SLACK_S)
+    check_link(speaking, cable.open_silent, slack_s=SLACK_S)
 
 
-def conforms_as_a_device(bench: Bench) -> None:
+def conforms_as_a_device(cable: Cable) -> None:
     """Tried a few times: a machine that halts this process for longer than a command lives makes the device fault."""
     for last in (False, False, False, True):
         try:
-            check_device(bench.open, starts_in_boot=False)
+            check_device(cable.open, starts_in_boot=False)
         except AssertionError:
             if last:
                 raise
-            bench.tidy()
-            heir = Host(bench.open(), first_nonce=30_000)
+            cable.tidy()
+            heir = Host(cable.open(), first_nonce=30_000)
             heir.identify()
             time.sleep(0.2)  # the device notices that its host is gone
             heir.disarm(clear_fault=True)
-            bench.tidy()
+            cable.tidy()
         else:
             return
 
 
-def says_how_it_works(bench: Bench) -> str:
-    return bench.open().note
+def says_how_it_works(cable: Cable) -> str:
+    return cable.open().note
 
 
-def is_listed(bench: Bench) -> list[dict[str, Any]]:
+def is_listed(cable: Cable) -> list[dict[str, Any]]:
     return [
         {"url": device.url, "name": device.product, "path": device.path, "is_rig": device.is_rig}
         for device in available_devices()
     ]
 
 
-def _caught(bench: Bench, kind: type[LinkLostError], act: Callable[[UsbLink], None], *orders: str) -> float:
+def _caught(cable: Cable, kind: type[LinkLostError], act: Callable[[UsbLink], None], *orders: str) -> float:
     """Give orders while another thread uses the link; return how long after the last one the error was there (ms)."""
-    link = bench.open()
+    link = cable.open()
     Host(link).identify()
     caught: list[tuple[int, BaseException]] = []
     begun = threading.Event()
@@ -162,7 +162,7 @@ def _caught(bench: Bench, kind: type[LinkLostError], act: Callable[[UsbLink], No
     begun.wait(SLACK_S)
     time.sleep(0.02)  # it is blocked by now, or works: both are right
     for command in orders:
-        happened_ns = bench.order(command)
+        happened_ns = cable.order(command)
     thread.join(SLACK_S)
     assert not thread.is_alive()
     (at_ns, error), *_ = caught
@@ -193,41 +193,41 @@ def _write_long(link: UsbLink) -> None:
         time.sleep(1e-3)
 
 
-def unplugged_while_reading(bench: Bench) -> float:
-    return _caught(bench, UnpluggedError, _read_long, "unplug")
+def unplugged_while_reading(cable: Cable) -> float:
+    return _caught(cable, UnpluggedError, _read_long, "unplug")
 
 
-def unplugged_while_writing(bench: Bench) -> float:
-    return _caught(bench, UnpluggedError, _write_long, "unplug")
+def unplugged_while_writing(cable: Cable) -> float:
+    return _caught(cable, UnpluggedError, _write_long, "unplug")
 
 
-def stalled_while_reading(bench: Bench) -> float:
-    return _caught(bench, StalledError, _read_long, "stall in")
+def stalled_while_reading(cable: Cable) -> float:
+    return _caught(cable, StalledError, _read_long, "stall in")
 
 
-def stalled_while_writing(bench: Bench) -> float:
-    return _caught(bench, StalledError, _write_long, "stall out")
+def stalled_while_writing(cable: Cable) -> float:
+    return _caught(cable, StalledError, _write_long, "stall out")
 
 
-def more_came_than_was_asked_for(bench: Bench) -> float:
-    return _caught(bench, OverflowedError, _read_long, "overflow")
+def more_came_than_was_asked_for(cable: Cable) -> float:
+    return _caught(cable, OverflowedError, _read_long, "overflow")
 
 
-def bits_are_damaged(bench: Bench) -> float:
-    return _caught(bench, BrokenLineError, _read_long, "broken")
+def bits_are_damaged(cable: Cable) -> float:
+    return _caught(cable, BrokenLineError, _read_long, "broken")
 
 
-def takes_only_a_part(bench: Bench) -> float:
-    return _caught(bench, CutShortError, _write_long, "short")
+def takes_only_a_part(cable: Cable) -> float:
+    return _caught(cable, CutShortError, _write_long, "short")
 
 
-def takes_no_more_bytes(bench: Bench) -> float:
-    return _caught(bench, BlockedError, _write_long, "silent")
+def takes_no_more_bytes(cable: Cable) -> float:
+    return _caught(cable, BlockedError, _write_long, "silent")
 
 
-def the_loop_sees_the_unplugging(bench: Bench) -> float:
+def the_loop_sees_the_unplugging(cable: Cable) -> float:
     """Through the plugs, on a thread that holds no GIL."""
-    link = bench.open()
+    link = cable.open()
     port = link.port()
     buffer = np.zeros(4096, np.uint8)
     answers: list[tuple[int, int]] = []
@@ -243,7 +243,7 @@ def the_loop_sees_the_unplugging(bench: Bench) -> float:
     thread = threading.Thread(target=body)
     thread.start()
     time.sleep(0.02)
-    happened_ns = bench.order("unplug")
+    happened_ns = cable.order("unplug")
     thread.join(SLACK_S)
     (at_ns, got) = answers[0]
     assert got == -errno.ENODEV
@@ -251,9 +251,9 @@ def the_loop_sees_the_unplugging(bench: Bench) -> float:
     return (at_ns - happened_ns) * 1e-6
 
 
-def a_full_pool_takes_nothing(bench: Bench) -> list[int]:
+def a_full_pool_takes_nothing(cable: Cable) -> list[int]:
     """As a full descriptor does: zero, not an error, and only for a time."""
-    link = bench.open_silent()
+    link = cable.open_silent()
     port = link.port()
     frame = np.zeros(32, np.uint8)
     taken = [give(port.write, port.handle, frame) for _ in range(20)]
@@ -269,9 +269,9 @@ def a_full_pool_takes_nothing(bench: Bench) -> list[int]:
     return taken
 
 
-def bytes_keep_their_order(bench: Bench) -> None:
+def bytes_keep_their_order(cable: Cable) -> None:
     """A request in pieces of every size, and its answer read by pieces: nothing is lost, doubled or swapped."""
-    link = bench.open()
+    link = cable.open()
     host = Host(link)
     for size in (1, 7, 63, 64, 65, 511):
         request = b"".join(host.connection.send(m.Identify(host.nonce(), 0)) for _ in range(8))
@@ -284,19 +284,19 @@ def bytes_keep_their_order(bench: Bench) -> None:
         assert answered == 8
 
 
-def replugged(bench: Bench) -> float:
+def replugged(cable: Cable) -> float:
     """The old link stays lost; a new one finds the new device."""
-    old = bench.open()
+    old = cable.open()
     Host(old).identify()
-    bench.order("unplug")
+    cable.order("unplug")
     with pytest.raises(UnpluggedError):
         _read_long(old)
     with pytest.raises(DeviceNotFoundError, match="there is no USB device 1209:0001"):
-        bench.open()
-    plugged_ns = bench.order("plug")
+        cable.open()
+    plugged_ns = cable.order("plug")
     with pytest.raises(LinkLostError):
         old.read(0.0)
-    new = bench.open()
+    new = cable.open()
     Host(new).identify()
     found_ns = time.monotonic_ns()
     old.close()
@@ -304,67 +304,67 @@ def replugged(bench: Bench) -> float:
     return (found_ns - plugged_ns) * 1e-6
 
 
-def opening_clears_a_halt(bench: Bench) -> None:
-    link = bench.open()
-    bench.order("stall in")
+def opening_clears_a_halt(cable: Cable) -> None:
+    link = cable.open()
+    cable.order("stall in")
     with pytest.raises(StalledError):
         _read_long(link)
     link.close()
-    Host(bench.open()).identify()
+    Host(cable.open()).identify()
 
 
-def busy_is_said(bench: Bench) -> None:
-    bench.order("busy")
+def busy_is_said(cable: Cable) -> None:
+    cable.order("busy")
     with pytest.raises(DeviceNotFoundError, match="in use by another program") as caught:
-        bench.open()
+        cable.open()
     assert "fuser /dev/bus/usb/001/" in caught.value.remedy
 
 
-def a_driver_of_the_kernel_gives_way_and_comes_back(bench: Bench) -> None:
+def a_driver_of_the_kernel_gives_way_and_comes_back(cable: Cable) -> None:
     def moved() -> tuple[int, int]:
-        status = bench.status()
+        status = cable.status()
         return status["detached"], status["attached"]
 
     detached, attached = moved()
-    bench.order("driver cdc_acm")
-    link = bench.open()
+    cable.order("driver cdc_acm")
+    link = cable.open()
     Host(link).identify()
     assert moved() == (detached + 1, attached)
     link.close()
     assert moved() == (detached + 1, attached + 1)
-    bench.open().close()
+    cable.open().close()
     assert moved() == (detached + 1, attached + 1)
 
 
-def nothing_is_left_behind(bench: Bench) -> dict[str, int]:
+def nothing_is_left_behind(cable: Cable) -> dict[str, int]:
     """Descriptors, threads of any kind, transfers with the kernel, claims."""
 
     def kept() -> tuple[int, int]:
         return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
 
     for _ in range(2):  # the first time libraries start threads of their own
-        with contextlib.closing(bench.open()) as link:
+        with contextlib.closing(cable.open()) as link:
             Host(link).identify()
         before = kept()
     for _ in range(3):
-        with contextlib.closing(bench.open()) as link:
+        with contextlib.closing(cable.open()) as link:
             Host(link).identify()
     assert kept() == before
-    status = bench.status()
+    status = cable.status()
     assert (status["pending"], status["claimed"]) == (0, 0), status
     return status
 
 
-def waiting_costs_no_time_of_the_processor(bench: Bench) -> float:
-    link = bench.open_silent()
+def waiting_costs_no_time_of_the_processor(cable: Cable) -> float:
+    link = cable.open_silent()
     before = time.process_time()
     assert link.read(0.5) == b""
     return (time.process_time() - before) * 1e3
 
 
-def packets_come_while_python_is_locked(bench: Bench) -> int:
+def packets_come_while_python_is_locked(cable: Cable) -> int:
     """The lock of the interpreter is held all the time that the loop may read; how many packets it got."""
-    link = bench.open()
+    link = cable.open()
     Host(link).identify()
     port = link.port()
     prepare(count_reads, port.read, port.wait)
@@ -385,9 +385,9 @@ def packets_come_while_python_is_locked(bench: Bench) -> int:
     return counts[0]
 
 
-def round_trips(bench: Bench) -> dict[str, float]:
+def round_trips(cable: Cable) -> dict[str, float]:
     """Median and worst time from a request to its answer."""
-    link = bench.open()
+    link = cable.open()
     host = Host(link)
     times = []
     for _ in range(50):
@@ -397,7 +397,7 @@ def round_trips(bench: Bench) -> dict[str, float]:
     return {"median": float(np.median(times)), "worst": max(times)}
 
 
-def unplugged_in_a_trial(bench: Bench, directory: str) -> dict[str, Any]:
+def unplugged_in_a_trial(cable: Cable, directory: str) -> dict[str, Any]:
     """The plug is pulled in the middle of a run of the loop: one error, and a recording that can be read."""
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
@@ -410,13 +410,13 @@ def unplugged_in_a_trial(bench: Bench, directory: str) -> dict[str, Any]:
 
     def pull(ticks: int, phase: int) -> None:
         if ticks > 20 and not happened:
-            happened.append(bench.order("unplug"))
+            happened.append(cable.order("unplug"))
 
     path = Path(directory) / "unplugged.rigcap"
     request = partial(
         trial_on, experiment=experiment, recording=path, verified=True, seed=0, progress=pull, sealed=False
     )
-    with open_device(bench.url) as device:
+    with open_device(cable.url) as device:
         try:
             request(device)
         except LinkLostError as error:

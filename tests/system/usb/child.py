@@ -14,16 +14,16 @@ def main() -> None:
     """Read names until the end of the input."""
     said = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    bench = checks.Bench(sys.argv[1])
+    cable = checks.Cable(sys.argv[1])
     for line in sys.stdin:
         try:
             name, *arguments = line.split()
-            answer = {"found": getattr(checks, name)(bench, *arguments)}
+            answer = {"found": getattr(checks, name)(cable, *arguments)}
         except BaseException:
             answer = {"failure": traceback.format_exc()}
-        bench.tidy()
+        cable.tidy()
         said.write(json.dumps(answer) + "\n")
-    bench.close()
+    cable.close()
     said.close()
 
 

@@ -19,7 +19,7 @@ from rig.recording.reader import open_recording
 from sim_backend.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.conformance.tolerance import tolerated
 from tests.system.usb import checks
-from tests.system.usb.bench import WAIT_S, Bus, Child, build
+from tests.system.usb.emulated_bus import WAIT_S, Bus, Child, build
 
 if numba.config.DISABLE_JIT:
     pytest.skip("the device's plant is too slow for real time uncompiled", allow_module_level=True)
