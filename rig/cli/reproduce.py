@@ -73,7 +73,7 @@ def reproduce(paper: str, quick: bool, directory: Path, workers: int | None, as_
 
 def _print(found: Reproduction) -> None:
     click.echo(f"{found.title} ({found.source})")
-    counts = [f"{found.count(status)} {said}" for status, said in COUNTS.items()]
+    counts = [f"{found.count(status)} {name}" for status, name in COUNTS.items()]
     click.echo(f"{len(found.claims)} claims: {', '.join(counts)}")
     for claim in found.claims:
         verdict = textwrap.shorten(claim.verdict, WIDEST, placeholder=" …")

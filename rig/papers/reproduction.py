@@ -154,7 +154,7 @@ def reproduce(
 
 
 def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
-    """Return the page; a picture (PNG by name) that the template shows and that is not there is said to be missing."""
+    """Return the page; a picture (PNG by name) that is not there is reported as missing."""
     return fill(
         found.paper.template(PAGE),
         reproduction=found,

@@ -110,7 +110,7 @@ def _regions() -> Ruling:
 
 
 def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
-    """At how many dampings nothing can be said, because both walls are stiffer than the search."""
+    """At how many dampings walls cannot be compared, because both are stiffer than the search."""
     dampings = sum(0.0 < b <= up_to for b in chawda.scale.hit_dampings)
     beyond = [(name, dampings - len(derived.over_filtered(chawda, name, up_to))) for name in names]
     return {

@@ -146,7 +146,7 @@ def edges(chawda: Chawda) -> list[Edge]:
 
 
 def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[float]]:
-    """Share of the mean error that FOAW saves at the walls that three estimators hold, by measurement."""
+    """By how much FOAW's mean error is lower, at walls passive with all three filters; a share, by measurement."""
     numbers = {name: rigs.ESTIMATORS.index(name) for name in rigs.FILTERS}
     common = chawda.map.common(reading, list(numbers.values()))
     if not common.any():
@@ -171,7 +171,7 @@ def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
 
 
 def common_error(chawda: Chawda, name: str) -> Spread:
-    """Mean error of one of three estimators at walls that all three hold, over measurements."""
+    """Mean error of one of three estimators at walls passive with all three, over measurements."""
     held = chawda.map.common(rigs.MAIN, [rigs.ESTIMATORS.index(one) for one in rigs.FILTERS])
     of = chawda.map.fidelity[:, rigs.MAIN, rigs.ESTIMATORS.index(name)]
     return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in rigs.FILTERS else [])
@@ -236,7 +236,7 @@ class Ranked:
     area: Spread
     stiffness: Spread
     damping: Spread
-    error: Spread  # ratio of mean errors at walls that both hold; the dual-rate wall of Koul et al. is 1
+    error: Spread  # ratio of mean errors at walls passive with both; the dual-rate wall of Koul et al. is 1
     capped: bool  # whether the region reaches the stiffest walls of the grid
 
 
@@ -261,7 +261,7 @@ def ranked(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Mean error over that of the reference at walls that both hold, by measurement."""
+    """Mean error over that of the reference at walls passive with both, by measurement."""
     ratios = []
     for m in range(found.grid.measurements):
         held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])

@@ -105,7 +105,7 @@ def identified(stiffness: float, damping: float) -> dict[str, float]:
 
 
 def control(payload: Mapping[str, Any]) -> dict[str, float]:
-    """What must hold without friction and quantum, for one scheme: K-width at B = 0, fidelity without a wall.
+    """What theory fixes without friction and quantum, for one scheme: K-width at B = 0, fidelity without a wall.
 
     Returns
     -------

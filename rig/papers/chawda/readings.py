@@ -71,7 +71,7 @@ class Grid:
 
 
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """Excite the walls of one scheme and damping: for each stiffness and measurement what every reading says.
+    """Excite the walls of one scheme and damping: for each stiffness and measurement the result of every reading.
 
     ``passive`` is a string of a digit for each reading, ``fidelity`` the rms of |Z| − |K/(jω) + B| in each of `bands`;
     a measurement that the guard ended is passive in none and has no fidelity.
@@ -197,7 +197,7 @@ class Readings:
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
-        """Walls that all schemes (or these) hold in every measurement: ``[damping, stiffness]``."""
+        """Walls that are passive with all schemes (or these) in every measurement: ``[damping, stiffness]``."""
         chosen = range(len(self.grid.schemes)) if schemes is None else schemes
         return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))
 

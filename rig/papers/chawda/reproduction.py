@@ -182,7 +182,7 @@ class ChawdaPlan:
 
 
 def _adjusted(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Levant's gains whose Z-width has the largest area: what somebody would find who tries them on the rig."""
+    """Levant's gains whose Z-width has the largest area: what trying them on the rig would lead to."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 

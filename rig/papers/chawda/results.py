@@ -66,7 +66,7 @@ class Chawda:
     linear
         Closed forms of the linear estimators over `linear_dampings`, by name.
     controls
-        What must hold without friction and quantum, by name of the estimator.
+        What theory fixes without friction and quantum, by name of the estimator.
     impedances
         Figs. 4 and 6: the bare rig, then one wall under each of `SCHEMES`.
     dual

@@ -33,7 +33,7 @@ EXCITATION_RMS = 2.0  # N, ten times Coulomb friction, and the same where there 
 HIGHEST_LINE = 400.0  # Hz: 0.4 of the rendering rate
 CONTROL_BAND = (1.0, HIGHEST_LINE)  # of what theory fixes
 
-# --- readings: how a measured impedance may be read, of which the paper says nothing but ±90° --------------------
+# --- readings: how a measured impedance may be read, of which the paper gives only ±90° --------------------
 
 Kind = Literal["deviations", "degrees"]
 
@@ -78,7 +78,7 @@ READINGS = tuple(
     Reading(low_hz=low, high_hz=high, tolerance=tolerance, kind=kind)
     for low, high, (tolerance, kind) in product(LOWEST_HZ, HIGHEST_HZ, TOLERANCES)
 )
-# Of the pictures and of Table I: what `rig impedance` and `rig zwidth --domain frequency` do unless told otherwise.
+# Of the pictures and of Table I: what `rig impedance` and `rig zwidth --domain frequency` do by default.
 MAIN = READINGS.index(Reading(low_hz=1.0, high_hz=250.0, tolerance=2.0))
 RESIDUAL, COHERENCE = 0.1, 0.5  # as in rig.analysis.impedance.verdict
 
@@ -97,7 +97,7 @@ PUSH: Mapping[str, Any] = {
     "homing.tolerance_counts": 10.0,
 }
 FIGURE_3_RATE = 10_000
-LOWPASS_HZ = {FIGURE_3_RATE: 4000.0, 1000: 400.0}  # of felt: the band has to hold what rings at that rate
+LOWPASS_HZ = {FIGURE_3_RATE: 4000.0, 1000: 400.0}  # of felt: the band has to contain what rings at that rate
 LOWEST_STIFFNESS = 2000.0  # N/m
 
 HBA_SC, LFBA, ADJUSTED, FILTERED = (
@@ -231,7 +231,7 @@ QUICK = Scale(
 
 
 def excited_rig(scale: Scale, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """The paper's rig with an excitation that holds the bands of every reading."""
+    """The paper's rig with an excitation over the bands of every reading."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
         "excitation.high_hz": HIGHEST_LINE,

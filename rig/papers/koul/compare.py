@@ -1,6 +1,6 @@
 """Figures 7 and 8 of Koul et al., under the conditions that the paper leaves open and this project settled.
 
-koul-rigid, nobody holding it, 70 g at its end; K = 40 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and
+koul-rigid without a hand, 70 g at its end; K = 40 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and
 outside the wall; from 2 mrad before the wall at 1.5 rad/s; ×4 decoding. The paper gives neither plant nor word length.
 
 In floating point a uniform wall is as well damped as a dual-rate one. What figure 7 shows needs a filter with few

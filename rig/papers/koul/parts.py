@@ -165,7 +165,7 @@ def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
 
 
 def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """What the exact theory says of a scheme on an experiment: K_max over some dampings, range, islands, passivity.
+    """Exact theory of a scheme on an experiment: K_max over some dampings, range, islands, passivity.
 
     With ``rates`` in the payload instead: K_max at B = 0 for each uniform rate.
     """

@@ -1,7 +1,7 @@
 """Koul, Manivannan and Saha's dual-rate sampling, reproduced: every figure, every claim, and its open ideas.
 
 Some hundred searches, ranges and pieces of theory run as one sweep; rules turn the numbers into verdicts, and templates
-into sentences. Nothing is tuned here: rigs are the two presets, one of which is fitted to the paper and says so.
+into sentences. Nothing is tuned here: rigs are the two presets, one of which is fitted to the paper and named so.
 
 Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-rate sampling" (2013), Figs. 5 to 8.
 """

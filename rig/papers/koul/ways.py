@@ -1,7 +1,7 @@
 """Ladder, bisection and grid through the same walls: what each would have answered, from the hits of one grid.
 
 A ladder is the part of a grid below its first failure. A bisection visits few of the rungs and believes that
-everything above a failure fails, so where it ends tells whether stability was monotone in K.
+everything above a failure fails, so where it ends shows whether stability was monotone in K.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class Column:
     Attributes
     ----------
     tried
-        What came of each stiffness.
+        Whether the wall of each stiffness passed.
     ladder, bisection, highest
-        Where a ladder and a bisection end, and the stiffest wall that holds at all (N·m/rad; 0 for none).
+        Where a ladder and a bisection end, and the stiffest stable wall of all (N·m/rad; 0 for none).
     islands
-        Stiffer walls that hold beyond one that fails.
+        Stiffer stable walls beyond one that fails.
     """
 
     damping: float
@@ -43,7 +43,8 @@ class Way:
     Attributes
     ----------
     columns, islands, higher
-        How many columns; in how many stiffer walls hold beyond one that fails, and a bisection ends above the ladder.
+        How many columns; in how many of them stiffer walls are stable beyond one that fails, and in how many a
+        bisection ends above the ladder.
     damping_ladder, damping_grid
         Largest damping at which the ladder finds a wall, and at which any wall is stable.
     """
