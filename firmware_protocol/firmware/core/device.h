@@ -103,8 +103,8 @@ void device_restart(struct device *device);
  * device_poll. */
 void device_tick(struct device *device);
 
-/* The parts of a tick, for a caller that lets time pass between them, as a simulation does: it drives, lets the world move,
- * samples and reports. */
+/* The parts of a tick, for a caller that lets time pass between them, as a simulation does: it drives, lets the world
+ * move, samples and reports. */
 void device_sample(struct device *device); /* count, time, measured current; faults; the law that runs here */
 void device_drive(struct device *device);  /* the current until the next sample */
 void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks before a fault */
