@@ -1,6 +1,6 @@
 """The conversation: bytes in, events out, and the states of the device that both ends agree on.
 
-No port, no clock, no thread here. Whoever owns the link hands bytes to `receive_data`, takes events
+No port, no clock, no thread here. The owner of the link hands bytes to `receive_data`, takes events
 until `next_event` returns None, and writes what `send` returns. One class serves both roles: a host
 built on it and a device built on it can be joined back to back in a test.
 
@@ -56,7 +56,7 @@ from firmware_protocol.transaction import (
 class State(IntEnum):
     """State of the device."""
 
-    BOOT = 0  # started; nobody has asked who it is
+    BOOT = 0  # started, not yet identified
     IDENTIFIED = 1  # known, with the parameters it started with
     CONFIGURED = 2  # a parameter block is active
     ARMED = 3  # a session is open, the amplifier enabled, no COMMAND yet, zero effort
@@ -140,7 +140,7 @@ _STATES: dict[int, State] = {int(state): state for state in State}
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message that the protocol allows here and now, with what its header said."""
+    """A message that the protocol allows here and now, with the fields of its header."""
 
     message: Message
     session: int
@@ -174,7 +174,7 @@ class Refused:
     detail: int
 
     def ack(self) -> m.Ack:
-        """Make the ACK that says why."""
+        """Make the ACK with the reason."""
         return m.Ack(self.nonce, self.request, int(self.status), self.detail, 0, 0)
 
 
@@ -227,12 +227,12 @@ class Connection:
             self.statistics.overrun += 1
 
     def next_event(self) -> Event | None:
-        """Return the next event, or None when all that came has been told.
+        """Return the next event, or None when there is none.
 
         Raises
         ------
         IncompatibleMajorError
-            Host only: the device speaks another major version. The frame is dropped; one may go on.
+            Host only: the device speaks another major version. The frame is dropped; the connection stays usable.
         """
         while self._frames:
             event = self._event(self._frames.popleft())
@@ -433,7 +433,7 @@ class Connection:
                 raise LocalProtocolError(f"session {session} is not 1 … 255, or was the last one")
             return session
         if layout.type_id == _COMMAND and not self.session:
-            raise LocalProtocolError("COMMAND needs a session of ours: the device is armed by somebody else")
+            raise LocalProtocolError("COMMAND needs a session of ours: the device is armed by another host")
         return self.session
 
     def _check_unasked(self, layout: Layout) -> None:
@@ -449,7 +449,7 @@ class Connection:
         self._open[request, nonce] = session
 
     def _answered(self, reply: Message) -> None:
-        """Move as the answer to an open request says; a repeated answer finds none and moves nothing."""
+        """Move according to the answer to an open request; a repeated answer finds none and moves nothing."""
         request = reply.request if isinstance(reply, m.Ack) else _REQUEST_OF[type(reply)]
         session = self._open.pop((request, reply.nonce), None)  # type: ignore[attr-defined]
         if session is None:
@@ -464,7 +464,7 @@ class Connection:
         self._move(after)
 
     def _believe(self, reply: Message) -> None:
-        """Host: take the state from an answer that tells it."""
+        """Host: take the state from an answer that has it."""
         if isinstance(reply, m.Identity):
             self._move(_STATES.get(reply.state, self.state))
         elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
@@ -500,7 +500,7 @@ class Connection:
         self._open.pop((event.request, event.nonce), None)
 
     def reset(self) -> None:
-        """Start anew, as after a reset of the device or a reopened port; the counters stay."""
+        """Start again, as after a reset of the device or a reopened port; the counters stay."""
         self.state = State.BOOT
         self._open_session(0)
         self._last_session = 0

@@ -23,7 +23,7 @@ class LinkStatistics:
     lost: int = 0  # stream frames missing between two that came, those that came too late included
     duplicated: int = 0  # stream frames that came twice
     reordered: int = 0  # stream frames older than one already delivered
-    overrun: int = 0  # frames dropped unread because nobody took the events
+    overrun: int = 0  # frames dropped unread because the events were not taken
 
     @property
     def framing_errors(self) -> int:

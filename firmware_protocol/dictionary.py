@@ -51,7 +51,7 @@ class CodeInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dictionary:
-    """What a device says of itself."""
+    """A device's description of itself."""
 
     major: int = MAJOR
     minor: int = MINOR
@@ -136,7 +136,7 @@ def dictionary_hash(packed: bytes) -> int:
 
 
 def decode(packed: bytes) -> Dictionary:
-    """Parse and check what a device sent; raises `RemoteProtocolError` for anything that is no dictionary."""
+    """Parse and check what a device sent; raises `RemoteProtocolError` for anything that is not a dictionary."""
     try:
         content = json.loads(_inflate(packed), parse_constant=_no_constant)
         if not isinstance(content, dict):

@@ -17,7 +17,7 @@ class ProtocolError(Exception):
 
 
 class LocalProtocolError(ProtocolError):
-    """We asked for something that the protocol forbids; nothing was sent and no state changed."""
+    """The caller requested something that the protocol forbids; nothing was sent and no state changed."""
 
 
 class RemoteProtocolError(ProtocolError):

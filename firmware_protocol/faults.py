@@ -10,7 +10,7 @@ from enum import IntEnum, IntFlag
 
 
 class Described(IntEnum):
-    """A code with what it says (`text`) and what to do about it (`remedy`)."""
+    """A code with its meaning (`text`) and what to do about it (`remedy`)."""
 
     text: str
     remedy: str
@@ -25,7 +25,7 @@ class Described(IntEnum):
 
 
 class DescribedFlag(IntFlag):
-    """A bit with what it says (`text`) and what to do about it (`remedy`); for a sum of bits see `texts`."""
+    """A bit with its meaning (`text`) and what to do about it (`remedy`); for a sum of bits see `texts`."""
 
     text: str
     remedy: str
@@ -39,7 +39,7 @@ class DescribedFlag(IntFlag):
         return member
 
     def texts(self) -> list[str]:
-        """Return what each set bit says; bits that this version does not know are skipped."""
+        """Return the meaning of each set bit; bits that this version does not know are skipped."""
         return [bit.text for bit in type(self) if bit in self]
 
 
@@ -108,7 +108,7 @@ class Fault(Described):
 
 
 class LimitFlag(DescribedFlag):
-    """Limits that changed the effort of a tick. Not faults: the device goes on."""
+    """Limits that changed the effort of a tick. Not faults: the device continues."""
 
     CURRENT = 1, "current clipped to current_limit", "ask for less effort"
     SLEW = 2, "change of current clipped to slew_limit", "a trial with this flag is invalid; raise slew_limit"

@@ -37,7 +37,7 @@ class Defect(IntEnum):
 
 
 class FrameError(RemoteProtocolError):
-    """Bytes between two delimiters that are no frame; `defect` says why."""
+    """Bytes between two delimiters that are not a frame; `defect` is the reason."""
 
     def __init__(self, defect: Defect) -> None:
         super().__init__(f"bad frame: {defect.name}")
@@ -105,7 +105,7 @@ class FrameSplitter:
         return frames
 
     def reset(self) -> None:
-        """Forget an unfinished frame, for example when somebody else has read from the link in between."""
+        """Forget an unfinished frame, for example when another reader has read from the link in between."""
         self._pending.clear()
         self._skipping = False
 

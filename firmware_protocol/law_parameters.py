@@ -3,7 +3,7 @@
 The device knows no radians: lengths are counts, velocities counts per velocity period, currents quanta, times ticks. A
 host designs everything, filters included (`rig.config.device_law`), and the device only multiplies. Integers of the
 fixed law that need 64 bits travel as two halves. What is not in use (another estimator, the other arithmetic) is not
-sent, and nobody reads it. Source of what each is: firmware/law/law.h.
+sent, and it is not read. Source of what each is: firmware/law/law.h.
 
 Live parameters may change while the device is armed, between two ticks, when the handle is in free space.
 """

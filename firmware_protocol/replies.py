@@ -35,7 +35,7 @@ class Replies:
         return self._reply
 
     def remembers(self, event: Event) -> bool:
-        """Whether a request is the one executed last, come again: its answer is told, and moves nothing any more."""
+        """Whether a request is a repeat of the one executed last: its answer is sent again, and nothing moves."""
         return self._reply is not None and self._key == (event.request, event.nonce, event.session)
 
     def forget(self) -> None:

@@ -1,7 +1,7 @@
-"""The host's side of a transaction: what is to be said when, in plain integers.
+"""The host's side of a transaction: what to send and when, in plain integers.
 
 A transaction is a request and its answer; an update of parameters is SET_BEGIN, its SET_CHUNKs and SET_COMMIT under one
-nonce, each answered before the next is said. `after_time` and `after_answer` are pure: `Connection` calls them, and a
+nonce, each answered before the next is sent. `after_time` and `after_answer` are pure: `Connection` calls them, and a
 loop that owns the link compiles the very same functions, so that parameters change in one way before and during a run.
 """
 
@@ -13,7 +13,7 @@ from firmware_protocol.faults import Status
 from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
 from firmware_protocol.packing import data_limit, type_id_of
 
-# How long a host waits for an answer before it says the same again; after the last repeat the last time once more.
+# How long a host waits for an answer before it sends the request again; after the last repeat the last time once more.
 RETRY_AFTER_S = (0.020, 0.040, 0.080)
 MOST_TRIES = 1 + len(RETRY_AFTER_S)
 ENDLESS = 1 << 62  # tries
@@ -40,9 +40,9 @@ class Transaction(NamedTuple):
     offset
         Where the chunk under way begins in the block (bytes).
     tries
-        Times that the request was said.
+        Times that the request was sent.
     again_at
-        When it is to be said again (ns).
+        When it is to be sent again (ns).
     """
 
     nonce: int
@@ -54,7 +54,7 @@ class Transaction(NamedTuple):
 
 
 def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
-    """The transaction at a time. Its request is to be said now exactly when it has one try more than before."""
+    """The transaction at a time. Its request is to be sent now exactly when it has one try more than before."""
     if t.step < 0 or (t.tries > 0 and time_ns < t.again_at):
         return t
     if t.tries >= most_tries:
@@ -70,7 +70,7 @@ def after_answer(t: Transaction, nonce: int, request: int, status: int, detail: 
     """
     late = (
         t.step == CHUNK and status == _OK and detail != t.offset
-    )  # to the chunk before, which was said twice
+    )  # to the chunk before, which was sent twice
     if t.step < 0 or nonce != t.nonce or request != t.step or late:
         return t
     step, offset = DONE, t.offset

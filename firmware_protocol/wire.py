@@ -1,4 +1,4 @@
-"""How a field on the wire says its C type, unit and meaning, once, and how such fields become bytes."""
+"""C type, unit and meaning of a field on the wire, declared once, and how such fields become bytes."""
 
 from __future__ import annotations
 

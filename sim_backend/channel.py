@@ -37,7 +37,7 @@ class Kind(Enum):
     )
     DELAY = "delay"  # it, and all behind it, wait for `ticks` ticks
     SILENCE = "silence"  # it and all that follow are lost
-    UNPLUG = "unplug"  # the line is gone, both ways, and both ends are told
+    UNPLUG = "unplug"  # the line is gone in both directions, and both ends are notified
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class FrameFault:
 
 @dataclass(frozen=True, slots=True)
 class DeviceFault:
-    """A fault that the device finds when `tick` ticks have passed; EMERGENCY_STOP means that somebody presses it."""
+    """A fault that the device finds when `tick` ticks have passed; EMERGENCY_STOP means that it is pressed."""
 
     tick: int
     fault: Fault
@@ -107,10 +107,10 @@ class Line:
             self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
 
     def send(self, direction: Direction, data: bytes, tick: int) -> None:
-        """Put bytes on the line when `tick` ticks have passed; what is no whole frame yet waits for its rest."""
+        """Put bytes on the line when `tick` ticks have passed; an incomplete frame waits for the rest."""
         *frames, self._unfinished[direction] = (self._unfinished[direction] + data).split(b"\0")
         for frame in frames:
-            if frame:  # a delimiter alone is no frame
+            if frame:  # a delimiter alone is not a frame
                 self._send_frame(direction, frame + b"\0", tick)
 
     def receive(self, direction: Direction, tick: int) -> bytes:

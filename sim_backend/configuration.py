@@ -1,4 +1,4 @@
-"""What a simulated device says of itself and what it was told: its dictionary, and the active parameter block."""
+"""Dictionary and active parameter block of a simulated device."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Configuration:
     Parameters
     ----------
     dictionary
-        What the device says of itself; its defaults are active first.
+        The device's dictionary; its defaults are active first.
     apply
         Called with all values before they are activated; what it raises (`ParameterError`) refuses them.
 

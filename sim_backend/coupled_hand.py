@@ -1,11 +1,11 @@
-"""A rig in a person's hand, stepped exactly: `sim_backend.plant` with a hand mass and what it wants.
+"""A rig in a person's hand, stepped exactly: `sim_backend.plant` with a hand mass and its intention.
 
 States in order (see `rig.core.model.state_space`): those of the rig, hand position and velocity, then intended
 position, intended velocity and press. The last three keep their values until a script writes others into them
 (`sim_backend.operator`); so the hand needs no other argument.
 
 A position acts on a body only through its distance from that body: moving all of them alike changes nothing
-else, and where nobody wants anything nothing moves, to the last bit. Friction and edges are those of the other
+else, and without an intention nothing moves, to the last bit. Friction and edges are those of the other
 plants (`sim_backend.inner`).
 """
 

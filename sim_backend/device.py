@@ -1,21 +1,21 @@
 """The simulated device: a whole rig that speaks the protocol, without I/O and without a clock.
 
 `receive` takes the host's bytes and returns the answers; `tick` lets one period pass and returns the STATE that
-follows. Whoever owns the bytes and the time (`link` in virtual time, `pty` in real time) calls the two in turn. Tick
+follows. The owner of bytes and time (`link` in virtual time, `pty` in real time) calls the two in turn. Tick
 k covers the time from sample k − 1 to sample k:
 
 1. the current for the tick: the active command, faded by the watchdog, cut by the limits;
 2. the plant moves;
 3. sample k: count, time of the last edge, measured current;
 4. the monitors look at it; a fault cuts the current from here on;
-5. STATE k tells sample k and the current that led to it.
+5. STATE k has sample k and the current that led to it.
 
 So a command that arrives between samples k and k + 1 acts at once, without any delay but the plant's own.
 
 It mirrors the device of PROTOCOL.md: a microcontroller with a quadrature counter that captures edge times, a
 current amplifier with an enable input, and two switches. The law on the device (mode SUPERVISE) is not part
 of it: such a command feeds the watchdog and gives no current. After ARM and after STOP there is no effort that a
-silent host could leave behind, so the watchdog waits longer then (`IDLE_LIFETIME_S`) before it says LINK_LOST.
+silent host could leave behind, so the watchdog waits longer then (`IDLE_LIFETIME_S`) before it reports LINK_LOST.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from sim_backend.configuration import Configuration, describe
 from sim_backend.hardware import Hardware
 from sim_backend.safety import UNITS_PER_SECOND, UNITS_PER_US, FaultMemory, Limits, Monitor, Thermal, Watchdog
 
-UNARMED_STATES_HZ = 100  # STATE frames a second while nobody has armed the device: enough to home by hand
+UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: enough to home by hand
 
 _U32 = 0xFFFFFFFF
 _U16 = 0xFFFF
@@ -242,7 +242,7 @@ class SimulatedDevice:
         return limits.apply(wanted)
 
     def _cut(self) -> None:
-        """Zero current, whatever the slew limit says."""
+        """Zero current, regardless of the slew limit."""
         self._limits.cut()
         self.hardware.cut()
 
@@ -253,7 +253,7 @@ class SimulatedDevice:
         self._cut()
 
     def _shows_itself(self) -> bool:
-        """Whether a STATE is due in a device that nobody has armed."""
+        """Whether a STATE is due in a device that is not armed."""
         if self.connection.state is State.BOOT:
             return False
         return self.sample_index % max(1, self._rate // UNARMED_STATES_HZ) == 0
@@ -398,7 +398,7 @@ class SimulatedDevice:
         return state is State.RUNNING or state is State.ARMED
 
     def _apply(self, values: Mapping[str, Value]) -> None:
-        """Run under new parameters from the next tick on, or raise `ParameterError` and go on as before.
+        """Run under new parameters from the next tick on, or raise `ParameterError` and continue as before.
 
         What may change on an armed device concerns a law on it, and here is none.
         """

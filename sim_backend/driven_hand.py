@@ -4,9 +4,9 @@ While the rig homes, the hand goes along as the scripted one does (`sim_backend.
 that pulls elsewhere would keep the handle from its start. From the beginning of the trial on it follows the wishes.
 
 A mouse moves in jerks and an arrow key in steps, a hand does not: it follows as a critically damped system of
-`FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. What follows from a hand that
-works comes from the script's: the press swells and ebbs, and tremor arrives with the effort. Nobody there means that
-nothing new was said for `SILENT_S`: then the hand wants to be where it is, and presses no more.
+`FOLLOW_HZ`, without overshoot, and stays within what a person can reach and press. Press and tremor are those of the
+script: the press swells and ebbs, and tremor arrives with the effort. Without a new
+wish for `SILENT_S` the hand stays where it is, and presses no more.
 
 Intentions are made in short blocks of ticks, so that the compiled run of many ticks plays them as it plays a script.
 """
@@ -45,13 +45,13 @@ class DrivenHand:
     Raises
     ------
     ConfigError
-        Nobody holds this rig.
+        The rig is not held by a person.
     """
 
     def __init__(self, model: RigModel, wish: Callable[[], Wish | None]) -> None:
         if model.operator is None or model.reach is None:
             raise ConfigError(
-                f"nobody holds the handle of {model.name}, so nobody can drive it",
+                f"the handle of {model.name} is not held by a person, so no hand can be driven",
                 remedy='set trial.kind = "human"',
             )
         self._operator, self._reach = model.operator, model.reach
@@ -67,7 +67,7 @@ class DrivenHand:
         self._at, self._rate = reach.start, 0.0
         self._press, self._press_rate = 0.0, 0.0
         self._tick = 0
-        # What was said before the session may be years old: only what comes now says that somebody is there.
+        # A wish from before the session may be years old: only a new one shows that a person is there.
         self._said = self._wish() or Wish(0, reach.start, 0.0)
         self._silent_s, self._alone, self._goal = SILENT_S, True, reach.start
         self._times: Rows = np.arange(1.0, 1.5 + round(BLOCK_S / tick_s), dtype=np.float64) * tick_s

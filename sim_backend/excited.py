@@ -157,7 +157,7 @@ class ExcitedPlant:
             raise LawError(
                 f"estimator {controller.estimator.estimator.name} or law {controller.law.law.name} gave a value that "
                 f"is not finite, {ran * self._tick_s:.4g} s into the run",
-                remedy="mend it, or check its settings",
+                remedy="correct the law, or check its settings",
             )
         rows = ran * self._ratio // self._every
         return ExcitedMotion(

@@ -1,8 +1,8 @@
 """The firmware as a simulated device: the C code of a board, with the plant of the simulation behind it.
 
-`Core` is the software alone, in its port to a computer: bytes and a world that somebody sets. `FirmwareDevice` gives
-it a rig. It offers what `device.SimulatedDevice` does, tick by tick (`tick`), and the same in one compiled call until
-there is something to say (`run`); a law that runs on the device needs no more of the host than that.
+`Core` is the software alone, in its port to a computer: bytes, and a world that is set from outside. `FirmwareDevice`
+gives it a rig. It offers what `device.SimulatedDevice` does, tick by tick (`tick`), and the same in one compiled call
+until there is something to say (`run`); a law that runs on the device needs no more of the host than that.
 
 It mirrors a board by being its software. What is simulated is its hardware layer: counter, amplifier, timer, switches.
 A port's own `device_tick` takes the sample and drives the current that follows from it at once; here the two halves
@@ -122,9 +122,9 @@ class FirmwareDevice:
     model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
         As of `SimulatedDevice`.
     law_maximum
-        The last of the laws (parameter `law`) that it says it can run itself; 0 none.
+        The last of the laws (parameter `law`) that it declares to run itself; 0 none.
     library
-        The firmware's library; the shipped one unless given, compiled when nobody has yet.
+        The firmware's library; the shipped one unless given, compiled on first use.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class FirmwareDevice:
 
     @property
     def status(self) -> Status:
-        """What the software says of itself beside the protocol: counters, frames that it dropped."""
+        """What the software reports beside the protocol: counters, frames that it dropped."""
         return self._seen
 
     # ------------------------------------------------------------------ the tick

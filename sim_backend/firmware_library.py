@@ -145,7 +145,7 @@ def library() -> ctypes.CDLL:
         return load(path)
     except (OSError, AttributeError) as error:
         raise ConfigError(
-            f"the firmware's library {path} does not open: {error}", remedy="remove it: it is made anew"
+            f"the firmware's library {path} does not open: {error}", remedy="remove it: it is built again"
         ) from error
 
 

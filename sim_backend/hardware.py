@@ -85,13 +85,13 @@ class Hardware:
         self.measured = 0
 
     def set_rate(self, rate: int) -> None:
-        """Tick at another rate (Hz) from here on; the motion goes on. Raises `ConfigError` and changes nothing."""
+        """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
-        self._script = Script.silent()  # of other ticks; whoever holds the handle stays as they are
+        self._script = Script.silent()  # of other ticks; the person at the handle stays
         self._hand_driven = False
 
     def drive_hand(self, hand: DrivenHand) -> None:
-        """Let somebody drive the hand, from the next session on, in place of its script."""
+        """Let a person drive the hand, from the next session on, in place of its script."""
         self._hand = hand
 
     def begin_session(self) -> None:

@@ -2,7 +2,7 @@
 
 A map of thousands of walls is made of these calls. They allocate nothing and do not hold the GIL, so a thread for each
 core keeps it busy, and memory does not grow with the number of hits. What comes out is what
-`rig.control.verdict.judge` says of the recording of the same trial over the byte link.
+`rig.control.verdict.judge` gives for the recording of the same trial over the byte link.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class SimulatedRig:
             raise LawError(
                 f"estimator {controller.estimator.estimator.name} or law {controller.law.law.name} gave a value that "
                 f"is not finite, {ticks * plant.tick_s:.4g} s into the hit",
-                remedy="mend it, or check its settings",
+                remedy="correct the law, or check its settings",
             )
         # What trips in the release leaves the verdict of the push alone.
         pushed = ticks > 1 and trace.phases[ticks - 2] == Phase.RELEASE

@@ -1,10 +1,10 @@
 """The simulated rig in this process, in virtual time: bytes by function call, hours in seconds, every run alike.
 
-Time moves only while the host waits. A host that waits for bytes lets the device tick until it says something, so
+Time moves only while the host waits. A host that waits for bytes lets the device tick until it sends something, so
 the device never passes sample k before the COMMAND that answers it has been delivered: lock-step, without a delay.
 A host that sleeps on the link's clock lets the device tick that long without it, as a slow host would.
 
-It mirrors a serial port and its driver: a bounded input buffer that throws away what nobody reads, EIO after an unplug.
+It mirrors a serial port and its driver: a bounded input buffer that drops what is not read, EIO after an unplug.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ OPTIONS: dict[str, Callable[[str], Any]] = {
 }
 CLOCK_PPM_MAXIMUM = 1000.0
 SYNC_PULSE_S = 1e-3  # how long a pulse on the sync input lasts, unless the next one comes sooner
-BUFFER_BYTES = 1 << 16  # of input that nobody reads, as of a driver; what comes then is lost
+BUFFER_BYTES = 1 << 16  # of unread input, as in a driver; further bytes are lost
 
 _TRANSFER = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
@@ -138,7 +138,7 @@ def _parse(url: DeviceUrl) -> dict[str, Any]:
     for name, text in url.options.items():
         if name == "hand":
             raise ConfigError(
-                f"{url.text}: nobody can lead a hand in virtual time",
+                f"{url.text}: a hand cannot be driven in virtual time",
                 remedy="run in real time, or leave hand out: then it plays its script",
             )
         kind = OPTIONS[name]
@@ -315,7 +315,7 @@ class MemoryLink:
         return True
 
     def _run(self, deadline_ns: int) -> int:
-        """Let the device tick until it says something, at most to a deadline that its next tick does not pass.
+        """Let the device tick until it sends something, at most to a deadline that its next tick does not pass.
 
         Returns the time of its last tick on the link's clock.
         """

@@ -7,7 +7,7 @@ that its force grows with the force exerted (Sutton and Sykes 1967).
 
 A script is computed once, before the session, from numbers alone; the simulated device and the trial without bytes play
 the same one, from the tick after arming on. When it ends, its last two seconds repeat, without a seam: a sum of sines
-whose frequencies are multiples of half a hertz. So it lasts for ever and stays small.
+whose frequencies are multiples of half a hertz. So it lasts forever and stays small.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 class Script(NamedTuple):
     """For each tick intended position, intended velocity and press on the hand, at the link.
 
-    After the last row it goes on at row `again`. No rows mean that nobody wants anything: the hand, if there is one,
+    After the last row it continues at row `again`. No rows mean no intention: the hand, if there is one,
     holds still.
     """
 

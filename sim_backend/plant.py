@@ -55,7 +55,7 @@ from sim_backend.inner import (
 )
 from sim_backend.sensors import cell, encoder_count
 
-RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig that nobody holds
+RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 
 
 @group
@@ -209,7 +209,7 @@ def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     both = np.zeros((order + inputs, order + inputs))
     both[:order] = np.hstack([continuous.a, continuous.b])
     whole = linalg.expm(both * step_s)
-    # What a hand wants is an input that stays until somebody changes it: a state.
+    # A hand's intention is an input that stays until it is changed: a state.
     wanted = order + continuous.operator_inputs.start
     states = [*range(order), *range(wanted, order + inputs)]
     phi = np.ascontiguousarray(whole[np.ix_(states, states)])

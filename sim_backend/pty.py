@@ -3,7 +3,7 @@
 The device here is the one of `device`, its clock that of `real_time`; this file gives it a port.
 
 It mirrors a USB serial device: it stays when a host goes, even by kill -9, and its watchdog knows of that only by
-the silence. After the hang-up of the line it writes nothing, for nobody would read it; what a host does not read in
+the silence. After the hang-up of the line it writes nothing, for it would not be read; what a host does not read in
 time is thrown away, newest first, whole frames only.
 """
 
@@ -51,7 +51,7 @@ def serve(
     link_path: str | Path | None = None,
     duration_s: float | None = None,
 ) -> None:
-    """Run a simulated rig behind a pseudo-terminal until it is told to stop.
+    """Run a simulated rig behind a pseudo-terminal until it is stopped.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def serve(
     firmware
         The device is the firmware itself, compiled for this machine, which can run the law.
     hand
-        File through which somebody leads the hand that holds the handle (`rig.devices.hand`); without one it plays its
+        File through which a person drives the hand at the handle (`rig.devices.hand`); without one it plays its
         script.
     announce
         Called once with the path of the port, when a host can open it.
@@ -85,7 +85,7 @@ def serve(
     ------
     ConfigError
         A rate that the port cannot carry, `link_path` exists and is no symbolic link, or the firmware cannot be made;
-        no such hand, or nobody who holds the handle.
+        no such hand, or a rig that is not held by a person.
     """
     maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
     if not 50 <= rate <= maximum:
@@ -104,7 +104,7 @@ def serve(
             body.run(duration_s)
 
 
-# No truth is kept: it would grow for ever, and nobody could read it.
+# No truth is kept: it would grow without bound, and could not be read.
 
 
 def _timed_device(model: RigModel, port: Port, stop: threading.Event, **options: Any) -> RealTime:
@@ -119,7 +119,7 @@ def _timed_firmware(model: RigModel, port: Port, stop: threading.Event, **option
 
 @contextlib.contextmanager
 def _driven(body: RealTime | FirmwareTime, model: RigModel, hand: str | Path | None) -> Iterator[None]:
-    """Let somebody drive the hand, if a file says so."""
+    """Let a person drive the hand, if there is a file for it."""
     if hand is None:
         yield
         return
@@ -137,7 +137,7 @@ class _Port:
         self.path = os.ttyname(slave)
         tty.setraw(slave)
         os.set_blocking(self._master, False)
-        os.close(slave)  # from now on a hang-up says that no host has it open
+        os.close(slave)  # from now on a hang-up shows that no host has it open
         self._pending = b""
         self._hung_up = False
 
@@ -207,7 +207,7 @@ def _linked(link_path: str | Path | None, target: str) -> Iterator[None]:
         return
     link = Path(link_path)
     if link.exists() and not link.is_symlink():
-        raise ConfigError(f"{link} exists and is no symbolic link", remedy="choose another path")
+        raise ConfigError(f"{link} exists and is not a symbolic link", remedy="choose another path")
     try:
         link.unlink(missing_ok=True)
         link.symlink_to(target)

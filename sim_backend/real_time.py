@@ -12,7 +12,7 @@ is not found silent.
 
 Time keeps its grid: deadlines follow from the device's own clock, so lateness never adds up. A `RealTime` that wakes a
 few ticks late runs them at once; what is beyond that passes without STATE and is counted in `missed_ticks`; after a
-pause longer than `LONGEST_PAUSE_S` (a suspended process) the grid starts anew, because the simulated world stood
+pause longer than `LONGEST_PAUSE_S` (a suspended process) the grid restarts, because the simulated world stood
 still too.
 """
 
@@ -62,7 +62,7 @@ class RealTime:
         self._origin_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Tick until told to stop."""
+        """Tick until stopped."""
         start_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
         self._origin_ns = start_ns - self.device.elapsed_ns
@@ -92,7 +92,7 @@ class RealTime:
         return received, came_at
 
     def _keep_up(self) -> None:
-        """Let the ticks pass that cannot be told any more, and count them."""
+        """Skip the ticks that can no longer be reported, and count them."""
         device = self.device
         late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
         if late_ns > LONGEST_PAUSE_S * 1e9:
@@ -120,7 +120,7 @@ class FirmwareTime:
         self._origin_ns = self._passed_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Tick until told to stop."""
+        """Tick until stopped."""
         device, port = self.device, self._port
         start_ns = self._passed_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None

@@ -43,7 +43,7 @@ NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warn
 RUNAWAY_SHARE = 0.2
 STALL_MARGIN = 3.0  # times the longest time in which the free rig passes STALL_COUNTS
 
-# At the budget the current is reduced; heat well above it says that the reduction does not help.
+# At the budget the current is reduced; heat well above it shows that the reduction does not help.
 THERMAL_CUT = 1.25
 
 # Faults found in one tick, gravest first: the first of them is latched, the others go into the mask.
@@ -194,12 +194,12 @@ class Limits:
         return current
 
     def cut(self) -> None:
-        """Zero at once, whatever the slew limit says."""
+        """Zero at once, regardless of the slew limit."""
         self.current = 0
 
 
 class Monitor:
-    """What the motion says: over-speed, position window, runaway, over-current, heat.
+    """Faults that the motion shows: over-speed, position window, runaway, over-current, heat.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ class Monitor:
         self.forget()
 
     def forget(self) -> None:
-        """Begin the runaway check anew: another session."""
+        """Restart the runaway check: another session."""
         self._driven = self._still = self._pushed = 0
 
     def in_window(self, count: int) -> bool:

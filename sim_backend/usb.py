@@ -1,7 +1,7 @@
 """The simulated rig with the shape of a USB device: descriptors, and two bulk endpoints behind a socket.
 
 What USB asks of a device without a cable is here: the descriptors that say "vendor class, one bulk endpoint each
-way", the answers to the standard control requests, and the packets. Whoever plays the bus (an emulated usbfs, a
+way", the answers to the standard control requests, and the packets. The part that plays the bus (an emulated usbfs, a
 USB/IP server) forwards control requests to `UsbShape.control` and moves packets through a socket that keeps their
 boundaries (SOCK_SEQPACKET): one message is one packet. The clock is that of `real_time`.
 
@@ -44,7 +44,7 @@ _SETUP = struct.Struct("<BBHHH")
 
 @dataclass(frozen=True, slots=True)
 class UsbShape:
-    """What the device says of itself on USB."""
+    """The device's descriptors on USB."""
 
     vendor: int = VENDOR
     product: int = PRODUCT
@@ -170,7 +170,7 @@ def serve(
     stop_event: threading.Event | None = None,
     duration_s: float | None = None,
 ) -> None:
-    """Run a simulated rig behind the bulk pipes until it is told to stop.
+    """Run a simulated rig behind the bulk pipes until it is stopped.
 
     Parameters
     ----------
@@ -204,6 +204,6 @@ def serve(
         position_rate_default=rate,
         position_rate_maximum=POSITION_RATE_MAXIMUM,
         seed=seed,
-        keep_truth=False,  # it would grow for ever, and nobody could read it
+        keep_truth=False,  # it would grow without bound, and could not be read
     )
     RealTime(device, UsbPort(end, packet), stop_event or threading.Event()).run(duration_s)

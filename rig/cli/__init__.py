@@ -63,7 +63,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "devices": ("rig.cli.devices:devices", "List device backends and ports, or ask one device who it is."),
     "doctor": (
         "rig.cli.doctor:doctor",
-        "Say what this machine and a link can do, which walls that supports, and what mends the rest.",
+        "Report what this machine and a link can do, which walls that supports, and what fixes the rest.",
     ),
     "firmware": (
         "rig.cli.firmware:firmware",

@@ -174,8 +174,8 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     b = (own.damping,) if damping is None else numbers(damping, "--damping")
     if len(k) != len(b) and 1 not in (len(k), len(b)):
         raise ConfigError(
-            f"{len(k)} stiffnesses and {len(b)} dampings",
-            remedy="give as many of both, or one of one of them",
+            f"{len(k)} stiffnesses and {len(b)} dampings do not pair",
+            remedy="give as many of both, or a single one of either",
         )
     n = max(len(k), len(b))
     walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))

@@ -1,6 +1,6 @@
 """The multisine that a device plays out of a table: what the firmware works out, to the bit, and what it is.
 
-The rig's own motor is excited at the device's rate, so nothing is streamed: the device is told a few numbers, works out
+The rig's own motor is excited at the device's rate, so nothing is streamed: the device gets a few numbers, computes
 one period as 16-bit numbers (quanta · 2^−bits) before anything moves, and looks one up in each tick. Its arithmetic is
 in integers (firmware/law/excitation.c), so the host knows the table exactly, and `multisine` says which
 `rig.control.excitation.Multisine` it is an approximation of: lines first, first + step, …, equal amplitudes, own

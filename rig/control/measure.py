@@ -1,18 +1,18 @@
 """Every number of a verdict from the arrays of one trial, in one compiled call that allocates nothing.
 
-A recording and ten thousand simulated trials are measured by this one function; what the numbers mean is said in
+A recording and ten thousand simulated trials are measured by this one function; their meaning is in
 `rig.control.verdict`, which turns them into a kind.
 
 Only the tail is filtered, with a lead-in as long as the filters remember to one part in 10⁹. A filter is started as if
-its first sample had lasted for ever: all of them stop a constant, so that is the deviation from the first sample,
+its first sample had lasted forever: all of them stop a constant, so that is the deviation from the first sample,
 filtered from rest. *Zero phase* means forth and back over a mirrored extension of both ends, as
 `scipy.signal.sosfiltfilt` has it with ``padtype="even"``: an odd one makes a step of a ripple far above the band.
 
-The encoder's floor is told of the frequency of its toggling: half the rate, over the tail, of the count's changes that
-are no motion in the band. Those are changes against the direction of the one before (a toggling count has two in a
-period whatever its duty cycle, an oscillation over many counts two as well), and the slow steps of a creeping one.
-No spectrum is needed, and unlike the highest line of one this is defined for toggling without a period, whose velocity
-in the band depends on the rate of changes alone. Pulses much shorter than a period of the band read less than that.
+The encoder's floor is given for the frequency of its toggling: half the rate, over the tail, of the count's changes
+that are no motion in the band. Those are changes against the direction of the one before (a toggling count has two in a
+period whatever its duty cycle, an oscillation over many counts two as well), and the slow steps of a creeping one. No
+spectrum is needed, and unlike the highest line of one this is defined for toggling without a period, whose velocity in
+the band depends on the rate of changes alone. Pulses much shorter than a period of the band read less than that.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ SETTINGS = np.dtype(
         ("tail_ticks", "<i8"),
         ("lead_ticks", "<i8"),  # filtered before the tail
         ("pad_ticks", "<i8"),  # mirrored extension of the ends
-        ("impact_ticks", "<i8"),  # counts before contact that tell the velocity at impact
+        ("impact_ticks", "<i8"),  # counts before contact from which the velocity at impact is estimated
     ],
     align=True,
 )

@@ -1,7 +1,6 @@
 """The verdict of one hit: stable, limit cycle, unstable or invalid, with every number behind it.
 
-Here is what the numbers mean; `rig.control.judging` takes them from the signals of a trial. They are of its tail, the
-last `tail_s`:
+`rig.control.judging` computes the numbers from the signals of a trial, over its tail, the last `tail_s`:
 
 * **felt**: rms velocity between 30 and 500 Hz, from counts by a central difference and a zero-phase filter;
 * **heard**: rms of the commanded effort above 30 Hz;
@@ -9,21 +8,21 @@ last `tail_s`:
 
 A rig records the side of its encoder; of the truth, felt and moved are those of the handle, which a hand holds.
 
-*Invalid* is a trial that says nothing: no contact, contact in the baseline, a gap, too many late ticks, a binding slew
+*Invalid* is a trial without a verdict: no contact, contact in the baseline, a gap, too many late ticks, a binding slew
 limit, a device that overruled the law, or saturation without motion. *Unstable*: the wall was left in the tail, or the
 ripple grows, or the motor saturates while a threshold is exceeded. *Limit cycle*: not unstable, but felt, heard or
-moved. *Stable*: none of them.
+moved is above its threshold. *Stable*: none of them.
 
-A person may leave the wall too early, by themselves. What tells that from a wall that throws them out is what came
-before, and what follows: a wall that throws beats or rings first, and a hand that pushes comes back. So where a person
-hits, a tail in which the wall was left once and not touched again is invalid if the stay before lasted a period of the
-high pass (a bounce is shorter) and was neither heard nor moved above the thresholds in the tail until such a period
-before its end. Whatever bounces, or buzzed before it left, stays unstable; so does a hand that comes back: stay out.
+A person may leave the wall too early. That differs from a wall that ejects the handle by what comes before and after:
+an unstable wall oscillates first, and a hand that pushes comes back. So where a person hits, a tail in which the wall
+was left once and not touched again is invalid if the stay before lasted a period of the high pass (a bounce is shorter)
+and was neither heard nor moved above the thresholds in the tail until such a period before its end. Whatever bounces,
+or buzzed before it left, stays unstable; so does a hand that comes back: stay out.
 
 A velocity from counts has a floor: one toggling count of size Δ at f Hz is a square wave whose fundamental
 reads 2√2·f·Δ rms, and each of its odd harmonics in the band as much again. It is reported for the frequency at which
 the count toggles in the tail (`rig.control.measure`), and when it exceeds the threshold *felt* is not measurable and
-does not vote.
+is ignored.
 """
 
 from __future__ import annotations
@@ -183,7 +182,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
 
 
 def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
-    """Return the place in `KINDS` of each trial: what `decide` says, without its texts."""
+    """Return the place in `KINDS` of each trial: as `decide`, without texts."""
     codes: NDArray[np.int64] = _codes(objections(numbers, thresholds))
     return codes
 
@@ -239,7 +238,7 @@ class Measured:
         return Verdict(kind=kind, reasons=reasons, **shown)
 
     def passes(self, criterion: str) -> bool | None:
-        """Whether the wall lies within the Z-width under a criterion; None when the trial says nothing about it.
+        """Whether the wall lies within the Z-width under a criterion; None when the trial does not show it.
 
         Parameters
         ----------
@@ -252,7 +251,7 @@ class Measured:
         of it for the whole tail or left it there: against a push that lasts, as it does in a map, only a wall that
         gives energy throws a handle that far (a session asks nothing of a person's invalid trial). A
         trial that is still settling counts for what its tail shows: it has rung as long as the trial lasts. Every
-        other invalid trial says nothing: never touched, touched only in the tail, too short, gaps, late ticks, a slew
+        other invalid trial shows nothing: never touched, touched only in the tail, too short, gaps, late ticks, a slew
         limit that bound or a device that overruled the law (then it was another wall), or a push that saturates the
         motor at rest. Where *felt* is not measurable it exceeds nothing: a Z-width under ``felt`` is one of truths, or
         of a fine encoder.

@@ -141,7 +141,7 @@ class ClockFit:
             return cls(**{f.name: {"int": int, "float": float}[f.type](mapping[f.name]) for f in fields(cls)})  # type: ignore[index]
         except (KeyError, TypeError, ValueError) as error:
             raise RigError(
-                f"an invalid clock fit ({error!r})",
+                f"the clock fit is invalid ({error!r})",
                 remedy="read it with the version that wrote it",
             ) from error
 

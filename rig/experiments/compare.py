@@ -187,7 +187,7 @@ def compare(
     Raises
     ------
     ConfigError
-        A scheme that cannot be meant, a hand on the rig, no offset, or a handle that never reaches the wall.
+        An invalid scheme, a hand on the rig, no offset, or a handle that never reaches the wall.
     DeviceNotFoundError
         The simulation is not installed.
     """

@@ -51,12 +51,12 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.LAW_RAISED: (
         LawError,
         "the law raised {cause}; the effort went to zero",
-        "mend the law: a kernel raises nothing",
+        "correct the law: a kernel must not raise",
     ),
     EndReason.STUCK: (
         LawError,
         "the loop was told to stop and does not return; nothing more is sent, and the device cuts the effort by itself",
-        "mend the law or the estimator: it must return at once; then start anew, since this program still computes it",
+        "correct the law or the estimator: it must return at once; then start again, since this one still runs",
     ),
     EndReason.DEVICE_ENDED: (
         GuardError,

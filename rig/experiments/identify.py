@@ -389,7 +389,7 @@ def _check_signs(signs: SignCheck) -> None:
     if not signs.ok:
         raise IdentificationError(
             "; ".join(signs.warnings) or "the pushes tell no inertia",
-            remedy="mend rig.amplifier.effort_per_ampere, rig.encoder or rig.mechanics; then identify again",
+            remedy="correct rig.amplifier.effort_per_ampere, rig.encoder or rig.mechanics; then identify again",
         )
 
 

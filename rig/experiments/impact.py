@@ -16,7 +16,7 @@ from rig.control.estimators.estimator import Floats
 
 LEAST_SWING = 2.0  # counts that the handle must turn back by, for a peak to be one
 SWING_SHARE = 0.1  # and of the depth of the first peak below the rest
-REST_SHARE = 0.25  # of the trace, whose end tells the rest
+REST_SHARE = 0.25  # of the trace, whose end is the rest position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,7 +29,7 @@ def experiment_of(recording: Recording) -> Experiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """What a recording says of its wall.
+    """What a recording says about its wall.
 
     Attributes
     ----------

@@ -47,7 +47,7 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
         Check(
             "device rate",
             Outcome.OK if rate <= rate_maximum else Outcome.REFUSED,
-            f"{rate} Hz asked, the device does {rate_maximum} Hz at most",
+            f"the law asks for {rate} Hz, and the device runs at most at {rate_maximum} Hz",
             f"choose --rate {rate_maximum} or less",
         )
     ]
@@ -60,7 +60,7 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
             Check(
                 "link capacity",
                 Outcome.OK if needed <= usable else Outcome.REFUSED,
-                f"{needed / 1e3:.1f} kB/s of samples at {rate} Hz, the link carries {usable / 1e3:.1f} kB/s",
+                f"samples at {rate} Hz need {needed / 1e3:.1f} kB/s, and the link carries {usable / 1e3:.1f} kB/s",
                 f"choose --rate {possible} or less, or a faster link",
             )
         )

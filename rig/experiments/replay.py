@@ -82,7 +82,7 @@ def replay(
     RecordingError
         The recording lacks its beginning, or ticks in the middle.
     ConfigError
-        The changes cannot be meant, or the law of the recording is not installed here.
+        The changes are invalid, or the law of the recording is not installed here.
     LawError
         The law or the estimator raised an exception.
     """

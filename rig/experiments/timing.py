@@ -1,4 +1,4 @@
-"""What a recording says of time: the latency ledger, added up."""
+"""What a recording says about time: the latency ledger, summed up."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Ruling:
 
     @property
     def failed(self) -> list[str]:
-        """Cases in which it did not."""
+        """Cases in which the claim did not hold."""
         return [name for name, holds in self.cases.items() if not holds]
 
     @property

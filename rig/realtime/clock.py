@@ -71,7 +71,7 @@ class MonotonicClock:
 
 
 class VirtualClock:
-    """A number that moves when told to; one second of it costs what its events cost."""
+    """A number that is advanced by hand; one second of it costs what its events cost."""
 
     virtual = True
 

@@ -1,4 +1,4 @@
-"""The compiled codec of what a loop says and hears, equal byte for byte to the readable one (framing.py, packing.py).
+"""The compiled codec of what a loop sends and receives, byte for byte equal to the readable one (framing, packing).
 
 That is COMMAND and STATE; GET_TIME and TIME, by which it compares the clocks while it runs; BATCH, where the law runs
 on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, by which the wall of such a law changes.

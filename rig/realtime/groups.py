@@ -1,6 +1,6 @@
 """Groups of arguments: a kernel takes a port, a controller and buffers, not the thirty functions and arrays in them.
 
-Of thirty arguments side by side, two of one type are swapped and nobody notices. So what belongs together is a
+Among thirty positional arguments, two of one type are easily swapped unnoticed. So what belongs together is a
 `NamedTuple` with the mark `group`. Each is a type of its own to numba, so that two in each other's place are a typing
 error, and it is made by keyword alone. A field is annotated with the numba type of its values; a plug point
 (`rig.realtime.plugs`) may hold whatever fits it. A call costs what it would cost with the members one by one.

@@ -4,7 +4,7 @@ numba decides whether a cached function is fresh by the time stamp of *its own* 
 another file leaves the caller's old machine code in use, which for a control law is silently wrong. So
 the cache directory carries a hash of the files that compiled code depends on (`rig.realtime.source_files`), of
 numba's and numpy's version and of the CPU; an edit there opens a new, empty directory, and directories unused for
-a month are removed. Whoever edits a command or an experiment does not wait for the compiler.
+a month are removed. An edit of a command or an experiment does not recompile.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ numba.config.CACHE_DIR = str(CACHE_DIRECTORY)
 
 
 class _Compilations(event.Listener):  # type: ignore[misc]
-    """Tells `rig.realtime.compiling` when numba begins and ends to compile; loading from the cache is no compiling."""
+    """Reports to `rig.realtime.compiling` when numba begins and ends to compile, not when it loads from the cache."""
 
     def on_start(self, event: Any) -> None:
         compiling.began()

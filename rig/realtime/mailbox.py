@@ -246,7 +246,7 @@ class Mailbox:
 
 
 def _lock(descriptor: int) -> None:
-    """Wait for the other writers, who may be stopped in the middle but not for ever."""
+    """Wait for the other writers, which may be paused in the middle but not forever."""
     deadline = time.monotonic() + PATIENCE_S
     while True:
         try:

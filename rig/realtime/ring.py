@@ -1,4 +1,4 @@
-"""One block of memory between the loop, the recorder and whoever supervises them.
+"""One block of memory between the loop, the recorder and their supervisor.
 
 Layout (version 4), every part at a multiple of 64 bytes::
 
@@ -8,7 +8,7 @@ Layout (version 4), every part at a multiple of 64 bytes::
     rows            `capacity` rows of `rig.core.sample.ROW`
 
 Every word has one writer; all sides load and store words through `rig.realtime.atomics`. Words 0 to 3 and 7 keep their
-places in all versions, so that a run can be stopped whatever version started it. The info says which experiment runs,
+places in all versions, so that a run of any version can be stopped. The info describes the experiment that runs,
 on which device, into which recording; who posts parameters writes the info that goes with them into the free half, and
 then changes the word INFO: the length of the JSON in bits 0–19, which half in bit 20, above them how often it was
 changed.
@@ -17,8 +17,8 @@ The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorde
 publishes TAIL. When the ring is full the loop either drops the row and counts it (real time: the recorder
 must never delay a tick) or waits for room (virtual time: nothing is ever lost, and runs are repeatable).
 
-Shared, the block is an anonymous file in memory (memfd) that lives as long as somebody has it open or mapped: nothing
-stays behind whoever dies. Other processes of the user find it as ``/proc/PID/fd/N``, a link to `LINK`
+Shared, the block is an anonymous file in memory (memfd) that lives as long as a process has it open or mapped: nothing
+is left behind. Other processes of the user find it as ``/proc/PID/fd/N``, a link to `LINK`
 (`rig.realtime.running`). It cannot be resized, so that nobody's access can fault.
 """
 
@@ -51,7 +51,9 @@ MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded 
 NAME = "haptic-rig"
 LINK = f"/memfd:{NAME} (deleted)"
 
-ABANDONED = 2  # STOP of a loop that its owner has given up: link and descriptors are somebody else's by now
+ABANDONED = (
+    2  # STOP of a loop that its owner has given up: link and descriptors may belong to another file by now
+)
 
 # word                 writer       meaning
 VERSION = 0  # creator     layout version, stored last
@@ -158,7 +160,7 @@ class Ring:
         Raises
         ------
         OSError
-            The process is gone, or belongs to somebody else.
+            The process is gone, or belongs to another user.
         RigError
             It is no such block, not yet complete, or of a version that keeps its words elsewhere.
         """
@@ -203,7 +205,7 @@ class Ring:
 
     @property
     def info(self) -> dict[str, Any]:
-        """What the creator said about the run; empty when it said nothing, or in another version's words."""
+        """The creator's description of the run; empty when there is none, or of another version."""
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
@@ -226,7 +228,7 @@ class Ring:
         return int(read_word(self.words.ctypes.data + 8 * word))
 
     def put(self, word: int, value: int) -> None:
-        """Store a control word; once closed, nobody else sees it."""
+        """Store a control word; once closed, other processes do not see it."""
         from rig.realtime.atomics import write_word  # noqa: PLC0415
 
         write_word(self.words.ctypes.data + 8 * word, value)
@@ -266,7 +268,7 @@ class Ring:
         return self.writer().post(set_bytes(values))
 
     def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
-        """Post a set together with the info that goes with it, unless somebody else has changed the info meanwhile.
+        """Post a set together with the info that goes with it, unless another writer has changed the info meanwhile.
 
         Parameters
         ----------
@@ -360,7 +362,7 @@ def _plain_memory(size: int) -> NDArray[np.uint8]:
 
 
 def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
-    """Zeroed bytes of an anonymous file, all of them there: later there is nobody to tell that memory is short."""
+    """Zeroed bytes of an anonymous file, all allocated at once: later a lack of memory could not be reported."""
     descriptor = -1
     try:
         descriptor = _memfd()
@@ -376,7 +378,7 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def _memfd() -> int:
-    """An anonymous file, never to be run as a program: newer kernels want that said, older ones do not know it."""
+    """An anonymous file, not executable: newer kernels require the flag, older ones do not know it."""
     flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
     try:
         return os.memfd_create(NAME, flags | _MFD_NOEXEC_SEAL)

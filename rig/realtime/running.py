@@ -1,8 +1,8 @@
 """The loops that run on this computer, found and stopped from any terminal.
 
 A loop in real time keeps its ring in shared memory (`rig.realtime.ring`), which shows among the open files of its
-process. So there is no registry that could be wrong: what is listed is what lives. Nothing here loads compiled code,
-since a command that must stop a rig has no second to lose.
+process. So there is no registry that could be wrong: only living processes are listed. Nothing here loads compiled
+code, since a command that must stop a rig has no second to lose.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ class RunningLoop:
     ticks, phase
         Steps of the law so far, and what it was doing (`rig.core.sample.Phase`, lower case).
     stopping
-        Whether somebody has asked it to stop.
+        Whether a stop was requested.
     done
         The loop has returned; its process still writes or seals the recording.
     version
         Layout of its memory; of another version only `pid`, `stopping` and `done` are known.
     info
-        What its program said about the run: url, recording, experiment.
+        Its description of the run: url, recording, experiment.
     path
         Where its memory can be opened.
     """
@@ -123,7 +123,7 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
     Raises
     ------
     ConfigError
-        The named process runs no loop, or belongs to somebody else.
+        The named process runs no loop, or belongs to another user.
     """
     asked: list[tuple[RunningLoop, Ring]] = []
     try:
@@ -148,7 +148,7 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
 def memory_of(pid: int) -> Ring | None:
     """The newest loop of a process that still runs, to look at only; None when it runs none. The caller closes it.
 
-    For whoever may see how a run goes but not what it is: nothing of its info is read.
+    For those who may see the progress of a run but not its experiment: its info is not read.
     """
     newest: Ring | None = None
     for _, path in _memories(pid):
@@ -301,7 +301,7 @@ def _wait(rings: list[Ring], patience_s: float) -> None:
 
 
 def _gone(loop: RunningLoop) -> bool:
-    """Whether the memory is no longer its process's: it died before it could say anything."""
+    """Whether the memory's process has died without releasing it."""
     return _memory_path(loop.path) is None
 
 

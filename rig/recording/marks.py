@@ -6,7 +6,7 @@ trial     the first sample of the trial
 contact   the first sample inside the wall in the trial, and each first one after a sample outside
 release   the first sample of the release
 end       the last sample
-sync      a rising edge of the sync input; its `tick` is that of the first row that tells it
+sync      a rising edge of the sync input; its `tick` is that of the first row that reports it
 trial_out, inside_out
           a rising edge of a sync output: the tick of the device that put it out began then, or where samples are
           missing before it, so much earlier at most. Only where the host ran the law: a law on the device sets them

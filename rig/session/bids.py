@@ -226,8 +226,8 @@ def _labels(study: Study) -> dict[str, str]:
     labels = {session.code: label_of(session.code) for session in study.sessions}
     if len(set(labels.values())) < len(labels):
         raise ConfigError(
-            f"these codes are one in BIDS: {', '.join(sorted(labels))}",
-            remedy="codes there have letters and digits alone; export them as two datasets",
+            f"these codes are the same in BIDS: {', '.join(sorted(labels))}",
+            remedy="BIDS keeps only letters and digits; export them as two datasets",
         )
     return labels
 

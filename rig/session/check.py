@@ -181,7 +181,7 @@ def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterato
 def _durations(
     protocol: Protocol, blocks: Sequence[Block], trials: Range, times: TrialTimes, stiffest: Experiment
 ) -> Iterator[tuple[str, Range]]:
-    """What a session's time goes into (s)."""
+    """Durations of the parts of a session (s)."""
     yield "homing and free space", trials * (times.homing + times.baseline)
     yield "hits", trials * (times.hit + times.release)
     yield "ready and verdict", trials * (times.ready + times.verdict)

@@ -42,7 +42,7 @@ def last_place(events: Sequence[Event]) -> Place:
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """What the log says of the device that was opened last; empty where none was."""
+    """What the log says about the device that was opened last; empty where none was."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 

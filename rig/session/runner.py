@@ -1,4 +1,4 @@
-"""What the engine knows of a rig: a place where trials are run, and what it says of them."""
+"""What the engine knows of a rig: a place where trials are run, and what it reports about them."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
 
 
 def _ordered(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
-    """Items as the protocol wants them; `what` tells draws apart, `row` the rows of a square."""
+    """Items as the protocol wants them; `what` separates draws, `row` the rows of a square."""
     seed = protocol.study.seed
     match protocol.order.kind:
         case "fixed":

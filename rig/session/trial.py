@@ -49,7 +49,7 @@ class Presented:
 
     @property
     def marked(self) -> dict[str, Any]:
-        """What a marker says of the wall."""
+        """What a marker reports about the wall."""
         return {name: getattr(self, name) for name in MARKED}
 
 

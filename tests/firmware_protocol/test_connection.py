@@ -255,7 +255,7 @@ def test_a_new_host_finds_an_armed_device_and_disarms_it(pair: Pair) -> None:
     pair.host = Connection(Role.HOST)
     pair.ask(m.Identify(100, 0))
     assert pair.host.state is State.RUNNING
-    with pytest.raises(LocalProtocolError, match="somebody else"):
+    with pytest.raises(LocalProtocolError, match="another host"):
         pair.host.send(m.Command(0, 3000, 0, 0, 0))
     pair.ask(m.Disarm(101, 0))
     assert pair.host.state is pair.device.state is State.CONFIGURED

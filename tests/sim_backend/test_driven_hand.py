@@ -172,7 +172,7 @@ def test_tremor_comes_with_the_effort_of_the_hand():
 
 
 def test_a_rig_that_nobody_holds_cannot_be_led():
-    with pytest.raises(ConfigError, match="nobody holds the handle"):
+    with pytest.raises(ConfigError, match="not held by a person"):
         DrivenHand(config.rig_model(presets.load("koul-compliant")), Someone())
 
 

@@ -338,6 +338,6 @@ def test_a_rate_beyond_the_port_is_refused(rate: int, firmware: bool, most: int)
 def test_a_link_path_that_is_a_file_is_not_touched(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.write_text("mine")
-    with pytest.raises(ConfigError, match="exists and is no symbolic link"):
+    with pytest.raises(ConfigError, match="exists and is not a symbolic link"):
         pty.serve(rotary_rig(), link_path=path, announce=lambda path: None, duration_s=0.0)
     assert path.read_text() == "mine"

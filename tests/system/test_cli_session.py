@@ -205,7 +205,7 @@ def test_a_rate_that_the_device_does_not_do_is_refused_before_anything_is_writte
     realtime = ("--rehearse", "--realtime", "--study", str(tmp_path / "all"))
     status, _, err = call(capsys, "run", str(path), "P01", *realtime)
     assert status == 2
-    assert "20000 Hz asked, the device does 4000 Hz at most" in err
+    assert "asks for 20000 Hz, and the device runs at most at 4000 Hz" in err
     assert "rehearse in virtual time" in err
     assert not (tmp_path / "all").exists()
 

@@ -22,7 +22,7 @@ struct connection {
 };
 
 enum verdict_kind {
-    VERDICT_DROP,    /* counted, nobody answers */
+    VERDICT_DROP,    /* counted, not answered */
     VERDICT_COMMAND, /* deliver it */
     VERDICT_REQUEST, /* execute it and answer */
     VERDICT_REFUSE,  /* answer with `status` and `detail`, unless it is a repeat */

@@ -258,7 +258,7 @@ static void step_index(struct device *device)
     step_grid(device);
 }
 
-/* Faults of a tick as bits 1 << code. What the motion says concerns an armed device alone; an encoder that
+/* Faults of a tick as bits 1 << code. Faults of the motion concern an armed device alone; an encoder that
  * fails, any. */
 static uint32_t faults_of(struct device *device, const struct fault_entry *tick)
 {
@@ -352,7 +352,7 @@ static void make_state(struct device *device)
     device->fault_told = device->faults.latched;
 }
 
-/* Whether a STATE is due in a device that nobody has armed. */
+/* Whether a STATE is due in a device that is not armed. */
 static bool shows_itself(const struct device *device)
 {
     const uint32_t every = device->rate / UNARMED_STATES_A_SECOND;

@@ -96,15 +96,15 @@ struct device {
  * long. */
 void device_start(struct device *device, const struct hal *hal, const struct board *board);
 
-/* Start anew as after a reset that left the memory alone: the motor's heat and the link counters stay. */
+/* Start again as after a reset that left the memory alone: the motor's heat and the link counters stay. */
 void device_restart(struct device *device);
 
 /* One tick of a board: sample, drive, tell; and food for the hardware watchdog. What is to be sent waits for
  * device_poll. */
 void device_tick(struct device *device);
 
-/* The parts of a tick, for whoever lets time pass between them, as a simulation does: it drives, lets the world move,
- * samples and tells. */
+/* The parts of a tick, for a caller that lets time pass between them, as a simulation does: it drives, lets the world
+ * move, samples and reports. */
 void device_sample(struct device *device); /* count, time, measured current; faults; the law that runs here */
 void device_drive(struct device *device);  /* the current until the next sample */
 void device_tell(struct device *device);   /* BATCH, STATE, the ring of ticks before a fault */
@@ -143,7 +143,7 @@ void device_take_law(struct device *device, const law_parameters *law, const str
 /* Forget what belongs to the last session: a new one begins. */
 void device_begin_session(struct device *device);
 
-/* Zero current now, whatever the slew limit says. */
+/* Zero current now, regardless of the slew limit. */
 void device_cut(struct device *device);
 
 /* Cut, and switch the amplifier off. */

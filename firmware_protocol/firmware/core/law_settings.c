@@ -3,7 +3,7 @@
 #include "bytes.h"
 
 /* Nothing is computed here: a host has scaled everything to counts, ticks and quanta. What one law needs and the other
- * does not is copied all the same; its range was checked, and nobody reads it. */
+ * does not is copied all the same; its range was checked, and it is not read. */
 
 static int32_t whole(const uint32_t *values, enum hr_parameter_index index)
 {

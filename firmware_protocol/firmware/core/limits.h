@@ -19,7 +19,7 @@ void limits_configure(struct limits *limits, uint16_t largest, uint16_t continuo
 /* Put into force what is allowed of a current, and return it. */
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);
 
-/* Zero at once, whatever the slew limit says. */
+/* Zero at once, regardless of the slew limit. */
 void limits_cut(struct limits *limits);
 
 #endif

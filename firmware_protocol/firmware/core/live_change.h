@@ -20,7 +20,7 @@ enum live_step {
     LIVE_LAW, /* as its parameters will be */
     LIVE_CRC,
     LIVE_WALL,   /* the tick from which on the law has them */
-    LIVE_VALUES, /* and then whoever asks */
+    LIVE_VALUES, /* and then any reader */
     LIVE_DONE,
 };
 

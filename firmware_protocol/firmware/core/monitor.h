@@ -1,4 +1,4 @@
-/* What the motion says: over-speed, position window, runaway, over-current. */
+/* Faults of the motion: over-speed, position window, runaway, over-current. */
 #ifndef HR_MONITOR_H
 #define HR_MONITOR_H
 
@@ -39,7 +39,7 @@ struct monitor_settings {
 void monitor_configure(struct monitor *monitor, const struct board *board, const struct monitor_settings *settings,
                        int32_t count);
 
-/* Begin the runaway check anew: another session. */
+/* Restart the runaway check: another session. */
 void monitor_forget(struct monitor *monitor);
 
 bool monitor_in_window(const struct monitor *monitor, int32_t count);

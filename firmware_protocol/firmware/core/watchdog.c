@@ -1,6 +1,6 @@
 /* Effort is held over a tick, so everything is judged at the tick's end: the current is exactly zero when the
  * ramp ends, not a tick later. The ramp begins at what the limits left of the command, so that it falls in every
- * tick. A law on the device goes on while its command fades: the ramp is then a factor on what it wants. */
+ * tick. A law on the device runs on while its command fades: the ramp then scales its output. */
 #include "watchdog.h"
 
 #include "protocol.h"

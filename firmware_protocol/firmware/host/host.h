@@ -1,4 +1,4 @@
-/* The core on a computer: a library whose world is set by whoever simulates it, between calls. For tests. */
+/* The core on a computer: a library whose world the simulation sets between calls. For tests. */
 #ifndef HR_HOST_H
 #define HR_HOST_H
 

@@ -6,7 +6,7 @@
 
 #include "host.h"
 
-/* 64-bit words alone: an array of them to whoever simulates. */
+/* 64-bit words alone: an array of them for the simulation. */
 struct lockstep {
     /* The world at the sample. */
     int64_t count, edge_age, measured, inputs;

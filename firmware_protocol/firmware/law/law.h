@@ -72,7 +72,7 @@ enum { /* rig.core.sample.RowFlag */
     LAW_ENDS_RUN = LAW_NONFINITE | LAW_OUT_OF_WINDOW | LAW_HOMING_FAILED
 };
 
-/* Finite difference and a second-order low pass in integers; rig.control.fixed_point.Biquad says what each is. */
+/* Finite difference and a second-order low pass in integers; rig.control.fixed_point.Biquad describes each. */
 typedef struct {
     int32_t b0, b1, b2, a1, a2;
     int32_t coefficient_bits; /* 0 ... 30 */

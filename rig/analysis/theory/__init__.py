@@ -1,4 +1,4 @@
-"""What exact linear theory says of dual-rate walls: no simulation, no trial, milliseconds.
+"""What exact linear theory says about dual-rate walls: no simulation, no trial, milliseconds.
 
     from rig.analysis import theory
 

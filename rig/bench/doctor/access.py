@@ -91,7 +91,7 @@ def brltty(machine: Machine) -> Check:
 
 
 def running(root: Path, program: str) -> bool:
-    """Whether a program runs, by the name that the kernel keeps of it."""
+    """Whether a program runs, by its name in the process table."""
     return any(text_of(path) == program for path in (root / "proc").glob("[0-9]*/comm"))
 
 

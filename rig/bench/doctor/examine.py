@@ -64,9 +64,7 @@ class Examination:
 
     def items(self) -> list[Item]:
         """Return it for people."""
-        found: list[Item] = []
-        if self.checks:
-            found += ["machine", *self.checks]
+        found: list[Item] = ["machine", *self.checks]
         if self.ports:
             found += ["ports", *(Row(port.url, port.description) for port in self.ports)]
         if self.device is not None:
@@ -99,8 +97,6 @@ class Question:
         Without a URL, or with one of a simulation: measure against a simulated device that is a process of its own.
     seconds
         How long to measure.
-    machine
-        Whether to examine machine and ports, too.
     """
 
     experiment: Experiment
@@ -108,7 +104,6 @@ class Question:
     url: str | None = None
     realtime: bool = False
     seconds: float = SECONDS
-    machine: bool = True
 
 
 def examine(question: Question, on_progress: Progress = lambda what, share: None) -> Examination:
@@ -127,11 +122,9 @@ def examine(question: Question, on_progress: Progress = lambda what, share: None
         Changes that are not allowed. All other errors, a missing device included, are in the result.
     """
     host = config.override(question.experiment, question.changes).host
-    seen = Examination(checks=(), ports=())
-    if question.machine:
-        on_progress("examining the machine", 0.0)
-        ports, problems = ports_here()
-        seen = Examination(checks=(*machine_checks(host), *problems), ports=tuple(ports))
+    on_progress("examining the machine", 0.0)
+    ports, problems = ports_here()
+    seen = Examination(checks=(*machine_checks(host), *problems), ports=tuple(ports))
     if question.url is None and not question.realtime:
         return seen
     try:

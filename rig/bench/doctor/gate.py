@@ -380,5 +380,5 @@ def check_armable(
         return found
     raise PlanError(
         f"this wall must not be armed: {found.text}",
-        remedy=f"{found.remedy}; or, when you know better, --arm-anyway",
+        remedy=f"{found.remedy}; or accept the risk: --arm-anyway",
     )

@@ -22,7 +22,9 @@ from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR
 
-OLDEST_EDGE_S = 134.0  # how old an edge looks that nobody has seen: what the wire's 32-bit time can say
+OLDEST_EDGE_S = (
+    134.0  # age of an edge that was never seen: the longest that the wire's 32-bit time can express
+)
 FUTURE_S = 1e-9  # an edge at the sample itself may round to after it
 LARGEST_COUNT = 2.0**62
 
@@ -99,7 +101,7 @@ def estimate(
     Raises
     ------
     ConfigError
-        No such estimator; settings, period or resolution that cannot be meant; counts that are no integers; arrays of
+        No such estimator; invalid settings, period or resolution; counts that are not integers; arrays of
         different lengths; an edge later than its sample.
 
     Examples

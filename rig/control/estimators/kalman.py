@@ -64,7 +64,7 @@ OFFSET, VELOCITY, ACCELERATION, P11, P12, P13, P22, P23, P33, POWER, SQUARES = r
 STARTED, PREVIOUS, INNOVATIONS = range(OWN_INTS, OWN_INTS + 3)  # state_i
 
 LONGEST_MEMORY = 64
-LONGEST_GAP = 1000  # periods; after a longer one it starts anew on the mean slope
+LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 PRIOR = 1.0  # variance of the unknown first velocity, counts² per period²
 DEFAULT_BANDWIDTH_HZ = 200.0  # as fdm-butterworth has
 PRINTED_LIMIT = 3.0  # largest ω0·T for the printed noise
@@ -126,7 +126,7 @@ def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, para
         memory = int(parameters[MEMORY])
         state_f[SQUARES + seen % memory] = square
         remembered = min(seen + 1, memory)
-        total = 0.0  # summed anew: a running sum would keep the rounding of one huge innovation for ever
+        total = 0.0  # summed again: a running sum would keep the rounding of one huge innovation forever
         for i in range(remembered):
             total += state_f[SQUARES + i]
         return float(total / remembered)

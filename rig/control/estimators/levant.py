@@ -11,7 +11,7 @@ that at 1 kHz and 1 µm no C that a wall needs leaves it anything to filter. `ri
 measures C from a recorded hit.
 
 *The sign* is set-valued at zero, and the discretisation decides what becomes of that. The explicit ones cannot rest
-there: they chatter for ever, at a handle at rest too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns
+there: they chatter forever, at a handle at rest too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns
 into a buzz of the motor. The implicit one solves for the sign at the end of the step and rests exactly.
 
 Everything is kept in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
@@ -57,7 +57,7 @@ OUTPUTS = ("u", "u1")
 # koul-compliant but not its 586 Hz mode (measured on their recordings, 2026-11-20). Too large a C harms the implicit
 # scheme little; the chatter of the explicit ones grows with it.
 DEFAULT_LIPSCHITZ = 100.0
-LONGEST_GAP = 1000  # periods; after a longer one it starts anew on the mean slope
+LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 
 
 @kernel("UniTuple(f8, 3)(f8, f8, f8, f8, i8)", inline=True)

@@ -1,6 +1,6 @@
 """Velocity from the times of encoder edges: counts between two edges over the time between them.
 
-A count says where the handle is to within Δ; an edge says it exactly, at its own time. STATE carries, beside the
+A count gives the position to within Δ; an edge gives it exactly, at its own time. STATE carries, beside the
 count, the time of the last edge (`edge_age_s`, in steps of 1/16 µs), so that every sample which brought an edge gives
 one exact point (E, b): boundary b between two counts, crossed at time E. The estimate is the slope between the newest
 two of these points,
@@ -18,8 +18,8 @@ one period.
 * *Reversal.* Going back over the boundary that was crossed last is a distance of zero: the estimate is zero at that
   edge, as the mean velocity since the edge before is, and has its new sign from the next one on. A handle that
   toggles one count reads zero.
-* *Unknown boundaries.* A fresh edge time with an unchanged count means an even number of edges, and nobody knows over
-  which boundary: the estimate is zero and starts anew. So does it with the edge before the first sample.
+* *Unknown boundaries.* A fresh edge time with an unchanged count means an even number of edges, and it is unknown over
+  which boundary: the estimate is zero and restarts. So does it with the edge before the first sample.
 * *Limits.* The last edge is taken to have had the direction of the net motion since the sample before. Of a handle
   that turned after several edges within one period the distance is one count off, once; |v| ≤ Δ/a holds all the same.
   Uneven lines are not averaged over more than one period: see `rig.control.estimators.period_frequency`. Where edge

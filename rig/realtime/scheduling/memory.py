@@ -18,7 +18,7 @@ _MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Pages that somebody else locked."""
+    """Pages locked by others."""
 
     start: int
     end: int

@@ -115,7 +115,7 @@ def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
 
 
 def of_idle(number: int, root: Path = ROOT) -> Check | None:
-    """Say why processors are not kept from deep sleep; None where there is no deep sleep."""
+    """Return why processors are not kept from deep sleep; None where there is no deep sleep."""
     if number == errno.ENOENT:
         if not idle_driver(root):
             return None

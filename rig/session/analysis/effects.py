@@ -37,7 +37,7 @@ class Slope:
     Attributes
     ----------
     of, along
-        "limit", "response time" (its natural logarithm) or "said nothing" (0 or 1); against "order" (place in the
+        "limit", "response time" (its natural logarithm) or "invalid" (0 or 1); against "order" (place in the
         block), "block", "trial" (number in the session).
     measure
         Of a limit; empty for others.
@@ -47,7 +47,7 @@ class Slope:
         Who have a slope.
     slope, low, high, p, holm
         For each place, block or trial; NaN where `problem` says why. `holm` is p after Holm's correction for the slopes
-        of the same quantity: a limit by one measure, the response time, the share that said nothing.
+        of the same quantity: a limit by one measure, the response time, the share of invalid trials.
     """
 
     of: str
@@ -72,7 +72,7 @@ class BlockRow:
     trials
         Recorded, those that do not count included.
     invalid, redone, aborted
-        Trials that said nothing; that somebody had repeated; that were cut off for safety.
+        Invalid trials; that somebody had repeated; that were cut off for safety.
     unsure
         Verdicts.
     response_s
@@ -90,7 +90,7 @@ class BlockRow:
 
 
 def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, ...]:
-    """All slopes: of limits by each measure, of the time to a verdict, and of the share of trials that say nothing."""
+    """All slopes: of limits by each measure, of the time to a verdict, and of the share of invalid trials."""
     found: list[Slope] = []
     places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
         ("order", lambda run: float(run.order)),
@@ -121,7 +121,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
     ]
     logs = [math.log(trial.response_time_s) for trial in timed if trial.response_time_s]
     useless = [float(trial.void == "invalid") for trial in kept]
-    for what, of, values in (("response time", timed, logs), ("said nothing", kept, useless)):
+    for what, of, values in (("response time", timed, logs), ("invalid", kept, useless)):
         at = np.array([float(trial.trial) for trial in of])
         each = [(trial.participant, trial.condition, trial.damping) for trial in of]
         found += _corrected([_slope(what, "trial", "", at, np.array(values), each)])

@@ -15,7 +15,7 @@ from rig.session.search.rule import Censored
 from rig.session.trial import Trial
 
 Measure = Literal["rule", "K50 person", "K50 automatic"]
-# How the limit of a run is told from its verdicts: by the rule that asked for them, from the verdicts that it followed;
+# How the limit of a run is estimated: by the rule that asked for its walls, from the verdicts that it followed;
 # or as the stiffness that is stable half of the time, from the person's or the automatic verdicts, whatever rule asked.
 MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 

@@ -1,6 +1,6 @@
 """The sessions of a study, read from disk: which there are, whether they belong together, what of them is missing.
 
-A session is its log. What cannot be meant as one study is refused (other conditions, another criterion, a rehearsal
+A session is its log. What cannot be one study is refused (other conditions, another criterion, a rehearsal
 among real sessions, a participant twice); what a reader must know is said (a session that is not over, another version
 of the software, a recording that is gone).
 """
@@ -214,7 +214,7 @@ def _refuse(sessions: Sequence[Session]) -> None:
         other = by_code.setdefault(session.code, session)
         if other is not session:
             raise ConfigError(
-                f"participant {session.code} is there twice: {other.directory} and {session.directory}",
+                f"participant {session.code} occurs twice: {other.directory} and {session.directory}",
                 remedy="name one of them",
             )
     rehearsed = [session.code for session in sessions if session.state.rehearsal is not None]

@@ -407,7 +407,7 @@ _AGREEMENT = (
         "left_out",
         int,
         "",
-        "judged trials that are not in the whole table, because one of the two said nothing",
+        "judged trials that are not in the whole table, because one of the two gave no verdict",
         lambda row: row["left_out"],
     ),
 )
@@ -455,10 +455,10 @@ _PSYCHOMETRIC = (
     DataColumn("lapse_rate_high", float, "1", "upper end", lambda row: row.lapse_rate.high),
 )
 _EFFECTS = (
-    _own("of", str, "", "limit (stiffness), response time (natural logarithm), said nothing (0 or 1)"),
+    _own("of", str, "", "limit (stiffness), response time (natural logarithm), invalid (0 or 1)"),
     _own("along", str, "", "order (place in the block), block, or trial (number in the session)"),
     _own("measure", str, "", "of the limit; empty for others"),
-    _own("values", int, "", "that it is told from", "count"),
+    _own("values", int, "", "that it is estimated from", "count"),
     _own("participants", int, "", "who have a slope of their own"),
     _own(
         "slope",
@@ -476,7 +476,7 @@ _BLOCKS = (
     _PARTICIPANT,
     _own("block", int, "", "number, from 1"),
     _own("trials", int, "", "recorded hits"),
-    _own("invalid", int, "", "that said nothing"),
+    _own("invalid", int, "", "invalid ones"),
     _own("redone", int, "", "that somebody had repeated"),
     _own("aborted", int, "", "cut off for safety"),
     _own("unsure", int, "", "verdicts"),

@@ -68,7 +68,7 @@ class ConsoleDesk(Desk):
     Raises
     ------
     ConfigError
-        Keys that cannot be meant, or a terminal that belongs to another job.
+        Invalid keys, or a terminal that belongs to another job.
     RigError
         The console does not start.
     """

@@ -54,7 +54,7 @@ class Mouse:
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """What the terminal says of one of its modes: known to it or not."""
+    """What the terminal answers about one of its modes: known to it or not."""
 
     number: int
     known: bool

@@ -1,4 +1,4 @@
-"""The library: pylsl on its first use, with a clear word where it is missing, and its clock beside ours."""
+"""pylsl, loaded on first use with an error that says how to install it, and its clock compared with ours."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CONFIGURATIONS = (
 class ClockOffset:
     """LSL's clock less CLOCK_MONOTONIC, on which a loop has its times (s), and by how much that may be off.
 
-    liblsl uses the same clock on Linux: an offset that cannot be told from zero is zero.
+    liblsl uses the same clock on Linux: an offset that does not differ significantly from zero is zero.
     """
 
     offset_s: float

@@ -95,7 +95,7 @@ def study(
     seed: int = 0,
     off_lattice: float = 0.0,
 ) -> list[Performance]:
-    """Let every observer go through every rule so often; see `performance`."""
+    """Run each observer through each rule `sessions` times; see `performance`."""
     return [
         performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)
         for observer in observers

@@ -83,7 +83,7 @@ class Staircase:
         for step in self.steps:
             check_whole("steps", step, 1, len(levels) - 1)
         if self.start is not None and self.start not in levels:
-            raise ConfigError(f"start = {self.start:g} is none of the levels", remedy="choose one of them")
+            raise ConfigError(f"start = {self.start:g} is not one of the levels", remedy="choose one of them")
 
     @property
     def share(self) -> float:

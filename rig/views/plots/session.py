@@ -515,7 +515,7 @@ def _slope(axes: Any, found: Analysis, of: str, along: str, measure: str, at: Se
         if (slope.of, slope.along, slope.measure) != (of, along, measure):
             continue
         if slope.problem:
-            axes.set_title("no slope can be told", fontsize=8)
+            axes.set_title("no slope", fontsize=8)
             return
         p = "" if math.isnan(slope.holm) else f", p (Holm) = {slope.holm:.2g}"
         axes.set_title(f"slope {slope.slope:+.3g} ({slope.low:+.3g} … {slope.high:+.3g}){p}", fontsize=8)

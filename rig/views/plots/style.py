@@ -57,7 +57,10 @@ def save(figure: Any, path: Path) -> Path:
     `RecordingError` when it cannot be written, or has the name of a recording: those are never overwritten.
     """
     if path.suffix in RECORDINGS:
-        raise RecordingError(f"{path} is not a name for a picture: recordings end so", remedy="say .png")
+        raise RecordingError(
+            f"{path} is not a name for a picture: recordings end like that",
+            remedy="give one that ends in .png",
+        )
     try:
         if path.suffix == ".svg":
             with matplotlib.rc_context({"svg.hashsalt": "haptic-rig", "svg.fonttype": "none"}):

@@ -18,6 +18,7 @@ from rig.config import Experiment
 from rig.config.sections import Controller
 from rig.config.table import parameters
 from rig.control import estimators
+from rig.control.estimators.estimator import Estimator
 from rig.core.errors import RigError
 from rig.core.oscillation import OSCILLATIONS
 from rig.recording.header import checkout
@@ -38,6 +39,16 @@ MEASURES: Mapping[Measure, str] = {
     "K50 person": "K50, the stiffness at which half of the person's verdicts are stable",
     "K50 automatic": "K50 of the automatic verdicts, the stiffness at which half of them are stable",
 }
+# Keys whose values in effect stand in other paragraphs, and keys that change nothing at zero.
+_SCHEME = tuple(
+    f"controller.{name}"
+    for name in ("position_rate", "velocity_rate", "estimator", "parameters", "prediction")
+)
+_ELSEWHERE = (
+    *_SCHEME, "rig.limits.", "homing.", "verdict.", "trial.duration_s", "trial.release_s", "trial.effort",
+    "trial.start", "operator.begin_s", "operator.reach_s",
+)  # fmt: skip
+_NONE_AT_ZERO = ("trial.minimum_rest_counts",)
 _CAPS = {"stiffness": "stiffness", "effort": "effort", "speed": "velocity", "energy": "J"}
 
 
@@ -51,8 +62,9 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class _Setting:
-    """A changed number of the experiment: what it means, and its value with unit."""
+    """A changed number of the experiment: its key, what it means, and its value with unit."""
 
+    key: str
     meaning: str
     value: str
 
@@ -64,7 +76,7 @@ class _Condition:
     name: str
     dampings: tuple[str, ...]
     controller: Controller | None
-    estimator: str
+    estimator: Estimator | None
     changes: tuple[_Setting, ...]
 
 
@@ -154,7 +166,7 @@ def _facts(found: Analysis) -> dict[str, Any]:
         "complete": sum(session.complete for session in study.sessions),
         "devices": _opened(found, "device", "firmware", "simulated"),
         "conditions": list(_conditions(found, experiments)),
-        "changes": _settings(found, protocol.study.changes),
+        "changes": _settings(found, protocol.study.changes, _ELSEWHERE),
         "searches": list(_searches(found)),
         "edge_verdicts": EDGE_VERDICTS,
         "cells": len(cells_of(protocol)),
@@ -197,34 +209,25 @@ def _conditions(found: Analysis, experiments: Mapping[str, Experiment | RigError
             name=condition.name,
             dampings=tuple(f"{damping:g}" for damping in condition.damping),
             controller=x.controller if isinstance(x, Experiment) else None,
-            estimator=_estimator(x.controller) if isinstance(x, Experiment) else "",
-            changes=_settings(found, condition.changes),
+            estimator=estimators.get(x.controller.estimator) if isinstance(x, Experiment) else None,
+            changes=_settings(found, condition.changes, _SCHEME),
         )
 
 
-def _estimator(controller: Controller) -> str:
-    """What estimates velocity, and the settings that were chosen, in words."""
-    estimator = estimators.get(controller.estimator)
-    known = {one.name: one for one in estimator.settings}
-    chosen = [
-        f"{known[name].meaning} {value:g} {getattr(known[name], 'unit', '')}".strip()
-        if isinstance(value, int | float)
-        else f"{known[name].meaning}: {value}"
-        for name, value in controller.parameters.items()
-    ]
-    return f"{estimator.summary} ({'; '.join(chosen)})" if chosen else estimator.summary
-
-
-def _settings(found: Analysis, changes: Mapping[str, Any]) -> tuple[_Setting, ...]:
-    """Changed numbers of the experiment by their meaning, as the table of parameters has it."""
+def _settings(
+    found: Analysis, changes: Mapping[str, Any], elsewhere: tuple[str, ...]
+) -> tuple[_Setting, ...]:
+    """Changed numbers of the experiment, without the keys that other sentences have."""
     known, motion = parameters(), found.study.motion
-    told = []
+    settings = []
     for key, value in changes.items():
         about = known.get(key)
+        if key.startswith(elsewhere) or (key in _NONE_AT_ZERO and not value):
+            continue
         meaning = about.meaning.partition(";")[0] if about else key.rpartition(".")[2].replace("_", " ")
         shown = f"{value:g}" if isinstance(value, float) else str(value)
-        told.append(_Setting(meaning, f"{shown} {about.unit_for(motion) if about else ''}".strip()))
-    return tuple(told)
+        settings.append(_Setting(key, meaning, f"{shown} {about.unit_for(motion) if about else ''}".strip()))
+    return tuple(settings)
 
 
 def _searches(found: Analysis) -> Iterator[_Search]:

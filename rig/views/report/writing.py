@@ -8,6 +8,21 @@ from typing import Any
 
 MINUS = "−"
 NOTHING = "–"
+_WORDS = (
+    "no",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+)
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -141,6 +156,20 @@ def numbers(values: Iterable[float]) -> list[str]:
     return [shortest(value) for value in values]
 
 
+def counted_in_words(count: int, noun: str) -> str:
+    """As `counted`, small counts as words: ``three trials``."""
+    return (
+        counted(count, noun).replace(str(count), _WORDS[count], 1)
+        if count < len(_WORDS)
+        else counted(count, noun)
+    )
+
+
+def sentence_start(text: str) -> str:
+    """A text with a capital."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def listed(words: Iterable[Any], last: str = "and") -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     *first, end = [str(word) for word in words] or [""]
@@ -176,6 +205,8 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "clock": clock,
     "duration": duration,
     "counted": counted,
+    "counted_in_words": counted_in_words,
+    "sentence_start": sentence_start,
     "listed": listed,
     "numbers": numbers,
     "sentence": sentence,

@@ -168,7 +168,7 @@ def test_a_serial_number_is_read_where_the_kernel_keeps_it(bus, tmp_path):
     ],
 )
 def test_a_device_without_a_pair_of_bulk_pipes_is_no_rig(bus, interfaces):
-    assert "no haptic rig" in refused(bus, IncompatibleDeviceError, Device(*interfaces)).message
+    assert "not a haptic rig" in refused(bus, IncompatibleDeviceError, Device(*interfaces)).message
     assert [device.is_rig for device in links.available_devices()] == [False]
 
 

@@ -246,7 +246,7 @@ def test_a_real_device_that_nobody_vouches_for_is_not_moved(tmp_path, real_devic
         ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
         (
             {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
-            r"scheme uniform:20k.*20000 Hz asked, the device does 8000 Hz at most.*--rate 8000",
+            r"scheme uniform:20k.*asks for 20000 Hz, and the device runs at most at 8000 Hz.*--rate 8000",
         ),
         (
             {"search": Search(lowest=0.1, highest=10.0, ratio=2.0)},

@@ -503,7 +503,7 @@ def test_sessions_of_different_studies_are_refused(tmp_path):
         read_study([tmp_path / "P01", tmp_path / "P05"])
     with sitting(tmp_path / "again" / "P01", protocol(), person()) as one:
         one.run(trials=1)
-    with pytest.raises(ConfigError, match="participant P01 is there twice"):
+    with pytest.raises(ConfigError, match="participant P01 occurs twice"):
         read_study([tmp_path / "P01", tmp_path / "again"])
 
 

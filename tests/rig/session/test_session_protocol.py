@@ -207,7 +207,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_somebody_answers_for_
         ({"search.settings": {"steps": 3}}, "must be a list of whole numbers"),
         ({"search.settings": {"turns": "3"}}, "must be a whole number"),
         ({"search.settings": {"start": float("inf")}}, "must be a number"),
-        ({"search.settings": {"start": 5}}, "start = 5 is none of the levels"),
+        ({"search.settings": {"start": 5}}, "start = 5 is not one of the levels"),
         ({"order.repeats": 1000, "condition.0.damping": list(range(10))}, "most are 10000"),
         ({"order.kind": "latin square"}, "did you mean latin-square?"),
         ({"caps.stiffness": 500}, "search.highest = 600: must be at most caps.stiffness, 500"),

@@ -56,7 +56,7 @@ static void work_out_excitation(void)
         continue;
 }
 
-/* Say what went wrong, for whoever looks. */
+/* Report what went wrong. */
 static enum verdict told(uint32_t number, uint32_t tick, const struct left *left)
 {
     uint8_t numbers[8];

@@ -47,7 +47,7 @@ size_t link_read(uint8_t *into, size_t capacity, bool armed)
         const size_t count = by_usb ? usb_read(into, room) : uart_read(into, room);
         if (count > 0 || armed)
             return count;
-        by_usb = !by_usb; /* nobody there: ask the other, and come back unless it speaks */
+        by_usb = !by_usb; /* silent: ask the other, and come back unless it answers */
     }
     return 0;
 }

@@ -15,7 +15,7 @@ enum { DMA_RECEIVE = 6, DMA_TRANSMIT = 7, DMA_COPY = 8 };
 #define SEND_BYTES (1u << SEND_BITS)
 #define RECEIVE_BITS 12u
 #define RECEIVE_BYTES (1u << RECEIVE_BITS)
-#define RECEIVE_ROUNDS 0xFFFFF000u /* bytes until the channel must be started anew; whole rings */
+#define RECEIVE_ROUNDS 0xFFFFF000u /* bytes until the channel must be restarted; whole rings */
 
 static uint8_t send_ring[SEND_BYTES] __attribute__((section(".rings.32768"), aligned(SEND_BYTES)));
 static uint8_t receive_ring[RECEIVE_BYTES] __attribute__((section(".rings.4096"), aligned(RECEIVE_BYTES)));

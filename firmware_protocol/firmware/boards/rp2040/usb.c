@@ -54,7 +54,7 @@ static struct usb_endpoint *out_of(enum pipe pipe)
 
 /* ------------------------------------------------------------------ to the host */
 
-/* What has not left yet concerns nobody any more; a frame of which some has left is ended. */
+/* What has not left yet is dropped; a frame that has left in part is ended. */
 static void flush(void)
 {
     ring_step(&usb.to_host, ring_count(&usb.to_host));
@@ -184,7 +184,7 @@ static void setup(void)
     if (effect == USB_CONFIGURED || effect == USB_DECONFIGURED)
         configure(effect == USB_CONFIGURED);
     else if (effect == USB_PIPES_RESET && in_of(usb.active)->fresh)
-        flush(); /* whoever clears an endpoint begins anew */
+        flush(); /* clearing an endpoint restarts the stream */
     control_acknowledge(&usb.control);
 }
 

@@ -189,7 +189,7 @@ static bool to_device(struct usb_control *control, const struct usb_setup *setup
     }
 }
 
-/* There are no alternate settings; choosing the only one starts its endpoints anew. */
+/* There are no alternate settings; choosing the only one restarts its endpoints. */
 static bool to_interface(struct usb_control *control, const struct usb_setup *setup, enum usb_effect *effect)
 {
     if (control->configuration == 0 || setup->index >= USB_INTERFACES)

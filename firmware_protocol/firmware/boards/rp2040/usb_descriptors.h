@@ -1,4 +1,4 @@
-/* What the device says of itself: USB 2.0 chapter 9.6, the CDC PSTN subclass 1.2, Microsoft's OS 2.0 descriptors. */
+/* The device's descriptors: USB 2.0 chapter 9.6, the CDC PSTN subclass 1.2, Microsoft's OS 2.0 descriptors. */
 #ifndef HR_RP2040_USB_DESCRIPTORS_H
 #define HR_RP2040_USB_DESCRIPTORS_H
 
