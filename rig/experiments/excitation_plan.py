@@ -5,7 +5,6 @@ Friction is left out, which errs on the hard side; so is whatever only instabili
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from rig import config
@@ -18,7 +17,7 @@ from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import Motion, unit_of
 from rig.experiments.excitation_run import multisine_of
-from rig.experiments.planned import Plan, Step, where_it_runs
+from rig.experiments.planned import Plan, Step, heat_check, limited, where_it_runs
 
 RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 
@@ -81,11 +80,12 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
 
 def _rendered_check(found: Peak, motion: Motion) -> Check:
     """What the motor renders is clipped by the guard, which spoils a measurement and endangers nobody."""
-    return Check(
+    return limited(
         found.name,
-        Outcome.OK if found.holds else Outcome.WARNING,
+        found.holds,
         f"{found.value:.3g} {unit_of(found.quantity, motion)}, limit {found.limit:g}",
         "the effort will be clipped: reduce the excitation, or take a softer wall",
+        Outcome.WARNING,
     )
 
 
@@ -104,11 +104,12 @@ def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
         return []
     radius = float(Lifted.of(loop).radius(x.wall.stiffness, x.wall.damping))
     return [
-        Check(
+        limited(
             "stability",
-            Outcome.OK if radius < 1.0 else Outcome.WARNING,
+            radius < 1.0,
             f"spectral radius {radius:.4f} by linear theory, both sides of the wall",
             "the guard may end the run; friction may save it",
+            Outcome.WARNING,
         )
     ]
 
@@ -145,15 +146,5 @@ def _heat_checks(x: Experiment) -> list[Check]:
     """Heat of the motor that excites; one that only renders the wall carries less."""
     if x.excitation.channel != "motor":
         return []
-    limits = x.rig.limits
-    load = multisine_of(x).rms / limits.nominal_effort
     seconds = x.excitation.realisations * config.excitation_s(x)[0]
-    budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
-    return [
-        Check(
-            "motor heat",
-            Outcome.OK if budget <= 1.0 else Outcome.REFUSED,
-            f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort (rms)",
-            "reduce the excitation, or for a shorter time",
-        )
-    ]
+    return [heat_check(x, multisine_of(x).rms, seconds, "reduce the excitation, or its length")]

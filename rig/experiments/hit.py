@@ -46,8 +46,7 @@ class HitRequest:
     realtime
         Run in real time: a simulated rig then is a process behind a pseudo-terminal. A real device always is.
     verified
-        The user vouches that encoder and motor signs of a real rig were checked, and that its handle is at position
-        zero now.
+        The polarity of encoder and motor of a real rig was checked by its user, and its handle is at position zero now.
     output
         Directory of the recordings.
     name
@@ -190,7 +189,7 @@ def hit(request: HitRequest, watch: Watch | None = None) -> Iterator[HitResult]:
         for repeat in range(experiment.trial.repeats):
             trial = TrialRequest(
                 run=run,
-                recording=_free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
+                recording=free_name(request.output, request.name or f"{stem}-{repeat + 1}"),
                 seed=experiment.trial.seed,
                 progress=watch(repeat, experiment) if watch else None,
                 judge=partial(judge, experiment=experiment),
@@ -220,7 +219,7 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
     PlanError
         Something that must not run.
     ConfigError
-        Another rig than the one in the experiment, or a real one that nobody vouches for.
+        Another rig than the one in the experiment, or a real one whose polarity is not verified.
     """
     config.check_plugins(experiment, experiment.rig.name)
     law = request.law
@@ -236,7 +235,7 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
     refuse(plan_of(run).checks)
     refuse(device_checks(run, device.dictionary))
     refuse(link_checks(experiment, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
-    _check_same_rig(experiment, device)
+    check_same_rig(experiment, device)
     _check_verified(request, device)
     _check_person(experiment, device)
     return run
@@ -299,7 +298,7 @@ def _reference_count(request: HitRequest, device: FramedDevice) -> int:
     return device.count() if request.reference_count is None else request.reference_count
 
 
-def _check_same_rig(experiment: Experiment, device: FramedDevice) -> None:
+def check_same_rig(experiment: Experiment, device: FramedDevice) -> None:
     """A simulated rig knows its name: a recording must not carry another one."""
     theirs = device.dictionary.device
     if device.dictionary.simulated and theirs != experiment.rig.name:
@@ -318,7 +317,7 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
     if device.dictionary.simulated or request.verified:
         return
     raise ConfigError(
-        f"nobody vouches for the signs of motor and encoder on {device.dictionary.device}",
+        f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
         remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
         "move it the same way), put the handle at position zero, and say --verified: the count there becomes zero",
     )
@@ -336,7 +335,7 @@ def _check_person(experiment: Experiment, device: FramedDevice) -> None:
         )
 
 
-def _free_name(directory: Path, stem: str) -> Path:
+def free_name(directory: Path, stem: str) -> Path:
     """First capture name of this stem that no recording has."""
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"

@@ -30,6 +30,7 @@ from rig.core.errors import ConfigError, PlanError
 from rig.core.present import reported
 from rig.core.sample import Phase, RowFlag, unit_of
 from rig.devices.framed import FramedDevice
+from rig.experiments.hit import check_same_rig, free_name
 from rig.experiments.identified_values import identified_values
 from rig.experiments.identify_motions import (
     PERIODS,
@@ -282,7 +283,7 @@ class _Session:
             self._device,
             TrialRequest(
                 run=run,
-                recording=self._free_name(f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                recording=free_name(self._request.output, f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
                 seed=x.trial.seed,
                 extra={"identification": name, "number": number + 1, "seed": self._request.seed},
             ),
@@ -290,15 +291,6 @@ class _Session:
         self.recordings[name] = (*self.recordings.get(name, ()), end.recording)
         assert end.sealed is not None
         return trial_rows(end.sealed), float(x.controller.position_rate)
-
-    def _free_name(self, stem: str) -> Path:
-        output = self._request.output
-        name = next(
-            candidate
-            for candidate in (stem, *(f"{stem}-{n}" for n in range(2, 10_000)))
-            if not any((output / f"{candidate}{suffix}").exists() for suffix in (".rigcap", ".parquet"))
-        )
-        return output / f"{name}.rigcap"
 
 
 def trial_rows(recording: Recording) -> NDArray[np.void]:
@@ -355,12 +347,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 
 def _for_device(free: Experiment, request: IdentifyRequest, device: FramedDevice) -> Experiment:
     """In real time the loop runs at the device's own rate, unless the user set one."""
-    theirs = device.dictionary.device
-    if device.dictionary.simulated and theirs != free.rig.name:
-        raise ConfigError(
-            f"the device simulates {theirs}, the experiment is about {free.rig.name}",
-            remedy=f"say --rig {theirs}, or open another device",
-        )
+    check_same_rig(free, device)
     if device.link.clock.virtual:
         return free
     rates = ("controller.position_rate", "controller.velocity_rate")
@@ -374,7 +361,7 @@ def _check_verified(request: IdentifyRequest, device: FramedDevice) -> None:
     if device.dictionary.simulated or request.verified:
         return
     raise ConfigError(
-        f"{device.dictionary.device} does not arm before somebody vouches for its signs",
+        f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
         remedy="see that nothing can be hurt by a push of the wrong sign, put the handle at position zero, and say "
         "--verified: the first pushes check the signs and end after a few counts whatever they are",
     )

@@ -23,7 +23,7 @@ from rig.control.motions import nudging, tracing
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.sample import unit_of
-from rig.experiments.planned import Plan, Step
+from rig.experiments.planned import Plan, Step, limited
 
 Floats = NDArray[np.float64]
 
@@ -321,8 +321,7 @@ def _divisor(rate: int, most: int) -> int:
 
 
 def _check(name: str, value: float, limit: float, unit: str, remedy: str) -> Check:
-    fits = Outcome.OK if value <= limit else Outcome.REFUSED
-    return Check(name, fits, f"{value:.3g} {unit}, limit {limit:.3g}", remedy)
+    return limited(name, value <= limit, f"{value:.3g} {unit}, limit {limit:.3g}", remedy)
 
 
 def _unit(x: Experiment, quantity: str) -> str:

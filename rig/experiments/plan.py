@@ -16,7 +16,7 @@ from rig.core.check import Check, Outcome
 from rig.core.sample import unit_of
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.experiments.excitation_plan import excitation_plan
-from rig.experiments.planned import ARITHMETIC_WORDS, Plan, Step, where_it_runs
+from rig.experiments.planned import ARITHMETIC_WORDS, Plan, Step, heat_check, limited, where_it_runs
 
 STANDS_FOR_DEVICE = (
     "simulated with the law of the host, in float64: it stands for that of the device, which has no more delay and "
@@ -36,7 +36,7 @@ def plan_of(run: controller.Run) -> Plan:
     experiment = run.experiment
     if experiment.trial.kind == "excitation":
         return replace(excitation_plan(experiment), run=run)
-    checks = (*_wall_checks(experiment), *_watch_checks(experiment), *_heat_checks(experiment))
+    checks = (*_wall_checks(experiment), *_watch_checks(experiment), _heat_check(experiment))
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
 
@@ -44,9 +44,9 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
     """Whether a device and its link carry the loop at the asked rate."""
     rate = experiment.controller.position_rate
     checks = [
-        Check(
+        limited(
             "device rate",
-            Outcome.OK if rate <= rate_maximum else Outcome.REFUSED,
+            rate <= rate_maximum,
             f"the law asks for {rate} Hz, and the device runs at most at {rate_maximum} Hz",
             f"choose --rate {rate_maximum} or less",
         )
@@ -57,9 +57,9 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
         needed, usable = rate * STATE_BYTES, LINK_SHARE * bytes_per_second
         possible = int(usable // STATE_BYTES)
         checks.append(
-            Check(
+            limited(
                 "link capacity",
-                Outcome.OK if needed <= usable else Outcome.REFUSED,
+                needed <= usable,
                 f"samples at {rate} Hz need {needed / 1e3:.1f} kB/s, and the link carries {usable / 1e3:.1f} kB/s",
                 f"choose --rate {possible} or less, or a faster link",
             )
@@ -75,9 +75,9 @@ def _batch_check(x: Experiment, usable: float) -> Check:
         short = replace(x, controller=replace(x.controller, measured_current=False))
         if device_law.bytes_per_second(short) <= usable:
             remedy = f"leave the measured current out (--set controller.measured_current=false), {remedy}"
-    return Check(
+    return limited(
         "link capacity",
-        Outcome.OK if needed <= usable else Outcome.REFUSED,
+        needed <= usable,
         f"{needed / 1e3:.1f} kB/s for every tick at {x.controller.position_rate} Hz, "
         f"the link carries {usable / 1e3:.1f} kB/s",
         remedy,
@@ -225,9 +225,9 @@ def _watch_checks(x: Experiment) -> list[Check]:
         work = abs(motor_push(x)) * (abs(x.wall.position - x.trial.start) + hit.peak_penetration)
         leak = x.wall.stiffness * x.rig.encoder.resolution**2
         checks.append(
-            Check(
+            limited(
                 "energy",
-                Outcome.OK if work <= energy else Outcome.REFUSED,
+                work <= energy,
                 f"the push gives up to {work:.2g} J, a count left and entered again {leak:.2g} J; limit {energy:g}",
                 "raise rig.limits.energy, push less or start closer",
             )
@@ -270,24 +270,25 @@ def _wall_checks(x: Experiment) -> list[Check]:
     end = x.wall.position + x.wall.side * hit.peak_penetration
     inside = limits.position_minimum <= end <= limits.position_maximum
     checks = [
-        Check(
+        limited(
             "impact velocity",
-            Outcome.OK if hit.velocity <= limits.speed else Outcome.REFUSED,
+            hit.velocity <= limits.speed,
             f"up to {hit.velocity:.3g} {velocity}, limit {limits.speed:g}",
             "push less or start closer to the wall",
         ),
-        Check(
+        limited(
             "peak penetration",
-            Outcome.OK if inside else Outcome.REFUSED,
+            inside,
             f"up to {hit.peak_penetration:.3g} {position} ({hit.peak_penetration / delta:.1f} counts), "
             f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
             "raise wall.stiffness, push less, or widen the window",
         ),
-        Check(
+        limited(
             "peak effort",
-            Outcome.OK if hit.peak_effort <= limits.effort else Outcome.WARNING,
+            hit.peak_effort <= limits.effort,
             f"spring up to {hit.peak_effort:.3g} {effort}, limit {limits.effort:g}",
             _saturating(x),
+            Outcome.WARNING,
         ),
     ]
     rest = push_at_rest(x) / x.wall.stiffness
@@ -296,9 +297,9 @@ def _wall_checks(x: Experiment) -> list[Check]:
         checks.append(_let_go_check(x))
     return [
         *checks,
-        Check(
+        limited(
             "resting penetration",
-            Outcome.OK if enough else Outcome.REFUSED,
+            enough,
             f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {x.trial.minimum_rest_counts:g} counts",
             "push more, or lower wall.stiffness",
         ),
@@ -311,24 +312,16 @@ def _let_go_check(x: Experiment) -> Check:
     start = x.trial.start
     end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))
     inside = limits.position_minimum <= end <= limits.position_maximum
-    return Check(
+    return limited(
         "after the wall",
-        Outcome.OK if inside else Outcome.REFUSED,
+        inside,
         f"the hand goes on to {end:.3g} {unit_of('position', x.rig.motion)}, "
         f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
         "press less, or with a stiffer hand",
     )
 
 
-def _heat_checks(x: Experiment) -> list[Check]:
-    limits, trial = x.rig.limits, x.trial
-    load = push_at_rest(x) / limits.nominal_effort
-    budget = load**2 * -math.expm1(-trial.duration_s * trial.repeats / limits.thermal_time_constant_s)
-    return [
-        Check(
-            "motor heat",
-            Outcome.OK if budget <= 1.0 else Outcome.REFUSED,
-            f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort",
-            "push less, shorten trial.duration_s, or let the motor cool between repeats",
-        )
-    ]
+def _heat_check(x: Experiment) -> Check:
+    seconds = x.trial.duration_s * x.trial.repeats
+    remedy = "push less, shorten trial.duration_s, or let the motor cool between repeats"
+    return heat_check(x, push_at_rest(x), seconds, remedy)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from rig.config import Experiment, controller, device_law
-from rig.core.check import Check, refused
+from rig.core.check import Check, Outcome, refused
 from rig.core.present import Item, Row, reported, written
 
 ARITHMETIC_WORDS = {"fixed": "integers", "float32": "float32"}
@@ -47,6 +48,20 @@ class Plan:
         """The steps, how long they take at most, and the checks, for people."""
         longest = Row("", f"{self.repeats} × at most {written(self.duration_s / self.repeats)} s")
         return [*(Row(step.name, step.text) for step in self.steps), longest, *self.checks]
+
+
+def limited(name: str, holds: bool, text: str, remedy: str, otherwise: Outcome = Outcome.REFUSED) -> Check:
+    """Check of a value against a limit; `otherwise` is the outcome when it does not hold."""
+    return Check(name, Outcome.OK if holds else otherwise, text, remedy)
+
+
+def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:
+    """Heat of the motor after a constant effort for so long, from cold."""
+    limits = x.rig.limits
+    load = effort / limits.nominal_effort
+    budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
+    text = f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort"
+    return limited("motor heat", budget <= 1.0, text, remedy)
 
 
 def where_it_runs(x: Experiment) -> str:

@@ -59,7 +59,7 @@ def test_the_plan_touches_nothing(run, tmp_path):
     ("arguments", "message", "code"),
     [
         (("--rig", "chawda-linaer"), "chawda-linear", 2),
-        (("--realisations", "1"), "no interval", 2),
+        (("--realisations", "1"), "too few for an interval", 2),
         (("--period", "0.0001"), "period", 2),
         (("--set", "rig.limits.speeed=3"), "rig.limits.speeed: is not a known key", 2),
         (("--rig", "chawda-linear", "--rate", "50"), "50 Hz", 2),
@@ -77,4 +77,4 @@ def test_what_cannot_be_meant_is_one_line_with_a_remedy(run, arguments, message,
 def test_a_refusal_is_json_too(run):
     code, out, _ = run("identify", "--json", "--no-plot", "--realisations", "1")
     assert code == 2
-    assert "no interval" in json.loads(out)["error"]["error"]
+    assert "too few for an interval" in json.loads(out)["error"]["error"]

@@ -117,7 +117,7 @@ class Journal:
         self._file.sync()
 
     def close(self) -> None:
-        """Bring everything to disk and let others have the file."""
+        """Bring everything to disk and release the lock."""
         self._file.close()
 
     def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:

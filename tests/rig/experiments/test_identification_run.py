@@ -255,7 +255,7 @@ def test_a_plan_that_is_refused_moves_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"realisations": 1}, "no interval"),
+        ({"realisations": 1}, "too few for an interval"),
         ({"period_s": 0.01}, "period"),
         ({"changes": {"controller.position_rate": 50, "controller.velocity_rate": 50,
                       "controller.parameters.cutoff_hz": 5.0, "verdict.lowpass_hz": 20.0,

@@ -631,8 +631,8 @@ def real(monkeypatch):
     )
 
 
-def test_a_real_device_moves_only_when_somebody_vouches_for_its_signs(tmp_path, real):
-    with pytest.raises(ConfigError, match="nobody vouches") as caught:
+def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path, real):
+    with pytest.raises(ConfigError, match="is not verified") as caught:
         list(hit(requested(tmp_path)))
     assert "--verified" in caught.value.remedy
     assert files(tmp_path) == []
@@ -641,11 +641,11 @@ def test_a_real_device_moves_only_when_somebody_vouches_for_its_signs(tmp_path, 
 
 
 def test_names_of_recordings_are_free(tmp_path):
-    first = hits._free_name(tmp_path, "x")
+    first = hits.free_name(tmp_path, "x")
     assert first == tmp_path / "x.rigcap"
     for number, ending in enumerate(("rigcap", "parquet", "png"), start=2):
         (tmp_path / f"{'x' if number == 2 else f'x-{number - 1}'}.{ending}").touch()
-        assert hits._free_name(tmp_path, "x") == tmp_path / f"x-{number}.rigcap"
+        assert hits.free_name(tmp_path, "x") == tmp_path / f"x-{number}.rigcap"
 
 
 # ---------------------------------------------------------------------- hit in real time

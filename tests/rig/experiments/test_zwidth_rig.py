@@ -230,8 +230,8 @@ def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path, real_devic
     )
 
 
-def test_a_real_device_that_nobody_vouches_for_is_not_moved(tmp_path, real_devices):
-    with pytest.raises(ConfigError, match="nobody vouches"):
+def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path, real_devices):
+    with pytest.raises(ConfigError, match="is not verified"):
         zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig"))
     assert not (tmp_path / "hits").exists()
 

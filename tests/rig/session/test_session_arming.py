@@ -207,8 +207,8 @@ def _first(protocol: Protocol) -> tuple[Experiment, Any]:
     return wall.experiment, wall.changes
 
 
-def test_a_rig_that_nobody_vouches_for_is_refused_before_anything_else(real: None) -> None:
-    with pytest.raises(ConfigError, match="nobody vouches"):
+def test_a_rig_of_unverified_polarity_is_refused_before_anything_else(real: None) -> None:
+    with pytest.raises(ConfigError, match="is not verified"):
         DeviceRunner(url="serial:///dev/rig").refusals(tuple(walls_of(Walls(protocol_of(), KOUL))))
 
 
