@@ -173,6 +173,7 @@ def gradual() -> str:
 SECTIONS: dict[str, Callable[[], str]] = {
     "errors": errors,
     "intervals": intervals,
+    "gradual": gradual,
     "hits": hits,
     "censored": censored,
     "beyond": beyond,

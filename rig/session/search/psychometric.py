@@ -9,7 +9,7 @@ of Vision 13(7):3, 2013, of the Psi method of Kontsevich and Tyler, Vision Resea
 
 The prior is flat over K50 where levels are a step apart, and over log K50 where they are a ratio apart, from half a
 range below the levels to half a range above them: the limit is as likely between any two levels as between any other
-two. It is flat over log s, from a quarter of the smallest step to half of the range, and over the values of λ in
+two. It is flat over log s, from a quarter of the smallest step to 0.35 of the range, and over the values of λ in
 `LAPSE_RATES`. Beyond the levels hardly anything but the prior says where a limit lies, so that no more than the side is
 reported (`Located`).
 """
@@ -32,10 +32,10 @@ LEAST_THRESHOLDS, MOST_THRESHOLDS = 121, 241  # values of K50
 FINENESS = (
     0.4  # of the smallest step, from value to value: coarser ones miss steep observers between two levels
 )
-SPREADS = 9
+SPREADS = 10
 LAPSE_RATES = (0.0, 0.01, 0.02, 0.04, 0.08)
 LEAST_SPREAD = 0.25  # of the smallest step
-MOST_SPREAD = 0.25  # of the range
+MOST_SPREAD = 0.35  # of the range; cut off at a quarter, the posterior of a gradual observer was too narrow
 
 
 def share_stable(
