@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,7 +33,7 @@ def paths() -> list[list[str]]:
     return [re.findall(r"^\| \d+ \| `([^`]+)`", table, re.MULTILINE) for table in tables]
 
 
-def test_the_paths_of_the_design_go_through_files_and_enter_no_room_twice():
+def test_the_paths_of_the_design_go_through_files_and_enter_no_room_twice() -> None:
     assert len(paths()) == 4
     for steps in paths():
         assert all((ROOT / step).is_file() for step in steps), steps
@@ -46,7 +47,7 @@ def trees() -> dict[str, ast.Module]:
     return {module: ast.parse(path.read_text()) for module, path in source_files().items()}
 
 
-def test_rig_holds_rooms_and_nothing_loose():
+def test_rig_holds_rooms_and_nothing_loose() -> None:
     assert {path.name for path in RIG.iterdir() if path.is_file()} == {
         "__init__.py", "__main__.py", "DESIGN.md", "py.typed",
     }  # fmt: skip
@@ -54,7 +55,7 @@ def test_rig_holds_rooms_and_nothing_loose():
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_a_room_says_the_same_of_itself_in_the_readme_and_in_the_design(room):
+def test_a_room_says_the_same_of_itself_in_the_readme_and_in_the_design(room: Any) -> None:
     sentence = (RIG / room / "__init__.py").read_text().removeprefix('"""').split("\n")[0].removesuffix('"""')
     assert f"| `rig/{room}/` | {sentence}" in (ROOT / "README.md").read_text()
     design = " ".join((RIG / "DESIGN.md").read_text().split())
@@ -73,7 +74,7 @@ def imported(module: str) -> set[str]:
     return found & set(trees()) - {module}
 
 
-def test_no_file_is_part_of_a_cycle():
+def test_no_file_is_part_of_a_cycle() -> None:
     state: dict[str, int] = {}
     way: list[str] = []
 
@@ -102,7 +103,7 @@ def named_by_string() -> Iterator[tuple[str, str, str]]:
                     yield str(path.relative_to(ROOT)), module, named
 
 
-def test_no_way_around_the_contracts_by_string():
+def test_no_way_around_the_contracts_by_string() -> None:
     """A task of a sweep, a resource and a child process name their own module or the package around it."""
     around = [
         f"{file} names {named}"
@@ -114,7 +115,7 @@ def test_no_way_around_the_contracts_by_string():
     assert around == []
 
 
-def test_modules_are_imported_by_name_in_few_places():
+def test_modules_are_imported_by_name_in_few_places() -> None:
     """Tables of names, the work of a sweep's task, and libraries that may not be there."""
     found = {
         str(path.relative_to(ROOT))
@@ -130,7 +131,7 @@ def test_modules_are_imported_by_name_in_few_places():
     }  # fmt: skip
 
 
-def test_imports_stand_at_the_top_of_files():
+def test_imports_stand_at_the_top_of_files() -> None:
     """Only the ring imports inside functions: whoever stops a loop does not wait for the compiler's library."""
     inside = {
         module

@@ -2,6 +2,7 @@
 
 import time
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sim_backend import trial
 from sim_backend.plant import DiscretePlant
 
 
-def per_call(function, calls, repeats=5):
+def per_call(function: Any, calls: Any, repeats: int = 5) -> Any:
     """Shortest time of a call (s) over some batches."""
     best = np.inf
     for _ in range(repeats):
@@ -27,12 +28,12 @@ def per_call(function, calls, repeats=5):
     return best
 
 
-def test_the_compiled_codec_is_far_quicker_than_the_readable_one():
+def test_the_compiled_codec_is_far_quicker_than_the_readable_one() -> None:
     values = np.zeros(len(codec.STATE), np.int64)
     out, raw = np.zeros(codec.FRAME_BYTES, np.uint8), np.zeros(codec.RAW_BYTES, np.uint8)
     header = np.zeros(len(codec.HEAD), np.int64)
 
-    def compiled():
+    def compiled() -> None:
         size = codec.encode_state(1, 2, values, out)
         length = codec.decode_frame(out, 0, size - 1, raw)
         codec.decode_state(raw, length, header, values)
@@ -40,7 +41,7 @@ def test_the_compiled_codec_is_far_quicker_than_the_readable_one():
     message = m.State(*[0] * len(codec.STATE))
     connection = Connection(m.Role.HOST)
 
-    def readable():
+    def readable() -> None:
         connection.receive_data(encode_frame(pack(message)))
         connection.next_event()
 
@@ -51,7 +52,7 @@ def test_the_compiled_codec_is_far_quicker_than_the_readable_one():
     assert fast < slow
 
 
-def test_the_compiled_crc_keeps_up_with_zlib_within_a_factor_of_ten():
+def test_the_compiled_crc_keeps_up_with_zlib_within_a_factor_of_ten() -> None:
     data = np.random.default_rng(1).integers(0, 256, 1 << 20).astype(np.uint8)
     ours = per_call(lambda: codec.crc32(data, 0, len(data), 0), 3)
     zlibs = per_call(lambda: zlib.crc32(data), 3)
@@ -59,7 +60,7 @@ def test_the_compiled_crc_keeps_up_with_zlib_within_a_factor_of_ten():
     assert ours < 10.0 * zlibs
 
 
-def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link():
+def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link() -> None:
     from rig.devices.device import DeviceUrl  # noqa: PLC0415
     from sim_backend.link import open_link  # noqa: PLC0415
 
@@ -67,7 +68,7 @@ def test_a_trial_without_bytes_is_far_quicker_than_one_over_the_link():
     model = config.rig_model(experiment)
     plant = DiscretePlant.build(model, 1.0 / experiment.controller.position_rate)
 
-    def bare():
+    def bare() -> Any:
         law = controller.for_experiment(experiment, current_quantum_a=0.001)
         return trial.run_trial(law, plant, 0.0, most_ticks=40_000)
 

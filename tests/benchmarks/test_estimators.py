@@ -14,6 +14,7 @@ import statistics
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ CASES = [
 
 
 @pytest.fixture(scope="module")
-def in_c(tmp_path_factory):
+def in_c(tmp_path_factory: pytest.TempPathFactory) -> Any:
     compiler = shutil.which("gcc")
     if compiler is None:
         pytest.skip("no gcc")
@@ -65,14 +66,14 @@ def in_c(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def counts():
+def counts() -> Any:
     """Hits to and fro, as an encoder of 1 µm sees them at 20 kHz."""
     hit = SIGNALS["wall-bounce"]
     once = quantise(hit(np.arange(0.0, hit.end_s, 1.0 / RATE)).position, DELTA)
     return np.resize(np.concatenate([once, once[::-1]]), SAMPLES)
 
 
-def in_the_loop(update, state_f, state_i, parameters, counts, out):
+def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts: Any, out: Any) -> Any:
     """A run from a fresh memory through the plug type, as a function without arguments."""
     ages, elapsed, windows = (
         np.zeros(len(counts)),
@@ -80,7 +81,7 @@ def in_the_loop(update, state_f, state_i, parameters, counts, out):
         np.zeros(len(counts), np.int64),
     )
 
-    def go():
+    def go() -> None:
         state_f[:] = 0.0
         state_i[:] = 0
         update_all(update, counts, ages, elapsed, state_f, state_i, parameters, out, windows)
@@ -88,20 +89,20 @@ def in_the_loop(update, state_f, state_i, parameters, counts, out):
     return go
 
 
-def ours(prepared, counts, out):
+def ours(prepared: Any, counts: Any, out: Any) -> Any:
     """Our estimator in the loop."""
     p = prepared
     return in_the_loop(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
 
 
-def theirs(library, function, parameters, counts, out):
+def theirs(library: Any, function: Any, parameters: Any, counts: Any, out: Any) -> Any:
     """The C function in the same loop, and in one of its own."""
     f, i = np.zeros(16), np.zeros(512, np.int64)
     address = ctypes.cast(getattr(library, f"plug_{function}"), ctypes.c_void_p).value
     plugged = NativeFunction(address, ESTIMATOR_SIGNATURE, keep=library)
     pointers = [ctypes.c_void_p(a.ctypes.data) for a in (f, i, parameters, out)]
 
-    def alone():
+    def alone() -> None:
         f[:] = 0.0
         i[:] = 0
         library.run(
@@ -114,14 +115,16 @@ def theirs(library, function, parameters, counts, out):
     return in_the_loop(plugged, f, i, parameters, counts, out), alone
 
 
-def cpu_ns(function):
+def cpu_ns(function: Any) -> Any:
     started = time.thread_time_ns()
     function()
     return time.thread_time_ns() - started
 
 
 @pytest.mark.parametrize(("name", "settings", "function", "most"), CASES)
-def test_an_estimator_costs_about_what_it_costs_in_c(in_c, counts, name, settings, function, most):
+def test_an_estimator_costs_about_what_it_costs_in_c(
+    in_c: Any, counts: Any, name: Any, settings: Any, function: Any, most: Any
+) -> None:
     prepared = estimators.get(name).prepare(settings, DELTA, 1.0 / RATE)
     mine, c = np.zeros(len(counts)), np.zeros(len(counts))
     run_mine = ours(prepared, counts, mine)
@@ -140,7 +143,7 @@ def test_an_estimator_costs_about_what_it_costs_in_c(in_c, counts, name, setting
     assert ratio < most
 
 
-def test_a_call_per_sample_into_scipy_could_not_keep_up_with_a_loop(counts):
+def test_a_call_per_sample_into_scipy_could_not_keep_up_with_a_loop(counts: Any) -> None:
     from scipy.signal import butter, sosfilt  # noqa: PLC0415
 
     prepared = estimators.get("fdm-butterworth").prepare({}, DELTA, 1.0 / RATE)
@@ -162,7 +165,7 @@ def test_a_call_per_sample_into_scipy_could_not_keep_up_with_a_loop(counts):
     assert per_sample < 0.01 * per_call
 
 
-def test_a_call_per_sample_into_filterpy_could_not_keep_up_with_a_loop(counts):
+def test_a_call_per_sample_into_filterpy_could_not_keep_up_with_a_loop(counts: Any) -> None:
     filterpy = pytest.importorskip("filterpy.kalman", reason="filterpy is not installed")
     prepared = estimators.get("kalman").prepare({"bandwidth_hz": 300.0}, DELTA, 1.0 / RATE)
     out = np.zeros(len(counts))

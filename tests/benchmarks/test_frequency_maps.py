@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -23,7 +24,7 @@ GOAL_S = 30.0
 ONCE = config.override(presets.load("chawda-linear"), {"excitation.realisations": 1})
 
 
-def test_the_papers_map_with_one_realisation(capsys):
+def test_the_papers_map_with_one_realisation(capsys: pytest.CaptureFixture[str]) -> None:
     """60 × 16 walls, four estimators: every fifth of their 64 columns, and the whole in proportion."""
     plan = frequency_plan(ONCE)
     tasks = plan.tasks()
@@ -43,7 +44,7 @@ def test_the_papers_map_with_one_realisation(capsys):
 
 
 @pytest.mark.parametrize("scheme", range(4))
-def test_judging_costs_less_than_exciting(scheme, capsys):
+def test_judging_costs_less_than_exciting(scheme: int, capsys: pytest.CaptureFixture[str]) -> None:
     plan = frequency_plan(ONCE)
     experiment = plan.schemes[scheme].applied(config.excited(ONCE))
     bench = ExcitedRig(experiment)
@@ -68,12 +69,12 @@ def test_judging_costs_less_than_exciting(scheme, capsys):
     assert share < 3.0
 
 
-def test_memory_is_that_of_a_column():
+def test_memory_is_that_of_a_column() -> None:
     plan = frequency_plan(ONCE)
     payload = {**plan.tasks()[0].payload, "stiffnesses": list(plan.stiffnesses[:3])}
     run_column(payload)
 
-    def peak(stiffnesses):
+    def peak(stiffnesses: Any) -> Any:
         tracemalloc.start()
         run_column({**payload, "stiffnesses": stiffnesses})
         _, highest = tracemalloc.get_traced_memory()

@@ -12,6 +12,7 @@ import statistics
 import subprocess
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ SECONDS = 5
 PAIRS = 15
 
 
-def build_c(directory, *options):
+def build_c(directory: Any, *options: Any) -> Any:
     """Compile excited.c and return its function."""
     compiler = shutil.which("gcc")
     if compiler is None:
@@ -48,7 +49,7 @@ def build_c(directory, *options):
     return function
 
 
-def test_a_excited_run_costs_about_what_it_costs_in_c(tmp_path):
+def test_a_excited_run_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
     ticks = 1000 * SECONDS
     model = config.rig_model(CHAWDA)
     excited_plant = ExcitedPlant(model, 1e-3, 4000.0, ticks)
@@ -63,10 +64,10 @@ def test_a_excited_run_costs_about_what_it_costs_in_c(tmp_path):
     arrays = np.zeros(rows, np.int64), np.zeros(rows), np.zeros(rows), np.zeros(ticks)
     whole = len(push), round(ramp_s(CHAWDA) * 1000 * RATIO), ticks, RATIO, EVERY
 
-    def here():
+    def here() -> Any:
         return excited_plant.excite(template.fresh(wall), 0.0, push, ramp_s(CHAWDA), ticks)
 
-    def there(function):
+    def there(function: Any) -> Any:
         law = template.fresh(wall)
         inputs = (
             law.control,
@@ -97,14 +98,14 @@ def test_a_excited_run_costs_about_what_it_costs_in_c(tmp_path):
     assert ratio < 1.5
 
 
-def test_an_inner_step_is_far_quicker_than_one_of_mujoco():
+def test_an_inner_step_is_far_quicker_than_one_of_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
     rigid = presets.load("koul-rigid")  # the hinge that test_trial.py builds
     fast = in_mujoco(mujoco, config.rig_model(rigid), FAST_MUJOCO)
     bench = ExcitedRig(CHAWDA)
     inner_steps = round(CHAWDA.trial.duration_s * 1000) * RATIO
 
-    def steps():
+    def steps() -> None:
         mujoco.mj_resetData(*fast)
         fast[1].qfrc_applied[0] = 0.04
         mujoco.mj_step(*fast, nstep=STEPS)
@@ -119,7 +120,7 @@ def test_an_inner_step_is_far_quicker_than_one_of_mujoco():
     assert ratio > 10.0
 
 
-def test_what_each_estimator_costs_and_what_the_estimate_adds():
+def test_what_each_estimator_costs_and_what_the_estimate_adds() -> None:
     """Printed, not asserted: CPU of one realisation of 6 s, of its estimate, and the goal for 5 s."""
     for name in ESTIMATORS:
         bench = ExcitedRig(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))

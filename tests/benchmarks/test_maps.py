@@ -6,6 +6,8 @@ pytest tests/benchmarks/test_maps.py -o addopts="" -s
 import json
 import time
 import tracemalloc
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,14 +24,14 @@ HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "
 
 
 @pytest.fixture(scope="module")
-def figure_6():
+def figure_6() -> Any:
     """17 dampings, three schemes, a ladder of 6 %, two offsets, one repeat: 102 series."""
     schemes = theory.default_schemes(HELD)
     dampings = ranges.dampings_for(HELD, schemes)
     return MapPlan(experiment=HELD, schemes=schemes, dampings=dampings, search=ranges.search_for(HELD))
 
 
-def test_the_whole_map_of_figure_6(figure_6):
+def test_the_whole_map_of_figure_6(figure_6: Any) -> None:
     started, clock = time.process_time(), time.perf_counter()
     tasks = figure_6.tasks()
     planned_s = time.process_time() - started
@@ -43,11 +45,11 @@ def test_the_whole_map_of_figure_6(figure_6):
     assert cpu_s < 60.0
 
 
-def test_python_takes_a_small_share_of_a_series(figure_6, monkeypatch):
+def test_python_takes_a_small_share_of_a_series(figure_6: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = [0.0]
     compiled = hits.hit
 
-    def timed(*arguments):
+    def timed(*arguments: Any) -> Any:
         started = time.thread_time()
         ticks = compiled(*arguments)
         inside[0] += time.thread_time() - started
@@ -65,11 +67,11 @@ def test_python_takes_a_small_share_of_a_series(figure_6, monkeypatch):
     assert inside[0] > 0.7 * whole
 
 
-def test_memory_does_not_grow_with_the_number_of_hits():
+def test_memory_does_not_grow_with_the_number_of_hits() -> None:
     short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
     rig = hit_simulator.HitSimulator(short)
 
-    def peak(number):
+    def peak(number: Any) -> Any:
         tracemalloc.start()
         for stiffness in range(10, 10 + number):
             rig.hit(float(stiffness), 0.5)
@@ -83,10 +85,10 @@ def test_memory_does_not_grow_with_the_number_of_hits():
     assert many < 1.2 * few + 20_000
 
 
-def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path):
+def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path: Path) -> None:
     short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
 
-    def peak(repeats):
+    def peak(repeats: Any) -> Any:
         plan = MapPlan(
             experiment=short,
             schemes=theory.default_schemes(short)[:1],

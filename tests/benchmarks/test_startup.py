@@ -7,11 +7,13 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 
-def best_of(count, command, **options):
+def best_of(count: Any, command: Any, **options: Any) -> Any:
     """Shortest wall time of a command (s)."""
     times = []
     for _ in range(count):
@@ -22,7 +24,7 @@ def best_of(count, command, **options):
 
 
 @pytest.fixture(scope="module")
-def bare():
+def bare() -> Any:
     return best_of(7, [sys.executable, "-c", "pass"])
 
 
@@ -34,13 +36,15 @@ def bare():
         ("rig --help", ["-m", "rig", "--help"], 15.0),
     ],
 )
-def test_what_must_be_quick_stays_near_a_bare_interpreter(name, command, most, bare):
+def test_what_must_be_quick_stays_near_a_bare_interpreter(
+    name: str, command: list[str], most: float, bare: Any
+) -> None:
     seconds = best_of(7, [sys.executable, *command])
     print(f"\n{name}: {1e3 * seconds:.0f} ms, {seconds / bare:.1f} × python -c pass ({1e3 * bare:.0f} ms)")
     assert seconds / bare < most
 
 
-def test_the_second_hit_does_not_compile(tmp_path, bare):
+def test_the_second_hit_does_not_compile(tmp_path: Path, bare: Any) -> None:
     command = [sys.executable, "-m", "rig", "hit", "--output", str(tmp_path / "recordings")]
     options = {"cwd": tmp_path, "env": {**os.environ, "HAPTIC_RIG_CACHE": str(tmp_path / "cache")}}
     first = best_of(1, command, **options)

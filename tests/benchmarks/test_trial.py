@@ -15,6 +15,7 @@ import statistics
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from numba import types
@@ -65,7 +66,7 @@ def header() -> str:
     )
 
 
-def build_c(directory, *options):
+def build_c(directory: Any, *options: Any) -> Any:
     """Compile trial.c; returns a function that runs a trial into a trace as `in_numba` does."""
     compiler = shutil.which("gcc")
     if compiler is None:
@@ -78,7 +79,7 @@ def build_c(directory, *options):
     function = ctypes.CDLL(str(library)).trial
     function.restype = ctypes.c_int64
 
-    def run(law, plant, trace):
+    def run(law: Any, plant: Any, trace: Any) -> Any:
         inputs = law.control, law.estimator.parameters, law.law.parameters, *plant.arrays, plant.at_rest(0.0)
         return function(
             *(ctypes.c_void_p(array.ctypes.data) for array in inputs),
@@ -89,13 +90,13 @@ def build_c(directory, *options):
     return run
 
 
-def in_numba(law, plant, trace):
+def in_numba(law: Any, plant: Any, trace: Any) -> Any:
     """One trial without bytes from rest; returns its number of ticks."""
     arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, Script.silent())
     return run_ticks(*arguments, trace)
 
 
-def the_rig(name, **changes):
+def the_rig(name: Any, **changes: Any) -> Any:
     """A preset's model, its plant, and a way to fresh controllers."""
     experiment = config.override(presets.load(name), changes)
     model = config.rig_model(experiment)
@@ -104,13 +105,13 @@ def the_rig(name, **changes):
     return model, plant, lambda: controller.for_experiment(experiment, current_quantum_a=quantum)
 
 
-def cpu_ns(function, *arguments):
+def cpu_ns(function: Any, *arguments: Any) -> Any:
     started = time.thread_time_ns()
     function(*arguments)
     return time.thread_time_ns() - started
 
 
-def test_a_trial_costs_about_what_it_costs_in_c(tmp_path):
+def test_a_trial_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
     _, plant, fresh = the_rig("koul-compliant")
     runs = in_numba, build_c(tmp_path), build_c(tmp_path, "-march=native")
     trace, other = Trace.empty(MOST_TICKS, plant), Trace.empty(MOST_TICKS, plant)
@@ -130,7 +131,7 @@ def test_a_trial_costs_about_what_it_costs_in_c(tmp_path):
     assert ratio < 1.5
 
 
-def in_mujoco(mujoco, model, options):
+def in_mujoco(mujoco: Any, model: Any, options: Any) -> Any:
     """The rigid rig as one hinge: model and data."""
     mechanics = model.mechanics
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
@@ -152,7 +153,7 @@ def in_mujoco(mujoco, model, options):
 @kernel(
     types.int64(FLOATS, MATRIX, MATRIX, FLOATS, types.float64, types.int64), cache=False, no_refcount=True
 )
-def push(state, phi, gamma, parameters, effort, ticks):
+def push(state: Any, phi: Any, gamma: Any, parameters: Any, effort: Any, ticks: Any) -> Any:
     """Move a plant under a steady effort; returns the count."""
     count = 0
     for _ in range(ticks):
@@ -160,7 +161,7 @@ def push(state, phi, gamma, parameters, effort, ticks):
     return count
 
 
-def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays():
+def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays() -> None:
     mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
     model, plant, fresh = the_rig("koul-rigid", **SHORT)
     coulomb = model.mechanics.motor_coulomb + model.mechanics.link_coulomb
@@ -168,16 +169,16 @@ def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays(
     ticks = in_numba(fresh(), plant, trace)
     usual, fast = (in_mujoco(mujoco, model, options) for options in ("/>", FAST_MUJOCO))
 
-    def steps(hinge, data):
+    def steps(hinge: Any, data: Any) -> None:
         mujoco.mj_resetData(hinge, data)
         data.qfrc_applied[0] = 2.0 * coulomb
         mujoco.mj_step(hinge, data, nstep=STEPS)
 
-    def our_steps():
+    def our_steps() -> None:
         for _ in range(REPEATS):
             push(plant.at_rest(0.0), *plant.arrays, 2.0 * coulomb, STEPS)
 
-    def our_trials(laws):
+    def our_trials(laws: Any) -> None:
         for law in laws:
             in_numba(law, plant, trace)
 
@@ -193,7 +194,7 @@ def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays(
     ]
     usual_ns, fast_ns, step_ns, tick_ns = (min(column) for column in zip(*times, strict=True))
 
-    def ratio(i, j):
+    def ratio(i: Any, j: Any) -> Any:
         return statistics.median(row[i] / row[j] for row in times)
 
     state = plant.at_rest(0.0)

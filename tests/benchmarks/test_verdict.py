@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ LIMITS = Thresholds(
 GOAL_US = 250.0
 
 
-def hits():
+def hits() -> Any:
     """A hit of 1 s that rings and goes on buzzing: columns of the states of a sweep, and counts."""
     states = np.zeros((RATE, 8))
     bounce = 1e-2 * np.exp(-TIME / 0.05) * np.sin(2 * np.pi * 60 * TIME)
@@ -42,7 +43,7 @@ def hits():
     return states, np.floor(states[:, 2] / DELTA + 0.3) * DELTA
 
 
-def median_us(call, repeats=60):
+def median_us(call: Any, repeats: int = 60) -> Any:
     """Median CPU time of a call in this thread (µs)."""
     call()
     times = []
@@ -53,7 +54,7 @@ def median_us(call, repeats=60):
     return statistics.median(times) / 1e3
 
 
-def with_scipy(position, effort):
+def with_scipy(position: Any, effort: Any) -> Any:
     """The numbers that need filters, over the whole trial, and nothing else."""
     high = butter(2, 30.0, "highpass", fs=RATE, output="sos")
     band = butter(2, [30.0, 500.0], "bandpass", fs=RATE, output="sos")
@@ -65,7 +66,7 @@ def with_scipy(position, effort):
     return np.sqrt(np.mean(felt**2)), np.sqrt(np.mean(ripple**2)), np.ptp(swing), resting
 
 
-def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone():
+def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone() -> None:
     states, counts = hits()
     effort, flags, nothing = np.ascontiguousarray(states[:, 5]), np.ones(RATE, np.int64), np.zeros(RATE, bool)
     measuring = meter(LIMITS, 1.0 / RATE, DELTA)
@@ -90,7 +91,7 @@ def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone():
     assert true < 0.5 * scipy
 
 
-def test_ten_thousand_verdicts_without_texts_cost_less_than_ten_trials():
+def test_ten_thousand_verdicts_without_texts_cost_less_than_ten_trials() -> None:
     states, counts = hits()
     measuring = meter(LIMITS, 1.0 / RATE, DELTA)
     one = measuring.recorded(counts, states[:, 5], counts, np.ones(RATE, np.int64))

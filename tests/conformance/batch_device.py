@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
+from typing import Any
 from zlib import crc32
 
 from firmware_protocol import messages as m
@@ -235,7 +236,7 @@ class BatchDevice:
         """Plug functions of the loop."""
         transfer, wait = (ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * n) for n in (3, 2))
 
-        def native(kind, function, signature):  # type: ignore[no-untyped-def]
+        def native(kind: Any, function: Any, signature: Any) -> Any:  # type: ignore[no-untyped-def]
             callback = kind(function)
             return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value, signature, keep=callback)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numba
 import numpy as np
@@ -137,7 +138,7 @@ _BYTES = types.uint8[::1]
 
 
 @kernel(types.int64(TRANSFER, WAIT, types.int64, _BYTES, types.int64))
-def listen(read, wait, handle, into, deadline_ns):  # type: ignore[no-untyped-def]
+def listen(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) -> Any:  # type: ignore[no-untyped-def]
     """Wait to a deadline and read: bytes, 0, or negative errno."""
     ready = wait(handle, deadline_ns)
     if ready <= 0:
@@ -146,7 +147,17 @@ def listen(read, wait, handle, into, deadline_ns):  # type: ignore[no-untyped-de
 
 
 @kernel(types.int64(TRANSFER, TRANSFER, WAIT, NOW, types.int64, types.int64, _BYTES, _BYTES, types.int64))
-def exchange(read, write, wait, now, handle, clock, request, answer, timeout_ns):  # type: ignore[no-untyped-def]
+def exchange(
+    read: Any,
+    write: Any,
+    wait: Any,
+    now: Any,
+    handle: Any,
+    clock: Any,
+    request: Any,
+    answer: Any,
+    timeout_ns: Any,
+) -> Any:  # type: ignore[no-untyped-def]
     """Write a request and collect bytes up to the first delimiter: their number, or negative errno."""
     sent = write(handle, request.ctypes.data + 0, len(request))
     if sent != len(request):

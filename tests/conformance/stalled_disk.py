@@ -18,6 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -106,7 +107,7 @@ class DiskRun:
 
 
 @kernel(types.int64(types.uintp, ROWS_TYPE, types.int64, types.int64, types.uintp), cache=False)
-def produce(control, rows, period_ns, count, found):  # type: ignore[no-untyped-def]
+def produce(control: Any, rows: Any, period_ns: Any, count: Any, found: Any) -> Any:  # type: ignore[no-untyped-def]
     """A row each period, dropped and counted when the ring is full; fullest and latest go to the words at `found`."""
     start = monotonic_now(0) + period_ns
     fullest = latest = 0

@@ -5,6 +5,8 @@ import os
 import re
 import subprocess
 from dataclasses import astuple, fields, replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,16 +51,16 @@ int main(void)
 
 
 @pytest.fixture(scope="module")
-def model():
+def model() -> Any:
     return config.rig_model(presets.load("chawda-linear"))
 
 
 @pytest.fixture(scope="module")
-def built():
+def built() -> Any:
     return cross.image(BOARD)
 
 
-def test_the_constant_in_c_is_the_rig(model, tmp_path):
+def test_the_constant_in_c_is_the_rig(model: Any, tmp_path: Path) -> None:
     board = boards.load(BOARD)
     made = configure(board, model, {}, package="1", sources="abc")
     (tmp_path / "board_config.h").write_text(made.header)
@@ -81,7 +83,7 @@ def test_the_constant_in_c_is_the_rig(model, tmp_path):
     assert bytes.fromhex(said[-1]) == made.record.packed
 
 
-def test_the_generated_constants_follow_the_structs_of_the_core():
+def test_the_generated_constants_follow_the_structs_of_the_core() -> None:
     text = (FIRMWARE / "core" / "board.h").read_text()
     members = re.search(r"struct mechanics \{(.*?)\};", text, re.DOTALL)
     assert members is not None
@@ -89,7 +91,7 @@ def test_the_generated_constants_follow_the_structs_of_the_core():
     assert names == [field.name for field in fields(MovedMechanics)]
 
 
-def test_an_image_says_what_it_is(built):
+def test_an_image_says_what_it_is(built: Any) -> None:
     for path in (built.elf, built.bin):
         found = info(str(path))
         assert found.compatible
@@ -107,7 +109,7 @@ def test_an_image_says_what_it_is(built):
     assert said["rig"] == cross.RIG
 
 
-def test_its_sizes_are_those_of_the_program(built):
+def test_its_sizes_are_those_of_the_program(built: Any) -> None:
     listed = subprocess.run(
         ["arm-none-eabi-size", built.elf], capture_output=True, text=True, check=True
     ).stdout.splitlines()
@@ -118,7 +120,9 @@ def test_its_sizes_are_those_of_the_program(built):
     assert len(read_segments(built.elf.read_bytes(), "x")) >= 1
 
 
-def test_the_same_inputs_give_the_same_bytes(built, tmp_path, monkeypatch):
+def test_the_same_inputs_give_the_same_bytes(
+    built: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "elsewhere"))
     monkeypatch.setattr("tempfile.tempdir", None)
@@ -132,7 +136,9 @@ def test_the_same_inputs_give_the_same_bytes(built, tmp_path, monkeypatch):
     assert os.fsencode(FIRMWARE) not in again.elf.read_bytes()
 
 
-def test_without_a_compiler_it_says_what_to_install(model, tmp_path, monkeypatch):
+def test_without_a_compiler_it_says_what_to_install(
+    model: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv(COMPILER_VARIABLE, raising=False)
     with pytest.raises(ToolchainError, match="apt install gcc-arm-none-eabi libnewlib-arm-none-eabi"):
@@ -145,7 +151,9 @@ def test_without_a_compiler_it_says_what_to_install(model, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("script", "match"), [("exit 1", "does not run"), ('test "$1" = --version && echo 1', "no C library")]
 )
-def test_a_compiler_that_is_none_is_told(tmp_path, monkeypatch, script, match):
+def test_a_compiler_that_is_none_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, match: str
+) -> None:
     fake = tmp_path / "gcc"
     fake.write_text(f"#!/bin/sh\n{script}\n")
     fake.chmod(0o755)
@@ -154,14 +162,14 @@ def test_a_compiler_that_is_none_is_told(tmp_path, monkeypatch, script, match):
         find_compiler()
 
 
-def test_what_the_compiler_complains_about_is_shown(tmp_path):
+def test_what_the_compiler_complains_about_is_shown(tmp_path: Path) -> None:
     cross.need_compiler()
     (tmp_path / "bad.c").write_text("int main(void) { return nothing; }\n")
     with pytest.raises(ToolchainError, match="nothing"):
         find_compiler().run(["-c", "bad.c"], tmp_path)
 
 
-def test_boards_and_settings_that_are_none_are_refused(model, tmp_path):
+def test_boards_and_settings_that_are_none_are_refused(model: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"name one of: .*mps2"):
         boards.load("arduino")
     with pytest.raises(ConfigError, match="no setting 'pin'"):
@@ -173,7 +181,7 @@ def test_boards_and_settings_that_are_none_are_refused(model, tmp_path):
         build(BuildRequest(model=model, board=BOARD, output=tmp_path / "file"))
 
 
-def with_settings(*settings):
+def with_settings(*settings: Any) -> Any:
     return replace(boards.load("mps2"), settings={setting.name: setting for setting in settings})
 
 
@@ -193,7 +201,7 @@ LINK = boards.Setting(name="link", default="usb", meaning="which", choices=("usb
         (LINK, "uart", "can"),
     ],
 )
-def test_a_setting_takes_what_it_may_be(setting, good, bad):
+def test_a_setting_takes_what_it_may_be(setting: Any, good: Any, bad: Any) -> None:
     board = with_settings(setting)
     assert boards.settings_of(board, {})[setting.name] == setting.default
     assert boards.settings_of(board, {setting.name: good})[setting.name] == good
@@ -201,7 +209,7 @@ def test_a_setting_takes_what_it_may_be(setting, good, bad):
         boards.settings_of(board, {setting.name: bad})
 
 
-def test_no_pin_is_used_twice():
+def test_no_pin_is_used_twice() -> None:
     encoder = boards.Setting(name="encoder", default=2, meaning="A, then B", pins=2)
     enable = boards.Setting(name="enable", default=4, meaning="on", pins=1)
     board = with_settings(encoder, enable)
@@ -214,7 +222,7 @@ def test_no_pin_is_used_twice():
 
 
 @pytest.mark.parametrize("name", boards.names())
-def test_a_board_is_whole(name):
+def test_a_board_is_whole(name: Any) -> None:
     board = boards.load(name)
     settings = boards.settings_of(board, {})
     assert all(type(value) is type(board.settings[key].default) for key, value in settings.items())
@@ -225,7 +233,7 @@ def test_a_board_is_whole(name):
 
 
 @pytest.mark.parametrize("name", [name for name in boards.names() if boards.load(name).uf2_family])
-def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name):
+def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name: Any) -> None:
     board, made = boards.load(name), cross.image(name)
     written = read_uf2(made.uf2.read_bytes(), "x")
     assert written.family == board.uf2_family
@@ -241,7 +249,7 @@ def test_the_uf2_of_a_board_writes_its_image_and_nothing_else(name):
 @pytest.mark.parametrize(
     "chosen", [{"pwm_frequency": 3100, "set_point": "offset"}, {"pwm_frequency": 125_000}]
 )
-def test_the_ends_of_what_the_amplifier_may_be_are_built(tmp_path, chosen):
+def test_the_ends_of_what_the_amplifier_may_be_are_built(tmp_path: Path, chosen: Any) -> None:
     """At the slowest pulse width a period just fits the 16 bits of its counter; slower is refused by name."""
     cross.need_compiler()
     model = config.rig_model(presets.load("koul-rigid"))

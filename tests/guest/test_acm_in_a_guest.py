@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -27,53 +30,53 @@ URL = f"serial://{PORT}"
 
 
 @pytest.fixture(scope="module")
-def made():
+def made() -> Iterator[Any]:
     """One gadget for all tests; each plugs it in for itself."""
     with acm_gadget("acm-1") as made:
         yield made
 
 
 @pytest.fixture
-def plugged(made):
+def plugged(made: Any) -> Iterator[Any]:
     plug(made)
     yield made
     pull(made)
 
 
-def plug(made):
+def plug(made: Any) -> None:
     made.plug()
     vhci.wait_until(lambda: os.path.exists(PORT))
     vhci.settle()
 
 
-def pull(made):
+def pull(made: Any) -> None:
     made.pull()
     vhci.wait_until(lambda: not os.path.exists(PORT))
     vhci.settle()
 
 
 @pytest.fixture
-def rig_on_it(made):
+def rig_on_it(made: Any) -> Iterator[Any]:
     with far_end(MODEL, GadgetPort) as end:
         plug(made)
         yield end
         pull(made)
 
 
-def test_the_port_is_listed_with_its_maker_and_number(plugged):
+def test_the_port_is_listed_with_its_maker_and_number(plugged: Any) -> None:
     (found,) = [port for port in list_ports.comports() if port.device == PORT]
     assert (found.vid, found.pid, found.serial_number) == (gadget.VENDOR, gadget.PRODUCT, "acm-1")
     assert found.manufacturer == "haptic-rig"
     assert PORT in dict(available_ports())
 
 
-def test_rig_devices_names_it(plugged):
+def test_rig_devices_names_it(plugged: Any) -> None:
     done = CliRunner().invoke(devices, ["--json"])
     assert done.exit_code == 0, done.output
     assert PORT in {port["port"] for port in json.loads(done.stdout)["ports"]}
 
 
-def test_pyserial_says_several_things_of_a_pulled_plug(plugged):
+def test_pyserial_says_several_things_of_a_pulled_plug(plugged: Any) -> None:
     """What `rig.devices.serial` must make one error of."""
     port = serial.Serial(PORT, timeout=20.0)
     plugged.pull()
@@ -86,7 +89,7 @@ def test_pyserial_says_several_things_of_a_pulled_plug(plugged):
     port.close()
 
 
-def test_a_pulled_plug_is_one_error_whatever_is_called(plugged):
+def test_a_pulled_plug_is_one_error_whatever_is_called(plugged: Any) -> None:
     link = open_link(DeviceUrl.parse(URL))
     assert link.bytes_per_second is None  # USB does not care for the baud rate
     plugged.pull()
@@ -102,26 +105,28 @@ def test_a_pulled_plug_is_one_error_whatever_is_called(plugged):
         open_link(DeviceUrl.parse(URL))
 
 
-def test_one_program_at_a_time(plugged):
+def test_one_program_at_a_time(plugged: Any) -> None:
     link = open_link(DeviceUrl.parse(URL))
     with pytest.raises(DeviceNotFoundError, match="in use"):
         open_link(DeviceUrl.parse(URL))
     link.close()
 
 
-def test_who_is_there(rig_on_it):
+def test_who_is_there(rig_on_it: Any) -> None:
     with open_device(URL) as device:
         assert device.dictionary.device == MODEL.name
         assert device.dictionary.simulated
 
 
-def test_a_whole_hit(rig_on_it, tmp_path):
+def test_a_whole_hit(rig_on_it: Any, tmp_path: Path) -> None:
     ended = whole_hit(URL, tmp_path)
     check_ended_safely(ended, rig_on_it, UnpluggedError)
     assert ended.error is not None or rig_on_it.left().strongest > 0
 
 
-def test_pulled_in_the_middle_of_a_hit_and_plugged_in_again(made, rig_on_it, tmp_path):
+def test_pulled_in_the_middle_of_a_hit_and_plugged_in_again(
+    made: Any, rig_on_it: Any, tmp_path: Path
+) -> None:
     ended = struck_trial(URL, tmp_path, made.pull)
     assert isinstance(ended.error, LinkLostError)
     pull(made)  # it may have been lost before it was struck

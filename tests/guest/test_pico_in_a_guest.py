@@ -9,6 +9,9 @@ from __future__ import annotations
 import errno
 import os
 import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 import usb.core
@@ -40,13 +43,13 @@ SAMPLE_BYTES = 5  # of the layout with the measured current
 
 
 @pytest.fixture(scope="module")
-def board():
+def board() -> Iterator[Any]:
     with plugged_pico() as made:
         yield made
 
 
 @pytest.fixture
-def opened(board):
+def opened(board: Any) -> Iterator[Any]:
     """The device through pyusb."""
     device = usb.core.find(
         idVendor=VENDOR,
@@ -59,7 +62,7 @@ def opened(board):
     usb.util.dispose_resources(device)
 
 
-def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board):
+def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board: Any) -> None:
     """First of all: later the vendor interface has spoken, and keeps the link for a second of the board."""
     vhci.wait_until(lambda: board.tty is not None)
     vhci.settle()
@@ -67,21 +70,21 @@ def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board):
         assert device.dictionary.device == pico.RIG
 
 
-def test_linux_enumerates_the_firmware(opened):
+def test_linux_enumerates_the_firmware(opened: Any) -> None:
     assert opened.manufacturer == "haptic-rig"
     assert opened.speed == usb.util.SPEED_FULL
     interfaces = list(opened.get_active_configuration())
     assert [interface.bInterfaceClass for interface in interfaces] == [VENDOR_CLASS, 2, 10]
 
 
-def test_an_unknown_request_is_a_broken_pipe_and_the_next_one_is_answered(opened):
+def test_an_unknown_request_is_a_broken_pipe_and_the_next_one_is_answered(opened: Any) -> None:
     with pytest.raises(usb.core.USBError) as caught:
         opened.ctrl_transfer(0xC0, 0x77, 0, 0, 8)
     assert caught.value.errno == errno.EPIPE
     assert bytes(opened.ctrl_transfer(0xC0, 0x20, 0, 7, 10))[:4] == b"\x0a\0\0\0"
 
 
-def test_rig_finds_it_and_reads_its_dictionary(board):
+def test_rig_finds_it_and_reads_its_dictionary(board: Any) -> None:
     assert board.url in {device.url for device in available_devices() if device.is_rig}
     with open_device(board.url) as device:
         assert device.dictionary.device == pico.RIG
@@ -98,7 +101,7 @@ def supervised(host: Host, frames: int) -> list[m.Batch]:
     return batches
 
 
-def check_at_rest(board):
+def check_at_rest(board: Any) -> None:
     """No current at the pins of the board, amplifier off, as seen from outside of everything."""
     vhci.wait_until(lambda: not board.status()["enabled"])
     status = board.status()
@@ -108,7 +111,7 @@ def check_at_rest(board):
     assert status["complaints"] == {}
 
 
-def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board):
+def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board: Any) -> None:
     """Enumerated, identified, configured, armed, supervised, stopped: without the loop, a request at a time."""
     experiment = config.override(presets.load(pico.RIG), pico.CHANGES)
     quantum = experiment.rig.amplifier.current_quantum_a
@@ -128,7 +131,9 @@ def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board):
     check_at_rest(board)
 
 
-def test_a_whole_hit_with_the_law_on_the_board(board, tmp_path, monkeypatch):
+def test_a_whole_hit_with_the_law_on_the_board(
+    board: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """``rig hit --loop device --url usb://…``: the board runs the wall, this kernel carries its ticks.
 
     A second of the board takes many of ours, so the silence that ends a run is longer than on a real one.

@@ -5,6 +5,9 @@ from __future__ import annotations
 import errno
 import threading
 import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 import usb.core
@@ -36,7 +39,7 @@ READ = 4096
 STRIKE_AFTER_S = 0.3
 
 
-def find(serial):
+def find(serial: Any) -> Any:
     """A fresh look at the bus: pyusb keeps what it has once seen, a backend made anew does not."""
     backend = libusb1.get_backend()
     return usb.core.find(
@@ -48,13 +51,13 @@ def find(serial):
 
 
 @pytest.fixture(scope="module")
-def bare():
+def bare() -> Iterator[Any]:
     with plugged("bare") as made:
         yield made
 
 
 @pytest.fixture
-def opened(bare):
+def opened(bare: Any) -> Iterator[Any]:
     """The device through pyusb, its pipes empty."""
     device = find("bare")
     assert device is not None
@@ -64,7 +67,7 @@ def opened(bare):
     usb.util.dispose_resources(device)
 
 
-def number_of(call):
+def number_of(call: Any) -> Any:
     with pytest.raises(usb.core.USBError) as caught:
         call()
     return caught.value.errno
@@ -73,7 +76,7 @@ def number_of(call):
 # ---------------------------------------------------------------------- what pyusb is given
 
 
-def test_linux_enumerates_the_rig(opened):
+def test_linux_enumerates_the_rig(opened: Any) -> None:
     assert opened.manufacturer == "haptic-rig"
     assert opened.serial_number == "bare"
     assert opened.speed == usb.util.SPEED_FULL
@@ -83,7 +86,7 @@ def test_linux_enumerates_the_rig(opened):
     assert all(endpoint.wMaxPacketSize == 64 for endpoint in interface)
 
 
-def test_bytes_pass_both_ways_as_packets(opened, bare):
+def test_bytes_pass_both_ways_as_packets(opened: Any, bare: Any) -> None:
     sent = bytes(range(200))
     assert opened.write(ENDPOINT_OUT, sent, LONG_MS) == 200
     bare.device.settimeout(20.0)
@@ -94,7 +97,7 @@ def test_bytes_pass_both_ways_as_packets(opened, bare):
     assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"short"
 
 
-def test_silence_is_a_time_out_and_nothing_is_lost_by_it(opened, bare):
+def test_silence_is_a_time_out_and_nothing_is_lost_by_it(opened: Any, bare: Any) -> None:
     with pytest.raises(usb.core.USBTimeoutError) as caught:
         opened.read(ENDPOINT_IN, READ, SHORT_MS)
     assert caught.value.errno == errno.ETIMEDOUT
@@ -102,12 +105,12 @@ def test_silence_is_a_time_out_and_nothing_is_lost_by_it(opened, bare):
     assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"late"
 
 
-def test_a_device_that_does_not_read_is_a_time_out(opened, bare):
+def test_a_device_that_does_not_read_is_a_time_out(opened: Any, bare: Any) -> None:
     bare.bus.silence(ENDPOINT_OUT)
     assert number_of(lambda: opened.write(ENDPOINT_OUT, b"x", SHORT_MS)) == errno.ETIMEDOUT
 
 
-def test_a_stall_is_a_broken_pipe_until_it_is_cleared(opened, bare):
+def test_a_stall_is_a_broken_pipe_until_it_is_cleared(opened: Any, bare: Any) -> None:
     bare.bus.halt(ENDPOINT_IN)
     for _ in range(2):
         assert number_of(lambda: opened.read(ENDPOINT_IN, READ, LONG_MS)) == errno.EPIPE
@@ -116,28 +119,28 @@ def test_a_stall_is_a_broken_pipe_until_it_is_cleared(opened, bare):
     assert bytes(opened.read(ENDPOINT_IN, READ, LONG_MS)) == b"again"
 
 
-def test_more_bytes_than_asked_for_are_an_overflow(opened, bare):
+def test_more_bytes_than_asked_for_are_an_overflow(opened: Any, bare: Any) -> None:
     bare.device.send(bytes(60))
     assert number_of(lambda: opened.read(ENDPOINT_IN, 16, LONG_MS)) == errno.EOVERFLOW
 
 
-def test_a_packet_without_bytes_is_an_empty_read(opened, bare):
+def test_a_packet_without_bytes_is_an_empty_read(opened: Any, bare: Any) -> None:
     bare.bus.fail_next(ENDPOINT_IN, 0)
     assert len(opened.read(ENDPOINT_IN, READ, LONG_MS)) == 0
 
 
-def test_a_short_write_says_how_much_was_taken(opened, bare):
+def test_a_short_write_says_how_much_was_taken(opened: Any, bare: Any) -> None:
     bare.bus.fail_next(ENDPOINT_OUT, 0, 5)
     assert opened.write(ENDPOINT_OUT, bytes(20), LONG_MS) == 5
 
 
 @pytest.mark.parametrize("status", [errno.EPROTO, errno.EILSEQ])
-def test_noise_on_the_cable_is_an_error_of_input(opened, bare, status):
+def test_noise_on_the_cable_is_an_error_of_input(opened: Any, bare: Any, status: Any) -> None:
     bare.bus.fail_next(ENDPOINT_IN, -status)
     assert number_of(lambda: opened.read(ENDPOINT_IN, READ, LONG_MS)) == errno.EIO
 
 
-def test_unplugged_in_a_blocked_read_and_after_it_and_found_again():
+def test_unplugged_in_a_blocked_read_and_after_it_and_found_again() -> None:
     with plugged("moving") as made:
         device = find("moving")
         usb.util.claim_interface(device, 0)
@@ -159,14 +162,14 @@ def test_unplugged_in_a_blocked_read_and_after_it_and_found_again():
 
 
 @pytest.fixture(params=["queued", "plain"])
-def link(bare, request):
+def link(bare: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
     made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare?transfers={request.param}")
     yield made
     bare.bus.heal()
     made.close()
 
 
-def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link, bare):
+def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link: Any, bare: Any) -> None:
     link.write(b"there")
     bare.device.settimeout(20.0)
     assert bare.device.recv(READ) == b"there"
@@ -192,40 +195,40 @@ WRITES = {
 
 
 @pytest.mark.parametrize("strike", READS)
-def test_what_breaks_a_read_has_a_name(strike, link, bare):
+def test_what_breaks_a_read_has_a_name(strike: Any, link: Any, bare: Any) -> None:
     act, kind = READS[strike]
     act(bare.bus)
     check_is(kind, lambda: read_for(link))
 
 
 @pytest.mark.parametrize("strike", WRITES)
-def test_what_breaks_a_write_has_a_name(strike, link, bare):
+def test_what_breaks_a_write_has_a_name(strike: Any, link: Any, bare: Any) -> None:
     act, kind = WRITES[strike]
     act(bare.bus)
     check_is(kind, lambda: write_for(link))
 
 
-def read_for(link):
+def read_for(link: Any) -> None:
     deadline = time.monotonic() + 20.0
     while time.monotonic() < deadline:
         link.read(1.0)
 
 
-def write_for(link):
+def write_for(link: Any) -> None:
     """What fails is told by a later write, since none of them waits for its end."""
     for _ in range(20):
         link.write(bytes(20))
         time.sleep(0.05)
 
 
-def check_is(kind, act):
+def check_is(kind: Any, act: Any) -> None:
     with pytest.raises(LinkLostError) as caught:
         act()
     assert type(caught.value) is kind, repr(caught.value)
     assert caught.value.remedy
 
 
-def test_opening_anew_clears_a_halt(bare):
+def test_opening_anew_clears_a_halt(bare: Any) -> None:
     bare.bus.halt(ENDPOINT_IN)
     made = open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/bare")
     bare.device.send(b"well again")
@@ -233,19 +236,19 @@ def test_opening_anew_clears_a_halt(bare):
     made.close()
 
 
-def test_nobody_there_is_said_with_who_is(bare):
+def test_nobody_there_is_said_with_who_is(bare: Any) -> None:
     with pytest.raises(DeviceNotFoundError, match="bare"):
         open_link(f"usb://{VENDOR:04x}:{PRODUCT:04x}/nobody")
     assert "bare" in {device.serial for device in available_devices() if device.is_rig}
 
 
-def test_one_program_at_a_time(link):
+def test_one_program_at_a_time(link: Any) -> None:
     with pytest.raises(DeviceNotFoundError, match="in use"):
         open_link(link.url.text)
 
 
 @pytest.mark.parametrize("transfers", ["queued", "plain"])
-def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers):
+def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers: str) -> None:
     url = f"usb://{VENDOR:04x}:{PRODUCT:04x}/pulled?transfers={transfers}"
     with plugged("pulled") as made:
         link = open_link(url)
@@ -263,7 +266,7 @@ def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers):
         link.close()
 
 
-def test_a_whole_hit(tmp_path):
+def test_a_whole_hit(tmp_path: Path) -> None:
     with plugged_rig("whole", MODEL) as made:
         ended = whole_hit(made.url, tmp_path)
         check_ended_safely(ended, made.far_end)
@@ -279,7 +282,7 @@ STRIKES = {
 
 
 @pytest.mark.parametrize("strike", STRIKES)
-def test_struck_in_the_middle_of_a_hit(strike, tmp_path):
+def test_struck_in_the_middle_of_a_hit(strike: Any, tmp_path: Path) -> None:
     act, kind = STRIKES[strike]
     with plugged_rig(f"struck-{list(STRIKES).index(strike)}", MODEL) as made:
         ended = struck_trial(made.url, tmp_path, lambda: act(made.bus))

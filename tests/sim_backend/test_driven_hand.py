@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,17 +46,17 @@ LEAD_S = MODEL.reach.wait_s - MODEL.reach.free_s  # from the arrival at the star
 class Someone:
     """Whoever says where the hand shall be."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.wish = Wish(0, 0.0, 0.0)
 
-    def says(self, position, press=0.0):
+    def says(self, position: Any, press: float = 0.0) -> None:
         self.wish = Wish(self.wish.sequence + 1, position, press)
 
-    def __call__(self):
+    def __call__(self) -> Any:
         return self.wish
 
 
-def played(driven, seconds, hand=START, says=None):
+def played(driven: Any, seconds: Any, hand: Any = START, says: Any = None) -> Any:
     """Intentions for so long; `says` is said again before each block."""
     rows = []
     while sum(map(len, rows)) < seconds * RATE:
@@ -65,7 +66,7 @@ def played(driven, seconds, hand=START, says=None):
     return np.concatenate(rows)
 
 
-def begun(model=MODEL, position=START):
+def begun(model: Any = MODEL, position: Any = START) -> Any:
     """A hand whose trial has begun."""
     someone = Someone()
     driven = DrivenHand(model, someone)
@@ -74,7 +75,7 @@ def begun(model=MODEL, position=START):
     return driven, someone
 
 
-def test_while_it_homes_it_goes_along_whatever_is_wished():
+def test_while_it_homes_it_goes_along_whatever_is_wished() -> None:
     someone = Someone()
     driven = DrivenHand(MODEL, someone)
     driven.begin(START - 0.02, 1.0 / RATE)
@@ -88,7 +89,7 @@ def test_while_it_homes_it_goes_along_whatever_is_wished():
 
 @settings(deadline=None)
 @given(distance=st.floats(-1.0, 1.0), rate=st.floats(-5.0, 5.0))
-def test_it_follows_as_the_differential_equation_does(distance, rate):
+def test_it_follows_as_the_differential_equation_does(distance: float, rate: float) -> None:
     omega, step = 2.0 * math.pi * FOLLOW_HZ, 1e-5
     x, v = distance, rate
     for _ in range(2000):  # 20 ms by small steps
@@ -99,7 +100,7 @@ def test_it_follows_as_the_differential_equation_does(distance, rate):
     assert speed[0] == pytest.approx(v, abs=2e-2 * (abs(distance) + abs(rate)) + 1e-12)
 
 
-def test_a_step_of_a_key_becomes_a_motion_without_overshoot():
+def test_a_step_of_a_key_becomes_a_motion_without_overshoot() -> None:
     driven, someone = begun()
     goal = START + 0.1  # 10 mm at the handle
     rows = played(driven, 0.8, says=lambda: someone.says(goal, 3.0))
@@ -119,7 +120,7 @@ def test_a_step_of_a_key_becomes_a_motion_without_overshoot():
     ),
     mirrored=st.booleans(),
 )
-def test_it_stays_in_reach_whatever_is_wished(wishes, mirrored):
+def test_it_stays_in_reach_whatever_is_wished(wishes: Any, mirrored: bool) -> None:
     model = MODEL
     if mirrored:
         model = replace(MODEL, reach=replace(MODEL.reach, start=-START, target=-MODEL.reach.target))
@@ -136,7 +137,7 @@ def test_it_stays_in_reach_whatever_is_wished(wishes, mirrored):
             assert np.all(rows[:, 2] <= PRESS_N * RADIUS + 1e-9)
 
 
-def test_nobody_there_lets_the_hand_rest_where_it_is():
+def test_nobody_there_lets_the_hand_rest_where_it_is() -> None:
     driven, someone = begun()
     played(driven, 0.5, says=lambda: someone.says(0.05, 4.0))
     rows = played(driven, SILENT_S - 2 * BLOCK_S, hand=0.011)  # the last word counts for a while
@@ -150,7 +151,7 @@ def test_nobody_there_lets_the_hand_rest_where_it_is():
     assert rows[-1, 0] == pytest.approx(0.03, abs=1e-4), "and goes on when somebody comes"
 
 
-def test_what_was_said_before_the_session_moves_nothing():
+def test_what_was_said_before_the_session_moves_nothing() -> None:
     someone = Someone()
     someone.says(0.2, 9.0)
     driven = DrivenHand(MODEL, someone)
@@ -159,7 +160,7 @@ def test_what_was_said_before_the_session_moves_nothing():
     assert np.allclose(rows, [START, 0.0, 0.0], atol=1e-12)
 
 
-def test_tremor_comes_with_the_effort_of_the_hand():
+def test_tremor_comes_with_the_effort_of_the_hand() -> None:
     model = replace(MODEL, operator=replace(MODEL.operator, tremor=166e-6))
     driven, someone = begun(model)
     loose = played(driven, 1.0, says=lambda: someone.says(START))
@@ -171,12 +172,12 @@ def test_tremor_comes_with_the_effort_of_the_hand():
     assert np.std(pressing[:, 0]) * RADIUS == pytest.approx(166e-6 * share, rel=0.05)
 
 
-def test_a_rig_that_nobody_holds_cannot_be_led():
+def test_a_rig_that_nobody_holds_cannot_be_led() -> None:
     with pytest.raises(ConfigError, match="not held by a person"):
         DrivenHand(config.rig_model(presets.load("koul-compliant")), Someone())
 
 
-def test_hardware_plays_it_and_the_handle_goes_along():
+def test_hardware_plays_it_and_the_handle_goes_along() -> None:
     hardware = Hardware(MODEL, RATE, seed=0, initial_position=START)
     someone = Someone()
     hardware.drive_hand(DrivenHand(MODEL, someone))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from sim_backend.plant import DiscretePlant, advance
 RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 
-def the_rig(name="chawda-linear", law="bilateral", **changes):
+def the_rig(name: str = "chawda-linear", law: str = "bilateral", **changes: Any) -> Any:
     """Experiment as an excited run, its model, and a fresh controller."""
     x = config.excited(config.override(presets.load(name), changes))
     quantum = x.rig.amplifier.current_quantum_a
@@ -30,11 +31,11 @@ def the_rig(name="chawda-linear", law="bilateral", **changes):
     return x, config.rig_model(x), controller.for_experiment(x, current_quantum_a=quantum, law=chosen)
 
 
-def excited_plant(x, model, acquisition_hz=4000.0, ticks=2000):
+def excited_plant(x: Any, model: Any, acquisition_hz: float = 4000.0, ticks: int = 2000) -> Any:
     return ExcitedPlant(model, 1.0 / x.controller.position_rate, acquisition_hz, ticks)
 
 
-def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared():
+def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared() -> None:
     x, model, law = the_rig(**RIGID, **{"wall.stiffness": 0.0, "wall.damping": 0.0})
     run = excited_plant(x, model).excite(law, 0.0, np.array([0.26]), 0.0, 100)
     time_s = np.arange(len(run.position)) * run.acquisition_s
@@ -45,7 +46,7 @@ def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared():
     assert not run.withheld.any()
 
 
-def test_a_push_rests_where_the_wall_holds_it_on_both_sides():
+def test_a_push_rests_where_the_wall_holds_it_on_both_sides() -> None:
     for push in (2.0, -2.0):
         x, model, law = the_rig(
             **{"rig.mechanics.motor_coulomb": 0.0, "wall.stiffness": 5000.0, "wall.damping": 40.0}
@@ -58,7 +59,7 @@ def test_a_push_rests_where_the_wall_holds_it_on_both_sides():
 
 @pytest.mark.parametrize("name", ["chawda-linear", "koul-rigid", "koul-compliant"])
 @pytest.mark.parametrize("delay", [0, 2])
-def test_it_is_the_plant_and_the_law_stepped_by_hand(name, delay):
+def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int) -> None:
     """To the last bit, with a delay that stays as many ticks of the law."""
     changes = {"rig.simulation.computation_delay_ticks": delay}
     x, model, law = the_rig(name, **changes)
@@ -83,7 +84,7 @@ def test_it_is_the_plant_and_the_law_stepped_by_hand(name, delay):
     assert np.abs(run.position).max() > 3 * x.rig.encoder.resolution
 
 
-def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well():
+def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well() -> None:
     for name, rate, inner in (
         ("chawda-linear", 1000, 20_000),
         ("koul-rigid", 20_000, 20_000),
@@ -96,14 +97,14 @@ def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well():
 @pytest.mark.parametrize(
     ("asked", "got"), [(1.0, 1000), (1000.0, 1000), (4000.0, 4000), (5500.0, 10_000), (1e9, 20_000)]
 )
-def test_positions_are_kept_at_least_as_often_as_asked_and_whole_times_a_tick(asked, got):
+def test_positions_are_kept_at_least_as_often_as_asked_and_whole_times_a_tick(asked: float, got: int) -> None:
     x, model, law = the_rig()
     run = excited_plant(x, model, acquisition_hz=asked).excite(law, 0.0, np.array([1.0]), 0.0, 50)
     assert run.acquisition_s == pytest.approx(1.0 / got)
     assert len(run.position) == 50 * got // 1000
 
 
-def test_the_guard_ends_a_run_that_leaves_its_window_and_the_run_says_so():
+def test_the_guard_ends_a_run_that_leaves_its_window_and_the_run_says_so() -> None:
     x, model, law = the_rig(**{"wall.stiffness": 0.0, "wall.damping": 0.0})
     run = excited_plant(x, model).excite(law, 0.0, np.array([5.0]), 0.0, 2000)
     assert 0 < run.ticks < 2000
@@ -112,7 +113,7 @@ def test_the_guard_ends_a_run_that_leaves_its_window_and_the_run_says_so():
     assert run.position[-1] <= x.rig.limits.position_maximum + 1e-3
 
 
-def test_an_effort_beyond_the_limit_is_clipped_and_counted():
+def test_an_effort_beyond_the_limit_is_clipped_and_counted() -> None:
     x, model, law = the_rig(
         **{"rig.limits.effort": 1.0, "rig.limits.nominal_effort": 1.0, "homing.effort": 1.0, "trial.effort": 1.0,
            "wall.stiffness": 20e3, "trial.minimum_rest_counts": 0.0}
@@ -123,18 +124,18 @@ def test_an_effort_beyond_the_limit_is_clipped_and_counted():
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def _broken(penetration, velocity, elapsed, state, parameters):
+def _broken(penetration: Any, velocity: Any, elapsed: Any, state: Any, parameters: Any) -> Any:
     return penetration / (penetration - penetration)
 
 
-def test_a_law_that_gives_no_number_is_told_by_name():
+def test_a_law_that_gives_no_number_is_told_by_name() -> None:
     law = Law("broken", "", _broken, 1, lambda wall: [])
     x, model, fresh = the_rig(law=law)
     with pytest.raises(LawError, match="law broken"):
         excited_plant(x, model).excite(fresh, 0.0, np.array([1.0]), 0.0, 100)
 
 
-def test_two_runs_are_equal_and_the_first_is_not_overwritten_by_the_second():
+def test_two_runs_are_equal_and_the_first_is_not_overwritten_by_the_second() -> None:
     x, model, law = the_rig()
     _, _, other = the_rig()
     _, _, third = the_rig()

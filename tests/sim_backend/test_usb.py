@@ -7,6 +7,8 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -23,7 +25,7 @@ WAIT_S = 20.0
 
 
 @pytest.fixture
-def pipe():
+def pipe() -> Iterator[Any]:
     """Device's end and host's end."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     yield ours, theirs
@@ -42,7 +44,7 @@ def descriptors(data: bytes) -> list[bytes]:
 
 
 @pytest.mark.parametrize("packet", [64, 512])
-def test_the_configuration_is_one_vendor_interface_with_a_bulk_endpoint_each_way(packet):
+def test_the_configuration_is_one_vendor_interface_with_a_bulk_endpoint_each_way(packet: int) -> None:
     whole = UsbShape(packet=packet).configuration()
     configuration, interface, incoming, outgoing = descriptors(whole)
     assert configuration[1] == 2
@@ -53,7 +55,7 @@ def test_the_configuration_is_one_vendor_interface_with_a_bulk_endpoint_each_way
         assert struct.unpack_from("<H", end, 4) == (packet,)
 
 
-def test_the_device_descriptor_names_vendor_product_and_strings():
+def test_the_device_descriptor_names_vendor_product_and_strings() -> None:
     shape = UsbShape(vendor=0xABCD, product=0x1234, serial="Ä7")
     device = shape.device()
     assert (len(device), device[0], device[1]) == (18, 18, 1)
@@ -70,7 +72,7 @@ def setup(direction: int, request: int, value: int = 0, length: int = 0) -> byte
     return struct.pack("<BBHHH", direction, request, value, 0, length)
 
 
-def test_standard_requests_are_answered_and_others_stalled():
+def test_standard_requests_are_answered_and_others_stalled() -> None:
     shape = UsbShape()
     assert shape.control(setup(0x80, 6, 0x0100, 64)) == shape.device()
     assert shape.control(setup(0x80, 6, 0x0100, 8)) == shape.device()[:8]
@@ -85,12 +87,12 @@ def test_standard_requests_are_answered_and_others_stalled():
 
 
 @given(st.binary(min_size=8, max_size=8))
-def test_no_request_is_answered_with_more_than_it_asks_for(request):
+def test_no_request_is_answered_with_more_than_it_asks_for(request: bytes) -> None:
     answer = UsbShape().control(request)
     assert answer is None or len(answer) <= struct.unpack_from("<H", request, 6)[0]
 
 
-def test_frames_are_cut_into_packets_and_keep_their_order(pipe):
+def test_frames_are_cut_into_packets_and_keep_their_order(pipe: Any) -> None:
     ours, theirs = pipe
     port = UsbPort(ours)
     port.write(bytes(range(150)))
@@ -101,7 +103,7 @@ def test_frames_are_cut_into_packets_and_keep_their_order(pipe):
     ]
 
 
-def test_a_host_that_fetches_nothing_costs_the_device_nothing(pipe):
+def test_a_host_that_fetches_nothing_costs_the_device_nothing(pipe: Any) -> None:
     """A few packets wait, the newest samples are thrown away whole, and what waited comes in order afterwards."""
     ours, theirs = pipe
     port = UsbPort(ours)
@@ -117,7 +119,7 @@ def test_a_host_that_fetches_nothing_costs_the_device_nothing(pipe):
     assert all(len(packet) == 44 for packet in got)
 
 
-def test_answers_wait_for_the_host_up_to_a_limit(pipe):
+def test_answers_wait_for_the_host_up_to_a_limit(pipe: Any) -> None:
     ours, theirs = pipe
     port = UsbPort(ours, HIGH_SPEED_PACKET)
     for _ in range(100):
@@ -129,7 +131,7 @@ def test_answers_wait_for_the_host_up_to_a_limit(pipe):
     assert len(port._pending) < waiting
 
 
-def test_reading_ends_at_the_deadline_and_an_unplugged_bus_is_silence(pipe):
+def test_reading_ends_at_the_deadline_and_an_unplugged_bus_is_silence(pipe: Any) -> None:
     ours, theirs = pipe
     port = UsbPort(ours)
     deadline_ns = time.monotonic_ns() + 20_000_000
@@ -146,7 +148,7 @@ def test_reading_ends_at_the_deadline_and_an_unplugged_bus_is_silence(pipe):
     port.write(b"nobody")
 
 
-def test_a_rig_answers_through_the_pipes(pipe):
+def test_a_rig_answers_through_the_pipes(pipe: Any) -> None:
     ours, theirs = pipe
     stop = threading.Event()
     rig = threading.Thread(
@@ -167,6 +169,6 @@ def test_a_rig_answers_through_the_pipes(pipe):
 
 
 @pytest.mark.parametrize("rate", [10, 4_001])
-def test_a_rate_that_python_does_not_keep_is_refused(rate, pipe):
+def test_a_rate_that_python_does_not_keep_is_refused(rate: int, pipe: Any) -> None:
     with pytest.raises(ConfigError, match="outside 50 … 4000"):
         usb.serve(rotary_rig(), pipe[0], rate=rate)

@@ -1,6 +1,8 @@
 """The way over the wire changes nothing: frames, splitter, codec, ring and recorder are transparent to the law."""
 
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ HELD = {
 }
 
 
-def over_the_wire(experiment, path, url="sim://"):
+def over_the_wire(experiment: Any, path: Any, url: str = "sim://") -> Any:
     link = open_link(DeviceUrl.parse(url), config.rig_model(experiment))
     with FramedDevice(link) as device:
         request = partial(
@@ -42,7 +44,9 @@ def over_the_wire(experiment, path, url="sim://"):
     [{}, {"controller.estimator": "fdm"}, HELD, {**HELD, "operator.grip": "firm", "trial.seed": 3}],
     ids=["filtered", "raw", "held", "held firmly"],
 )
-def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(name, changes, tmp_path):
+def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(
+    name: Any, changes: Any, tmp_path: Path
+) -> None:
     experiment = config.override(presets.load(name), {**SHORT, **changes})
     recording = over_the_wire(experiment, tmp_path / "hit.rigcap")
     rows = recording.rows
@@ -71,7 +75,7 @@ def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(name
         assert trace.states[:, index].tobytes() == rows[column].tobytes(), column
 
 
-def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path):
+def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> None:
     experiment = config.override(
         presets.load("koul-compliant"), {**SHORT, "rig.amplifier.current_noise_a": 0.01}
     )
@@ -87,7 +91,7 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path):
     )
 
 
-def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_handle(tmp_path):
+def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_handle(tmp_path: Path) -> None:
     """And trembles differently, so that repeats are repeats; a person who lets go of nothing homes all the same."""
     experiment = config.override(presets.load("koul-compliant"), {**SHORT, **HELD})
     link = open_link(DeviceUrl.parse("sim://"), config.rig_model(experiment))

@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,13 +22,13 @@ QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.re
 
 
 @pytest.fixture
-def recording(run):
+def recording(run: Any) -> Any:
     code, out, _ = run("hit", "--json", "--no-plot", *QUICK)
     assert code == 0
     return json.loads(out)["hits"][0]["recording"]
 
 
-def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run, tmp_path):
+def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run: Any, tmp_path: Path) -> None:
     code, out, err = run("hit", *QUICK)
     assert code == 0, err
     (parquet,) = (tmp_path / "recordings").glob("*.parquet")
@@ -42,7 +44,7 @@ def test_hit_prints_the_verdict_and_leaves_a_recording_and_a_picture(run, tmp_pa
     assert not list((tmp_path / "recordings").glob("*.rigcap"))
 
 
-def test_hit_gives_the_numbers_as_json(run):
+def test_hit_gives_the_numbers_as_json(run: Any) -> None:
     code, out, _ = run(
         "hit", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--rate", "20k/2k", "--repeats", "2", *QUICK
     )
@@ -57,7 +59,7 @@ def test_hit_gives_the_numbers_as_json(run):
     )
 
 
-def test_the_default_hit_is_the_one_of_the_reference_study(run):
+def test_the_default_hit_is_the_one_of_the_reference_study(run: Any) -> None:
     """Peak 17 to 18 counts, rest 3 to 4, effort up to 1.2 N·m, no saturation, stable."""
     code, out, _ = run("hit", "--json", "--no-plot")
     assert code == 0
@@ -71,7 +73,7 @@ def test_the_default_hit_is_the_one_of_the_reference_study(run):
     assert verdict["ticks"] == 20000
 
 
-def test_a_wall_of_three_times_the_limit_is_not_stable(run):
+def test_a_wall_of_three_times_the_limit_is_not_stable(run: Any) -> None:
     code, out, _ = run(
         "hit", "--json", "--no-plot", "-K", "1500", "-B", "0", "--set", "trial.minimum_rest_counts=0"
     )
@@ -81,7 +83,7 @@ def test_a_wall_of_three_times_the_limit_is_not_stable(run):
     assert hit["verdict_true"]["kind"] == "unstable"
 
 
-def test_show_says_what_a_recording_holds(run, recording, tmp_path):
+def test_show_says_what_a_recording_holds(run: Any, recording: Any, tmp_path: Path) -> None:
     code, out, _ = run("show", recording, "--plot", tmp_path / "again.png")
     assert code == 0
     assert "finished" in out
@@ -95,7 +97,7 @@ def test_show_says_what_a_recording_holds(run, recording, tmp_path):
     assert facts["complete"]
 
 
-def test_replay_with_the_same_settings_is_bit_exact(run, recording):
+def test_replay_with_the_same_settings_is_bit_exact(run: Any, recording: Any) -> None:
     code, out, _ = run("replay", recording, "--json")
     assert code == 0
     result = json.loads(out)
@@ -103,7 +105,9 @@ def test_replay_with_the_same_settings_is_bit_exact(run, recording):
     assert result["velocity_difference"] == result["effort_difference"] == 0.0
 
 
-def test_replay_through_another_estimator_shows_the_difference(run, recording, tmp_path):
+def test_replay_through_another_estimator_shows_the_difference(
+    run: Any, recording: Any, tmp_path: Path
+) -> None:
     code, out, _ = run("replay", recording, "--estimator", "fdm", "--json", "--plot", tmp_path / "replay.png")
     assert code == 0
     result = json.loads(out)
@@ -116,7 +120,7 @@ def test_replay_through_another_estimator_shows_the_difference(run, recording, t
 
 
 @pytest.mark.parametrize("ending", ["csv", "mat", "parquet"])
-def test_export_writes_the_formats_that_people_open(run, recording, ending):
+def test_export_writes_the_formats_that_people_open(run: Any, recording: Any, ending: str) -> None:
     code, out, _ = run("export", recording, f"hit.{ending}")
     assert code == 0
     assert out.strip() == f"hit.{ending}"
@@ -126,7 +130,7 @@ def test_export_writes_the_formats_that_people_open(run, recording, ending):
     assert run("export", recording, f"hit.{ending}", "--overwrite")[0] == 0
 
 
-def test_plan_lists_steps_and_checks_and_touches_nothing(run, tmp_path):
+def test_plan_lists_steps_and_checks_and_touches_nothing(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("plan", "--rig", "chawda-linear")
     assert code == 0
     for words in ("home", "push", "release", "impact velocity", "N/m", "motor heat"):
@@ -136,7 +140,7 @@ def test_plan_lists_steps_and_checks_and_touches_nothing(run, tmp_path):
     assert json.loads(out)["ok"]
 
 
-def test_a_preset_prints_as_a_file_that_runs(run, tmp_path):
+def test_a_preset_prints_as_a_file_that_runs(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("preset", "koul-rigid")
     assert code == 0
     (tmp_path / "mine.toml").write_text(out, encoding="utf-8")
@@ -145,7 +149,7 @@ def test_a_preset_prints_as_a_file_that_runs(run, tmp_path):
     assert "koul-compliant" in out
 
 
-def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run):
+def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run: Any) -> None:
     code, out, _ = run("devices")
     assert code == 0
     assert "sim://" in out
@@ -156,7 +160,7 @@ def test_devices_lists_backends_and_asks_a_simulated_one_who_it_is(run):
     assert facts["simulated"]
 
 
-def test_devices_asks_the_port_as_well_as_the_device_behind_it(run):
+def test_devices_asks_the_port_as_well_as_the_device_behind_it(run: Any) -> None:
     with serve_locally("sim://", config.rig_model(presets.load("koul-compliant"))) as url:
         code, out, _ = run("devices", url, "--json")
         assert code == 0
@@ -180,7 +184,9 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_file_is_refused_with_file_key_value_range_and_remedy(run, tmp_path, case):
+def test_a_wrong_file_is_refused_with_file_key_value_range_and_remedy(
+    run: Any, tmp_path: Path, case: Any
+) -> None:
     text, words = WRONG[case]
     (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{text}\n', encoding="utf-8")
     for command in (["plan"], ["hit", "--no-plot"]):
@@ -220,7 +226,9 @@ REFUSED = [
     REFUSED,
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_what_cannot_be_meant_is_refused_in_words(run, tmp_path, arguments, code, words):
+def test_what_cannot_be_meant_is_refused_in_words(
+    run: Any, tmp_path: Path, arguments: Any, code: Any, words: Any
+) -> None:
     got, _, err = run(*arguments, *(["--no-plot"] if arguments[0] == "hit" else []))
     assert got == code, err
     if "no libusb" in err:
@@ -230,7 +238,9 @@ def test_what_cannot_be_meant_is_refused_in_words(run, tmp_path, arguments, code
     assert not list(tmp_path.rglob("*.rigcap"))
 
 
-def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_it(run, tmp_path):
+def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_it(
+    run: Any, tmp_path: Path
+) -> None:
     throwing = [
         "-K",
         "1500",
@@ -255,7 +265,7 @@ def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_i
     assert open_recording(told["error"]["recording"]).trailer["verdict"]["kind"] == "unstable"
 
 
-def test_another_simulated_rig_than_the_experiments_is_refused(run):
+def test_another_simulated_rig_than_the_experiments_is_refused(run: Any) -> None:
     code, _, err = run("hit", "--rig", "koul-rigid", "--url", "sim://koul-compliant")
     assert code == 2
     assert "--rig koul-compliant" in err
@@ -263,7 +273,7 @@ def test_another_simulated_rig_than_the_experiments_is_refused(run):
     assert json.loads(out)["hits"][0]["rig"] == "koul-rigid"
 
 
-def test_what_a_file_says_is_meant_in_real_time_too(tmp_path):
+def test_what_a_file_says_is_meant_in_real_time_too(tmp_path: Path) -> None:
     from rig import config  # noqa: PLC0415
 
     (tmp_path / "soft.toml").write_text(
@@ -276,7 +286,7 @@ def test_what_a_file_says_is_meant_in_real_time_too(tmp_path):
     assert experiment.controller.position_rate == 1000
 
 
-def test_an_error_is_json_too_when_json_was_asked_for(run):
+def test_an_error_is_json_too_when_json_was_asked_for(run: Any) -> None:
     code, out, err = run("hit", "--json", "--effort", "0.03")
     facts = json.loads(out)["error"]
     assert facts["exit_code"] == code == 2
@@ -284,19 +294,21 @@ def test_an_error_is_json_too_when_json_was_asked_for(run):
     assert err.startswith("rig: ")
 
 
-def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run):
+def test_a_push_that_rests_below_two_counts_is_refused_with_the_number(run: Any) -> None:
     _, _, err = run("plan", "--effort", "0.05")
     assert "1.1 counts" in err
 
 
-def test_a_file_that_is_no_recording_is_refused(run, tmp_path):
+def test_a_file_that_is_no_recording_is_refused(run: Any, tmp_path: Path) -> None:
     (tmp_path / "x.parquet").write_bytes(b"PAR1 but not really")
     assert run("show", "x.parquet")[0] == 9
     (tmp_path / "y.rigcap").write_bytes(np.random.default_rng(1).bytes(1000))
     assert run("replay", "y.rigcap")[0] == 9
 
 
-def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(run, tmp_path):
+def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
+    run: Any, tmp_path: Path
+) -> None:
     (tmp_path / "recordings").write_text("a file in the way", encoding="utf-8")
     code, _, err = run("hit", "--no-plot")
     assert code != 0
@@ -310,7 +322,9 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(run
     [((), [signal.SIGINT]), (("env", "--ignore-signal=INT"), [signal.SIGINT, signal.SIGTERM])],
     ids=["heard", "ignored"],
 )
-def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(shell, numbers, tmp_path):
+def test_ctrl_c_ends_a_hit_with_its_own_exit_code_and_a_recording(
+    shell: Any, numbers: Any, tmp_path: Path
+) -> None:
     options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with started(*shell, sys.executable, "-m", "rig", "hit", *options, **pipes) as process:
@@ -348,7 +362,7 @@ for arguments, code in json.loads(sys.argv[1]):
 """
 
 
-def test_without_the_simulation_the_rest_still_works(recording, tmp_path):
+def test_without_the_simulation_the_rest_still_works(recording: Any, tmp_path: Path) -> None:
     runs = [(["--help"], 0), (["plan"], 0), (["devices"], 0), (["show", str(recording)], 0), (["hit"], 3)]
     done = subprocess.run(
         [sys.executable, "-c", HIDE_THE_SIMULATION, json.dumps(runs)],
@@ -362,7 +376,7 @@ def test_without_the_simulation_the_rest_still_works(recording, tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_importing_rig_or_the_protocol_loads_nothing_heavy():
+def test_importing_rig_or_the_protocol_loads_nothing_heavy() -> None:
     code = (
         "import sys, rig, firmware_protocol, rig.cli; "
         "heavy = set('numpy numba scipy matplotlib pyarrow pydantic serial rich'.split()) & set(sys.modules); "
@@ -371,7 +385,7 @@ def test_importing_rig_or_the_protocol_loads_nothing_heavy():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
 
 
-def test_a_grip_brings_its_numbers_and_nothing_is_said_to_come_from_real_time(run):
+def test_a_grip_brings_its_numbers_and_nothing_is_said_to_come_from_real_time(run: Any) -> None:
     code, out, _ = run("hit", "--operator", "firm", "--no-plot")
     assert code == 0
     assert "for real time" not in out

@@ -2,6 +2,8 @@
 
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,11 +14,11 @@ BRIEF = ["--duration", "0.06", "--set", "verdict.tail_s=0.02"]
 
 
 @pytest.fixture
-def run(capfd, tmp_path, monkeypatch):
+def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Run a command line in an empty directory: exit code, standard output, standard error."""
     monkeypatch.chdir(tmp_path)
 
-    def call(*arguments):
+    def call(*arguments: Any) -> Any:
         code = rig.cli.run(["hit", *(str(argument) for argument in arguments)])
         out, err = capfd.readouterr()
         assert "Traceback" not in err
@@ -25,7 +27,7 @@ def run(capfd, tmp_path, monkeypatch):
     return call
 
 
-def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run, tmp_path):
+def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run: Any, tmp_path: Path) -> None:
     code, out, err = run("--compare", "--rig", "koul-rigid", *QUICK)
     assert code == 0, err
     assert "koul-rigid: K = 300 N·m/rad, B = 0.5 N·m·s/rad, the same hit, mean over 4 encoder offsets" in out
@@ -36,7 +38,7 @@ def test_it_prints_a_table_and_draws_a_picture_and_records_nothing(run, tmp_path
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_json_has_every_number_of_every_scheme_and_offset(run, tmp_path):
+def test_json_has_every_number_of_every_scheme_and_offset(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "--compare", "--json", "--no-plot", "-K", "200", "-B", "0.3", "--scheme", "none",
         "--scheme", "dual:20k/2k", "--scheme", "dual:20k/4k,estimator=fdm", *QUICK,
@@ -59,14 +61,14 @@ def test_json_has_every_number_of_every_scheme_and_offset(run, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_rig_named_by_its_url_is_compared_too(run):
+def test_a_rig_named_by_its_url_is_compared_too(run: Any) -> None:
     code, out, _ = run("--compare", "--json", "--no-plot", "--url", "sim://chawda-linear", *QUICK)
     assert code == 0
     facts = json.loads(out)
     assert (facts["rig"], facts["motion"]) == ("chawda-linear", "linear")
 
 
-def test_the_conditions_of_the_paper_give_figures_7_and_8(run, tmp_path):
+def test_the_conditions_of_the_paper_give_figures_7_and_8(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("--compare", "--as-in-the-paper", "-o", "figures")
     assert code == 0
     for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "fs/20", "figure 8"):
@@ -101,7 +103,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("arguments", "text"), WRONG)
-def test_what_cannot_be_meant_is_refused_in_one_line(run, tmp_path, arguments, text):
+def test_what_cannot_be_meant_is_refused_in_one_line(
+    run: Any, tmp_path: Path, arguments: Any, text: Any
+) -> None:
     code, out, err = run(*arguments)
     assert code == 2
     assert err.startswith("rig: ")

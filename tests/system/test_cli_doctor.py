@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
+from collections.abc import Iterator
+from pathlib import Path
 from queue import Queue
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +31,7 @@ QUICK = ("--seconds", "0.3", "--set", "host.realtime=off")
 
 
 @pytest.fixture(autouse=True)
-def machine(monkeypatch):
+def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine with one thing to mend: what the checks really say is theirs to test."""
     check = Check("governor", Outcome.WARNING, "powersave", "sudo mend it", "clocks that ramp")
     monkeypatch.setattr(examining, "machine_checks", lambda host: [check])
@@ -37,7 +40,7 @@ def machine(monkeypatch):
 
 
 @pytest.fixture
-def port():
+def port() -> Iterator[Any]:
     """A simulated rig behind a pseudo-terminal."""
     announced, stop = Queue(), threading.Event()
     model = config.rig_model(presets.load("koul-compliant"))
@@ -51,7 +54,7 @@ def port():
 
 
 @pytest.fixture
-def real(monkeypatch):
+def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
     original = sim_backend.device.describe
     monkeypatch.setattr(
@@ -60,11 +63,11 @@ def real(monkeypatch):
 
 
 @pytest.fixture
-def quiet_link(monkeypatch):
+def quiet_link(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever this machine measures, the way there and back takes half a millisecond."""
     original = round_trip.measure_link
 
-    def measured(*arguments, **options):
+    def measured(*arguments: Any, **options: Any) -> Any:
         found = original(*arguments, **options)
         return dataclasses.replace(found, travel_s=Distribution.of(np.full(4000, 5e-4)), lost=0)
 
@@ -72,7 +75,7 @@ def quiet_link(monkeypatch):
         monkeypatch.setattr(module, "measure_link", measured)
 
 
-def test_without_a_device_it_looks_at_machine_and_ports(run, monkeypatch):
+def test_without_a_device_it_looks_at_machine_and_ports(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     facts = PortFacts(
         port="/dev/ttyUSB0", device="/dev/ttyUSB0", driver="ftdi_sio", ftdi=True, latency_timer_ms=16
     )
@@ -95,7 +98,7 @@ def test_without_a_device_it_looks_at_machine_and_ports(run, monkeypatch):
         assert absent not in out
 
 
-def test_json_without_a_device(run):
+def test_json_without_a_device(run: Any) -> None:
     code, out, err = run("doctor", "--json")
     assert code == 0
     assert err == ""
@@ -105,14 +108,14 @@ def test_json_without_a_device(run):
     assert found["device"] is found["link"] is found["gate"] is found["error"] is None
 
 
-def test_rules_for_udev_are_printed_and_nothing_else(run):
+def test_rules_for_udev_are_printed_and_nothing_else(run: Any) -> None:
     code, out, err = run("doctor", "--print-udev")
     assert code == 0
     assert err == ""
     assert "ID_MM_DEVICE_IGNORE" in out
 
 
-def test_a_device_behind_a_port(run, port, quiet_link):
+def test_a_device_behind_a_port(run: Any, port: Any, quiet_link: Any) -> None:
     code, out, err = run("doctor", "--url", port, "--rig", "koul-compliant", *QUICK)
     assert code == 0  # simulated: told, never refused
     for text in ("koul-compliant, simulated", "uniform 1 kHz", "dual 1/0.1 kHz", "uniform 4 kHz", "B = 0.2"):
@@ -121,7 +124,7 @@ def test_a_device_behind_a_port(run, port, quiet_link):
         assert text in err
 
 
-def test_a_simulated_rig_as_a_process_of_its_own_in_json(run):
+def test_a_simulated_rig_as_a_process_of_its_own_in_json(run: Any) -> None:
     code, out, _ = run("doctor", "--realtime", "--json", *QUICK)
     assert code == 0
     found = json.loads(out)
@@ -134,7 +137,9 @@ def test_a_simulated_rig_as_a_process_of_its_own_in_json(run):
         assert {"scheme", "delay_ticks", "k_max", "because", "reason"} <= set(row)
 
 
-def test_a_wall_that_must_not_be_armed_on_a_real_rig_is_an_error(run, real, port, quiet_link):
+def test_a_wall_that_must_not_be_armed_on_a_real_rig_is_an_error(
+    run: Any, real: None, port: Any, quiet_link: Any
+) -> None:
     code, out, err = run("doctor", "--url", port, *QUICK)
     assert code == 0, err
     assert "may be armed" in out
@@ -153,11 +158,11 @@ def test_a_wall_that_must_not_be_armed_on_a_real_rig_is_an_error(run, real, port
 
 
 def test_scheduling_that_is_demanded_and_refused_forbids_arming_and_is_told(
-    run, real, port, quiet_link, monkeypatch
-):
+    run: Any, real: None, port: Any, quiet_link: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     original = examining.obtained
 
-    def obtained(host, *, virtual):
+    def obtained(host: Any, *, virtual: Any) -> Any:
         if host.realtime == "enforce":
             raise RealtimeError("no SCHED_FIFO here", remedy="sudo grant it")
         return original(host, virtual=virtual)
@@ -170,7 +175,7 @@ def test_scheduling_that_is_demanded_and_refused_forbids_arming_and_is_told(
     assert "sudo grant it" in err
 
 
-def test_a_device_that_is_not_there_does_not_hide_what_the_machine_has(run):
+def test_a_device_that_is_not_there_does_not_hide_what_the_machine_has(run: Any) -> None:
     code, out, err = run("doctor", "--url", "serial:///dev/nothere", *QUICK)
     assert code == 3
     assert "governor" in out
@@ -182,7 +187,7 @@ def test_a_device_that_is_not_there_does_not_hide_what_the_machine_has(run):
     assert found["checks"]
 
 
-def test_virtual_time_has_no_delay(run):
+def test_virtual_time_has_no_delay(run: Any) -> None:
     code, out, _ = run("doctor", "--url", "sim://koul-rigid", "--json", *QUICK)
     assert code == 0
     found = json.loads(out)
@@ -206,8 +211,8 @@ HIT = (
 
 
 def test_a_hit_of_a_wall_that_must_not_be_armed_is_refused_and_leaves_nothing(
-    run, real, port, quiet_link, tmp_path
-):
+    run: Any, real: None, port: Any, quiet_link: Any, tmp_path: Path
+) -> None:
     code, _, err = run(*HIT, "--url", port, "-K", "300")
     assert code == 2
     assert "this wall must not be armed" in err
@@ -216,7 +221,9 @@ def test_a_hit_of_a_wall_that_must_not_be_armed_is_refused_and_leaves_nothing(
     assert not list(tmp_path.rglob("*.parquet"))
 
 
-def test_arm_anyway_arms_says_so_and_is_recorded(run, real, port, quiet_link, monkeypatch, tmp_path):
+def test_arm_anyway_arms_says_so_and_is_recorded(
+    run: Any, real: None, port: Any, quiet_link: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(gate, "LOST_SHARE", -1.0)  # no link is good enough, though the wall is calm
     code, _, err = run(*HIT, "--url", port)
     assert code == 2

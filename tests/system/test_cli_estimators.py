@@ -2,6 +2,8 @@
 
 import json
 import tomllib
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,14 +27,14 @@ HIT = [
 
 
 @pytest.fixture
-def recording(run, tmp_path):
+def recording(run: Any, tmp_path: Path) -> Any:
     code, _, _ = run("hit", *HIT)
     assert code == 0
     (path,) = tmp_path.glob("recordings/*.parquet")
     return path
 
 
-def test_list_shows_every_estimator_with_its_parameters_delay_and_source(run):
+def test_list_shows_every_estimator_with_its_parameters_delay_and_source(run: Any) -> None:
     code, out, _ = run("estimators", "list")
     assert code == 0
     for name in estimators.names():
@@ -46,7 +48,7 @@ def test_list_shows_every_estimator_with_its_parameters_delay_and_source(run):
     assert "1.338 ms at 2000 Hz" in out
 
 
-def test_list_as_json_has_defaults_ranges_units_and_choices(run):
+def test_list_as_json_has_defaults_ranges_units_and_choices(run: Any) -> None:
     code, out, _ = run("estimators", "list", "--json", "--rate", "20k", "fdm", "fdm-butterworth")
     assert code == 0
     fdm, filtered = json.loads(out)
@@ -57,7 +59,7 @@ def test_list_as_json_has_defaults_ranges_units_and_choices(run):
     assert (cutoff["minimum"], cutoff["maximum"], cutoff["unit"]) == (0.1, 1e6, "Hz")
 
 
-def test_compare_prints_a_table_and_draws_a_picture(run, tmp_path):
+def test_compare_prints_a_table_and_draws_a_picture(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("estimators", "compare", "--rate", "2k,20k", "--resolution", "2e-5", "--no-time")
     assert code == 0
     assert out.count("wall-bounce at") == 2
@@ -69,7 +71,7 @@ def test_compare_prints_a_table_and_draws_a_picture(run, tmp_path):
     assert [float(row[2]) for row in rows] == pytest.approx([0.25, 0.025], abs=0.01), "delay in ms"
 
 
-def test_compare_takes_variants_signals_and_json(run, tmp_path):
+def test_compare_takes_variants_signals_and_json(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "estimators", "compare", "--json", "--signal", "sine", "--signal", "slow-reversal", "--rate", "2k",
         "--estimator", "fdm-butterworth:cutoff_hz=100,order=1", "--estimator", "fdm", "--plot", "sines.png",
@@ -84,7 +86,7 @@ def test_compare_takes_variants_signals_and_json(run, tmp_path):
     assert (tmp_path / facts["picture"]).stat().st_size > 20_000
 
 
-def test_compare_judges_a_recording_against_its_truth(run, recording, tmp_path):
+def test_compare_judges_a_recording_against_its_truth(run: Any, recording: Any, tmp_path: Path) -> None:
     code, out, _ = run("estimators", "compare", recording, "--json", "--no-plot", "--no-time")
     assert code == 0
     facts = json.loads(out)
@@ -102,7 +104,7 @@ def test_compare_judges_a_recording_against_its_truth(run, recording, tmp_path):
     assert (tmp_path / "one.png").exists()
 
 
-def test_tune_writes_a_fragment_that_an_experiment_can_use(run, recording, tmp_path):
+def test_tune_writes_a_fragment_that_an_experiment_can_use(run: Any, recording: Any, tmp_path: Path) -> None:
     code, out, _ = run("estimators", "tune", "fdm-butterworth", recording, "--objective", "rms+delay")
     assert code == 0
     for words in ("within 10 %", "before", "after", "fdm-butterworth-tuned.toml"):
@@ -140,7 +142,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("arguments", "text"), WRONG)
-def test_what_cannot_be_meant_is_refused_in_one_line(run, tmp_path, arguments, text):
+def test_what_cannot_be_meant_is_refused_in_one_line(
+    run: Any, tmp_path: Path, arguments: Any, text: Any
+) -> None:
     code, out, err = run("estimators", *arguments)
     assert code != 0
     assert text in err
@@ -148,7 +152,9 @@ def test_what_cannot_be_meant_is_refused_in_one_line(run, tmp_path, arguments, t
     assert not list(tmp_path.iterdir())
 
 
-def test_the_lipschitz_constant_of_a_recorded_hit_can_be_put_into_levant(tmp_path, monkeypatch, capfd):
+def test_the_lipschitz_constant_of_a_recorded_hit_can_be_put_into_levant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     quick = ["--duration", "0.3", "--set", "verdict.tail_s=0.1"]
     assert rig.cli.run(["hit", "--rig", "chawda-linear", "--no-plot", "--json", *quick]) == 0

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,7 @@ from rig.bench.firmware import flash as flashing
 from tests.firmware import cross
 
 
-def test_the_self_test_of_a_simulated_rig_passes(run):
+def test_the_self_test_of_a_simulated_rig_passes(run: Any) -> None:
     code, out, err = run(
         "firmware",
         "selftest",
@@ -26,7 +27,7 @@ def test_the_self_test_of_a_simulated_rig_passes(run):
         assert words in out
 
 
-def test_the_self_test_of_another_rig_fails_with_its_remedy(run):
+def test_the_self_test_of_another_rig_fails_with_its_remedy(run: Any) -> None:
     arguments = [
         "selftest",
         "sim://koul-rigid",
@@ -45,7 +46,7 @@ def test_the_self_test_of_another_rig_fails_with_its_remedy(run):
     assert "--rig chawda-linear" in err
 
 
-def test_the_law_of_the_firmware_streams_without_a_current(run):
+def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
     url = "sim://koul-rigid?firmware=1"
     code, out, err = run(
         "firmware", "selftest", url, "--rig", "koul-rigid", "--stream", "--rate", "1000", "--seconds", "0.1"
@@ -55,7 +56,7 @@ def test_the_law_of_the_firmware_streams_without_a_current(run):
     assert "0 gaps; no current" in out
 
 
-def test_info_of_a_simulated_device(run):
+def test_info_of_a_simulated_device(run: Any) -> None:
     code, out, _ = run("firmware", "info", "sim://koul-rigid", "--json")
     assert code == 0
     found = json.loads(out)
@@ -64,14 +65,14 @@ def test_info_of_a_simulated_device(run):
     assert found["law"] == 0
 
 
-def test_what_is_no_image_is_refused(run, tmp_path):
+def test_what_is_no_image_is_refused(run: Any, tmp_path: Path) -> None:
     (tmp_path / "text.uf2").write_text("hello")
     assert run("firmware", "info", "text.uf2")[0] == 2
     assert run("firmware", "flash", "text.uf2")[0] in (2, 3)
     assert run("firmware", "flash", "none.uf2", "--drive", tmp_path)[0] == 2
 
 
-def test_boards_are_listed_and_others_refused(run):
+def test_boards_are_listed_and_others_refused(run: Any) -> None:
     code, out, _ = run("firmware", "build", "--board", "list", "--json")
     assert code == 0
     assert "mps2" in [board["name"] for board in json.loads(out)]
@@ -80,7 +81,9 @@ def test_boards_are_listed_and_others_refused(run):
     assert "mps2" in err
 
 
-def test_without_a_compiler_the_command_says_what_to_install(run, tmp_path, monkeypatch):
+def test_without_a_compiler_the_command_says_what_to_install(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     code, _, err = run("firmware", "build", "--board", "mps2")
     assert code == 15
@@ -89,7 +92,7 @@ def test_without_a_compiler_the_command_says_what_to_install(run, tmp_path, monk
 
 
 @pytest.fixture
-def built(run, tmp_path):
+def built(run: Any, tmp_path: Path) -> Any:
     cross.need_compiler()
     code, out, err = run(
         "firmware", "build", "--rig", "koul-rigid", "--board", "mps2", "--json", "-o", tmp_path / "made"
@@ -98,7 +101,7 @@ def built(run, tmp_path):
     return json.loads(out)
 
 
-def test_an_image_is_built_and_looked_at(run, built):
+def test_an_image_is_built_and_looked_at(run: Any, built: Any) -> None:
     assert built["rig"] == "koul-rigid"
     assert {Path(built[kind]).exists() for kind in ("elf", "bin", "facts")} == {True}
     code, out, _ = run("firmware", "info", built["elf"])
@@ -107,7 +110,9 @@ def test_an_image_is_built_and_looked_at(run, built):
         assert words in out
 
 
-def test_what_was_built_for_a_pico_is_flashed_to_a_pico(run, tmp_path, monkeypatch):
+def test_what_was_built_for_a_pico_is_flashed_to_a_pico(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = cross.image("rp2040")
     drive = tmp_path / "RPI-RP2"
     drive.mkdir()
@@ -119,7 +124,7 @@ def test_what_was_built_for_a_pico_is_flashed_to_a_pico(run, tmp_path, monkeypat
     assert (drive / made.uf2.name).read_bytes() == made.uf2.read_bytes()
 
 
-def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run):
+def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> None:
     cross.need_compiler()
     code, _, err = run("firmware", "build", "--set", "enable_pin=2")
     assert code == 2

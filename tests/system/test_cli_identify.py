@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -13,7 +15,7 @@ if numba.config.DISABLE_JIT:
 from rig import config
 
 
-def test_it_prints_parameters_and_writes_file_recordings_and_picture(run, tmp_path):
+def test_it_prints_parameters_and_writes_file_recordings_and_picture(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("identify", "--rig", "chawda-linear", "--realisations", 2, "-o", "new/rig.toml")
     assert code == 0
     for text in (
@@ -29,7 +31,7 @@ def test_it_prints_parameters_and_writes_file_recordings_and_picture(run, tmp_pa
     assert len(list((tmp_path / "recordings").glob("*.parquet"))) == 4
 
 
-def test_the_file_can_be_hit_and_identified_again(run, tmp_path):
+def test_the_file_can_be_hit_and_identified_again(run: Any, tmp_path: Path) -> None:
     assert run("identify", "--rig", "chawda-linear", "--realisations", 2, "-o", "a.toml", "--no-plot")[0] == 0
     assert run("plan", "a.toml")[0] == 0
     code, out, _ = run("identify", "a.toml", "--realisations", 2, "--no-plot", "--json")
@@ -46,7 +48,7 @@ def test_the_file_can_be_hit_and_identified_again(run, tmp_path):
     assert not list((tmp_path / "recordings").glob("*.png"))
 
 
-def test_the_plan_touches_nothing(run, tmp_path):
+def test_the_plan_touches_nothing(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("identify", "--rig", "koul-rigid", "--plan")
     assert code == 0
     for text in ("pushes", "strokes", "excitation", "peak effort of the excitation", "N·m, limit 1.3"):
@@ -67,14 +69,16 @@ def test_the_plan_touches_nothing(run, tmp_path):
         (("-o", "."), "is a directory", 2),
     ],
 )
-def test_what_cannot_be_meant_is_one_line_with_a_remedy(run, arguments, message, code):
+def test_what_cannot_be_meant_is_one_line_with_a_remedy(
+    run: Any, arguments: tuple[str, ...], message: str, code: int
+) -> None:
     found, _, err = run("identify", "--no-plot", *arguments)
     assert found == code
     assert message in err
     assert err.strip().splitlines()[-1].startswith("rig: ")
 
 
-def test_a_refusal_is_json_too(run):
+def test_a_refusal_is_json_too(run: Any) -> None:
     code, out, _ = run("identify", "--json", "--no-plot", "--realisations", "1")
     assert code == 2
     assert "too few for an interval" in json.loads(out)["error"]["error"]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 SHORT = ("--periods", "2", "--realisations", "2", "--set", "excitation.settle_periods=1")
 
 
-def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run, tmp_path):
+def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("impedance")
     assert code == 0
     for text in (
@@ -23,7 +24,7 @@ def test_without_arguments_it_shows_the_bare_rig_and_its_wall(run, tmp_path):
     assert (place / "impedance.png").stat().st_size > 30_000
 
 
-def test_json_is_one_document_with_every_line(run):
+def test_json_is_one_document_with_every_line(run: Any) -> None:
     code, out, _ = run(
         "impedance", "--json", "--no-plot", *SHORT, "-K", "5000,10000", "-B", "20", "--band", "2:100",
         "--judged", "5:50",
@@ -45,7 +46,7 @@ def test_json_is_one_document_with_every_line(run):
     assert first["fidelity"]["band_hz"] == [5.0, 50.0]
 
 
-def test_welch_and_schroeder_by_the_papers_way(run):
+def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
     code, out, _ = run(
         "impedance", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
     )
@@ -56,7 +57,7 @@ def test_welch_and_schroeder_by_the_papers_way(run):
     assert only["fitted"]["values"]["inertia"] == pytest.approx(0.52, rel=0.05)
 
 
-def test_over_the_link_the_own_motor_excites_and_every_run_is_recorded(run, tmp_path):
+def test_over_the_link_the_own_motor_excites_and_every_run_is_recorded(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("impedance", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
     assert code == 0
     assert "K = 10000 N/m" in out
@@ -68,7 +69,7 @@ def test_over_the_link_the_own_motor_excites_and_every_run_is_recorded(run, tmp_
     assert sorted(summary["recordings"]) == sorted(str(file.relative_to(tmp_path)) for file in recordings)
 
 
-def test_a_wall_that_ends_every_run_is_told_with_the_guards_exit_code(run):
+def test_a_wall_that_ends_every_run_is_told_with_the_guards_exit_code(run: Any) -> None:
     code, out, err = run("impedance", "-K", "200000", "-B", "0", "--set", "rig.limits.speed=0.2", "--no-plot")
     assert code != 0
     assert "ended" in out
@@ -76,7 +77,7 @@ def test_a_wall_that_ends_every_run_is_told_with_the_guards_exit_code(run):
     assert "softer wall" in err
 
 
-def test_plan_lists_a_excited_run(run, tmp_path):
+def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
         'preset = "chawda-linear"\n[trial]\nkind = "excitation"\n[excitation]\nchannel = "motor"\n'
@@ -114,7 +115,7 @@ def test_plan_lists_a_excited_run(run, tmp_path):
         (("--rig", "chawda"), "chawda-linear"),
     ],
 )
-def test_what_cannot_be_is_one_line_with_a_remedy(run, arguments, message):
+def test_what_cannot_be_is_one_line_with_a_remedy(run: Any, arguments: tuple[str, ...], message: str) -> None:
     code, _, err = run("impedance", "--no-plot", *arguments)
     assert code != 0
     assert message in err

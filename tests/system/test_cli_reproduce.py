@@ -1,6 +1,8 @@
 """`rig reproduce koul --quick` as a person meets it: one report with everything, the same when asked for again."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,12 +20,14 @@ VERDICTS = ("reproduced", "reproduced only with", "not reproduced")
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return tmp_path_factory.mktemp("reproduction")
 
 
 @pytest.mark.timeout(300)  # compiles everything when it is cold
-def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(place, capfd):
+def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(
+    place: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert rig.cli.run(["reproduce", "koul", "--quick", "-o", str(place)]) == 0
     out, err = capfd.readouterr()
     assert "Traceback" not in err
@@ -53,7 +57,7 @@ def test_quick_reproduces_the_paper_in_one_report_and_goes_on_from_its_journal(p
 
 
 @pytest.mark.timeout(300)
-def test_quick_reproduces_the_second_paper_too(tmp_path, capfd):
+def test_quick_reproduces_the_second_paper_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["reproduce", "chawda", "--quick", "--json", "-o", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)
     page = (tmp_path / "chawda.html").read_text(encoding="utf-8")
@@ -70,12 +74,14 @@ def test_quick_reproduces_the_second_paper_too(tmp_path, capfd):
         assert by_key[key] == "not reproduced", key
 
 
-def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd):
+def test_an_unknown_paper_is_refused_with_those_that_there_are(capfd: pytest.CaptureFixture[str]) -> None:
     assert rig.cli.run(["reproduce", "nobody"]) == 2
     assert "koul" in capfd.readouterr().err
 
 
-def test_a_directory_that_cannot_be_made_is_said_before_anything_runs(place, capfd):
+def test_a_directory_that_cannot_be_made_is_said_before_anything_runs(
+    place: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     (place / "file").write_text("")
     assert rig.cli.run(["reproduce", "koul", "--quick", "-o", str(place / "file" / "below")]) != 0
     assert "cannot make" in capfd.readouterr().err

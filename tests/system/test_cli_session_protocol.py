@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,7 @@ step = 50
 """
 
 
-def test_a_new_protocol_is_written_once_and_passes(run, tmp_path):
+def test_a_new_protocol_is_written_once_and_passes(run: Any, tmp_path: Path) -> None:
     code, out, err = run("session", "new", "study.toml", "--template", "compare-schemes")
     assert code == 0, err
     assert "rig session check study.toml" in out
@@ -43,7 +44,7 @@ def test_a_new_protocol_is_written_once_and_passes(run, tmp_path):
     assert {cell["condition"] for cell in plan["cells"]} == {"uniform 20 kHz", "dual-rate 20/2 kHz"}
 
 
-def test_templates_are_listed_and_an_unknown_one_is_refused(run, tmp_path):
+def test_templates_are_listed_and_an_unknown_one_is_refused(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("session", "new", "--list")
     assert code == 0
     assert out.split()[0] == "compare-estimators"
@@ -54,7 +55,7 @@ def test_templates_are_listed_and_an_unknown_one_is_refused(run, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_plan_is_printed_for_people(run, tmp_path):
+def test_a_plan_is_printed_for_people(run: Any, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(PLAN)
     code, out, err = run("session", "check", "study.toml")
     assert code == 0, err
@@ -71,7 +72,7 @@ def test_a_plan_is_printed_for_people(run, tmp_path):
 
 
 @pytest.mark.parametrize("blind", ["both", "operator", "participant", "none"])
-def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run, tmp_path, blind):
+def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run: Any, tmp_path: Path, blind: str) -> None:
     """Whose turn is which condition's is what the console hides."""
     (tmp_path / "study.toml").write_text(
         PLAN.replace("participants = 4", f'participants = 4\nblind = "{blind}"')
@@ -86,7 +87,7 @@ def test_a_blinded_operator_who_checks_the_plan_learns_no_order(run, tmp_path, b
     assert (told["orders"] is None) == hidden
 
 
-def test_what_is_refused_is_printed_and_ends_with_an_error(run, tmp_path):
+def test_what_is_refused_is_printed_and_ends_with_an_error(run: Any, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(PLAN + "[stop]\ntrials = 2\n")
     code, out, err = run("session", "check", "study.toml")
     assert code == 2
@@ -103,7 +104,7 @@ def test_what_is_refused_is_printed_and_ends_with_an_error(run, tmp_path):
         (PLAN.replace("step", "stepp"), "did you mean step?"),
     ],
 )
-def test_a_bad_file_is_refused_in_words(run, tmp_path, text, words):
+def test_a_bad_file_is_refused_in_words(run: Any, tmp_path: Path, text: Any, words: str) -> None:
     Path(tmp_path / "study.toml").write_text(text)
     code, out, err = run("session", "check", "study.toml")
     assert (code, out) == (2, "")
@@ -112,7 +113,7 @@ def test_a_bad_file_is_refused_in_words(run, tmp_path, text, words):
     assert "Traceback" not in err
 
 
-def test_the_schema_is_json(run):
+def test_the_schema_is_json(run: Any) -> None:
     code, out, _ = run("session", "schema")
     assert code == 0
     schema = json.loads(out)

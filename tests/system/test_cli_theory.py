@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from rig.analysis import theory
 from rig.analysis.theory import limits
 
 
-def test_it_prints_limits_and_what_binds_and_draws_a_picture(run, tmp_path):
+def test_it_prints_limits_and_what_binds_and_draws_a_picture(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("theory", "--rig", "koul-compliant")
     assert code == 0
     for text in (
@@ -29,7 +31,7 @@ def test_it_prints_limits_and_what_binds_and_draws_a_picture(run, tmp_path):
     assert picture.stat().st_size > 20_000
 
 
-def test_it_says_what_the_maps_of_a_hand_would_speak_of(run):
+def test_it_says_what_the_maps_of_a_hand_would_speak_of(run: Any) -> None:
     """An automated trial has an end mass and no hand, a map a normal hand: K_max at B = 0 is 30 and 519."""
     code, out, _ = run("theory", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
     assert code == 0
@@ -44,7 +46,7 @@ def test_it_says_what_the_maps_of_a_hand_would_speak_of(run):
     assert "normal hand (which the bounds leave out)" in out
 
 
-def test_equal_rules_are_one_line_and_meaningless_ones_none(run):
+def test_equal_rules_are_one_line_and_meaningless_ones_none(run: Any) -> None:
     code, out, _ = run("theory", "--rig", "koul-rigid", "--no-plot", "--scheme", "dual:20k/2k", "-B", "1e6")
     assert code == 0
     assert out.count("Gil") == 1
@@ -59,7 +61,7 @@ def test_equal_rules_are_one_line_and_meaningless_ones_none(run):
     assert names[0] == "passivity, lag and delay counted"
 
 
-def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run, tmp_path):
+def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run: Any, tmp_path: Path) -> None:
     schemes = (
         "dual:20k/2k,estimator=levant",
         "uniform:20k",
@@ -82,7 +84,7 @@ def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run, tmp_p
     assert "not linear" in err
 
 
-def test_a_delay_is_told_in_ticks_and_for_each_scheme(run):
+def test_a_delay_is_told_in_ticks_and_for_each_scheme(run: Any) -> None:
     late = ("--no-plot", "--set", "rig.simulation.computation_delay_ticks=2", "--rig", "koul-rigid")
     code, out, _ = run("theory", *late)
     assert code == 0
@@ -93,7 +95,7 @@ def test_a_delay_is_told_in_ticks_and_for_each_scheme(run):
     assert [scheme["delay_s"] for scheme in facts["schemes"]] == pytest.approx([1e-4, 1e-4, 1e-3])
 
 
-def test_what_a_capped_scan_does_not_know_is_null(run, monkeypatch):
+def test_what_a_capped_scan_does_not_know_is_null(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the scan ends before stability does no frequency belongs to the end; JSON has no NaN."""
     monkeypatch.setattr(limits, "stiffnesses", lambda lifted, damping: np.geomspace(1.0, 500.0, 100))
     code, out, _ = run("theory", "--no-plot", "--json", "--scheme", "dual:20k/2k", "-B", "2")
@@ -107,7 +109,7 @@ def test_what_a_capped_scan_does_not_know_is_null(run, monkeypatch):
     assert "above 500 N·m/rad, where the scan ended" in out
 
 
-def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run, tmp_path):
+def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "theory", "--rig", "koul-rigid", "--scheme", "uniform:20k",
         "--set", "rig.mechanics.motor_damping=0", "--set", "rig.mechanics.link_damping=0",
@@ -118,7 +120,7 @@ def test_a_rig_without_damping_has_no_passive_wall_and_still_a_picture(run, tmp_
     assert (tmp_path / "theory-koul-rigid.png").exists()
 
 
-def test_json_is_the_result_of_the_function(run, tmp_path):
+def test_json_is_the_result_of_the_function(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(
         "theory", "--json", "--scheme", "dual:20k/2k", "--scheme", "uniform:20k,estimator=kalman",
         "--operator", "firm", "--damping", "2", "-o", tmp_path / "new" / "place",
@@ -136,7 +138,7 @@ def test_json_is_the_result_of_the_function(run, tmp_path):
     assert len(first["curve"]) >= 41
 
 
-def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run, tmp_path):
+def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("theory", "--rig", "chawda-linear", "--no-plot", "--set", "wall.damping=0")
     assert code == 0
     assert "N/m" in out
@@ -145,7 +147,7 @@ def test_a_linear_rig_has_its_units_and_no_picture_is_drawn_unless_wanted(run, t
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_and_its_own_scheme(run, tmp_path):
+def test_a_file_and_its_own_scheme(run: Any, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('preset = "koul-rigid"\n[controller]\nposition_rate = 4000\nvelocity_rate = 4000\n')
     code, out, _ = run("theory", file, "--no-plot", "--json")
@@ -163,14 +165,16 @@ def test_a_file_and_its_own_scheme(run, tmp_path):
         (("--rig", "koul-complaint"), "koul-compliant"),
     ],
 )
-def test_what_cannot_be_meant_is_one_line_with_a_remedy(run, arguments, message):
+def test_what_cannot_be_meant_is_one_line_with_a_remedy(
+    run: Any, arguments: tuple[str, ...], message: str
+) -> None:
     code, _, err = run("theory", "--no-plot", *arguments)
     assert code == 2
     assert message in err
     assert err.strip().splitlines()[-1].startswith("rig: ")
 
 
-def test_it_needs_no_simulation(tmp_path):
+def test_it_needs_no_simulation(tmp_path: Path) -> None:
     """Where sim_backend is not installed. (Plain Python kernels: another set of files would compile anew.)"""
     script = (
         "import sys\n"

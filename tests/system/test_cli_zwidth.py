@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -30,7 +31,7 @@ TINY = [*BRIEF, "--search", "bisection", "--ratio", "3", "--scheme", "uniform:10
 WAIT_S = 60.0
 
 
-def the_map(directory):
+def the_map(directory: Any) -> Any:
     (found,) = directory.iterdir()
     return found
 
@@ -38,7 +39,7 @@ def the_map(directory):
 # --- results --------------------------------------------------------------------------------------------------
 
 
-def test_a_map_is_a_table_a_picture_and_files(run, tmp_path):
+def test_a_map_is_a_table_a_picture_and_files(run: Any, tmp_path: Path) -> None:
     code, out, err = run("zwidth", *TINY)
     assert code == 0, err
     assert out.startswith("koul-compliant, pushed by 0.15 N·m: K in N·m/rad, B in N·m·s/rad\n")
@@ -47,7 +48,7 @@ def test_a_map_is_a_table_a_picture_and_files(run, tmp_path):
     assert files == {"journal", "hits.parquet", "map.json", "zwidth.png"}
 
 
-def test_json_is_one_document_with_everything(run, tmp_path):
+def test_json_is_one_document_with_everything(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("zwidth", *TINY, "--json", "--no-plot", "-o", tmp_path / "here")
     assert code == 0
     facts = json.loads(out)
@@ -58,7 +59,7 @@ def test_json_is_one_document_with_everything(run, tmp_path):
     assert facts["picture"] is None
 
 
-def test_without_schemes_the_rigs_own_are_mapped_in_its_units(run):
+def test_without_schemes_the_rigs_own_are_mapped_in_its_units(run: Any) -> None:
     code, out, _ = run("zwidth", "--rig", "chawda-linear", "--search", "bisection", "--ratio", "4",
                        "-B", "20,60", "--offsets", "0.1", "--no-plot", "--json")  # fmt: skip
     assert code == 0
@@ -69,7 +70,7 @@ def test_without_schemes_the_rigs_own_are_mapped_in_its_units(run):
     assert 1e4 < peak < 1e6  # N/m
 
 
-def test_what_is_only_a_bound_is_marked(run):
+def test_what_is_only_a_bound_is_marked(run: Any) -> None:
     code, out, _ = run("zwidth", *TINY, "-K", "10:40", "--no-plot")
     assert code == 0
     felt = next(line for line in out.splitlines() if " felt " in line)
@@ -78,13 +79,13 @@ def test_what_is_only_a_bound_is_marked(run):
     assert "≥ before B" in out
 
 
-def test_invalid_hits_are_counted_with_their_reason(run):
+def test_invalid_hits_are_counted_with_their_reason(run: Any) -> None:
     code, out, _ = run("zwidth", *TINY, "--set", "rig.limits.slew=200", "--no-plot")
     assert code == 0
     assert re.search(r"\d+ of \d+ hits were invalid: slew bound \(\d+\)", out)
 
 
-def test_the_same_command_reads_a_finished_map(run, tmp_path):
+def test_the_same_command_reads_a_finished_map(run: Any, tmp_path: Path) -> None:
     first = run("zwidth", *TINY, "--no-plot")
     journal = the_map(tmp_path / "maps") / "journal"
     before = journal.read_bytes()
@@ -92,8 +93,10 @@ def test_the_same_command_reads_a_finished_map(run, tmp_path):
     assert journal.read_bytes() == before
 
 
-def test_a_picture_that_fails_takes_no_map_with_it(run, tmp_path, monkeypatch):
-    def fails(*arguments, **options):
+def test_a_picture_that_fails_takes_no_map_with_it(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*arguments: Any, **options: Any) -> None:
         raise RuntimeError("no fonts")
 
     monkeypatch.setattr(command, "draw_zwidth", fails)
@@ -104,7 +107,7 @@ def test_a_picture_that_fails_takes_no_map_with_it(run, tmp_path, monkeypatch):
     assert (the_map(tmp_path / "maps") / "hits.parquet").exists()
 
 
-def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run, tmp_path):
+def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run: Any, tmp_path: Path) -> None:
     code, out, err = run("kmax", *BRIEF, "--search", "bisection", "--ratio", "2", "--rates", "1k,20k,40k")
     assert code == 0, err
     assert [line.split()[0] for line in out.splitlines()[2:5]] == ["1000", "20000", "40000"]
@@ -156,7 +159,9 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run, tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_meant_is_one_line_with_option_value_and_remedy(run, tmp_path, arguments, text):
+def test_what_cannot_be_meant_is_one_line_with_option_value_and_remedy(
+    run: Any, tmp_path: Path, arguments: list[str], text: str
+) -> None:
     code, out, err = run("zwidth", *TINY, *arguments)
     assert (code, out) == (2, "")
     (line,) = (line for line in err.splitlines() if line.startswith("rig: "))
@@ -165,14 +170,14 @@ def test_what_cannot_be_meant_is_one_line_with_option_value_and_remedy(run, tmp_
 
 
 @pytest.mark.parametrize("rates", ["", "1k,x", "0", "20k/2k", "1k,"])
-def test_rates_of_kmax_are_rates(run, rates):
+def test_rates_of_kmax_are_rates(run: Any, rates: str) -> None:
     code, _, err = run("kmax", *BRIEF, "--rates", rates)
     assert code == 2
     assert f"--rates '{rates}'" in err
     assert "write them as 1k,20k" in err
 
 
-def test_an_output_that_is_no_directory(run, tmp_path):
+def test_an_output_that_is_no_directory(run: Any, tmp_path: Path) -> None:
     (tmp_path / "in the way").write_text("")
     code, _, err = run("zwidth", *TINY, "-o", tmp_path / "in the way")
     assert code == 9
@@ -183,7 +188,7 @@ def test_an_output_that_is_no_directory(run, tmp_path):
 
 
 @pytest.mark.signals
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path: Path) -> None:
     command = [
         sys.executable, "-m", "rig", "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
         "--search", "grid", "-B", "0.1:1.5:6", "--scheme", "uniform:20k", "--no-plot", "--workers", "1",
@@ -218,7 +223,7 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(tmp_path):
 ON_DEVICE = [*TINY[:-1], "0.3", "-K", "40:200"]
 
 
-def test_a_device_is_hit_by_recorded_hits_and_the_same_command_goes_on(run, tmp_path):
+def test_a_device_is_hit_by_recorded_hits_and_the_same_command_goes_on(run: Any, tmp_path: Path) -> None:
     code, out, err = run("zwidth", "--url", "sim://", *ON_DEVICE, "--no-plot", "--json")
     assert code == 0, err
     facts = json.loads(out)
@@ -235,7 +240,9 @@ def test_a_device_is_hit_by_recorded_hits_and_the_same_command_goes_on(run, tmp_
 
 
 @pytest.mark.parametrize(("answers", "hits"), [("q\n", 0), ("\nq\n", 1), ("\nwhat?\nn\n", 1), ("\n", 1)])
-def test_a_person_who_does_not_agree_ends_the_session(run, tmp_path, monkeypatch, answers, hits):
+def test_a_person_who_does_not_agree_ends_the_session(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answers: str, hits: int
+) -> None:
     reading, writing = os.pipe()
     os.write(writing, answers.encode())
     os.close(writing)
@@ -248,7 +255,7 @@ def test_a_person_who_does_not_agree_ends_the_session(run, tmp_path, monkeypatch
     assert len(list(tmp_path.glob("maps/*/hits/*.parquet"))) == hits
 
 
-def test_in_real_time_a_simulated_device_is_a_process(run, tmp_path):
+def test_in_real_time_a_simulated_device_is_a_process(run: Any, tmp_path: Path) -> None:
     search = ["--search", "bisection", "--ratio", "1.2", "-K", "30:31", "--scheme", "uniform:1k", "-B", "0.1"]
     code, _, err = run(
         "zwidth", "--realtime", *BRIEF, *search, "--set", "verdict.late_fraction=0.9", "--no-plot", "--json"

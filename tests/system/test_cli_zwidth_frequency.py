@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,7 @@ SMALL = (
 FDM = ("--scheme", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499")
 
 
-def test_the_papers_four_estimators_stand_beside_the_paper(run, tmp_path):
+def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: Path) -> None:
     code, out, _ = run(*SMALL)
     assert code == 0
     for text in (
@@ -29,7 +30,7 @@ def test_the_papers_four_estimators_stand_beside_the_paper(run, tmp_path):
     assert (place / "zwidth.png").stat().st_size > 30_000
 
 
-def test_json_is_one_document_and_the_same_command_reads_it_again(run):
+def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> None:
     arguments = (
         *SMALL,
         *FDM,
@@ -64,7 +65,7 @@ def test_json_is_one_document_and_the_same_command_reads_it_again(run):
     assert journal.read_bytes() == before
 
 
-def test_dual_rate_on_another_rig(run):
+def test_dual_rate_on_another_rig(run: Any) -> None:
     code, out, _ = run(
         "zwidth", "--domain", "frequency", "--rig", "koul-rigid", "--scheme", "dual:20k/2k,estimator=kalman",
         "-K", "5,10", "-B", "0", "--realisations", "1", "--periods", "1", "--set", "excitation.settle_periods=1",
@@ -100,7 +101,9 @@ def test_dual_rate_on_another_rig(run):
         (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "scheduler", "either"),
     ],
 )
-def test_what_cannot_be_is_one_line_with_a_remedy(run, arguments, message, remedy):
+def test_what_cannot_be_is_one_line_with_a_remedy(
+    run: Any, arguments: tuple[str, ...], message: str, remedy: str
+) -> None:
     code, out, err = run("zwidth", "--domain", "frequency", "--no-plot", *arguments)
     assert code not in (0, 70)
     assert out == ""
@@ -109,7 +112,7 @@ def test_what_cannot_be_is_one_line_with_a_remedy(run, arguments, message, remed
     assert err.strip().splitlines()[-1].startswith("rig: ")
 
 
-def test_options_of_frequency_are_refused_for_hits(run):
+def test_options_of_frequency_are_refused_for_hits(run: Any) -> None:
     for option in (("--band", "1:100"), ("--realisations", "3"), ("--amplitude", "1")):
         code, _, err = run("zwidth", *option)
         assert code != 0

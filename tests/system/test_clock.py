@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -36,30 +38,30 @@ HIT = config.override(
 class Slow:
     """A link on which both ways take time, at least so long and exponentially longer: virtual time that passes."""
 
-    def __init__(self, link, *, out_ns, back_ns, jitter_ns, seed=0):
+    def __init__(self, link: Any, *, out_ns: Any, back_ns: Any, jitter_ns: Any, seed: int = 0) -> None:
         self.link, self.url, self.clock = link, link.url, link.clock
         self.bytes_per_second = None
         self._ways, self._jitter, self._rng = (out_ns, back_ns), jitter_ns, np.random.default_rng(seed)
 
-    def _pass(self, way):
+    def _pass(self, way: Any) -> None:
         wait = self._ways[way] + round(self._rng.exponential(1.0) * self._jitter[way])
         self.clock.sleep_until(self.clock.now_ns() + wait)
 
-    def write(self, data):
+    def write(self, data: Any) -> None:
         self._pass(0)
         self.link.write(data)
 
-    def read(self, timeout_s):
+    def read(self, timeout_s: Any) -> Any:
         data = self.link.read(timeout_s)
         if data:
             self._pass(1)
         return data
 
-    def close(self):
+    def close(self) -> None:
         self.link.close()
 
 
-def up_for(ticks):
+def up_for(ticks: Any) -> Any:
     simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
     for _ in range(ticks):
         simulated.tick()
@@ -76,7 +78,7 @@ def up_for(ticks):
     ],
     ids=["quiet", "asymmetric", "out-waits"],
 )
-def test_exchanges_over_a_link_find_offset_and_drift(ppm, delays):
+def test_exchanges_over_a_link_find_offset_and_drift(ppm: float, delays: Any) -> None:
     """Within what the fit says of itself; before, during and after the exchanges."""
     simulated = up_for(777)
     link = Slow(MemoryLink(simulated, clock_ppm=ppm), **delays, seed=int(ppm) + 500)
@@ -92,7 +94,9 @@ def test_exchanges_over_a_link_find_offset_and_drift(ppm, delays):
     assert 0.5 * least <= fit.asymmetry_bound_ns <= 0.5 * least + 25_000
 
 
-def hit(directory, ppm, *, sealed=True, ticks_before=0, experiment=HIT):
+def hit(
+    directory: Any, ppm: Any, *, sealed: bool = True, ticks_before: int = 0, experiment: Any = HIT
+) -> Any:
     simulated = SimulatedDevice(config.rig_model(experiment))
     for _ in range(ticks_before):
         simulated.tick()
@@ -109,7 +113,7 @@ def hit(directory, ppm, *, sealed=True, ticks_before=0, experiment=HIT):
 
 
 @pytest.mark.parametrize("ppm", [0.0, 120.0, -120.0])
-def test_a_recording_knows_both_clocks(tmp_path, ppm):
+def test_a_recording_knows_both_clocks(tmp_path: Path, ppm: float) -> None:
     """In lock-step a sample is received when it is taken, and answered at once: the ledger must find that again."""
     recording = open_recording(hit(tmp_path, ppm, ticks_before=1000))
     fit = ClockFit.from_mapping(recording.trailer["clock"])
@@ -127,7 +131,7 @@ def test_a_recording_knows_both_clocks(tmp_path, ppm):
     assert max(abs(whole["minimum"]), whole["maximum"]) <= 2 * allowed.max()
 
 
-def test_a_host_that_keeps_its_own_beat_sees_samples_wait_for_it(tmp_path):
+def test_a_host_that_keeps_its_own_beat_sees_samples_wait_for_it(tmp_path: Path) -> None:
     """Answers wait for the beat too, one way only: the exchanges at rest, before and after, keep the clocks right."""
     experiment = config.override(HIT, {"host.pacing": "host"})
     recording = open_recording(hit(tmp_path, 80.0, experiment=experiment))
@@ -141,7 +145,7 @@ def test_a_host_that_keeps_its_own_beat_sees_samples_wait_for_it(tmp_path):
     assert (-waited <= period_ns + allowed).all()
 
 
-def test_equal_seeds_still_give_equal_bits(tmp_path):
+def test_equal_seeds_still_give_equal_bits(tmp_path: Path) -> None:
     files = []
     for number in range(2):
         (tmp_path / str(number)).mkdir()
@@ -155,15 +159,15 @@ def test_equal_seeds_still_give_equal_bits(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def sealed(tmp_path_factory):
+def sealed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return hit(tmp_path_factory.mktemp("sealed"), 50.0)
 
 
 @pytest.fixture
-def command(capfd, tmp_path, monkeypatch):
+def command(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.chdir(tmp_path)
 
-    def call(*arguments):
+    def call(*arguments: Any) -> Any:
         code = rig.cli.run([str(argument) for argument in arguments])
         out, err = capfd.readouterr()
         assert "Traceback" not in err
@@ -172,14 +176,14 @@ def command(capfd, tmp_path, monkeypatch):
     return call
 
 
-def test_timing_prints_stages_counts_and_clock_and_draws(command, sealed, tmp_path):
+def test_timing_prints_stages_counts_and_clock_and_draws(command: Any, sealed: Any, tmp_path: Path) -> None:
     code, out, err = command("timing", sealed, "-o", tmp_path / "when.png")
     assert code == 0, err
     assert "sampled to applied" in out
     assert (tmp_path / "when.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_timing_as_json_is_what_the_trailer_has(command, sealed, tmp_path):
+def test_timing_as_json_is_what_the_trailer_has(command: Any, sealed: Any, tmp_path: Path) -> None:
     code, out, _ = command("timing", sealed, "--json", "--no-plot")
     assert code == 0
     facts = json.loads(out)
@@ -188,7 +192,7 @@ def test_timing_as_json_is_what_the_trailer_has(command, sealed, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_capture_and_what_is_sealed_from_it_say_the_same(tmp_path):
+def test_a_capture_and_what_is_sealed_from_it_say_the_same(tmp_path: Path) -> None:
     capture = hit(tmp_path, 50.0, sealed=False)
     assert capture.suffix == ".rigcap"
     before = timing(capture)
@@ -196,14 +200,14 @@ def test_a_capture_and_what_is_sealed_from_it_say_the_same(tmp_path):
     assert plain(timing(hit(tmp_path / "sealed", 50.0))) == plain(before)
 
 
-def changed(sealed, path, **changes):
+def changed(sealed: Any, path: Any, **changes: Any) -> Any:
     recording = dataclasses.replace(open_recording(sealed), **changes)
     with open(path, "wb") as file:
         write_capture(file, recording)
     return path
 
 
-def test_a_run_cut_off_has_the_hosts_share_alone(command, sealed, tmp_path):
+def test_a_run_cut_off_has_the_hosts_share_alone(command: Any, sealed: Any, tmp_path: Path) -> None:
     """Its process was killed: no trailer, no clock."""
     path = changed(sealed, tmp_path / "cut.rigcap", trailer=None, complete=False)
     code, out, _ = command("timing", path)
@@ -214,7 +218,9 @@ def test_a_run_cut_off_has_the_hosts_share_alone(command, sealed, tmp_path):
     assert timing(path).stages["law"].ticks > 100
 
 
-def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(command, sealed, tmp_path):
+def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(
+    command: Any, sealed: Any, tmp_path: Path
+) -> None:
     nowhere = tmp_path / "nowhere" / "x.png"
     code, out, err = command("timing", sealed, "-o", nowhere)
     assert (code, "counted apart" in out) == (9, True)
@@ -225,7 +231,7 @@ def test_a_picture_that_cannot_be_drawn_does_not_take_the_numbers_with_it(comman
     assert told["stages"]
 
 
-def test_a_picture_does_not_overwrite_the_recording(command, sealed):
+def test_a_picture_does_not_overwrite_the_recording(command: Any, sealed: Any) -> None:
     content = sealed.read_bytes()
     code, out, err = command("timing", sealed, "-o", sealed)
     assert (code, "counted apart" in out) == (9, True)
@@ -233,7 +239,9 @@ def test_a_picture_does_not_overwrite_the_recording(command, sealed):
     assert sealed.read_bytes() == content
 
 
-def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tmp_path):
+def test_recordings_without_a_ledger_are_refused_in_one_line(
+    command: Any, sealed: Any, tmp_path: Path
+) -> None:
     recording = open_recording(sealed)
     names = [name for name in recording.names if name not in ("command_active", *recording.names[-5:])]
     columns = [c for c in recording.header["schema"]["columns"] if c["name"] in names]
@@ -258,7 +266,7 @@ def test_recordings_without_a_ledger_are_refused_in_one_line(command, sealed, tm
     assert command("timing", tmp_path / "nothere.parquet")[0] == 9
 
 
-def test_devices_says_how_the_clocks_stand(command):
+def test_devices_says_how_the_clocks_stand(command: Any) -> None:
     code, out, _ = command("devices", "sim://koul-compliant?clock_ppm=50")
     assert code == 0
     assert "clock drift" in out

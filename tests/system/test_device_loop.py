@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -37,13 +38,13 @@ FLOAT = config.override(
 )
 
 
-def one_hit(experiment, directory, **changes):
+def one_hit(experiment: Any, directory: Any, **changes: Any) -> Any:
     (result,) = hit(HitRequest(experiment=experiment, changes=changes, output=directory))
     return result, open_recording(result.recording)
 
 
 @pytest.mark.parametrize(("experiment", "quanta"), [(BOARD, 1), (FLOAT, 2)], ids=["integers", "float32"])
-def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment, quanta, tmp_path):
+def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment: Any, quanta: int, tmp_path: Path) -> None:
     there, recording = one_hit(experiment, tmp_path)
     here, _ = one_hit(experiment, tmp_path, **{"controller.loop": "host"})
     assert plain(there)["loop"] == recording.header["extra"]["loop"] == "device"
@@ -62,20 +63,22 @@ def test_a_hit_on_the_device_is_the_hit_of_the_host(experiment, quanta, tmp_path
     assert agreement["greatest_quanta"] <= quanta
 
 
-def test_a_hit_on_the_device_replays_to_the_last_bit(tmp_path):
+def test_a_hit_on_the_device_replays_to_the_last_bit(tmp_path: Path) -> None:
     _, recording = one_hit(BOARD, tmp_path)
     result = replay(recording)
     assert result.exact
 
 
-def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(tmp_path, monkeypatch):
+def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rings = []
     own = trial._ring
     monkeypatch.setattr(trial, "_ring", lambda *given: rings.append(own(*given)) or rings[-1])
     posted = []
 
-    def watch(repeat, experiment):
-        def told(ticks, phase):
+    def watch(repeat: Any, experiment: Any) -> Any:
+        def told(ticks: Any, phase: Any) -> None:
             if not posted:
                 posted.append(live._post(rings[0], {"wall.stiffness": 90.0, "wall.damping": 0.05}))
                 with pytest.raises(PlanError, match="do not change while"):
@@ -96,7 +99,7 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(tmp_pa
     assert replay(recording).exact
 
 
-def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
+def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path: Path) -> None:
     changes = {
         "excitation.channel": "motor",
         "excitation.low_hz": 20.0,
@@ -111,7 +114,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
     }
     x = config.override(BOARD, changes)
 
-    def measured(experiment):
+    def measured(experiment: Any) -> Any:
         where = OnDevice(url="sim://", recordings=tmp_path)
         (result,) = impedance.measure_on_device(experiment, where)
         assert result.ended == ""
@@ -128,7 +131,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path):
     assert replay(recording).exact
 
 
-def test_the_commands_say_where_the_law_ran(run, tmp_path):
+def test_the_commands_say_where_the_law_ran(run: Any, tmp_path: Path) -> None:
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
     code, out, _ = run("hit", EXAMPLE, *sets, "--no-plot", "--json", "-o", tmp_path)
     assert code == 0
@@ -139,7 +142,7 @@ def test_the_commands_say_where_the_law_ran(run, tmp_path):
     assert "currents differ" in shown
 
 
-def test_a_map_of_a_device_is_hit_by_its_own_law(run, tmp_path):
+def test_a_map_of_a_device_is_hit_by_its_own_law(run: Any, tmp_path: Path) -> None:
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
     narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--search", "bisection", "-K", "100:120"]
     code, out, _ = run(
@@ -153,14 +156,14 @@ def test_a_map_of_a_device_is_hit_by_its_own_law(run, tmp_path):
     assert [one.header["extra"]["loop"] for one in recordings] == ["device", "device"]
 
 
-def test_a_map_in_simulation_says_what_it_stands_for(run, tmp_path):
+def test_a_map_in_simulation_says_what_it_stands_for(run: Any, tmp_path: Path) -> None:
     narrow = ["--scheme", "dual:20k/2k", "--damping", "0.1", "--offsets", "0.1", "-K", "100:120"]
     code, out, _ = run("zwidth", EXAMPLE, *narrow, "--no-plot", "-o", tmp_path)
     assert code == 0
     assert "it stands for that of the device" in out
 
 
-def test_a_device_without_a_law_is_refused_before_anything_moves(run, tmp_path):
+def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_path: Path) -> None:
     code, _, err = run("hit", EXAMPLE, "--url", "sim://koul-rigid?firmware=0", "--no-plot", "-o", tmp_path)
     assert code == PlanError.exit_code
     assert "runs no law of its own" in err

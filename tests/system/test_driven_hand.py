@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numba
 import pytest
 
@@ -29,14 +32,14 @@ AHEAD, PRESS = 0.02, 2.0  # into the wall (rad, N)
 
 
 @pytest.mark.parametrize("firmware", [False, True], ids=["readable", "firmware"])
-def test_the_hand_goes_where_somebody_leads_it(firmware, tmp_path):
+def test_the_hand_goes_where_somebody_leads_it(firmware: bool, tmp_path: Path) -> None:
     if firmware:
         need_compiler()
     seen = []
     with SharedHand.create(tmp_path / "hand") as hand:
 
-        def watch(repeat, experiment):
-            def told(ticks, phase):  # some fifty times a second, like a mouse
+        def watch(repeat: Any, experiment: Any) -> Any:
+            def told(ticks: Any, phase: Any) -> None:  # some fifty times a second, like a mouse
                 seen.append(phase)
                 waits = seen.count(Phase.TRIAL) * 0.02 < experiment.trial.baseline_s + 0.1
                 if phase == Phase.TRIAL and not waits:

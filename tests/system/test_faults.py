@@ -14,6 +14,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ SHORT = config.override(
 
 
 @pytest.fixture(autouse=True)
-def _nobody_asks_git(monkeypatch):
+def _nobody_asks_git(monkeypatch: pytest.MonkeyPatch) -> None:
     """Thousands of recordings, each of which would start a program."""
     monkeypatch.setattr("rig.recording.header.git_revision", lambda directory: None)
 
@@ -70,7 +71,9 @@ def _nobody_asks_git(monkeypatch):
 class Bench:
     """One device with a script of faults, and one trial on it."""
 
-    def __init__(self, directory: Path, faults: Faults | None = None, experiment=SHORT, law=None) -> None:
+    def __init__(
+        self, directory: Path, faults: Faults | None = None, experiment: Any = SHORT, law: Any = None
+    ) -> None:
         self.device = SimulatedDevice(config.rig_model(experiment), initial_position=START)
         self.link = MemoryLink(self.device, faults or Faults())
         self.path = directory / "trial.rigcap"
@@ -95,7 +98,7 @@ class Bench:
             self.error = error
         return self
 
-    def recording(self):
+    def recording(self) -> Any:
         return open_recording(self.path)
 
     def check_ended_safely(self) -> None:
@@ -112,7 +115,7 @@ class Bench:
             assert recording.trailer["counters"]["ticks"] == len(recording.rows)
 
 
-def frames_of(directory):
+def frames_of(directory: Any) -> Any:
     """Frames of an undisturbed run, each way."""
     bench = Bench(directory).run()
     assert bench.error is None
@@ -122,14 +125,14 @@ def frames_of(directory):
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The same for a host that has not met the device, and asks for its dictionary first."""
     framed._dictionaries.clear()
     return frames_of(tmp_path_factory.mktemp("first"))
 
 
 @pytest.fixture(scope="module")
-def frames(pages, tmp_path_factory):
+def frames(pages: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Frames of an undisturbed run, each way: which of them carry samples and commands."""
     sent = frames_of(tmp_path_factory.mktemp("clean"))
     assert all(40 < count <= 100 for count in sent.values())
@@ -140,8 +143,8 @@ def frames(pages, tmp_path_factory):
 @pytest.mark.parametrize("direction", Direction)
 @pytest.mark.parametrize("kind", Kind)
 def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
-    kind, direction, frames, tmp_path
-):
+    kind: Any, direction: Any, frames: Any, tmp_path: Path
+) -> None:
     finished = sum(struck(kind, direction, frame, tmp_path) for frame in range(frames[direction]))
     if kind in (Kind.SILENCE, Kind.UNPLUG):
         last_words = (
@@ -157,8 +160,8 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
 @pytest.mark.parametrize("direction", Direction)
 @pytest.mark.parametrize("kind", Kind)
 def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anything_moves(
-    kind, direction, pages, frames, tmp_path, monkeypatch
-):
+    kind: Any, direction: Any, pages: Any, frames: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     last = pages[direction] - frames[direction]
     for page in (0, 1, last // 2, last - 1, last):
         monkeypatch.setattr(framed, "_dictionaries", {})
@@ -166,7 +169,7 @@ def test_a_fault_at_a_page_of_the_dictionary_is_asked_again_or_ends_before_anyth
         assert finished == (kind not in (Kind.SILENCE, Kind.UNPLUG)), page
 
 
-def struck(kind, direction, frame, directory) -> bool:
+def struck(kind: Any, direction: Any, frame: Any, directory: Any) -> bool:
     """Strike one frame of a run, check how it ended, and return whether it finished."""
     place = directory / str(frame)
     place.mkdir()
@@ -181,7 +184,7 @@ def struck(kind, direction, frame, directory) -> bool:
     return bench.error is None
 
 
-def sample_frame(frames) -> int:
+def sample_frame(frames: Any) -> int:
     """A frame in the middle of the push."""
     return frames[Direction.TO_HOST] - 20
 
@@ -196,7 +199,9 @@ def sample_frame(frames) -> int:
         (Kind.REORDER, "reordered"),
     ],
 )
-def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(kind, counter, frames, tmp_path):
+def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(
+    kind: Any, counter: str, frames: Any, tmp_path: Path
+) -> None:
     fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=sample_frame(frames), byte=5, bit=3)
     bench = Bench(tmp_path, Faults(frames=(fault,))).run()
     assert bench.error is None
@@ -208,7 +213,7 @@ def test_each_kind_of_loss_of_a_sample_is_counted_and_flagged(kind, counter, fra
     np.testing.assert_array_equal(np.diff(rows["sample_index"]), rows["elapsed_ticks"][1:])
 
 
-def test_silence_of_the_host_ramps_the_effort_down_and_latches(tmp_path, frames):
+def test_silence_of_the_host_ramps_the_effort_down_and_latches(tmp_path: Path, frames: Any) -> None:
     fault = FrameFault(
         kind=Kind.SILENCE, direction=Direction.TO_DEVICE, frame=frames[Direction.TO_DEVICE] - 30 - EXCHANGES
     )
@@ -224,7 +229,9 @@ def test_silence_of_the_host_ramps_the_effort_down_and_latches(tmp_path, frames)
 
 @pytest.mark.parametrize("tick", range(0, 36, 3))
 @pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
-def test_a_device_fault_cuts_at_the_next_tick_and_is_told_with_its_remedy(fault, tick, tmp_path):
+def test_a_device_fault_cuts_at_the_next_tick_and_is_told_with_its_remedy(
+    fault: Any, tick: int, tmp_path: Path
+) -> None:
     bench = Bench(tmp_path, Faults(device=(DeviceFault(tick, fault),))).run()
     bench.check_ended_safely()
     assert isinstance(bench.error, DeviceFaultError | DeviceRefusedError)
@@ -240,19 +247,19 @@ def test_a_device_fault_cuts_at_the_next_tick_and_is_told_with_its_remedy(fault,
 
 
 @kernel(LAW_SIGNATURE)
-def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.nan if state[1] > 15.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def gives_infinity(penetration, velocity, elapsed_ticks, state, parameters):
+def gives_infinity(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.inf if state[1] > 15.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def raises(penetration, velocity, elapsed_ticks, state, parameters):
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 15.0:
         raise ValueError("too deep for me")
@@ -260,7 +267,7 @@ def raises(penetration, velocity, elapsed_ticks, state, parameters):
 
 
 @pytest.mark.parametrize("function", [gives_nan, gives_infinity])
-def test_a_law_that_is_not_finite_ends_the_run_with_zero(function, tmp_path):
+def test_a_law_that_is_not_finite_ends_the_run_with_zero(function: Any, tmp_path: Path) -> None:
     law = Law("bad", "for this test", function, 2, lambda wall: [])
     bench = Bench(tmp_path, law=law).run()
     assert isinstance(bench.error, LawError)
@@ -271,7 +278,7 @@ def test_a_law_that_is_not_finite_ends_the_run_with_zero(function, tmp_path):
     bench.check_ended_safely()
 
 
-def test_an_exception_in_a_users_law_ends_the_run_with_zero_and_is_named(tmp_path):
+def test_an_exception_in_a_users_law_ends_the_run_with_zero_and_is_named(tmp_path: Path) -> None:
     law = Law("bad", "for this test", raises, 2, lambda wall: [])
     bench = Bench(tmp_path, law=law).run()
     assert isinstance(bench.error, LawError)
@@ -282,7 +289,7 @@ def test_an_exception_in_a_users_law_ends_the_run_with_zero_and_is_named(tmp_pat
     bench.check_ended_safely()
 
 
-def test_leaving_the_window_ends_the_run_with_zero(tmp_path):
+def test_leaving_the_window_ends_the_run_with_zero(tmp_path: Path) -> None:
     narrow = config.override(
         SHORT, {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "trial.duration_s": 0.2}
     )
@@ -291,7 +298,7 @@ def test_leaving_the_window_ends_the_run_with_zero(tmp_path):
     bench.check_ended_safely()
 
 
-def test_a_start_out_of_reach_is_given_up(tmp_path):
+def test_a_start_out_of_reach_is_given_up(tmp_path: Path) -> None:
     stuck = config.override(
         SHORT, {"rig.mechanics.link_coulomb": 0.2, "homing.timeout_s": 0.05, "trial.start": -0.02}
     )
@@ -302,11 +309,11 @@ def test_a_start_out_of_reach_is_given_up(tmp_path):
 
 
 @pytest.mark.signals
-def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path):
+def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path) -> None:
     bench = Bench(tmp_path, experiment=config.override(SHORT, {"trial.duration_s": 60.0}))
     seen = []
 
-    def interrupt(ticks, phase):
+    def interrupt(ticks: Any, phase: Any) -> None:
         if ticks > 100 and not seen:
             seen.append(ticks)
             signal.raise_signal(signal.SIGINT)
@@ -342,7 +349,7 @@ with open_device(sys.argv[1]) as device:
 """
 
 
-def test_kill_minus_nine_of_the_host_leaves_a_device_at_zero_and_a_readable_recording(tmp_path):
+def test_kill_minus_nine_of_the_host_leaves_a_device_at_zero_and_a_readable_recording(tmp_path: Path) -> None:
     """Over a real serial port, in real time. Also accepted: the host found the link lost before it could be killed."""
     from rig.devices import open_device  # noqa: PLC0415
     from rig.devices.local import serve_locally  # noqa: PLC0415
@@ -374,7 +381,7 @@ def test_kill_minus_nine_of_the_host_leaves_a_device_at_zero_and_a_readable_reco
     assert os.path.exists(path) or os.path.exists(path.with_suffix(".parquet"))
 
 
-def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path):
+def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path: Path) -> None:
     """The device process is killed: the pseudo-terminal hangs up, as a pulled USB plug does."""
     from rig.devices import open_device  # noqa: PLC0415
     from rig.devices.local import serve_locally  # noqa: PLC0415
@@ -384,7 +391,7 @@ def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(t
     with serve_locally("sim://", config.rig_model(long)) as url, open_device(url) as device:
         (process,) = multiprocessing.active_children()
 
-        def pull_the_plug(ticks, phase):
+        def pull_the_plug(ticks: Any, phase: Any) -> None:
             if ticks > 200:
                 process.kill()
 

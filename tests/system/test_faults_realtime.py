@@ -8,7 +8,10 @@ reads, and what the line lost is counted.
 import resource
 import signal
 import time
+from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,11 +65,11 @@ MODEL = config.rig_model(SHORT)
 
 
 @pytest.fixture(params=sorted(PORTS))
-def far_end(request, tmp_path):
+def far_end(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
     """Start devices behind a port; the suite runs over every kind of port that there is."""
     started = []
 
-    def start(script=None):
+    def start(script: Any = None) -> Any:
         started.append(FarEnd(request.param, tmp_path, MODEL, script or Script(), RATE))
         return started[-1]
 
@@ -78,7 +81,15 @@ def far_end(request, tmp_path):
 class Run:
     """One trial on a far end: its error, its recording, and that everything was bounded."""
 
-    def __init__(self, device_end, directory, *, experiment=SHORT, law=None, progress=None):
+    def __init__(
+        self,
+        device_end: Any,
+        directory: Any,
+        *,
+        experiment: Any = SHORT,
+        law: Any = None,
+        progress: Any = None,
+    ) -> None:
         self.far_end = device_end
         self.path = directory / "trial.rigcap"
         self.error = None
@@ -101,13 +112,13 @@ class Run:
         assert time.monotonic() - began < experiment.trial.duration_s + BOUND_S
 
     @property
-    def counters(self):
+    def counters(self) -> Any:
         return self.recording().trailer["counters"]
 
-    def recording(self):
+    def recording(self) -> Any:
         return open_recording(self.path)
 
-    def check(self, *allowed):
+    def check(self, *allowed: Any) -> Any:
         """Without an error or with one of these; the device at rest; a recording that is whole."""
         assert self.error is None or isinstance(self.error, allowed), self.error
         if self.error is not None:
@@ -121,14 +132,14 @@ class Run:
         return self
 
 
-def skip_unless_begun(path, error, device):
+def skip_unless_begun(path: Any, error: Any, device: Any) -> None:
     """On a machine so busy that not even the questions before arming are answered in time nothing can be shown."""
     if not path.exists() and (error == "LinkLostError" or isinstance(error, LinkLostError)):
         assert device["peak"] == 0
         too_busy(error)
 
 
-def broken(kind, direction, frame=0):
+def broken(kind: Any, direction: Any, frame: int = 0) -> Any:
     return Script(
         after=EARLY,
         frames=(FrameFault(kind=kind, direction=direction, frame=frame, byte=7, bit=3, ticks=3),),
@@ -146,7 +157,9 @@ COUNTER = {
 }
 
 
-def test_without_a_fault_it_completes_or_says_that_the_machine_was_too_busy(far_end, tmp_path):
+def test_without_a_fault_it_completes_or_says_that_the_machine_was_too_busy(
+    far_end: Any, tmp_path: Path
+) -> None:
     device = far_end()
     run = Run(device, tmp_path).check(LinkLostError)
     if run.error is None:
@@ -160,8 +173,8 @@ def test_without_a_fault_it_completes_or_says_that_the_machine_was_too_busy(far_
 @pytest.mark.parametrize("direction", Direction)
 @pytest.mark.parametrize("kind", [*COUNTER, Kind.DELAY])
 def test_one_bad_frame_costs_itself_and_is_counted_where_it_should_have_come(
-    kind, direction, far_end, tmp_path
-):
+    kind: Any, direction: Any, far_end: Any, tmp_path: Path
+) -> Any:
     device = far_end(broken(kind, direction))
     run = Run(device, tmp_path).check(LinkLostError)
     if run.error is not None:
@@ -173,7 +186,7 @@ def test_one_bad_frame_costs_itself_and_is_counted_where_it_should_have_come(
 
 
 @pytest.mark.parametrize("direction", Direction)
-def test_silence_is_a_lost_link_and_a_ramp_to_zero(direction, far_end, tmp_path):
+def test_silence_is_a_lost_link_and_a_ramp_to_zero(direction: Any, far_end: Any, tmp_path: Path) -> None:
     device = far_end(broken(Kind.SILENCE, direction))
     run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
     assert isinstance(run.error, LinkLostError)
@@ -182,7 +195,7 @@ def test_silence_is_a_lost_link_and_a_ramp_to_zero(direction, far_end, tmp_path)
         assert device["first_fault"] == Fault.LINK_LOST
 
 
-def test_a_pulled_plug_is_a_lost_link(far_end, tmp_path):
+def test_a_pulled_plug_is_a_lost_link(far_end: Any, tmp_path: Path) -> None:
     device = far_end(broken(Kind.UNPLUG, Direction.TO_HOST))
     run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
     assert isinstance(run.error, LinkLostError)
@@ -190,7 +203,7 @@ def test_a_pulled_plug_is_a_lost_link(far_end, tmp_path):
     assert device["first_fault"] == Fault.LINK_LOST
 
 
-def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end, tmp_path):
+def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end: Any, tmp_path: Path) -> None:
     run = Run(far_end(Script(after=EARLY, flood=True)), tmp_path)
     run.check(LinkLostError)
     if run.error is None:
@@ -203,7 +216,7 @@ def test_a_flood_of_noise_is_counted_and_ends_nothing_or_the_link(far_end, tmp_p
 
 
 @pytest.mark.parametrize("fault", [Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT])
-def test_a_fault_of_the_device_is_told_with_its_remedy(fault, far_end, tmp_path):
+def test_a_fault_of_the_device_is_told_with_its_remedy(fault: Any, far_end: Any, tmp_path: Path) -> None:
     device = far_end(Script(after=EARLY, fault=fault))
     run = Run(device, tmp_path, experiment=LONG).check(LinkLostError)
     assert isinstance(run.error, LinkLostError)
@@ -212,10 +225,10 @@ def test_a_fault_of_the_device_is_told_with_its_remedy(fault, far_end, tmp_path)
         assert run.recording().rows["current_sent"][-1] == 0
 
 
-def test_a_device_that_dies_is_a_lost_link(far_end, tmp_path):
+def test_a_device_that_dies_is_a_lost_link(far_end: Any, tmp_path: Path) -> None:
     device = far_end()
 
-    def kill(ticks, phase):
+    def kill(ticks: Any, phase: Any) -> None:
         if ticks > EARLY and device.process.is_alive():
             device.kill()
 
@@ -226,11 +239,13 @@ def test_a_device_that_dies_is_a_lost_link(far_end, tmp_path):
     assert run.recording().complete
 
 
-def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_goes_on(far_end, tmp_path):
+def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_goes_on(
+    far_end: Any, tmp_path: Path
+) -> None:
     device = far_end()
     paused = []
 
-    def pause(ticks, phase):
+    def pause(ticks: Any, phase: Any) -> None:
         if ticks > EARLY and not paused:
             device.pause()
             paused.append(ticks)
@@ -245,13 +260,13 @@ def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_goes_on(far
 
 
 @kernel(LAW_SIGNATURE)
-def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.nan if state[1] > 30.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def raises(penetration, velocity, elapsed_ticks, state, parameters):
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 30.0:
         raise ValueError("too deep for me")
@@ -259,7 +274,7 @@ def raises(penetration, velocity, elapsed_ticks, state, parameters):
 
 
 @pytest.mark.parametrize("function", [gives_nan, raises])
-def test_a_law_that_fails_ends_the_run_with_zero(function, far_end, tmp_path):
+def test_a_law_that_fails_ends_the_run_with_zero(function: Any, far_end: Any, tmp_path: Path) -> None:
     law = Law("bad", "for this test", function, 2, lambda wall: [])
     run = Run(far_end(), tmp_path, experiment=LONG, law=law).check(LawError, LinkLostError)
     assert run.error is not None
@@ -267,7 +282,7 @@ def test_a_law_that_fails_ends_the_run_with_zero(function, far_end, tmp_path):
         assert run.recording().trailer["reason"] in {"nonfinite", "law_raised"}
 
 
-def test_leaving_the_window_ends_the_run_with_zero(far_end, tmp_path):
+def test_leaving_the_window_ends_the_run_with_zero(far_end: Any, tmp_path: Path) -> None:
     narrow = config.override(
         LONG, {"rig.limits.position_maximum": 0.0005, "wall.stiffness": 60.0, "wall.damping": 0.0}
     )
@@ -278,10 +293,10 @@ def test_leaving_the_window_ends_the_run_with_zero(far_end, tmp_path):
 # ---------------------------------------------------------------------- the host
 
 
-def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end, tmp_path):
+def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end: Any, tmp_path: Path) -> None:
     device = far_end()
 
-    def break_down(ticks, phase):
+    def break_down(ticks: Any, phase: Any) -> None:
         if ticks > EARLY:
             raise ZeroDivisionError("a bug in a progress bar")
 
@@ -298,11 +313,13 @@ def test_an_exception_of_the_caller_ends_the_run_with_zero(far_end, tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.signals
-def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(number, far_end, tmp_path):
+def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(
+    number: Any, far_end: Any, tmp_path: Path
+) -> None:
     device = far_end()
     sent = []
 
-    def interrupt(ticks, phase):
+    def interrupt(ticks: Any, phase: Any) -> None:
         if ticks > EARLY and not sent:
             sent.append(ticks)
             signal.raise_signal(number)
@@ -314,7 +331,9 @@ def test_a_signal_stops_the_loop_and_leaves_a_whole_recording(number, far_end, t
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.signals
-def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number, far_end, tmp_path):
+def test_a_signal_to_a_host_process_leaves_the_device_at_rest(
+    number: Any, far_end: Any, tmp_path: Path
+) -> None:
     """From outside, as a person, a session manager and the kernel send them; a stopped host is like a dead one."""
     device, path = far_end(), tmp_path / "trial.rigcap"
     host = HostProcess(device.url, LONG, path)
@@ -343,12 +362,12 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number, far_end, t
         assert device["first_fault"] == Fault.LINK_LOST
 
 
-def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end, tmp_path):
+def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end: Any, tmp_path: Path) -> None:
     """A limit on the size of files stands for it: the same path, with EFBIG for ENOSPC."""
     device = far_end()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def fill_the_disk(ticks, phase):
+    def fill_the_disk(ticks: Any, phase: Any) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))
 
     try:
@@ -363,7 +382,9 @@ def test_a_full_disk_is_told_at_the_end_and_the_device_is_at_rest(far_end, tmp_p
     assert (np.diff(recording.rows["tick"]) == 1).all()
 
 
-def test_a_device_that_somebody_else_has_open_is_refused_before_anything_moves(far_end, tmp_path):
+def test_a_device_that_somebody_else_has_open_is_refused_before_anything_moves(
+    far_end: Any, tmp_path: Path
+) -> None:
     device = far_end()
     with open_device(device.url):
         run = Run(device, tmp_path)
@@ -372,7 +393,7 @@ def test_a_device_that_somebody_else_has_open_is_refused_before_anything_moves(f
     assert not (tmp_path / "trial.rigcap").exists()
 
 
-def test_after_every_fault_the_next_trial_finds_the_device_usable(far_end, tmp_path):
+def test_after_every_fault_the_next_trial_finds_the_device_usable(far_end: Any, tmp_path: Path) -> None:
     """The device has latched LINK_LOST for a host that vanished; the next one clears it and says so."""
     device = far_end()
     host = HostProcess(device.url, LONG, tmp_path / "first.rigcap")

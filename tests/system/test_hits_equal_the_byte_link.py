@@ -1,6 +1,8 @@
 """A hit without bytes is the hit over the byte link, to the last bit of every number that a map is made of."""
 
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +31,9 @@ HELD = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
         ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),
     ],
 )
-def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(name, changes, tmp_path):
+def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
+    name: str, changes: Any, tmp_path: Path
+) -> None:
     experiment = config.override(presets.load(name), {**SHORT, **changes, "trial.seed": 5})
     simulator = HitSimulator(experiment)
     without_bytes = simulator.hit(experiment.wall.stiffness, experiment.wall.damping)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from rig.recording.reader import open_recording
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory):
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Hits of chawda-linear at 0.10 and 0.16 m/s, 1 kHz."""
     found = []
     for effort, start in ((5.0, -0.0007), (8.0, -0.001)):
@@ -26,7 +28,7 @@ def recordings(tmp_path_factory):
     return found
 
 
-def test_a_slow_hit_of_the_linear_rig_needs_a_c_of_20_to_33(recordings):
+def test_a_slow_hit_of_the_linear_rig_needs_a_c_of_20_to_33(recordings: Any) -> None:
     """A hit needs 20 to 33 m/s²; the paper's own 6 m/s² fits its small multisine motion, not a hit."""
     for recording in recordings:
         fit = lipschitz_of(recording)
@@ -35,7 +37,7 @@ def test_a_slow_hit_of_the_linear_rig_needs_a_c_of_20_to_33(recordings):
     assert lipschitz_of(recordings[1]).lipschitz > 20.0
 
 
-def test_it_is_the_acceleration_of_the_plant_within_a_tenth(recordings):
+def test_it_is_the_acceleration_of_the_plant_within_a_tenth(recordings: Any) -> None:
     for recording in recordings:
         rows, time_s = recording.rows, recording.time_s
         fit = lipschitz_of(recording)
@@ -44,7 +46,7 @@ def test_it_is_the_acceleration_of_the_plant_within_a_tenth(recordings):
         assert fit.lipschitz == pytest.approx(true, rel=0.1)
 
 
-def test_a_recording_without_contact_has_no_hit_to_fit(recordings):
+def test_a_recording_without_contact_has_no_hit_to_fit(recordings: Any) -> None:
     recording = recordings[0]
     homing = recording.rows["phase"] != Phase.TRIAL
     before = type(recording)(recording.header, recording.rows[homing])

@@ -10,7 +10,10 @@ import subprocess
 import sys
 import time
 import uuid
+from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,20 +68,20 @@ MODEL = config.rig_model(REAL)
 
 
 @kernel(LAW_SIGNATURE)
-def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.nan if state[1] > 15.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE)
-def raises(penetration, velocity, elapsed_ticks, state, parameters):
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 15.0:
         raise ValueError("too deep for me")
     return 0.0
 
 
-def law_of(function):
+def law_of(function: Any) -> Any:
     return Law("bad", "for this test", function, 2, lambda wall: [])
 
 
@@ -86,14 +89,14 @@ class CallbackError(Exception):
     """What a caller's own code raises in the middle of a run."""
 
 
-def breaks_down(ticks, phase):
+def breaks_down(ticks: Any, phase: Any) -> None:
     raise CallbackError
 
 
-def interrupts(number):
+def interrupts(number: Any) -> Any:
     sent = []
 
-    def progress(ticks, phase):
+    def progress(ticks: Any, phase: Any) -> None:
         if not sent:
             sent.append(number)
             signal.raise_signal(number)
@@ -117,7 +120,7 @@ EXITS = {
 }
 
 
-def test_the_census_sees_what_is_left(tmp_path):
+def test_the_census_sees_what_is_left(tmp_path: Path) -> None:
     """Each of these would go unnoticed if the looking did not work."""
     import threading  # noqa: PLC0415
 
@@ -146,7 +149,7 @@ def test_the_census_sees_what_is_left(tmp_path):
         pass
 
 
-def run(device, directory, changes, more, allowed):
+def run(device: Any, directory: Any, changes: Any, more: Any, allowed: Any) -> Any:
     """One trial to its end, of whatever kind; the error that ended it, if any."""
     request = partial(
         trial_on,
@@ -166,12 +169,12 @@ def run(device, directory, changes, more, allowed):
 # ---------------------------------------------------------------------- virtual time
 
 
-def in_memory(faults=None):
+def in_memory(faults: Any = None) -> Any:
     return FramedDevice(MemoryLink(SimulatedDevice(MODEL), faults or Faults()))
 
 
 @pytest.fixture
-def warm(tmp_path):
+def warm(tmp_path: Path) -> None:
     """One run has been: what is started once and stays for good is there."""
     with in_memory() as device:
         run(device, tmp_path, *EXITS["finished"])
@@ -179,7 +182,7 @@ def warm(tmp_path):
 
 @pytest.mark.parametrize("exit_kind", EXITS)
 @pytest.mark.signals
-def test_nothing_is_left_in_virtual_time(exit_kind, warm, tmp_path):
+def test_nothing_is_left_in_virtual_time(exit_kind: Any, warm: Any, tmp_path: Path) -> None:
     with nothing_left(), in_memory() as device:
         run(device, tmp_path, *EXITS[exit_kind])
 
@@ -193,12 +196,12 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_nothing_is_left_of_a_lost_link_in_virtual_time(fault, warm, tmp_path):
+def test_nothing_is_left_of_a_lost_link_in_virtual_time(fault: Any, warm: Any, tmp_path: Path) -> None:
     with nothing_left(), in_memory(FAULTS[fault]) as device:
         run(device, tmp_path, LONG, {}, (RigError,))
 
 
-def test_nothing_is_left_of_a_recording_that_cannot_be_made(warm, tmp_path):
+def test_nothing_is_left_of_a_recording_that_cannot_be_made(warm: Any, tmp_path: Path) -> None:
     path = tmp_path / "there.rigcap"
     path.touch()
     with nothing_left(), in_memory() as device, pytest.raises(RecordingError):
@@ -209,11 +212,11 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_made(warm, tmp_path):
 
 
 @pytest.fixture
-def far_end(tmp_path):
+def far_end(tmp_path: Path) -> Iterator[Any]:
     """Start device processes; the one that they are forked from stays."""
     started = []
 
-    def start(script=None):
+    def start(script: Any = None) -> Any:
         started.append(FarEnd("pty", tmp_path, MODEL, script or Script(), RATE))
         return started[-1]
 
@@ -223,7 +226,7 @@ def far_end(tmp_path):
 
 
 @pytest.mark.parametrize("exit_kind", EXITS)
-def test_nothing_is_left_in_real_time(exit_kind, warm, far_end, tmp_path):
+def test_nothing_is_left_in_real_time(exit_kind: Any, warm: Any, far_end: Any, tmp_path: Path) -> None:
     device_end = far_end()
     changes, more, allowed = EXITS[exit_kind]
     with nothing_left(), open_device(device_end.url) as device:
@@ -233,14 +236,16 @@ def test_nothing_is_left_in_real_time(exit_kind, warm, far_end, tmp_path):
 
 
 @pytest.mark.parametrize("kind", [Kind.UNPLUG, Kind.SILENCE])
-def test_nothing_is_left_of_a_lost_link_in_real_time(kind, warm, far_end, tmp_path):
+def test_nothing_is_left_of_a_lost_link_in_real_time(
+    kind: Any, warm: Any, far_end: Any, tmp_path: Path
+) -> None:
     fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=0)
     device_end = far_end(Script(after=20, frames=(fault,)))
     with nothing_left(), open_device(device_end.url) as device:
         run(device, tmp_path, LONG, {}, (LinkLostError,))
 
 
-def test_nothing_is_left_of_a_port_that_does_not_open(warm, far_end):
+def test_nothing_is_left_of_a_port_that_does_not_open(warm: Any, far_end: Any) -> None:
     device_end = far_end()
     with open_device(device_end.url), nothing_left(), pytest.raises(DeviceNotFoundError):
         open_device(device_end.url)
@@ -258,7 +263,9 @@ QUICK = [
 ]
 
 
-def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(tmp_path, monkeypatch, capfd):
+def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     command = [*QUICK, "--realtime"]
     rig.cli.run(command)  # what multiprocessing starts once, stays
@@ -273,7 +280,7 @@ def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(tmp_pa
 # ---------------------------------------------------------------------- from outside
 
 
-def test_what_a_test_starts_dies_with_it_also_when_the_test_is_killed():
+def test_what_a_test_starts_dies_with_it_also_when_the_test_is_killed() -> None:
     program = """
 import sys
 from tests.conformance.started import started
@@ -291,7 +298,9 @@ with started("sleep", "600") as process:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 @pytest.mark.signals
-def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number, tmp_path):
+def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(
+    number: Any, tmp_path: Path
+) -> None:
     """The device's process, the one that draws, and whatever multiprocessing started all go, whoever dies first."""
     mark = uuid.uuid4().hex
     before = set(os.listdir("/dev/shm"))
@@ -308,12 +317,12 @@ def test_no_process_and_no_memory_is_left_of_a_command_that_a_signal_ends(number
     assert b"Traceback" not in (tmp_path / "said").read_bytes()
 
 
-def grown(directory):
+def grown(directory: Any) -> Any:
     """Whether a capture has rows."""
     return any(path.stat().st_size > 40_000 for path in directory.glob("recordings/*.rigcap"))
 
 
-def wait_until(what, text):
+def wait_until(what: Any, text: Any) -> None:
     deadline = time.monotonic() + WAIT_S
     while not what():
         assert time.monotonic() < deadline, text()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -43,7 +44,7 @@ print(late)
 
 
 @pytest.mark.parametrize("loop", ["host", "device"])
-def test_nothing_compiles_between_arming_and_the_end_of_the_loop(loop, tmp_path):
+def test_nothing_compiles_between_arming_and_the_end_of_the_loop(loop: str, tmp_path: Path) -> None:
     """In a process of its own, where no other test has compiled anything before."""
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, loop, str(tmp_path)],

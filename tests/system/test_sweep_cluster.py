@@ -10,7 +10,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,11 +30,11 @@ ROOT = Path(__file__).parents[2]
 START_S = 30.0
 
 
-def needs_distributed(test):
+def needs_distributed(test: Any) -> Any:
     return pytest.mark.skipif(_no_distributed(), reason="distributed is not installed")(test)
 
 
-def _no_distributed():
+def _no_distributed() -> Any:
     try:
         import distributed  # noqa: F401, PLC0415
     except ImportError:
@@ -43,14 +45,14 @@ def _no_distributed():
 class Cluster:
     """A scheduler and workers with one thread each, all on this machine; they end with the block."""
 
-    def __init__(self, directory, **environment):
+    def __init__(self, directory: Any, **environment: Any) -> None:
         self._directory = directory
         self._environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
         self._processes = []
         self.scheduler = None
         self.workers = []
 
-    def __enter__(self):
+    def __enter__(self) -> Any:
         facts = self._directory / "scheduler.json"
         self.scheduler = self._start(
             "dask_scheduler", "--port", "0", "--scheduler-file", str(facts), "--no-jupyter"
@@ -62,14 +64,14 @@ class Cluster:
         self.address = json.loads(facts.read_text())["address"]
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: Any) -> None:
         # The group, since a nanny's worker would outlive it.
         for process in self._processes:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
 
-    def add_worker(self, *, nanny=False):
+    def add_worker(self, *, nanny: bool = False) -> None:
         options = [
             "--nthreads",
             "1",
@@ -79,7 +81,7 @@ class Cluster:
         ]
         self.workers.append(self._start("dask_worker", self.address, *options))
 
-    def _start(self, command, *arguments):
+    def _start(self, command: Any, *arguments: Any) -> Any:
         log = (self._directory / f"log-{len(self._processes)}").open("wb")
         with log:
             process = subprocess.Popen(
@@ -104,13 +106,13 @@ class Cluster:
 
 
 @pytest.fixture
-def cluster(tmp_path):
+def cluster(tmp_path: Path) -> Iterator[Any]:
     with Cluster(tmp_path) as started:
         yield started
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory):
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Two workers that no test harms."""
     with Cluster(tmp_path_factory.mktemp("cluster")) as started:
         started.add_worker()
@@ -118,19 +120,19 @@ def shared(tmp_path_factory):
         yield started
 
 
-def sines(number, **payload):
+def sines(number: Any, **payload: Any) -> Any:
     return [Task(f"seed {seed}", {"seed": seed, **payload}) for seed in range(number)]
 
 
-def text(results):
+def text(results: Any) -> Any:
     return [as_json(result) for result in results]
 
 
-def keys_in(journal):
+def keys_in(journal: Any) -> Any:
     return [json.loads(line.partition(b" ")[2])["key"] for line in journal.read_bytes().splitlines()[1:]]
 
 
-def assert_nothing_lost_and_nothing_twice(results, journal, tasks):
+def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any) -> None:
     at_once = [Task(task.key, {"seed": task.payload["seed"]}) for task in tasks]
     assert text(results) == text(sweep.run(SINES, at_once, workers=1))
     assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
@@ -138,8 +140,8 @@ def assert_nothing_lost_and_nothing_twice(results, journal, tasks):
 
 @needs_distributed
 def test_two_workers_give_the_bits_of_one_process_and_small_tasks_travel_together(
-    shared, tmp_path, monkeypatch
-):
+    shared: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     batches, submit = [], clusters.Cluster.submit
     monkeypatch.setattr(
         clusters.Cluster, "submit", lambda self, batch: (batches.append(len(batch)), submit(self, batch))[1]
@@ -154,12 +156,14 @@ def test_two_workers_give_the_bits_of_one_process_and_small_tasks_travel_togethe
 
 
 @needs_distributed
-def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(cluster, tmp_path):
+def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
+    cluster: Any, tmp_path: Path
+) -> None:
     cluster.add_worker()
     cluster.add_worker()
     tasks = sines(60, wait_s=0.05)
 
-    def watch(progress):
+    def watch(progress: Any) -> None:
         if progress.done >= 10 and cluster.workers[0].poll() is None:
             assert progress.workers == 2
             cluster.workers[0].kill()
@@ -170,7 +174,9 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(clus
 
 
 @needs_distributed
-def test_workers_that_die_under_a_task_and_are_started_again_by_their_nannies(cluster, tmp_path):
+def test_workers_that_die_under_a_task_and_are_started_again_by_their_nannies(
+    cluster: Any, tmp_path: Path
+) -> None:
     cluster.add_worker(nanny=True)
     cluster.add_worker(nanny=True)
     tasks = sines(30, wait_s=0.02)
@@ -183,12 +189,12 @@ def test_workers_that_die_under_a_task_and_are_started_again_by_their_nannies(cl
 
 @needs_distributed
 def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_again(
-    cluster, tmp_path, monkeypatch
-):
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cluster.add_worker()
     fetch, fetched = clusters.Cluster._report, []
 
-    def kill_before_the_first(self, future, batch):
+    def kill_before_the_first(self: Any, future: Any, batch: Any) -> Any:
         if not fetched:
             cluster.workers[0].kill()
             cluster.workers[0].wait()
@@ -206,10 +212,10 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
 
 @needs_distributed
 @pytest.mark.signals
-def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(shared, tmp_path):
+def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(shared: Any, tmp_path: Path) -> None:
     tasks = sines(60, wait_s=0.02)
 
-    def watch(progress):
+    def watch(progress: Any) -> None:
         if progress.done >= 6 and not progress.stopping:
             os.kill(os.getpid(), signal.SIGINT)
 
@@ -223,7 +229,7 @@ def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(shared, tmp_path):
 
 
 @needs_distributed
-def test_a_task_that_fails_there_is_named_here(shared):
+def test_a_task_that_fails_there_is_named_here(shared: Any) -> None:
     tasks = [Task(f"number {i}", {"number": i}) for i in range(20)]
     tasks[7] = Task("number 7", {"number": 7, "raises": "ours"})
     with pytest.raises(TaskError, match="task number 7 failed: this wall is out of reach") as caught:
@@ -234,7 +240,9 @@ def test_a_task_that_fails_there_is_named_here(shared):
 
 
 @needs_distributed
-def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(shared, monkeypatch):
+def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
+    shared: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ours = executors.code_version()
     monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
@@ -243,13 +251,13 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(shared,
 
 
 @needs_distributed
-def test_work_that_the_workers_do_not_have_is_refused(shared):
+def test_work_that_the_workers_do_not_have_is_refused(shared: Any) -> None:
     with pytest.raises(ConfigError, match="'nowhere:work' cannot be imported"):
         sweep.run("nowhere:work", sines(4), scheduler=shared.address)
 
 
 @needs_distributed
-def test_a_task_that_kills_every_worker_is_named(tmp_path):
+def test_a_task_that_kills_every_worker_is_named(tmp_path: Path) -> None:
     with Cluster(tmp_path, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as cluster:
         cluster.add_worker()
         with pytest.raises(
@@ -265,10 +273,10 @@ def test_a_task_that_kills_every_worker_is_named(tmp_path):
 
 
 @needs_distributed
-def test_a_sweep_waits_for_workers_and_says_so(cluster, tmp_path):
+def test_a_sweep_waits_for_workers_and_says_so(cluster: Any, tmp_path: Path) -> None:
     tasks, waited = sines(4), []
 
-    def watch(progress):
+    def watch(progress: Any) -> None:
         if not progress.workers and not cluster.workers:
             waited.append(progress)
             cluster.add_worker()
@@ -279,10 +287,10 @@ def test_a_sweep_waits_for_workers_and_says_so(cluster, tmp_path):
 
 
 @needs_distributed
-def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster, tmp_path):
+def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster: Any, tmp_path: Path) -> None:
     cluster.add_worker()
 
-    def watch(progress):
+    def watch(progress: Any) -> None:
         if progress.done >= 3:
             cluster.scheduler.kill()
 
@@ -295,13 +303,13 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(cluster, tmp_pat
 
 @needs_distributed
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
-def test_no_scheduler_there_is_said_with_the_remedy(address, monkeypatch):
+def test_no_scheduler_there_is_said_with_the_remedy(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "CONNECT_S", 0.5)
     with pytest.raises(ConfigError, match=r"no Dask scheduler answers at .*start one with `dask scheduler`"):
         sweep.run(SINES, sines(2), scheduler=address)
 
 
-def test_without_distributed_the_remedy_names_the_extra(monkeypatch):
+def test_without_distributed_the_remedy_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"install it: pip install 'haptic-rig\[cluster\]'"):
         sweep.run(SINES, sines(2), scheduler="tcp://127.0.0.1:1")

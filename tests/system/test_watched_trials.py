@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numba
 import numpy as np
 import pytest
@@ -29,12 +32,12 @@ PLACED = override(
 VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
 
 
-def one(experiment, directory):
+def one(experiment: Any, directory: Any) -> Any:
     (result,) = hit(HitRequest(experiment=experiment, output=directory))
     return result
 
 
-def ended(experiment, directory):
+def ended(experiment: Any, directory: Any) -> Any:
     """A hit that a guard ends: the error, and what it recorded."""
     with pytest.raises(GuardError) as caught:
         one(experiment, directory)
@@ -58,7 +61,9 @@ def ended(experiment, directory):
         ),
     ],
 )
-def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag, reason, says, tmp_path):
+def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(
+    limit: Any, flag: Any, reason: str, says: str, tmp_path: Path
+) -> None:
     experiment = override(PLACED, {**VIOLENT, **limit})
     error, recording = ended(experiment, tmp_path)
     rows, trailer = recording.rows, recording.trailer
@@ -81,7 +86,7 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(limit, flag
     assert not freely.true.thrown_out
 
 
-def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path):
+def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path: Path) -> None:
     experiment = override(PLACED, {**VIOLENT, "rig.limits.oscillations": 10})
     simulator = HitSimulator(experiment)
     placed = override(experiment, {"rig.simulation.initial_position": simulator.start})
@@ -89,7 +94,7 @@ def test_without_bytes_the_run_ends_in_the_same_tick(tmp_path):
     assert simulator.hit(1200.0, 0.5).ticks == len(recording.rows)
 
 
-def test_a_law_on_the_device_is_ended_by_the_host(tmp_path):
+def test_a_law_on_the_device_is_ended_by_the_host(tmp_path: Path) -> None:
     need_compiler()
     experiment = override(
         presets.load("koul-rigid"),
@@ -102,7 +107,7 @@ def test_a_law_on_the_device_is_ended_by_the_host(tmp_path):
     assert "oscillations in a row" in str(error)
 
 
-def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
+def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path: Path) -> None:
     motor = override(presets.load("koul-compliant"), {**SHORT, "wall.stiffness": 300.0})
     assert one(motor, tmp_path).verdict.kind is Kind.STABLE
     with pytest.raises(PlanError, match=r"energy: the push gives up to"):
@@ -116,7 +121,7 @@ def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize("grip", ["relaxed", "firm"])
-def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip):
+def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip: str) -> None:
     held = override(PLACED, {"operator.grip": grip, **HELD})
     freely = HitSimulator(held).hit(300.0, 0.5)
     watched = HitSimulator(override(held, {"rig.limits.oscillations": 10, "rig.limits.energy": 0.02})).hit(
@@ -127,7 +132,7 @@ def test_a_stable_wall_trips_nothing_and_is_the_same_to_the_bit(grip):
     assert freely.ticks == watched.ticks
 
 
-def test_a_plan_says_what_watches():
+def test_a_plan_says_what_watches() -> None:
     for_people = {
         "rig.limits.human": True,
         "rig.limits.effort": 0.28,
@@ -147,7 +152,7 @@ def test_a_plan_says_what_watches():
 # ---------------------------------------------------------------------- free space
 
 
-def test_a_baseline_comes_before_the_hit(tmp_path):
+def test_a_baseline_comes_before_the_hit(tmp_path: Path) -> None:
     plain = one(PLACED, tmp_path)
     result = one(
         override(PLACED, {"trial.baseline_s": 0.3, "rig.amplifier.current_noise_a": 0.002}), tmp_path
@@ -165,7 +170,7 @@ def test_a_baseline_comes_before_the_hit(tmp_path):
     assert baseline(plain.recorded.recording, plain.experiment) is None
 
 
-def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path):
+def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path: Path) -> None:
     experiment = override(PLACED, {"trial.baseline_s": 0.3})
     eager = override(PLACED, {"trial.duration_s": 0.8, "verdict.tail_s": 0.1})
     recording = open_recording(one(eager, tmp_path).recording)
@@ -179,7 +184,7 @@ def test_a_wall_that_is_touched_too_early_says_nothing(tmp_path):
     assert baseline(recording, experiment).touched
 
 
-def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline():
+def test_where_nobody_keeps_the_handle_off_the_wall_there_is_no_baseline() -> None:
     with pytest.raises(ConfigError, match=r"trial\.baseline_s .* must be 0 with trial\.kind"):
         override(presets.load("koul-compliant"), {"trial.baseline_s": 0.5})
     steps = [step.name for step in make_plan(override(PLACED, {"trial.baseline_s": 0.3})).steps]

@@ -132,7 +132,7 @@ def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarr
 class LawLibrary:
     """The shared library."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.so = so = ct.CDLL(str(path))
         so.law_tick.restype = Output
         so.law_tick.argtypes = so.driver_run.argtypes = None

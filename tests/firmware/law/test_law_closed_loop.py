@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rig.control.fixed_wall import current_quanta
@@ -27,7 +29,7 @@ ONE_SECOND = 20_000
 
 
 @pytest.mark.parametrize(("scheme", "damping"), [(DUAL, 0.5), (UNIFORM, 0.2)], ids=["dual", "uniform"])
-def test_a_hit_of_a_second_is_the_hosts_fixed_wall_exactly(law, scheme, damping):
+def test_a_hit_of_a_second_is_the_hosts_fixed_wall_exactly(law: Any, scheme: Any, damping: float) -> None:
     experiment = experiment_of(*ESTIMATOR, scheme, {"wall.damping": damping, "trial.duration_s": 1.0})
     host, quantum = controller_of(experiment), experiment.rig.amplifier.current_quantum_a
     c = {name: host.control[name][0].item() for name in host.control.dtype.names}
@@ -55,7 +57,7 @@ def test_a_hit_of_a_second_is_the_hosts_fixed_wall_exactly(law, scheme, damping)
     assert min(currents) < -2000, "it must hit"
 
 
-def test_a_hit_from_homing_to_release_is_exact(law):
+def test_a_hit_from_homing_to_release_is_exact(law: Any) -> None:
     experiment = experiment_of(*ESTIMATOR, DUAL, SHORT, {"trial.start": START - 0.002})
     p = parameters_of(controller_of(experiment), FIXED)
     run = in_lock_step(law, experiment, p, law.reset(p), 10_000)
@@ -65,7 +67,7 @@ def test_a_hit_from_homing_to_release_is_exact(law):
     assert list(zip(run.currents.tolist(), run.flags.tolist(), run.phases.tolist(), strict=True)) == expected
 
 
-def test_the_fixed_law_renders_the_wall_of_the_float64_one(law):
+def test_the_fixed_law_renders_the_wall_of_the_float64_one(law: Any) -> None:
     experiment = experiment_of(*ESTIMATOR, DUAL, SHORT, {"trial.duration_s": 0.6, "verdict.tail_s": 0.2})
     p = parameters_of(controller_of(experiment), FIXED)
     ours = in_lock_step(law, experiment, p, law.reset(p), 20_000).verdict(experiment)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -55,16 +57,16 @@ COSINE_CYCLES = 86  # of one line at one tick, when the excitation is worked out
 
 
 @pytest.fixture(scope="module", params=CORES)
-def image(request, tmp_path_factory):
+def image(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
     return build(CORES[request.param], tmp_path_factory.mktemp("cortex"))
 
 
 @pytest.fixture(scope="module", params=SCHEMES)
-def hits(request):
+def hits(request: pytest.FixtureRequest) -> Any:
     """For each law parameters, and the inputs of a hit around its contact."""
 
-    def hit(arithmetic, estimator, settings):
+    def hit(arithmetic: Any, estimator: Any, settings: Any) -> Any:
         experiment = experiment_of(estimator, settings, SCHEMES[request.param], SHORT)
         counts = on_the_host(experiment).counts
         contact = np.flatnonzero(counts > 0)[0]
@@ -76,7 +78,7 @@ def hits(request):
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_every_tick_has_the_bits_of_the_host_within_its_budget(law, image, hits):
+def test_every_tick_has_the_bits_of_the_host_within_its_budget(law: Any, image: Any, hits: Any) -> None:
     assert len(image.code) <= IMAGE_BYTES
     for name, (parameters, table) in hits.items():
         simulator = Simulator(image)
@@ -94,7 +96,7 @@ def test_every_tick_has_the_bits_of_the_host_within_its_budget(law, image, hits)
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_an_excitation_is_ready_in_seconds(image):
+def test_an_excitation_is_ready_in_seconds(image: Any) -> None:
     """250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases."""
     for phases in PHASES:
         excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)

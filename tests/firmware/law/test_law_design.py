@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +89,7 @@ def values_of(x: config.Experiment, law: Law | None = None, reference: int = 12_
 
 @given(experiments())
 @settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_the_design_lets_pass_the_firmware_takes(law, x):
+def test_what_the_design_lets_pass_the_firmware_takes(law: Any, x: Any) -> None:
     values, refusal = None, None
     try:
         values = values_of(x)
@@ -113,7 +114,7 @@ def test_what_the_design_lets_pass_the_firmware_takes(law, x):
 
 @given(experiments())
 @settings(max_examples=120)
-def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x):
+def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x: Any) -> None:
     """To the rounding of the device's words: SI, its form over the wire, SI."""
     try:
         values = values_of(x)
@@ -142,7 +143,9 @@ def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x):
 
 @given(experiments(), st.floats(0.05, 20.0), st.floats(0.0, 20.0), st.integers(-50, 50))
 @settings(max_examples=60)
-def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(x, harder, damper, counts):
+def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(
+    x: Any, harder: float, damper: float, counts: int
+) -> None:
     """A change while it runs, and the same wall from the beginning."""
     moved = x.wall.position + counts * x.rig.encoder.resolution
     there = replace(
@@ -169,7 +172,7 @@ def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(x, harder, da
     assert changed <= live.keys() <= LIVE
 
 
-def test_a_set_of_the_mailbox_becomes_live_parameters():
+def test_a_set_of_the_mailbox_becomes_live_parameters() -> None:
     x = config.override(PRESETS["koul-rigid"], {"controller.loop": "device", "wall.stiffness": 200.0})
     made = {"current_quantum_a": QUANTUM, "reference_count": 0}
     numbers = parameter_set(x, **made)
@@ -214,7 +217,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_a_device_does_not_have_is_refused_by_key_value_and_remedy(case):
+def test_what_a_device_does_not_have_is_refused_by_key_value_and_remedy(case: Any) -> None:
     changes, message, remedy = REFUSED[case]
     given_ = {f"controller.{key}": value for key, value in {"loop": "device", **changes}.items()}
     x = config.override(PRESETS["koul-rigid"], given_)
@@ -224,7 +227,7 @@ def test_what_a_device_does_not_have_is_refused_by_key_value_and_remedy(case):
     assert 'controller.loop = "host"' in refused.value.remedy
 
 
-def test_a_foreign_law_and_a_table_of_the_host_are_refused():
+def test_a_foreign_law_and_a_table_of_the_host_are_refused() -> None:
     x = config.override(PRESETS["koul-rigid"], {"controller.loop": "device"})
     foreign = Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
     with pytest.raises(PlanError, match=r'wall.law = "mine".*no such law'):
@@ -233,7 +236,7 @@ def test_a_foreign_law_and_a_table_of_the_host_are_refused():
         values_of(x, bilateral.excited_law([0.1, -0.1]))
 
 
-def test_values_beyond_the_wire_name_what_is_behind_them():
+def test_values_beyond_the_wire_name_what_is_behind_them() -> None:
     x = config.override(
         PRESETS["chawda-linear"],
         {"controller.loop": "device", "homing.speed": 2.0, "rig.limits.speed": 3.0},
@@ -245,7 +248,7 @@ def test_values_beyond_the_wire_name_what_is_behind_them():
         values_of(config.override(x, {"controller.position_rate": 100_000}))
 
 
-def test_a_law_on_the_host_switches_the_one_on_the_device_off():
+def test_a_law_on_the_host_switches_the_one_on_the_device_off() -> None:
     values = values_of(PRESETS["koul-rigid"])
     assert values["law"] == 0
     assert "float_stiffness" not in values
@@ -253,7 +256,9 @@ def test_a_law_on_the_host_switches_the_one_on_the_device_off():
 
 @pytest.mark.parametrize("estimator", ["fdm-butterworth-fixed", "fdm-butterworth"])
 @pytest.mark.parametrize("stiffness", [0.0, 1e-3, 1.0, 1e3])
-def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(law, estimator, stiffness):
+def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(
+    law: Any, estimator: str, stiffness: float
+) -> None:
     changes = {
         "controller.loop": "device",
         "controller.estimator": estimator,
@@ -273,7 +278,7 @@ def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(la
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_runs_on_a_device_in_float32(law, name):
+def test_every_preset_runs_on_a_device_in_float32(law: Any, name: Any) -> None:
     x = config.override(PRESETS[name], {"controller.loop": "device"})
     if x.controller.estimator == "kalman":
         x = config.override(x, {"controller.parameters.gain": "steady"})

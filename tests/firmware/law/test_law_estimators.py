@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ PERIOD_S, DELTA = 1 / 2000, 1e-6
 WIDE = 3.0e38
 
 
-def bare(prepared, divider=1):
+def bare(prepared: Any, divider: int = 1) -> Any:
     """Float parameters in which nothing but the estimator does anything."""
     p = Parameters(arithmetic=FLOAT, sense=1, velocity_divider=divider, slow_multiple=1, release_ticks=1)
     p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
@@ -31,7 +32,7 @@ def bare(prepared, divider=1):
     return p
 
 
-def motion(seed, samples=1500):
+def motion(seed: Any, samples: int = 1500) -> Any:
     """Counts and elapsed periods of a handle that goes, rings, stands, jumps; every twentieth sample is after a gap."""
     random = np.random.default_rng(seed)
     elapsed = np.where(random.random(samples) < 0.05, random.integers(2, 12, samples), 1)
@@ -43,7 +44,7 @@ def motion(seed, samples=1500):
     return (np.floor(place) + 2**31 - 3000).astype(np.int64), elapsed  # wraps on its way
 
 
-def both(law, name, counts, elapsed, **given):
+def both(law: Any, name: Any, counts: Any, elapsed: Any, **given: Any) -> Any:
     """Velocities (counts per period) and windows: of the host, of C."""
     prepared = estimators.get(name).prepare(given, DELTA, PERIOD_S)
     p = bare(prepared)
@@ -78,7 +79,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_float_velocity_equals_the_host_to_rounding(law, case, seed):
+def test_float_velocity_equals_the_host_to_rounding(law: Any, case: Any, seed: int) -> None:
     name, settings_, allowed = CASES[case]
     host, windows, ticks = both(law, name, *motion(seed), **settings_)
     worst = np.abs(ticks["velocity"] - host).max() / (EPS * np.abs(host).max())
@@ -89,7 +90,7 @@ def test_float_velocity_equals_the_host_to_rounding(law, case, seed):
 @given(st.data())
 @settings(max_examples=60)
 @pytest.mark.parametrize("name", ["foaw-end", "foaw-best"])
-def test_windows_of_foaw_are_the_hosts(law, name, data):
+def test_windows_of_foaw_are_the_hosts(law: Any, name: str, data: st.DataObject) -> None:
     """Steps of whole counts, so that samples lie on the edge of the band time and again."""
     steps = data.draw(st.lists(st.integers(-3, 3), min_size=2, max_size=80))
     elapsed = data.draw(st.lists(st.integers(1, 4), min_size=len(steps), max_size=len(steps)))
@@ -105,7 +106,7 @@ def test_windows_of_foaw_are_the_hosts(law, name, data):
 
 @pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit", "implicit"])
 @pytest.mark.parametrize("output", ["u", "u1"])
-def test_levant_equals_the_host_step_by_step(law, discretisation, output):
+def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, output: str) -> None:
     """A sign that turns makes another path of every rounding: so each step starts from the host's own state."""
     counts, elapsed = motion(3)
     given_ = {"discretisation": discretisation, "output": output, "lipschitz": 20.0}
@@ -125,7 +126,7 @@ def test_levant_equals_the_host_step_by_step(law, discretisation, output):
 
 
 @pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit"])
-def test_explicit_levant_stays_within_its_own_chatter_of_the_host(law, discretisation):
+def test_explicit_levant_stays_within_its_own_chatter_of_the_host(law: Any, discretisation: str) -> None:
     counts, elapsed = motion(4)
     given_ = {"discretisation": discretisation, "lipschitz": 20.0}
     alpha = estimators.get("levant").prepare(given_, DELTA, PERIOD_S).parameters[2]
@@ -135,7 +136,7 @@ def test_explicit_levant_stays_within_its_own_chatter_of_the_host(law, discretis
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_fixed_velocity_is_the_golden_one(law, seed):
+def test_fixed_velocity_is_the_golden_one(law: Any, seed: int) -> None:
     vectors = golden_vectors(seed)
     p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0), vectors.velocity_divider)
     _set_biquad(p, vectors.filter)
@@ -145,7 +146,7 @@ def test_fixed_velocity_is_the_golden_one(law, seed):
 
 @given(st.data())
 @settings(max_examples=60)
-def test_fixed_velocity_is_exact_after_gaps(law, data):
+def test_fixed_velocity_is_exact_after_gaps(law: Any, data: st.DataObject) -> None:
     vectors = golden_vectors(data.draw(st.integers(0, 1000)), ticks=1)
     p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0))
     _set_biquad(p, vectors.filter)
@@ -157,7 +158,7 @@ def test_fixed_velocity_is_exact_after_gaps(law, data):
     assert law.run(p, inputs(counts, np.array(elapsed)))["velocity_fixed"].tolist() == expected
 
 
-def _set_biquad(p, filter_):
+def _set_biquad(p: Any, filter_: Any) -> None:
     p.estimator = 0
     for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
         setattr(p.biquad, name, getattr(filter_, name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes as ct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ M32 = 2**32
 
 
 @st.composite
-def tables(draw, most_lines=12, most_period=3000):
+def tables(draw: Any, most_lines: int = 12, most_period: int = 3000) -> Any:
     lines = draw(st.integers(1, most_lines))
     step = draw(st.integers(1, 20))
     first = draw(st.integers(1, 50))
@@ -38,20 +39,20 @@ def tables(draw, most_lines=12, most_period=3000):
     )
 
 
-def run(law, p, elapsed):
+def run(law: Any, p: Any, elapsed: Any) -> Any:
     state = law.reset(p)
     state.phase = Phase.TRIAL
     return law.run(p, inputs(np.full(len(elapsed), p.reference), np.array(elapsed)), state)
 
 
 @given(st.integers(0, M32 - 1), st.integers(0, 4095))
-def test_cosine_and_phases_are_pythons(law, number, line):
+def test_cosine_and_phases_are_pythons(law: Any, number: int, line: int) -> None:
     assert law.so.law_cosine(number) == cosine(np.array([number], np.uint32))[0]
     assert law.so.law_line_phase(number, line) == hashed_phases(number, line + 1)[line]
 
 
 @given(tables(), st.integers(1, 5000))
-def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law, excitation, cosines):
+def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law: Any, excitation: Any, cosines: int) -> None:
     p = excited(FIXED, excitation)
     assert law.check(p) == 0
     assert (law.excitation(p, cosines) == excitation.table).all()
@@ -67,13 +68,13 @@ def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law, excitation, cos
     ],
     ids=["usual", "longest", "most", "fastest"],
 )
-def test_large_tables_are_pythons_too(law, excitation):
+def test_large_tables_are_pythons_too(law: Any, excitation: Any) -> None:
     assert (law.excitation(excited(FIXED, excitation)) == excitation.table).all()
 
 
 @given(tables(), st.data())
 @settings(max_examples=50)
-def test_currents_are_pythons_to_the_bit(law, excitation, data):
+def test_currents_are_pythons_to_the_bit(law: Any, excitation: Any, data: st.DataObject) -> None:
     elapsed = data.draw(st.lists(st.sampled_from([1, 1, 1, 2, 9, 100_000]), min_size=1, max_size=40))
     p = excited(FIXED, excitation)
     shift = p.fixed_wall.shift
@@ -84,7 +85,7 @@ def test_currents_are_pythons_to_the_bit(law, excitation, data):
 
 
 @pytest.mark.parametrize("arithmetic", [FIXED, FLOAT])
-def test_it_repeats_and_is_the_multisine_that_the_host_names(law, arithmetic):
+def test_it_repeats_and_is_the_multisine_that_the_host_names(law: Any, arithmetic: Any) -> None:
     excitation = ExcitationTable(11, 1, 3, 2000, 90 << 16, phases="hashed", seed=77).with_most_bits()
     wanted = excitation.multisine(20_000, 1.0).period(20_000)
     currents = run(law, excited(arithmetic, excitation), [1] * 4000)["current"]
@@ -92,7 +93,7 @@ def test_it_repeats_and_is_the_multisine_that_the_host_names(law, arithmetic):
     assert (currents[:2000] == currents[2000:]).all()
 
 
-def test_a_device_refuses_what_the_host_refuses(law):
+def test_a_device_refuses_what_the_host_refuses(law: Any) -> None:
     table = ExcitationTable(400, 1, 1, 1000, 2**16)
     for field, value in (
         ("first", 101),
@@ -108,11 +109,11 @@ def test_a_device_refuses_what_the_host_refuses(law):
             ExcitationTable(**{**vars_of(table), field: value})
 
 
-def vars_of(table):
+def vars_of(table: Any) -> Any:
     return {name: getattr(table, name) for name in table.__dataclass_fields__}
 
 
-def test_nothing_is_worked_out_without_lines(law):
+def test_nothing_is_worked_out_without_lines(law: Any) -> None:
     p = excited(FIXED, ExcitationTable(1, 1, 1, 100, 1))
     p.excitation.lines = 0
     work = ct.create_string_buffer(law.so.driver_size(5))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +17,7 @@ from tests.firmware.law.law_library import SOURCES, inputs
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_quanta_are_the_golden_ones(law, seed):
+def test_quanta_are_the_golden_ones(law: Any, seed: int) -> None:
     vectors = golden_vectors(seed)
     p = golden_parameters(vectors)
     state = law.reset(p)
@@ -27,7 +29,7 @@ def test_quanta_are_the_golden_ones(law, seed):
 
 @given(st.data())
 @settings(max_examples=100)
-def test_a_whole_run_is_exact(law, data):
+def test_a_whole_run_is_exact(law: Any, data: st.DataObject) -> None:
     """Homing, settling, trial, release; gaps, slew limits, slow handles, either direction, windows left, speed."""
     draw = data.draw
     vectors = golden_vectors(draw(st.integers(0, 10_000)), ticks=1)
@@ -59,7 +61,7 @@ def test_a_whole_run_is_exact(law, data):
     assert list(zip(*(ticks[n].tolist() for n in ("current", "flags", "phase")), strict=True)) == expected
 
 
-def test_two_instances_know_nothing_of_each_other(law):
+def test_two_instances_know_nothing_of_each_other(law: Any) -> None:
     vectors = [golden_vectors(seed) for seed in (1, 2)]
     parameters = [golden_parameters(v) for v in vectors]
     states = [law.reset(p) for p in parameters]
@@ -72,7 +74,7 @@ def test_two_instances_know_nothing_of_each_other(law):
     assert [tuple(a) for a in answers] == [v.quanta for v in vectors]
 
 
-def test_a_lower_limit_holds_at_once_whatever_the_slew(law):
+def test_a_lower_limit_holds_at_once_whatever_the_slew(law: Any) -> None:
     vectors = golden_vectors(3)
     p = golden_parameters(vectors)
     p.fixed_wall.stiffness = p.fixed_wall.damping = 0
@@ -84,7 +86,7 @@ def test_a_lower_limit_holds_at_once_whatever_the_slew(law):
     assert law.tick(state, p, vectors.counts[0]).current == 10
 
 
-def test_a_wall_may_change_between_two_ticks(law):
+def test_a_wall_may_change_between_two_ticks(law: Any) -> None:
     vectors = golden_vectors(3)
     p = golden_parameters(vectors)
     state = law.reset(p)
@@ -99,12 +101,12 @@ def test_a_wall_may_change_between_two_ticks(law):
     ("verdict", "field", "value"),
     [(number, *change) for number, changes in enumerate(BREAKS.values(), 1) for change in changes],
 )
-def test_parameters_that_would_overflow_are_refused(law, verdict, field, value):
+def test_parameters_that_would_overflow_are_refused(law: Any, verdict: Any, field: Any, value: Any) -> None:
     assert law.check(golden_parameters(golden_vectors(1))) == 0
     assert law.check(broken(field, value)) == verdict
 
 
-def test_flags_and_phases_are_the_hosts_numbers():
+def test_flags_and_phases_are_the_hosts_numbers() -> None:
     header = SOURCES.joinpath("law.h").read_text()
     for enum in (Phase, RowFlag):
         for member in enum:

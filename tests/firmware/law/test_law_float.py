@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -41,7 +43,7 @@ ERROR = 12 * EPS  # of an effort, against the limit; three times what was measur
 @pytest.mark.parametrize(
     ("name", "scheme"), [(n, s) for n in ESTIMATORS for s in SCHEMES if (n, s) != ("levant", "uniform")]
 )
-def test_a_tick_equals_the_hosts(law, name, scheme):
+def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     """Counts of a hit with every tenth tick or so missing: phases and flags equal, efforts but for rounding."""
     experiment = experiment_of(*ESTIMATORS[name], SCHEMES[scheme], SHORT)
     counts = on_the_host(experiment).counts
@@ -75,7 +77,7 @@ def test_a_tick_equals_the_hosts(law, name, scheme):
     assert np.abs(ticks["current"] - currents).max() <= 1
 
 
-def drawn_controller(random):
+def drawn_controller(random: Any) -> Any:
     """A controller with every option and limit drawn, such that each binds now and then."""
     control = np.zeros(1, CONTROL)
     count, quantum = 1.5707963e-4, 2.34e-4
@@ -124,7 +126,7 @@ def drawn_controller(random):
     return Controller(control, new_memory(), prepared, law_.prepare(wall))
 
 
-def test_every_option_and_limit_is_the_hosts(law):
+def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
     """Walks of counts with gaps, under 200 drawn controllers: each phase and each flag is seen, and equal."""
     seen = set()
     for seed in range(200):
@@ -154,7 +156,7 @@ def test_every_option_and_limit_is_the_hosts(law):
 
 @given(st.data())
 @settings(max_examples=50)
-def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data):
+def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data: st.DataObject) -> None:
     """Window and homing tolerance: whole counts on the device, float64 on the host, often on the very edge."""
     host = controller_of(experiment_of("fdm", {}, DUAL, SHORT))
     c, draw = host.control[0], data.draw
@@ -176,7 +178,7 @@ def test_what_is_compared_with_a_count_is_decided_as_on_the_host(data):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", ["butterworth", "foaw-end", "levant", "kalman"])
-def test_a_hit_in_a_closed_loop_has_the_hosts_verdict(law, name, scheme):
+def test_a_hit_in_a_closed_loop_has_the_hosts_verdict(law: Any, name: str, scheme: Any) -> None:
     """One count that comes a tick later makes another path; what a hit is judged by stays."""
     longer = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.01, "wall.damping": 0.3}
     experiment = experiment_of(*ESTIMATORS[name], SCHEMES[scheme], SHORT, longer)

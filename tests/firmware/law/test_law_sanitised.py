@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes as ct
 import re
 import subprocess
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,14 +16,16 @@ from tests.firmware.law.law_library import SOURCES, TICKS, Parameters, State, ca
 LEAST_BRANCHES = 90.0  # percent of the branches that the cases must take
 
 
-def run_program(program, data):
+def run_program(program: Any, data: Any) -> Any:
     run = subprocess.run([program], input=data, capture_output=True, check=False, timeout=60)
     assert run.returncode == 0, run.stderr.decode()[-4000:]
     return run.stdout
 
 
 @pytest.mark.parametrize("multiplier", [(), ("-DLAW_SHORT_MULTIPLIER",)], ids=["long", "short"])
-def test_no_undefined_behaviour_and_the_answers_of_the_library(law, tmp_path, multiplier):
+def test_no_undefined_behaviour_and_the_answers_of_the_library(
+    law: Any, tmp_path: Path, multiplier: Any
+) -> None:
     options = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
     program = compile_law(tmp_path / "sanitised", *options, *multiplier)
     listed = list(cases())
@@ -39,7 +43,7 @@ def test_no_undefined_behaviour_and_the_answers_of_the_library(law, tmp_path, mu
     assert 100 < refused < 500, "the noise must be refused often, and often not"
 
 
-def test_the_cases_reach_nearly_every_branch(tmp_path, law):
+def test_the_cases_reach_nearly_every_branch(tmp_path: Path, law: Any) -> None:
     program = compile_law(tmp_path / "covered", "-O0", "--coverage")
     run_program(program, case_bytes(cases()))
     notes = [str(path) for path in tmp_path.glob("*.gcno") if "law_driver" not in path.name]
@@ -60,6 +64,6 @@ def test_the_cases_reach_nearly_every_branch(tmp_path, law):
     assert branches >= LEAST_BRANCHES, found
 
 
-def test_the_state_is_small():
+def test_the_state_is_small() -> None:
     assert ct.sizeof(State) < 2600
     assert ct.sizeof(Parameters) < 1000

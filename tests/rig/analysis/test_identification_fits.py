@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,13 +24,13 @@ QUANTUM = 1e-6
 SLIP = 2e-4  # m/s in which friction turns round: a regularised law, unlike that of the simulated plant
 
 
-def friction(v):
+def friction(v: Any) -> Any:
     return 0.5 * (UP - DOWN) + 0.5 * (UP + DOWN) * np.tanh(
         (v - SLIP * math.atanh((DOWN - UP) / (UP + DOWN))) / SLIP
     )
 
 
-def integrate(efforts, derivative, state):
+def integrate(efforts: Any, derivative: Any, state: Any) -> Any:
     """States at the samples under efforts that are held between them."""
     states = [np.array(state)]
     for effort in efforts:
@@ -45,12 +46,12 @@ def integrate(efforts, derivative, state):
     return np.array(states[:-1])
 
 
-def counted(position):
+def counted(position: Any) -> Any:
     return QUANTUM * np.floor(position / QUANTUM + 0.5)
 
 
-def known_sliding(up=UP, down=DOWN, damping=DAMPING):
-    def exact(value):
+def known_sliding(up: Any = UP, down: Any = DOWN, damping: Any = DAMPING) -> Any:
+    def exact(value: Any) -> Any:
         return Interval(value, 0.0)
 
     return Sliding(
@@ -62,7 +63,7 @@ def known_sliding(up=UP, down=DOWN, damping=DAMPING):
 # ---------------------------------------------------------------------- intervals
 
 
-def test_an_interval_from_scatter_is_students():
+def test_an_interval_from_scatter_is_students() -> None:
     samples = [1.0, 2.0, 3.0, 4.0]
     found = from_scatter(2.5, samples)
     assert found.ci95 == pytest.approx(3.182446 * np.std(samples, ddof=1) / 2.0, rel=1e-6)
@@ -72,7 +73,7 @@ def test_an_interval_from_scatter_is_students():
     assert plain(from_scatter(1.0, [1.0])) == {"value": 1.0, "ci95": None}
 
 
-def test_95_per_cent_of_intervals_hold_the_truth():
+def test_95_per_cent_of_intervals_hold_the_truth() -> None:
     rng = np.random.default_rng(1)
     draws = rng.normal(3.0, 0.5, (2000, 5))
     held = np.mean([from_scatter(draw.mean(), draw).holds(3.0) for draw in draws])
@@ -89,14 +90,14 @@ def test_95_per_cent_of_intervals_hold_the_truth():
         (Interval(5.0, math.inf), "5 kg"),
     ],
 )
-def test_an_interval_is_written_with_the_digits_it_deserves(interval, text):
+def test_an_interval_is_written_with_the_digits_it_deserves(interval: Any, text: str) -> None:
     assert interval.text("kg") == text
 
 
 # ---------------------------------------------------------------------- pushes
 
 
-def pushed(sign=1.0, mass=MASS, growth=2.0, gap=False):
+def pushed(sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool = False) -> Any:
     """Pushes up to 30 counts of a handle with friction, two each way; `gap`: after a reversal a tenth of the mass."""
     time_s, effort, position = [], [], []
     t, x, v, before = 0.0, 0.0, 0.0, 1.0
@@ -120,11 +121,11 @@ def pushed(sign=1.0, mass=MASS, growth=2.0, gap=False):
     return np.array(time_s), np.array(effort), counted(np.array(position))
 
 
-def signs_of(data, expected=MASS):
+def signs_of(data: Any, expected: Any = MASS) -> Any:
     return check_signs(*data, resolution=QUANTUM, expected_inertia=expected, rest_s=0.05)
 
 
-def test_pushes_tell_sign_breakaway_and_scale():
+def test_pushes_tell_sign_breakaway_and_scale() -> None:
     found = signs_of(pushed())
     assert (found.sign, found.ok, found.warnings, len(found.pushes)) == (1, True, (), 6)
     assert found.scale == pytest.approx(1.0, rel=0.3)
@@ -133,7 +134,7 @@ def test_pushes_tell_sign_breakaway_and_scale():
     assert [push.after_reversal for push in found.pushes] == [False, False, True, False, True, False]
 
 
-def test_an_encoder_that_counts_the_other_way_is_found():
+def test_an_encoder_that_counts_the_other_way_is_found() -> None:
     found = signs_of(pushed(sign=-1.0))
     assert found.sign == -1
     assert not found.ok
@@ -141,18 +142,18 @@ def test_an_encoder_that_counts_the_other_way_is_found():
 
 
 @pytest.mark.parametrize("factor", [10.0, 0.1])
-def test_a_wrong_scale_is_found(factor):
+def test_a_wrong_scale_is_found(factor: float) -> None:
     found = signs_of(pushed(), expected=factor * MASS)
     assert found.sign == 1
     assert not found.ok
     assert "times the inertia described" in found.warnings[0]
 
 
-def test_backlash_shows_as_a_light_handle_after_each_reversal():
+def test_backlash_shows_as_a_light_handle_after_each_reversal() -> None:
     assert any("backlash" in warning for warning in signs_of(pushed(gap=True)).warnings)
 
 
-def test_a_handle_that_does_not_move_says_nothing():
+def test_a_handle_that_does_not_move_says_nothing() -> None:
     time_s = np.arange(1000) / RATE
     effort = np.where(time_s % 0.5 < 0.3, time_s % 0.5, 0.0)
     found = signs_of((time_s, effort, np.zeros(1000)))
@@ -164,7 +165,7 @@ def test_a_handle_that_does_not_move_says_nothing():
     assert not silent.ok
 
 
-def test_stiction_is_breakaway_well_above_sliding():
+def test_stiction_is_breakaway_well_above_sliding() -> None:
     assert stiction_warning(0.3, 0.25) is None
     assert "0.6" in stiction_warning(0.6, 0.3)
     assert stiction_warning(math.nan, 0.3) is None
@@ -174,7 +175,7 @@ def test_stiction_is_breakaway_well_above_sliding():
 
 
 @pytest.fixture(scope="module")
-def slid():
+def slid() -> Any:
     """Strokes by a servo, integrated by scipy; effort and position as a rig would record them."""
     strokes, time_s, setpoint = [], 0.0, []
     for length in (0.4, 0.8):
@@ -198,7 +199,7 @@ def slid():
     return np.arange(len(efforts)) / RATE, np.array(efforts), counted(np.array(states)[:, 0]), strokes
 
 
-def test_sliding_recovers_friction_each_way_and_damping(slid):
+def test_sliding_recovers_friction_each_way_and_damping(slid: Any) -> None:
     found = fit_sliding(*slid, resolution=QUANTUM)
     assert found.up.value == pytest.approx(UP, rel=0.02)
     assert found.down.value == pytest.approx(DOWN, rel=0.02)
@@ -210,7 +211,7 @@ def test_sliding_recovers_friction_each_way_and_damping(slid):
     assert found.at(np.array([0.05]))[0] == pytest.approx(UP + 0.05 * DAMPING, rel=0.03)
 
 
-def test_what_did_not_slide_is_refused(slid):
+def test_what_did_not_slide_is_refused(slid: Any) -> None:
     time_s, effort, position, strokes = slid
     with pytest.raises(IdentificationError, match="0 pieces slid up and 0 down"):
         fit_sliding(time_s, effort, np.zeros_like(position), strokes, resolution=QUANTUM)
@@ -224,13 +225,15 @@ def test_what_did_not_slide_is_refused(slid):
 # ---------------------------------------------------------------------- multisine
 
 
-def multisine(realisation, top=150.0):
+def multisine(realisation: Any, top: float = 150.0) -> Any:
     lines = np.unique(np.rint(np.geomspace(4.0, top, 36) * 0.5)) / 0.5
     phases = np.random.default_rng(realisation).uniform(-np.pi, np.pi, len(lines))
     return Multisine(0.5, lines, 2.0 * np.minimum(lines / 25.0, 1.0), phases)
 
 
-def record(derivative, state, realisation, *, late=0, periods=1, settle=2):
+def record(
+    derivative: Any, state: Any, realisation: Any, *, late: int = 0, periods: int = 1, settle: int = 2
+) -> Any:
     """One realisation, `late` ticks after it was sent, the settling periods cut."""
     played = multisine(realisation)
     n = round(RATE * played.period_s)
@@ -244,12 +247,12 @@ def record(derivative, state, realisation, *, late=0, periods=1, settle=2):
 
 
 @pytest.fixture(scope="module")
-def rubbing():
+def rubbing() -> Any:
     """A mass with friction that differs by direction, late by two ticks."""
 
     centring = MASS * (2.0 * np.pi * 2.5) ** 2  # keeps it near the middle, and is an effort like any other
 
-    def derivative(y, u):
+    def derivative(y: Any, u: Any) -> Any:
         spring = centring * y[0]
         return (y[1], (u - spring - DAMPING * y[1] - friction(y[1])) / MASS)
 
@@ -263,7 +266,7 @@ def rubbing():
     return runs
 
 
-def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubbing):
+def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubbing: Any) -> None:
     found = fit_dynamics(rubbing, resolution=QUANTUM, inertia=2.0 * MASS, sliding=known_sliding())
     assert found.inertia.value == pytest.approx(MASS, rel=0.005)
     assert found.damping.value == pytest.approx(DAMPING, rel=0.03)
@@ -275,23 +278,23 @@ def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubb
     assert found.unexplained < 0.03
 
 
-def test_leaving_friction_in_biases_the_damping(rubbing):
+def test_leaving_friction_in_biases_the_damping(rubbing: Any) -> None:
     """What the fit is for: without the levels, Coulomb friction reads as viscous damping."""
     naive = fit_dynamics(rubbing, resolution=QUANTUM, inertia=MASS)
     assert naive.damping.value > 1.05 * DAMPING
 
 
-def test_a_known_damping_is_kept(rubbing):
+def test_a_known_damping_is_kept(rubbing: Any) -> None:
     damping = Interval(DAMPING, 0.1)
     found = fit_dynamics(rubbing, resolution=QUANTUM, inertia=MASS, sliding=known_sliding(), damping=damping)
     assert found.damping == damping
     assert found.inertia.value == pytest.approx(MASS, rel=0.005)
 
 
-def test_two_masses_show_their_mode_and_how_the_inertia_splits():
+def test_two_masses_show_their_mode_and_how_the_inertia_splits() -> None:
     motor, link, stiffness, damper = 0.1, 0.4, 8000.0, 1.5
 
-    def derivative(y, u):
+    def derivative(y: Any, u: Any) -> Any:
         across = stiffness * (y[2] - y[0]) + damper * (y[3] - y[1])
         return (y[1], (u + across - 1.0 * y[1]) / motor, y[3], -across / link)
 
@@ -315,29 +318,29 @@ def test_two_masses_show_their_mode_and_how_the_inertia_splits():
 # ---------------------------------------------------------------------- data that say nothing
 
 
-def changed(run, **changes):
+def changed(run: Any, **changes: Any) -> Any:
     return ExcitedRun(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, **changes})
 
 
-def test_one_realisation_is_refused(rubbing):
+def test_one_realisation_is_refused(rubbing: Any) -> None:
     with pytest.raises(IdentificationError, match="one realisation"):
         fit_dynamics(rubbing[:1], resolution=QUANTUM, inertia=MASS)
 
 
-def test_motion_that_does_not_follow_the_excitation_is_refused(rubbing):
+def test_motion_that_does_not_follow_the_excitation_is_refused(rubbing: Any) -> None:
     rng = np.random.default_rng(3)
     noisy = [changed(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in rubbing]
     with pytest.raises(IdentificationError, match="coherence of the median line"):
         check_excited(noisy, QUANTUM)
 
 
-def test_a_held_handle_is_refused(rubbing):
+def test_a_held_handle_is_refused(rubbing: Any) -> None:
     held = [changed(run, position=np.zeros(len(run.position))) for run in rubbing]
     with pytest.raises(IdentificationError, match=r"moved 0\.0 counts"):
         check_excited(held, QUANTUM)
 
 
-def test_motion_that_has_not_settled_is_refused(rubbing):
+def test_motion_that_has_not_settled_is_refused(rubbing: Any) -> None:
     run = rubbing[0]
     twice = {name: np.tile(getattr(run, name), 2) for name in ("excitation", "effort", "position")}
     twice["position"][: run.period_samples] *= 0.5
@@ -345,7 +348,7 @@ def test_motion_that_has_not_settled_is_refused(rubbing):
         check_excited([changed(run, periods=2, **twice)] * 2, QUANTUM)
 
 
-def test_a_motion_that_no_model_explains_is_refused(rubbing):
+def test_a_motion_that_no_model_explains_is_refused(rubbing: Any) -> None:
     with pytest.raises(IdentificationError, match="50 % of the motion"):
         check_explained(0.5)
     bent = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,11 +23,13 @@ M, B = 0.52, 13.2  # the carriage of Chawda et al.
 RATE = 4000.0
 
 
-def mass_damper(f):
+def mass_damper(f: Any) -> Any:
     return 2j * np.pi * f * M + B
 
 
-def excited(multisine: Multisine, model=mass_damper, *, periods=1, rate=RATE, **noise) -> ExcitedRun:
+def excited(
+    multisine: Multisine, model: Any = mass_damper, *, periods: int = 1, rate: Any = RATE, **noise: Any
+) -> ExcitedRun:
     """What a linear rig answers in the steady state, with white noise of the given rms on effort and position."""
     random = np.random.default_rng(noise.get("seed", 1))
     effort, position = multisine.period(rate), multisine.position(model).period(rate)
@@ -43,7 +46,7 @@ def excited(multisine: Multisine, model=mass_damper, *, periods=1, rate=RATE, **
     )
 
 
-def test_phase_of_a_mass_damper_from_an_independent_integrator():
+def test_phase_of_a_mass_damper_from_an_independent_integrator() -> None:
     """90° − atan(b/(m·ω)) within 0.1° (here: 0.001°) from 5 to 500 Hz, on data of scipy's DOP853."""
     lines = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
     multisine = Multisine(0.2, lines, np.full(7, 2.0), np.linspace(0.0, 5.0, 7))
@@ -68,7 +71,7 @@ def test_phase_of_a_mass_damper_from_an_independent_integrator():
     assert bare.values["damping"] == pytest.approx(B, rel=1e-3)
 
 
-def test_a_linear_rig_without_noise_is_found_exactly():
+def test_a_linear_rig_without_noise_is_found_exactly() -> None:
     runs = [excited(Multisine.random((1.0, 300.0), seed=s, rms=3.0), periods=2) for s in range(3)]
     found = periodic(runs)
     assert found.z == pytest.approx(mass_damper(found.lines_hz), rel=1e-9)
@@ -79,7 +82,7 @@ def test_a_linear_rig_without_noise_is_found_exactly():
     assert (found.realisations, found.periods, found.variance_from) == (3, 6, "realisations")
 
 
-def test_scipys_cross_spectra_agree_with_the_ratio_of_lines():
+def test_scipys_cross_spectra_agree_with_the_ratio_of_lines() -> None:
     """One boxcar segment for each period is the same arithmetic, in other hands."""
     run = excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=5, effort=0.3, position=2e-6)
     settings = {"window": "boxcar", "nperseg": 4000, "noverlap": 0, "detrend": False, "fs": RATE}
@@ -96,7 +99,7 @@ def test_scipys_cross_spectra_agree_with_the_ratio_of_lines():
     assert found.coherence_effort == pytest.approx((np.abs(rf[lines]) ** 2 / (rr * ff).real[lines]), rel=1e-9)
 
 
-def test_the_stated_variance_is_the_scatter_of_repeated_measurements():
+def test_the_stated_variance_is_the_scatter_of_repeated_measurements() -> None:
     """Noise in both channels; the chi-square of 400 estimates of 20 lines has its expected mean."""
     excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(4)]
     score, parts = [], []
@@ -114,7 +117,7 @@ def test_the_stated_variance_is_the_scatter_of_repeated_measurements():
     assert real == pytest.approx(imaginary, rel=0.1)  # circular, as `deviation` takes it
 
 
-def test_student_keeps_the_promise_of_a_z_score_with_few_realisations():
+def test_student_keeps_the_promise_of_a_z_score_with_few_realisations() -> None:
     excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(3)]
     beyond = []
     for trial in range(400):
@@ -124,15 +127,15 @@ def test_student_keeps_the_promise_of_a_z_score_with_few_realisations():
     assert np.mean(beyond) == pytest.approx(0.0228, abs=0.006)  # the one-sided 2σ share of a normal variable
 
 
-def test_periods_of_one_realisation_do_not_see_a_distortion_that_repeats():
+def test_periods_of_one_realisation_do_not_see_a_distortion_that_repeats() -> None:
     """Coulomb friction is frozen for one set of phases: only realisations show how wrong a line is."""
 
-    def rubbed(seed):
+    def rubbed(seed: Any) -> Any:
         run = excited(Multisine.random((2.0, 60.0), seed=seed, rms=2.0), rate=1000.0, periods=3)
         speed = aligned(run)[2]
         return replace(run, effort=run.effort + 0.4 * np.sign(speed))
 
-    def scatter(found):
+    def scatter(found: Any) -> Any:
         return np.std(found.z.real) + np.std(found.z.imag - 2 * np.pi * found.lines_hz * M)
 
     alone, several = periodic([rubbed(0)]), periodic([rubbed(s) for s in range(8)])
@@ -143,7 +146,7 @@ def test_periods_of_one_realisation_do_not_see_a_distortion_that_repeats():
     assert np.mean(several.z.real) > B + 3.0  # what friction adds to the damping is no scatter, and stays
 
 
-def test_one_period_of_one_realisation_says_that_it_knows_no_variance():
+def test_one_period_of_one_realisation_says_that_it_knows_no_variance() -> None:
     found = periodic([excited(Multisine.schroeder((1.0, 50.0), rms=1.0))])
     assert np.isnan(found.variance).all()
     assert np.isnan(found.coherence_motion).all()
@@ -152,7 +155,7 @@ def test_one_period_of_one_realisation_says_that_it_knows_no_variance():
 
 
 @pytest.mark.parametrize("late", [0.25e-3, -0.1e-3])
-def test_channels_are_aligned_by_the_delays_that_they_declare(late):
+def test_channels_are_aligned_by_the_delays_that_they_declare(late: float) -> None:
     multisine = Multisine.schroeder((1.0, 400.0), rms=1.0)
     plain = excited(multisine)
     t = np.arange(4000) / RATE
@@ -172,7 +175,7 @@ def test_channels_are_aligned_by_the_delays_that_they_declare(late):
     assert v == pytest.approx(multisine.velocity(mass_damper).period(RATE), abs=1e-9)
 
 
-def test_an_effort_held_over_its_sample_is_taken_for_what_it_is():
+def test_an_effort_held_over_its_sample_is_taken_for_what_it_is() -> None:
     """Held at 4 kHz and correlated with its own sample, effort leads by 4.5° at 100 Hz: the trap of REPRODUCTION."""
     multisine = Multisine.schroeder((1.0, 400.0), rms=1.0)
     acting = multisine.through(
@@ -186,14 +189,14 @@ def test_an_effort_held_over_its_sample_is_taken_for_what_it_is():
     assert bias[[49, 99, 249]] == pytest.approx([2.25, 4.5, 11.25], abs=1e-6)
 
 
-def test_the_drift_of_a_free_rig_is_taken_out_and_nothing_else():
+def test_the_drift_of_a_free_rig_is_taken_out_and_nothing_else() -> None:
     run = excited(Multisine.schroeder((1.0, 100.0), rms=1.0), periods=3)
     away = replace(run, position=run.position + 0.3 + 0.01 * np.arange(12_000) / RATE)
     assert periodic([away]).z == pytest.approx(periodic([run]).z, rel=1e-6)
     assert run.level_position() == pytest.approx(run.position - run.position.mean(), abs=1e-15)
 
 
-def test_residual_is_the_share_of_velocity_power_off_the_lines():
+def test_residual_is_the_share_of_velocity_power_off_the_lines() -> None:
     run = excited(Multisine.schroeder((5.0, 100.0), rms=1.0), periods=4)
     speed = aligned(run)[2]
     t = np.arange(16_000) / RATE
@@ -206,7 +209,7 @@ def test_residual_is_the_share_of_velocity_power_off_the_lines():
         assert periodic([chattering, run]).residual == pytest.approx(size**2 / (2.0 + size**2), rel=1e-4)
 
 
-def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is():
+def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is() -> None:
     """H1 reads |H|·S_vv/(S_vv + S_nn); segments of whole periods, so that nothing else differs."""
     settings = WelchSettings(window="boxcar", segment_s=1.0, overlap=0.0, transform_samples=1000)
     multisine = Multisine.random((10.0, 400.0), seed=3, rms=3.0)
@@ -224,7 +227,7 @@ def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is():
     assert (h1.method, found.method) == ("welch-h1", "welch")
 
 
-def test_welch_is_scipys_with_the_settings_of_tfestimate():
+def test_welch_is_scipys_with_the_settings_of_tfestimate() -> None:
     run = excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4, effort=0.2)
     length = int(16_000 / 4.5)
     assert TFESTIMATE.segment(16_000, RATE) == length == 3555
@@ -246,13 +249,13 @@ def test_welch_is_scipys_with_the_settings_of_tfestimate():
     assert found.z == pytest.approx((vf / vv)[inside], rel=1e-6)
 
 
-def test_welch_finds_a_mass_damper_though_lines_leak():
+def test_welch_finds_a_mass_damper_though_lines_leak() -> None:
     found = welch([excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=4)])
     inner = found.within((10.0, 290.0))
     assert inner.z == pytest.approx(mass_damper(inner.lines_hz), rel=0.02)
 
 
-def test_welchs_variance_is_the_scatter_over_records_of_noise():
+def test_welchs_variance_is_the_scatter_over_records_of_noise() -> None:
     """White noise through a resistor with noise of its own: z = 2, n segments of known worth."""
     random = np.random.default_rng(4)
     lines = np.arange(10.0, 100.0)
@@ -270,7 +273,7 @@ def test_welchs_variance_is_the_scatter_over_records_of_noise():
         assert np.mean([e.variance for e in estimates]) == pytest.approx(scatter, rel=0.1)
 
 
-def test_a_rig_that_does_not_move_gives_no_number_and_no_exception():
+def test_a_rig_that_does_not_move_gives_no_number_and_no_exception() -> None:
     run = replace(excited(Multisine.schroeder((1.0, 20.0), rms=1.0), periods=2), position=np.zeros(8000))
     found = periodic([run, run])
     assert not np.isfinite(found.z).any()
@@ -279,7 +282,7 @@ def test_a_rig_that_does_not_move_gives_no_number_and_no_exception():
     assert not np.isfinite(welch([run]).z).any()
 
 
-def test_its_mapping_is_json():
+def test_its_mapping_is_json() -> None:
     found = periodic([excited(Multisine.schroeder((1.0, 20.0), rms=1.0), periods=2)])
     mapping = json.loads(json.dumps(plain(found), allow_nan=False))
     assert mapping["z"]["real"] == pytest.approx(found.z.real.tolist())
@@ -287,7 +290,7 @@ def test_its_mapping_is_json():
     assert mapping["method"] == "periodic"
 
 
-def test_what_does_not_belong_together_is_refused():
+def test_what_does_not_belong_together_is_refused() -> None:
     run = excited(Multisine.schroeder((1.0, 20.0), rms=1.0))
     other = excited(Multisine.schroeder((1.0, 21.0), rms=1.0))
     with pytest.raises(ConfigError, match="no runs"):
@@ -310,7 +313,7 @@ def test_what_does_not_belong_together_is_refused():
         welch([replace(run, lines_hz=np.array([1.0]))], WelchSettings(segment_s=0.1))
 
 
-def test_an_exact_impedance_has_no_doubt():
+def test_an_exact_impedance_has_no_doubt() -> None:
     lines = np.arange(1.0, 5.0)
     exact = Impedance.exact(lines, mass_damper(lines))
     assert not exact.spread(2.0).any()

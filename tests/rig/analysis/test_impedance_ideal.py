@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ FINE = 16  # inner steps for each tick
 class Loop:
     """The sampled loop in the time domain: exact exponentials between instants, the law in the words of the design."""
 
-    def __init__(self, loop, stiffness, damping):
+    def __init__(self, loop: Any, stiffness: Any, damping: Any) -> None:
         model = loop.subject.model
         self.loop, self.k, self.b = loop, stiffness, damping
         self.plant = state_space(model.mechanics, model.amplifier, loop.subject.operator)
@@ -35,7 +36,7 @@ class Loop:
         self.queue = [0.0] * loop.delay_ticks
         self.ticks = 0
 
-    def step(self, matrix, *more):
+    def step(self, matrix: Any, *more: Any) -> Any:
         """Exponential of the plant with what drives it appended to its states."""
         n = self.plant.order
         whole = np.zeros((n + len(more), n + len(more)))
@@ -48,7 +49,7 @@ class Loop:
             exact[self.plant.effort] = 0.0
         return exact
 
-    def law(self, position, own=0.0):
+    def law(self, position: Any, own: float = 0.0) -> Any:
         """Effort commanded at this tick, and the one that is due."""
         e, n = self.loop.estimator, self.loop.divider
         part = self.ticks % n
@@ -61,7 +62,16 @@ class Loop:
         return self.queue.pop(0)
 
 
-def measured(loop, stiffness, damping, line, *, seen="handle", channel="external", settle=0.4):
+def measured(
+    loop: Any,
+    stiffness: Any,
+    damping: Any,
+    line: Any,
+    *,
+    seen: str = "handle",
+    channel: str = "external",
+    settle: float = 0.4,
+) -> Any:
     """F/(jω·X) of one line in the steady state: a transform of 50 ms, after the transient has gone."""
     rig = Loop(loop, stiffness, damping)
     plant, n, w = rig.plant, rig.plant.order, 2.0 * np.pi * line
@@ -87,7 +97,7 @@ def measured(loop, stiffness, damping, line, *, seen="handle", channel="external
     return effort / (1j * w * amplitude)
 
 
-def rigid(scheme="uniform:1k,estimator=fdm", *, lag_s=0.0, delay_ticks=0):
+def rigid(scheme: str = "uniform:1k,estimator=fdm", *, lag_s: float = 0.0, delay_ticks: int = 0) -> Any:
     loop = linear_loop("chawda-linear", scheme)
     model = loop.subject.model
     late = replace(
@@ -111,7 +121,7 @@ SCHEMES = (
 @pytest.mark.parametrize(
     ("channel", "seen"), [("external", "handle"), ("external", "samples"), ("motor", "samples")]
 )
-def test_the_closed_form_is_the_impedance_of_the_stepped_loop(scheme, channel, seen):
+def test_the_closed_form_is_the_impedance_of_the_stepped_loop(scheme: Any, channel: str, seen: str) -> None:
     loop = rigid(scheme)
     found = rendered(loop, 2e4, 60.0, LINES, channel=channel, seen=seen)
     for line, z in zip(LINES, found, strict=True):
@@ -120,7 +130,7 @@ def test_the_closed_form_is_the_impedance_of_the_stepped_loop(scheme, channel, s
 
 @pytest.mark.parametrize("scheme", SCHEMES[:1] + SCHEMES[-1:])
 @pytest.mark.parametrize(("lag_s", "delay_ticks"), [(2e-4, 0), (0.0, 1), (2e-4, 2)])
-def test_lag_and_delay_are_in_it(scheme, lag_s, delay_ticks):
+def test_lag_and_delay_are_in_it(scheme: Any, lag_s: float, delay_ticks: int) -> None:
     loop = rigid(scheme, lag_s=lag_s, delay_ticks=delay_ticks)
     for channel in ("external", "motor"):
         for line, z in zip(LINES, rendered(loop, 5e3, 60.0, LINES, channel=channel), strict=True):
@@ -128,7 +138,7 @@ def test_lag_and_delay_are_in_it(scheme, lag_s, delay_ticks):
 
 
 @pytest.mark.parametrize("seen", ["handle", "sensed"])
-def test_two_masses_at_the_handle_and_at_the_encoder(seen):
+def test_two_masses_at_the_handle_and_at_the_encoder(seen: str) -> None:
     loop = linear_loop("koul-compliant", "dual:20k/2k,estimator=fdm-butterworth,cutoff_hz=200")
     assert float(Lifted.of(loop).radius(300.0, 0.5)) < 0.9999
     for line in (60.0, 400.0):
@@ -136,7 +146,7 @@ def test_two_masses_at_the_handle_and_at_the_encoder(seen):
         assert measured(loop, 300.0, 0.5, line, seen=seen, settle=0.3) == pytest.approx(z, rel=1e-4)
 
 
-def test_the_usual_expression_is_within_the_promise_for_walls_that_can_be_stable():
+def test_the_usual_expression_is_within_the_promise_for_walls_that_can_be_stable() -> None:
     """0.1° and 0.3 % up to 400 Hz at 1 kHz: m·s + b + ZOH·(K/s + B·H/s), images left out, written out by hand."""
     lines = np.arange(1.0, 401.0)
     s = 2j * np.pi * lines
@@ -152,11 +162,11 @@ def test_the_usual_expression_is_within_the_promise_for_walls_that_can_be_stable
 
 
 @pytest.mark.parametrize("scheme", SCHEMES[:3])
-def test_images_matter_for_walls_near_their_limit_alone(scheme):
+def test_images_matter_for_walls_near_their_limit_alone(scheme: Any) -> None:
     """Every stable wall to 40 kN/m and 100 N·s/m keeps the promise; some at 60 kN/m do not."""
     lines, lifted = np.arange(1.0, 401.0), Lifted.of(rigid(scheme))
 
-    def worst(stiffness):
+    def worst(stiffness: Any) -> Any:
         found = 0.0
         for damping in (0.0, 25.0, 50.0, 75.0, 100.0):
             if lifted.radius(stiffness, damping) < 0.9999:
@@ -170,7 +180,7 @@ def test_images_matter_for_walls_near_their_limit_alone(scheme):
         assert worst(1.5e5) > 3e-3
 
 
-def test_the_images_are_the_sum_over_the_plants_aliases():
+def test_the_images_are_the_sum_over_the_plants_aliases() -> None:
     """Z from the infinite sum A = Σ P·ZOH at ω + n·2π/T, cut at a million terms."""
     line, k, b = 400.0, 2e4, 60.0
     n = np.concatenate([np.arange(-500_000, 0), np.arange(1, 500_001)])
@@ -183,7 +193,7 @@ def test_the_images_are_the_sum_over_the_plants_aliases():
     assert rendered(rigid(), k, b, [line])[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_an_own_motor_that_is_recorded_at_its_ticks_shows_much_more_than_the_rig():
+def test_an_own_motor_that_is_recorded_at_its_ticks_shows_much_more_than_the_rig() -> None:
     """29 % at 400 Hz: the images of a held excitation alias back; whoever compares must use this form."""
     loop = rigid()
     ticks = rendered(loop, 2e4, 60.0, LINES, channel="motor", seen="samples")
@@ -195,7 +205,7 @@ def test_an_own_motor_that_is_recorded_at_its_ticks_shows_much_more_than_the_rig
     )  # seen in between, it is nearly the same rig
 
 
-def test_a_multisine_measurement_of_a_sampled_wall_agrees_at_every_line():
+def test_a_multisine_measurement_of_a_sampled_wall_agrees_at_every_line() -> None:
     """The whole path: Schroeder multisine at the middle of 16 kHz steps, wall at 1 kHz, ratio of lines."""
     loop = rigid("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200")
     multisine = Multisine.schroeder((10.0, 400.0), 0.1, rms=5.0)
@@ -227,7 +237,7 @@ def test_a_multisine_measurement_of_a_sampled_wall_agrees_at_every_line():
 
 
 @pytest.mark.parametrize("scheme", ["uniform:1k,estimator=fdm", "uniform:1k,estimator=kalman", "dual:4k/1k"])
-def test_k_width_at_no_damping_is_2b_over_t_for_every_estimator(scheme):
+def test_k_width_at_no_damping_is_2b_over_t_for_every_estimator(scheme: str) -> None:
     """26.4 kN/m at 1 kHz: the phase of the slowest line crosses −90° there, whatever estimates the velocity."""
     loop = linear_loop("chawda-linear", scheme)
     lines = np.array([0.5, 1.0, 2.0, 5.0])
@@ -239,7 +249,7 @@ def test_k_width_at_no_damping_is_2b_over_t_for_every_estimator(scheme):
         assert limit == pytest.approx(26.4e3)
 
 
-def test_real_part_is_what_colgate_and_schenkel_take_off_the_rigs_damping():
+def test_real_part_is_what_colgate_and_schenkel_take_off_the_rigs_damping() -> None:
     """Re Z = b − T/2·Re{(1 − e^{−jωT})·H}/(1 − cos ωT)·sinc²(ωT/2): the oracle of PHYSICS 2f, hold included."""
     lines = np.arange(1.0, 500.0)
     w, t = 2 * np.pi * lines, 1e-3
@@ -250,7 +260,7 @@ def test_real_part_is_what_colgate_and_schenkel_take_off_the_rigs_damping():
     assert z.real == pytest.approx(13.2 - needed * np.sinc(lines * t) ** 2, rel=1e-9)
 
 
-def test_without_a_wall_it_is_the_rig():
+def test_without_a_wall_it_is_the_rig() -> None:
     s = 2j * np.pi * LINES
     assert bare(rigid(), LINES) == pytest.approx(0.52 * s + 13.2)
     assert rendered(rigid(), 0.0, 0.0, LINES) == pytest.approx(bare(rigid(), LINES))
@@ -260,7 +270,7 @@ def test_without_a_wall_it_is_the_rig():
     assert ideal_wall(100.0, 3.0, LINES) == pytest.approx(100.0 / s + 3.0)
 
 
-def test_two_masses_resonate_where_their_masses_and_the_capstan_say():
+def test_two_masses_resonate_where_their_masses_and_the_capstan_say() -> None:
     """With hardly any damping: stiff where the motor swings alone against the capstan, soft where both do."""
     model = linear_loop("koul-compliant", "dual:20k/2k").subject.model
     quiet = {"transmission_damping_ratio": 1e-4, "motor_damping": 1e-5, "link_damping": 1e-5}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,11 +22,11 @@ DEVICE = Device(M, B)
 LINES = np.arange(1.0, 401.0)
 
 
-def rig_with_wall(stiffness, damping, lines=LINES):
+def rig_with_wall(stiffness: Any, damping: Any, lines: Any = LINES) -> Any:
     return Impedance.exact(lines, DEVICE.impedance(lines) + stiffness / (2j * np.pi * lines) + damping)
 
 
-def noisy(exact: Impedance, deviation, seed=0) -> Impedance:
+def noisy(exact: Impedance, deviation: Any, seed: int = 0) -> Impedance:
     """The impedance with circular noise of this standard deviation in each of real and imaginary part."""
     random = np.random.default_rng(seed)
     n = len(exact.z)
@@ -40,7 +41,9 @@ def noisy(exact: Impedance, deviation, seed=0) -> Impedance:
     deviation=st.floats(0, 30),
     z_score=st.floats(0, 4),
 )
-def test_phase_within_90_degrees_is_a_real_part_that_is_not_negative(real, imaginary, deviation, z_score):
+def test_phase_within_90_degrees_is_a_real_part_that_is_not_negative(
+    real: float, imaginary: float, deviation: float, z_score: float
+) -> None:
     one = Impedance.exact([5.0], [complex(real, imaginary)])
     one = replace(one, variance=np.array([2.0 * deviation**2]))
     found = passive(one, z_score=z_score)
@@ -51,7 +54,7 @@ def test_phase_within_90_degrees_is_a_real_part_that_is_not_negative(real, imagi
         assert found.passive == (abs(np.degrees(np.angle(complex(real, imaginary)))) <= 90.0)
 
 
-def test_the_worst_line_and_all_that_fail_are_named():
+def test_the_worst_line_and_all_that_fail_are_named() -> None:
     z = rig_with_wall(0.0, 0.0, np.arange(1.0, 11.0)).z
     z[3] -= 15.0
     z[6] -= 20.0
@@ -66,7 +69,7 @@ def test_the_worst_line_and_all_that_fail_are_named():
     assert inside.tested == 3
 
 
-def test_the_tolerance_is_that_of_the_noise_and_declared():
+def test_the_tolerance_is_that_of_the_noise_and_declared() -> None:
     """A line at Re Z = 0 is active by chance half the time; with two deviations of tolerance once in 44."""
     at_limit = replace(rig_with_wall(0.0, -B, np.arange(1.0, 2001.0)))
     strict = passive(noisy(at_limit, 3.0), z_score=0.0)
@@ -77,7 +80,7 @@ def test_the_tolerance_is_that_of_the_noise_and_declared():
     assert tolerant.worst_tolerance == pytest.approx(6.0)
 
 
-def test_conditioning_angles_of_a_free_rig_and_of_a_wall():
+def test_conditioning_angles_of_a_free_rig_and_of_a_wall() -> None:
     """How many degrees are left to ±90°: PHYSICS 2f."""
     free = Impedance.exact([10, 50, 100, 200, 500], DEVICE.impedance([10, 50, 100, 200, 500]))
     assert 90.0 - free.phase_deg == pytest.approx([22.0, 4.6, 2.3, 1.16, 0.46], abs=0.05)
@@ -85,7 +88,7 @@ def test_conditioning_angles_of_a_free_rig_and_of_a_wall():
     assert 90.0 + wall.phase_deg == pytest.approx([3.4, 8.6, 18.0, 42.0], abs=0.05)
 
 
-def test_margin_of_a_stiff_wall_at_low_frequency_is_a_fraction_of_a_degree():
+def test_margin_of_a_stiff_wall_at_low_frequency_is_a_fraction_of_a_degree() -> None:
     """(b + B − K·T/2)·ω/K rad, as REPRODUCTION has it, for a sampled wall at 1 Hz."""
     k, t, w = 2e4, 1e-3, 2 * np.pi
     z = DEVICE.impedance([1.0]) + k / (1j * w) * np.exp(-0.5j * w * t)
@@ -94,7 +97,7 @@ def test_margin_of_a_stiff_wall_at_low_frequency_is_a_fraction_of_a_degree():
     )
 
 
-def test_fidelity_of_no_wall_is_the_rigs_own_impedance():
+def test_fidelity_of_no_wall_is_the_rigs_own_impedance() -> None:
     """√mean(b² + (2πmf)²) over the lines, exactly."""
     for top in (50, 156, 400):
         lines = np.arange(1.0, top + 1.0)
@@ -105,7 +108,7 @@ def test_fidelity_of_no_wall_is_the_rigs_own_impedance():
 
 
 @pytest.mark.parametrize(("top", "above"), [(50.0, 0.025), (400.0, 0.002)])
-def test_fidelity_of_no_wall_grows_with_the_band(top, above):
+def test_fidelity_of_no_wall_grows_with_the_band(top: float, above: float) -> None:
     """1.886 N·s/m for each Hz of the band's upper end: + 2.5 % at 50 Hz, + 0.2 % at 400 Hz."""
     found = fidelity(rig_with_wall(0.0, 0.0), 0.0, 0.0, (1.0, top))
     assert 2 * np.pi * M / np.sqrt(3) == pytest.approx(1.886, abs=5e-4)
@@ -113,7 +116,7 @@ def test_fidelity_of_no_wall_grows_with_the_band(top, above):
     assert (found.lines, found.band_hz) == (int(top), (1.0, top))
 
 
-def test_fidelity_compares_magnitudes_and_not_phases():
+def test_fidelity_compares_magnitudes_and_not_phases() -> None:
     mirrored = replace(rig_with_wall(2e4, 30.0), z=rig_with_wall(2e4, 30.0).z.conj())
     assert fidelity(mirrored, 2e4, 30.0).rms == fidelity(rig_with_wall(2e4, 30.0), 2e4, 30.0).rms
     s = 2j * np.pi * LINES
@@ -125,7 +128,7 @@ def test_fidelity_compares_magnitudes_and_not_phases():
     assert found.damping_percent == pytest.approx(100.0)
 
 
-def test_fidelity_says_how_sure_it_is():
+def test_fidelity_says_how_sure_it_is() -> None:
     exact = rig_with_wall(2e4, 60.0)
     values = [fidelity(noisy(exact, 20.0, seed), 2e4, 60.0, (20.0, 200.0)) for seed in range(300)]
     assert np.std([v.rms for v in values]) == pytest.approx(
@@ -134,7 +137,7 @@ def test_fidelity_says_how_sure_it_is():
     assert values[0].noise_rms == pytest.approx(20.0)
 
 
-def test_an_inertia_left_in_makes_a_wall_seem_soft():
+def test_an_inertia_left_in_makes_a_wall_seem_soft() -> None:
     with_rig = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0))
     without = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE)
     as_lines = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE.impedance(LINES))
@@ -145,7 +148,7 @@ def test_an_inertia_left_in_makes_a_wall_seem_soft():
     assert with_rig.rms == without.rms  # the paper's number keeps the rig
 
 
-def test_distortion_weighs_relative_errors():
+def test_distortion_weighs_relative_errors() -> None:
     s = 2j * np.pi * LINES
     wall = 2e4 / s + 30.0
     tenth = Impedance.exact(LINES, 1.1 * wall)
@@ -153,7 +156,7 @@ def test_distortion_weighs_relative_errors():
     assert fidelity(tenth, 2e4, 30.0, weight=lambda f: (f <= 100.0) * 1.0).distortion == pytest.approx(0.025)
 
 
-def test_fits_give_numbers_and_honest_intervals():
+def test_fits_give_numbers_and_honest_intervals() -> None:
     deviation = 5.0 + 0.1 * LINES
     exact = rig_with_wall(2e4, 60.0)
     terms = ("inertia", "damping", "stiffness")
@@ -168,7 +171,7 @@ def test_fits_give_numbers_and_honest_intervals():
     assert wrong.misfit > 5.0  # a model without a wall
 
 
-def test_a_fit_without_variances_reads_them_off_the_misfit():
+def test_a_fit_without_variances_reads_them_off_the_misfit() -> None:
     unknown = replace(noisy(rig_with_wall(0.0, 0.0), 5.0), variance=np.full(400, np.nan))
     found = fit(unknown)
     assert found.deviations["damping"] == pytest.approx(5.0 / np.sqrt(400), rel=0.1)
@@ -176,7 +179,7 @@ def test_a_fit_without_variances_reads_them_off_the_misfit():
     assert fit(rig_with_wall(0.0, 0.0)).values == pytest.approx({"inertia": M, "damping": B})
 
 
-def test_a_fit_passes_over_lines_that_say_nothing():
+def test_a_fit_passes_over_lines_that_say_nothing() -> None:
     one = rig_with_wall(2e4, 60.0)
     z, variance = one.z.copy(), np.ones(400)
     z[5], variance[7] = complex(np.inf, np.nan), np.inf
@@ -185,7 +188,7 @@ def test_a_fit_passes_over_lines_that_say_nothing():
     assert found.values["stiffness"] == pytest.approx(2e4)
 
 
-def test_a_judgement_gives_every_reason():
+def test_a_judgement_gives_every_reason() -> None:
     good = rig_with_wall(2e4, 60.0)
     assert judge(good).passive
     assert judge(good).reasons == ()
@@ -205,14 +208,14 @@ def test_a_judgement_gives_every_reason():
     assert np.isnan(judge(unknown).least_coherence)
 
 
-def test_a_rig_that_does_not_move_is_not_passive():
+def test_a_rig_that_does_not_move_is_not_passive() -> None:
     stuck = replace(rig_with_wall(0.0, 0.0), z=np.full(400, complex(np.inf, np.nan)))
     found = passive(replace(stuck, variance=np.full(400, np.nan)))
     assert not found.passive
     assert found.phase_margin_deg < 0.0
 
 
-def test_mappings_are_json():
+def test_mappings_are_json() -> None:
     one = noisy(rig_with_wall(2e4, 0.0), 1.0)
     for result in (passive(one), judge(one), fidelity(one, 2e4, 0.0, device=DEVICE), fit(one)):
         mapping = json.loads(json.dumps(plain(result), allow_nan=False))
@@ -220,7 +223,7 @@ def test_mappings_are_json():
     assert plain(fidelity(one, 2e4, 0.0))["damping_percent"] is None
 
 
-def test_what_cannot_be_meant_is_refused():
+def test_what_cannot_be_meant_is_refused() -> None:
     with pytest.raises(ConfigError, match="no line"):
         passive(rig_with_wall(0.0, 0.0), (500.0, 600.0))
     with pytest.raises(ConfigError, match="terms"):

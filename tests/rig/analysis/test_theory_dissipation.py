@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ RIGID = config.rig_model(presets.load("koul-rigid"))
 COMPLIANT = config.rig_model(presets.load("koul-compliant"))
 
 
-def late_rig(damping=3e-3, lag_s=1e-4, ticks=0, **mechanics):
+def late_rig(damping: float = 3e-3, lag_s: float = 1e-4, ticks: int = 0, **mechanics: Any) -> Any:
     return replace(
         RIGID,
         mechanics=replace(RIGID.mechanics, motor_damping=damping, link_damping=0.0, **mechanics),
@@ -28,14 +29,25 @@ def late_rig(damping=3e-3, lag_s=1e-4, ticks=0, **mechanics):
     )
 
 
-def passive_k(model, scheme, damping):
+def passive_k(model: Any, scheme: Any, damping: Any) -> Any:
     return theory.passivity_bound(model, scheme, damping).stiffness
 
 
 FINE = 24  # steps of a tick
 
 
-def work_matrix(k, b, theta, *, n, lag_s, ticks, cutoff_hz, extrapolate=False, tick_s=5e-5):
+def work_matrix(
+    k: Any,
+    b: Any,
+    theta: Any,
+    *,
+    n: Any,
+    lag_s: Any,
+    ticks: Any,
+    cutoff_hz: Any,
+    extrapolate: bool = False,
+    tick_s: float = 5e-5,
+) -> Any:
     """Mean effort in each fine step for a unit of velocity in each, where all repeats but for a phase θ each period.
 
     One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag; commands on
@@ -75,10 +87,10 @@ def work_matrix(k, b, theta, *, n, lag_s, ticks, cutoff_hz, extrapolate=False, t
     return efforts[:, :size] @ begin + efforts[:, size:]
 
 
-def worst_work(k, b, **case):
+def worst_work(k: Any, b: Any, **case: Any) -> Any:
     """Damping that a rig must have lest some motion gets work out of it: the largest eigenvalue over all phases."""
 
-    def needed(theta):
+    def needed(theta: Any) -> Any:
         matrix = work_matrix(k, b, theta, **case)
         return float(np.linalg.eigvalsh(-(matrix + matrix.conj().T) / 2)[-1])
 
@@ -104,8 +116,8 @@ def worst_work(k, b, **case):
 )
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
 def test_at_the_limit_the_worst_motion_gets_just_the_work_that_the_rig_eats(
-    scheme, n, lag_s, ticks, cutoff_hz, share
-):
+    scheme: str, n: int, lag_s: float, ticks: int, cutoff_hz: float, share: float
+) -> None:
     """Brute force on the definition: every motion in steps of 1/24 tick, nothing known about where the worst one is.
 
     Necessary and sufficient: a little less damping, and that motion gets work out.
@@ -121,7 +133,9 @@ def test_at_the_limit_the_worst_motion_gets_just_the_work_that_the_rig_eats(
     ("lag_s", "cutoff_hz", "k", "b", "needed"),
     [(1e-4, 2000, 1.0, 1e-4, 1.10e-4), (1e-3, 2000, 1.0, 1e-3, 1.55e-4), (5e-5, 1000, 1.0, 1e-2, 4.483e-3)],
 )
-def test_a_uniform_wall_with_lag_has_the_limit_of_the_aliased_sums(lag_s, cutoff_hz, k, b, needed):
+def test_a_uniform_wall_with_lag_has_the_limit_of_the_aliased_sums(
+    lag_s: float, cutoff_hz: int, k: float, b: float, needed: float
+) -> None:
     """|2b + H·S| > |H|·R over aliases: with R = Σ|S_k| for hands that are linear, with norms for any passive one."""
     w = np.geomspace(1e-4, 0.9999, 800) * math.pi * 20e3
     aliases = w[:, None] + 2.0 * math.pi * 20e3 * np.arange(-300, 301)
@@ -133,7 +147,7 @@ def test_a_uniform_wall_with_lag_has_the_limit_of_the_aliased_sums(lag_s, cutoff
     centre = (h * terms.sum(axis=1)).real
     at_least = abs(h) ** 2 * abs(terms.sum(axis=1)) ** 2
 
-    def largest(radius):
+    def largest(radius: Any) -> Any:
         return float((0.5 * (-centre + np.sqrt(centre**2 - at_least + abs(h) ** 2 * radius**2))).max())
 
     linear = largest(abs(terms).sum(axis=1))
@@ -146,7 +160,7 @@ def test_a_uniform_wall_with_lag_has_the_limit_of_the_aliased_sums(lag_s, cutoff
 
 
 @pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "dual:20k/2k,prediction=extrapolate"])
-def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(scheme):
+def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(scheme: str) -> None:
     """K·T1/2 asks the same of every motion of a period, so what K and B ask for adds: exact, with N > 1 too."""
     loop = theory.linear_loop(late_rig(lag_s=0.0), scheme)
     for b in (0.0, 1e-3, 4e-3, 6e-3):
@@ -160,7 +174,9 @@ def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(s
     ("lag_s", "ticks", "scheme"),
     [(1e-4, 0, "dual:20k/2k"), (0.0, 1, "uniform:20k"), (1e-3, 0, "uniform:20k"), (3e-4, 2, "dual:20k/2k")],
 )
-def test_a_passive_wall_with_lag_and_delay_is_stable_with_any_passive_hand(lag_s, ticks, scheme):
+def test_a_passive_wall_with_lag_and_delay_is_stable_with_any_passive_hand(
+    lag_s: float, ticks: int, scheme: str
+) -> None:
     """And an active one is not with some: masses and springs from next to nothing to bolted down are tried."""
     growing = False
     for share in (0.0, 0.7):
@@ -181,7 +197,7 @@ def test_a_passive_wall_with_lag_and_delay_is_stable_with_any_passive_hand(lag_s
     assert growing
 
 
-def test_the_passive_walls_form_a_convex_set_that_ends_at_the_largest_damping():
+def test_the_passive_walls_form_a_convex_set_that_ends_at_the_largest_damping() -> None:
     model = late_rig(lag_s=1.09e-4, ticks=1)
     found = theory.passivity_bound(model, "dual:20k/2k")
     b = np.linspace(0.0, found.largest_damping, 9)
@@ -191,7 +207,7 @@ def test_the_passive_walls_form_a_convex_set_that_ends_at_the_largest_damping():
     assert passive_k(model, "dual:20k/2k", 0.999 * found.largest_damping) > 0.0
 
 
-def test_the_line_with_lag_errs_to_either_side_and_is_called_necessary_at_b_zero_only():
+def test_the_line_with_lag_errs_to_either_side_and_is_called_necessary_at_b_zero_only() -> None:
     scheme = "uniform:20k,cutoff_hz=2000"
     for lag_s, b in ((1e-4, 0.0), (1e-4, 2e-3), (1e-3, 1e-3)):
         model = late_rig(lag_s=lag_s)
@@ -209,7 +225,7 @@ def test_the_line_with_lag_errs_to_either_side_and_is_called_necessary_at_b_zero
     assert compliant.binding is compliant.bounds[0]
 
 
-def test_a_rig_without_damping_has_no_passive_wall():
+def test_a_rig_without_damping_has_no_passive_wall() -> None:
     assert passive_k(late_rig(damping=0.0), "uniform:20k", 0.0) == 0.0
     assert passive_k(late_rig(), "uniform:20k", 1.0) == 0.0
     assert passive_k(late_rig(), "uniform:20k", -1.0) == 0.0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,15 +23,15 @@ KOUL = config.rig_model(presets.load("koul-compliant"))
 RIGID = config.rig_model(presets.load("koul-rigid"))
 
 
-def with_delay(model, ticks):
+def with_delay(model: Any, ticks: Any) -> Any:
     return replace(model, simulation=replace(model.simulation, computation_delay_ticks=ticks))
 
 
-def without_lag(model):
+def without_lag(model: Any) -> Any:
     return replace(model, amplifier=replace(model.amplifier, lag_s=0.0))
 
 
-def plant(model, hand=None):
+def plant(model: Any, hand: Any = None) -> Any:
     """Continuous matrices for a command, written out anew; the first state is the sensed position."""
     m, lag = model.mechanics, model.amplifier.lag_s
     radius = m.handle_radius
@@ -60,7 +62,17 @@ def plant(model, hand=None):
     return a, b
 
 
-def envelopes(model, k, b, *, rates, cutoff_hz, seconds, hand=None, extrapolate=False):
+def envelopes(
+    model: Any,
+    k: Any,
+    b: Any,
+    *,
+    rates: Any,
+    cutoff_hz: Any,
+    seconds: Any,
+    hand: Any = None,
+    extrapolate: bool = False,
+) -> Any:
     """Weighted rms of position and effort in two windows at the end, for walls k, b, by stepping tick for tick."""
     fast, slow = rates
     every = fast // slow
@@ -121,7 +133,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_simulation_grows_two_percent_beyond_the_limit_and_decays_two_percent_below(case):
+def test_a_simulation_grows_two_percent_beyond_the_limit_and_decays_two_percent_below(case: Any) -> None:
     model, scheme, timing, damping, seconds, grip = CASES[case]
     timing = {**timing, "seconds": seconds, "hand": None if grip is None else GRIPS[grip]}
     limit = theory.k_max(model, scheme, damping, operator=grip)
@@ -132,7 +144,7 @@ def test_a_simulation_grows_two_percent_beyond_the_limit_and_decays_two_percent_
     assert after[1] > before[1]
 
 
-def test_a_simulation_finds_the_end_of_the_range_of_damping_and_the_island_beyond():
+def test_a_simulation_finds_the_end_of_the_range_of_damping_and_the_island_beyond() -> None:
     """At 3.5 N·m·s/rad a soft wall grows, a stiff one decays, and a stiffer one grows again."""
     limit = theory.k_max("koul-compliant", "dual:20k/2k", 3.5)
     (island,) = limit.islands
@@ -142,7 +154,7 @@ def test_a_simulation_finds_the_end_of_the_range_of_damping_and_the_island_beyon
     assert (after > before).tolist() == [True, False, False, True]
 
 
-def characteristic_radius(model, k, b, *, rate, cutoff_hz=None):
+def characteristic_radius(model: Any, k: Any, b: Any, *, rate: Any, cutoff_hz: Any = None) -> Any:
     """Uniform loop without lifting: largest root of den·q + num·p, for the law p/q on the held plant num/den."""
     a, into = plant(model)
     order = len(a)
@@ -161,7 +173,9 @@ def characteristic_radius(model, k, b, *, rate, cutoff_hz=None):
 @pytest.mark.parametrize("ticks", [0, 1, 3])
 @pytest.mark.parametrize("model", [RIGID, without_lag(RIGID), KOUL, without_lag(KOUL)])
 @pytest.mark.parametrize(("rate", "cutoff_hz"), [(1_000, 100.0), (2_000, None), (4_000, 800.0)])
-def test_a_uniform_loop_has_the_roots_of_its_characteristic_polynomial(model, ticks, rate, cutoff_hz):
+def test_a_uniform_loop_has_the_roots_of_its_characteristic_polynomial(
+    model: Any, ticks: int, rate: int, cutoff_hz: float | None
+) -> None:
     delayed = with_delay(model, ticks)
     scheme = f"uniform:{rate},estimator=fdm" if cutoff_hz is None else f"uniform:{rate},cutoff_hz={cutoff_hz}"
     walls = [(30.0, 0.0), (300.0, 0.5), (1500.0, 0.1), (5.0, 3.0)]
@@ -170,14 +184,14 @@ def test_a_uniform_loop_has_the_roots_of_its_characteristic_polynomial(model, ti
     assert theory.spectral_radius(delayed, scheme, k, b) == pytest.approx(exact, rel=1e-6)
 
 
-def test_dual_rate_with_one_rate_is_uniform():
+def test_dual_rate_with_one_rate_is_uniform() -> None:
     k, b = np.geomspace(1.0, 1e4, 30)[:, None], np.linspace(0.0, 2.0, 7)
     dual = theory.spectral_radius("koul-compliant", "dual:5k/5k", k, b)
     assert dual == pytest.approx(theory.spectral_radius("koul-compliant", "uniform:5k", k, b), rel=1e-12)
     assert dual.shape == (30, 7)
 
 
-def test_without_damping_the_velocity_rate_does_not_matter():
+def test_without_damping_the_velocity_rate_does_not_matter() -> None:
     """ρ is that of one velocity period, so N uniform ticks make one dual-rate period."""
     k = np.geomspace(1.0, 3e3, 20)
     dual = theory.spectral_radius("koul-compliant", "dual:20k/2k,cutoff_hz=200", k, 0.0)
@@ -186,7 +200,7 @@ def test_without_damping_the_velocity_rate_does_not_matter():
     assert dual == pytest.approx(np.maximum(uniform**10, filter_pole), rel=1e-5)
 
 
-def toy(scale=1.0, **kinds):
+def toy(scale: float = 1.0, **kinds: Any) -> Any:
     two_mass = kinds.get("two_mass", False)
     return RigModel(
         name="toy",
@@ -216,7 +230,9 @@ def toy(scale=1.0, **kinds):
     delay=st.integers(0, 2),
     scheme=st.sampled_from(["dual:10k/2k,cutoff_hz=200", "uniform:4k", "dual:8k/2k,prediction=extrapolate"]),
 )
-def test_scaling_inertias_efforts_and_wall_by_one_factor_changes_no_motion(scale, k, b, scheme, **kinds):
+def test_scaling_inertias_efforts_and_wall_by_one_factor_changes_no_motion(
+    scale: float, k: float, b: float, scheme: Any, **kinds: Any
+) -> None:
     """So the paper's K and B could be overstated ten times and nothing in its text would tell."""
     one = theory.spectral_radius(toy(**kinds), scheme, k, b)
     other = theory.spectral_radius(toy(scale, **kinds), scheme, scale * k, scale * b)
@@ -225,7 +241,7 @@ def test_scaling_inertias_efforts_and_wall_by_one_factor_changes_no_motion(scale
 
 @settings(deadline=None, max_examples=20)
 @given(ratio=st.floats(0.02, 50.0), n=st.sampled_from([1, 5]))
-def test_only_products_with_the_period_count(ratio, n):
+def test_only_products_with_the_period_count(ratio: float, n: Any) -> None:
     """T → r·T with K → K/r², B and b → B/r, b/r and the filter's share kept is the same loop (a rigid rig, no lag)."""
     slow = round(20_000 / ratio / n) * n
     r = 20_000 / slow
@@ -241,7 +257,7 @@ def test_only_products_with_the_period_count(ratio, n):
     assert other == pytest.approx(one, rel=1e-6)
 
 
-def test_a_free_handle_stays_where_it_is():
+def test_a_free_handle_stays_where_it_is() -> None:
     assert theory.spectral_radius("koul-rigid", "dual:20k/2k", 0.0, 0.0) == pytest.approx(1.0, abs=1e-9)
 
 
@@ -249,13 +265,13 @@ def test_a_free_handle_stays_where_it_is():
     ("scheme", "damping"),
     [("uniform:20k", 0.0), ("dual:20k/2k", 0.1), ("dual:20k/1k", 0.0), ("dual:20k/400,cutoff_hz=40", 0.0)],
 )
-def test_the_frequency_of_the_mode_is_not_aliased_to_the_velocity_rate(scheme, damping):
+def test_the_frequency_of_the_mode_is_not_aliased_to_the_velocity_rate(scheme: str, damping: float) -> None:
     """The capstan mode near 628 Hz is told as such also where T2 cannot tell it from 372 Hz (1 kHz) or 172 Hz."""
     limit = theory.k_max("koul-compliant", scheme, damping, operator="normal")
     assert limit.frequency_hz == pytest.approx(628.2, rel=1e-3)
 
 
-def test_the_frequency_is_that_of_a_simulation():
+def test_the_frequency_is_that_of_a_simulation() -> None:
     """Zero crossings of the wall that has just begun to grow."""
     limit = theory.k_max("koul-rigid", "dual:20k/2k", 0.3)
     a, into = plant(RIGID)
@@ -275,7 +291,7 @@ def test_the_frequency_is_that_of_a_simulation():
     assert limit.frequency_hz == pytest.approx(measured, rel=5e-3)
 
 
-def test_a_rig_may_be_a_name_a_file_an_experiment_or_a_model(tmp_path):
+def test_a_rig_may_be_a_name_a_file_an_experiment_or_a_model(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')
     experiment = presets.load("koul-rigid")
@@ -287,7 +303,7 @@ def test_a_rig_may_be_a_name_a_file_an_experiment_or_a_model(tmp_path):
     assert float(theory.spectral_radius("koul-rigid", None, 100.0, 0.1)) == pytest.approx(radii[0], rel=1e-12)
 
 
-def test_a_hand_takes_the_end_mass_off_and_none_leaves_it_on():
+def test_a_hand_takes_the_end_mass_off_and_none_leaves_it_on() -> None:
     held, free = theory.resolve("koul-compliant", "normal"), theory.resolve("koul-compliant", "none")
     assert held.operator == GRIPS["normal"]
     assert held.model.mechanics.end_mass == 0.0
@@ -296,7 +312,7 @@ def test_a_hand_takes_the_end_mass_off_and_none_leaves_it_on():
     assert theory.resolve(KOUL, GRIPS["firm"]).operator == GRIPS["firm"]
 
 
-def test_what_cannot_be_meant_is_said():
+def test_what_cannot_be_meant_is_said() -> None:
     for rig, scheme, operator, message in (
         ("koul-stiff", "uniform:1k", None, "koul-stiff"),
         ("nowhere/rig.toml", "uniform:1k", None, "nowhere"),
@@ -311,7 +327,7 @@ def test_what_cannot_be_meant_is_said():
             theory.spectral_radius(rig, scheme, 1.0, 0.0, operator=operator)
 
 
-def test_a_model_without_an_experiment_has_the_usual_filter():
+def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
     loop = theory.linear_loop(RIGID, "dual:20k/2k")
     assert loop.controller.parameters == {"cutoff_hz": 200.0}
     kalman = theory.linear_loop(RIGID, "dual:20k/2k,estimator=kalman,bandwidth_hz=100")

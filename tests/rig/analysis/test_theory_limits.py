@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +24,11 @@ RIGID = config.rig_model(presets.load("koul-rigid"))
 CHAWDA = config.rig_model(presets.load("chawda-linear"))
 
 
-def with_delay(model, ticks):
+def with_delay(model: Any, ticks: Any) -> Any:
     return replace(model, simulation=replace(model.simulation, computation_delay_ticks=ticks))
 
 
-def test_without_damping_a_rigid_rig_without_lag_comes_to_2b_over_t_as_t_shrinks():
+def test_without_damping_a_rigid_rig_without_lag_comes_to_2b_over_t_as_t_shrinks() -> None:
     errors = []
     for rate in (1_000, 10_000, 100_000):
         found = theory.k_max(CHAWDA, f"uniform:{rate},estimator=fdm", 0.0)
@@ -39,7 +40,9 @@ def test_without_damping_a_rigid_rig_without_lag_comes_to_2b_over_t_as_t_shrinks
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
 @pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "uniform:5k", "dual:50k/2k"])
-def test_without_damping_a_rigid_rig_has_b_over_half_a_tick_and_lag_and_delay(scheme, delay):
+def test_without_damping_a_rigid_rig_has_b_over_half_a_tick_and_lag_and_delay(
+    scheme: str, delay: int
+) -> None:
     """K_max(B = 0) = b/(T1/2 + lag + delay)."""
     found = theory.k_max(with_delay(RIGID, delay), scheme, 0.0)
     tick_s = theory.linear_loop(RIGID, scheme).tick_s
@@ -47,19 +50,19 @@ def test_without_damping_a_rigid_rig_has_b_over_half_a_tick_and_lag_and_delay(sc
 
 
 @pytest.mark.parametrize("estimator", ["fdm", "fdm-butterworth", "kalman"])
-def test_chawdas_k_width_at_no_damping_is_26_4_kn_per_m_for_every_estimator(estimator):
+def test_chawdas_k_width_at_no_damping_is_26_4_kn_per_m_for_every_estimator(estimator: str) -> None:
     assert theory.k_max("chawda-linear", f"uniform:1k,estimator={estimator}").stiffness == pytest.approx(
         26.4e3, rel=5e-3
     )
 
 
-def test_chawdas_rig_with_an_unfiltered_difference_has_the_exact_limits_on_record():
+def test_chawdas_rig_with_an_unfiltered_difference_has_the_exact_limits_on_record() -> None:
     """64.2 and 188 kN/m at B = 20 and 100, by discrete eigenvalues computed independently."""
     found = theory.k_max_curve("chawda-linear", "uniform:1k,estimator=fdm", [20.0, 100.0])
     assert [limit.stiffness for limit in found] == pytest.approx([64.2e3, 188e3], rel=2e-3)
 
 
-def test_koul_by_hand_at_20_khz_without_damping():
+def test_koul_by_hand_at_20_khz_without_damping() -> None:
     """Earlier simulation: 515, 330 with one tick of delay, 760 with back-EMF damping.
 
     519 and 755 agree to 1 %. One tick of delay gives 359: the simulation of test_theory_lifted grows and decays on
@@ -77,7 +80,7 @@ def test_koul_by_hand_at_20_khz_without_damping():
 
 @pytest.mark.parametrize("rig", ["koul-rigid", "koul-compliant", "chawda-linear"])
 @pytest.mark.parametrize("operator", ["none", "normal"])
-def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig, operator):
+def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig: str, operator: str) -> None:
     """Koul's first claim: set by T2, the filter and inertia, not by T1."""
     slow = 200 if rig == "chawda-linear" else 2000
     settings = f"cutoff_hz={slow // 10}"
@@ -88,7 +91,7 @@ def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig, operator):
 
 
 @pytest.mark.parametrize("inertia", [3e-4, 1e-3, 3.4e-3])
-def test_rigid_rigs_have_a_range_of_damping_of_about_970_times_their_inertia(inertia):
+def test_rigid_rigs_have_a_range_of_damping_of_about_970_times_their_inertia(inertia: float) -> None:
     """T2 = 0.5 ms, 200 Hz, lag 0.109 ms. 962 exactly; the old figure lies within 1 %."""
     mechanics = Mechanics(structure="rigid", motor_inertia=inertia, link_inertia=0.0, motor_damping=1e-6)
     model = replace(RIGID, mechanics=mechanics)
@@ -100,14 +103,14 @@ def test_rigid_rigs_have_a_range_of_damping_of_about_970_times_their_inertia(ine
         assert found.frequency_hz == pytest.approx(137, rel=0.01)
 
 
-def test_rigid_theory_says_that_uniform_20_khz_has_a_wider_range_than_dual_rate():
+def test_rigid_theory_says_that_uniform_20_khz_has_a_wider_range_than_dual_rate() -> None:
     """7.6 times: the opposite of the paper, which needs the capstan mode or the noise that nobody modelled here."""
     wide = theory.b_max("koul-rigid", "uniform:20k,cutoff_hz=2000").damping
     narrow = theory.b_max("koul-rigid", "dual:20k/2k,cutoff_hz=200").damping
     assert wide / narrow == pytest.approx(7.6, rel=0.15)
 
 
-def preset_d():
+def preset_d() -> Any:
     """A plant of an earlier study with a hand on springs to ground: the hand is a mass that never moves."""
     motor, link = 1.1e-4, 3e-3
     reduced = motor * link / (motor + link)
@@ -138,7 +141,9 @@ def preset_d():
         ("dual:20k/2k,cutoff_hz=200", (533, 830, 830, 830, 830, 830, 830, 830)),
     ],
 )
-def test_the_table_of_the_earlier_study_is_met_within_a_step_of_its_ladder(scheme, row):
+def test_the_table_of_the_earlier_study_is_met_within_a_step_of_its_ladder(
+    scheme: str, row: tuple[int, ...]
+) -> None:
     """That table is a ladder of steps of 7.7 % (…533, 574, 618…), each entry the last stable rung.
 
     All entries that the capstan mode sets, and all zeros, lie on their rung; 533, which a 60 Hz mode sets, is 513
@@ -153,7 +158,7 @@ def test_the_table_of_the_earlier_study_is_met_within_a_step_of_its_ladder(schem
             assert 0.96 * rung <= limit.stiffness <= 1.077 * 1.015 * rung
 
 
-def test_near_the_end_of_the_range_low_stiffness_fails_first_and_an_island_remains():
+def test_near_the_end_of_the_range_low_stiffness_fails_first_and_an_island_remains() -> None:
     found = theory.k_max_curve("koul-compliant", "dual:20k/2k", [2.9, 3.0, 3.5, 4.5, 5.0])
     inside, *beyond, nothing = found
     assert inside.stiffness > 800.0
@@ -173,7 +178,7 @@ def test_near_the_end_of_the_range_low_stiffness_fails_first_and_an_island_remai
     assert radius < 1.0
 
 
-def test_islands_and_limits_agree_with_a_map():
+def test_islands_and_limits_agree_with_a_map() -> None:
     stiffness, damping = np.geomspace(1.0, 3e3, 120), np.linspace(0.0, 5.0, 11)
     grid = theory.stability_map("koul-compliant", "dual:20k/2k", stiffness, damping)
     assert grid.radius.shape == (120, 11)
@@ -186,7 +191,7 @@ def test_islands_and_limits_agree_with_a_map():
 
 @settings(deadline=None, max_examples=15)
 @given(damping=st.floats(0.01, 4.5), scheme=st.sampled_from(["dual:20k/2k", "uniform:20k", "uniform:2k"]))
-def test_a_limit_lies_between_stable_and_unstable(damping, scheme):
+def test_a_limit_lies_between_stable_and_unstable(damping: float, scheme: Any) -> None:
     limit = theory.k_max("koul-compliant", scheme, damping)
     edges = [limit.stiffness, *(k for island in limit.islands for k in (island.low, island.high))]
     k = np.array([edge for edge in edges if edge > 0.0])
@@ -195,7 +200,7 @@ def test_a_limit_lies_between_stable_and_unstable(damping, scheme):
     assert (below != above).all()
 
 
-def test_a_cap_is_flagged_and_no_limit(monkeypatch):
+def test_a_cap_is_flagged_and_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ladder that ends must not read as saturation."""
     monkeypatch.setattr(limits, "stiffnesses", lambda lifted, damping: np.geomspace(1.0, 500.0, 100))
     below, beyond = theory.k_max_curve("koul-compliant", "dual:20k/2k", [2.0, 3.5])
@@ -212,7 +217,7 @@ def test_a_cap_is_flagged_and_no_limit(monkeypatch):
     assert end.damping < 2.0
 
 
-def test_a_rig_without_damping_has_no_stable_wall_until_the_wall_brings_some():
+def test_a_rig_without_damping_has_no_stable_wall_until_the_wall_brings_some() -> None:
     bare = replace(RIGID, mechanics=replace(RIGID.mechanics, motor_damping=0.0, link_damping=0.0))
     none, some = theory.k_max_curve(bare, "dual:20k/2k", [0.0, 0.1])
     assert none.stiffness == 0.0
@@ -221,6 +226,6 @@ def test_a_rig_without_damping_has_no_stable_wall_until_the_wall_brings_some():
     assert theory.b_max(bare, "dual:20k/2k").damping == pytest.approx(0.98, rel=0.01)
 
 
-def test_a_damping_must_be_a_number():
+def test_a_damping_must_be_a_number() -> None:
     with pytest.raises(ConfigError, match="not finite"):
         theory.k_max("koul-rigid", "uniform:1k", math.nan)

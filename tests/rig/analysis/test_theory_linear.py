@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,12 +29,12 @@ BUTTERWORTH = [
 ]
 
 
-def sos_response(order, cutoff_hz, rate, frequency_hz):
+def sos_response(order: Any, cutoff_hz: Any, rate: Any, frequency_hz: Any) -> Any:
     zeros, poles, gain = butter(order, cutoff_hz, fs=rate, output="zpk")
     return freqz_zpk(zeros, poles, gain, worN=2 * np.pi * frequency_hz / rate)[1]
 
 
-def test_a_finite_difference_is_one_delay():
+def test_a_finite_difference_is_one_delay() -> None:
     """v = (p − p₋)/T: one state, a pole at zero."""
     found = linear.realise("fdm", {}, 5e-4, RESOLUTION)
     assert found.order == 1
@@ -42,7 +43,7 @@ def test_a_finite_difference_is_one_delay():
 
 
 @pytest.mark.parametrize(("rate", "cutoff_hz", "order"), BUTTERWORTH)
-def test_difference_and_butterworth_are_scipys_to_nine_digits(rate, cutoff_hz, order):
+def test_difference_and_butterworth_are_scipys_to_nine_digits(rate: Any, cutoff_hz: Any, order: Any) -> None:
     """Impulse and frequency response against scipy's own sections; the order is that of filter and difference."""
     found = linear.realise(
         "fdm-butterworth", {"cutoff_hz": cutoff_hz, "order": order}, 1.0 / rate, RESOLUTION
@@ -64,7 +65,9 @@ def test_difference_and_butterworth_are_scipys_to_nine_digits(rate, cutoff_hz, o
 
 
 @pytest.mark.parametrize(("rate", "bandwidth_hz"), [(2_000, 200.0), (20_000, 200.0), (20_000, 20.0)])
-def test_a_kalman_filter_is_realised_in_its_steady_state_whether_it_recurs_or_not(rate, bandwidth_hz):
+def test_a_kalman_filter_is_realised_in_its_steady_state_whether_it_recurs_or_not(
+    rate: int, bandwidth_hz: float
+) -> None:
     """Against the predictor–corrector with the gain of the Riccati equation, written out."""
     turn = 2 * np.pi * bandwidth_hz / rate
     noise = linear_noise(3) * turn**6 / 12.0
@@ -82,7 +85,7 @@ def test_a_kalman_filter_is_realised_in_its_steady_state_whether_it_recurs_or_no
         assert np.abs(found.impulse(400) - expected).max() < 1e-8 * np.abs(expected).max()
 
 
-def linear_noise(order):
+def linear_noise(order: Any) -> Any:
     """∫₀¹ e^{As}GGᵀe^{Aᵀs}ds by quadrature."""
     s, weights = np.polynomial.legendre.leggauss(8)
     s, weights = 0.5 * (s + 1.0), 0.5 * weights
@@ -106,37 +109,37 @@ def linear_noise(order):
         ("kalman", {"fading": "window"}),
     ],
 )
-def test_what_is_not_linear_is_refused_by_name(name, settings):
+def test_what_is_not_linear_is_refused_by_name(name: str, settings: Any) -> None:
     with pytest.raises(ConfigError, match=f"estimator {name}.* is not linear") as caught:
         linear.realise(name, settings, 5e-4, RESOLUTION)
     assert caught.value.remedy
     assert all(str(value) in str(caught.value) for value in settings.values())
 
 
-def test_an_adaptive_window_that_may_not_adapt_is_a_difference():
+def test_an_adaptive_window_that_may_not_adapt_is_a_difference() -> None:
     """What counts is what an estimator does, not what it is called."""
     one = linear.realise("foaw-end", {"window_limit": 1}, 5e-4, RESOLUTION)
     assert one.impulse(9) == pytest.approx(linear.realise("fdm", {}, 5e-4, RESOLUTION).impulse(9), abs=1e-9)
 
 
-def third_party(name, update):
+def third_party(name: Any, update: Any) -> Any:
     """A linear or other estimator of somebody else: plain Python, called as the family is."""
 
     return Estimator(name=name, summary="", source="", update=update, floats=64, ints=3)
 
 
 @pytest.fixture
-def foreign(monkeypatch):
+def foreign(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Let `estimators.get` know an estimator whose update is plain Python, and run it without the compiled loop."""
 
-    def add(estimator):
+    def add(estimator: Any) -> None:
         known = estimators.get
         for module in (estimators, family):
             monkeypatch.setattr(
                 module, "get", lambda name: estimator if name == estimator.name else known(name)
             )
 
-        def run(prepared, counts, ages, elapsed):
+        def run(prepared: Any, counts: Any, ages: Any, elapsed: Any) -> Any:
             memory = (prepared.state_f, prepared.state_i, prepared.parameters)
             calls = zip(counts.tolist(), ages, elapsed.tolist(), strict=True)
             return np.array([prepared.estimator.update(c, a, n, *memory) for c, a, n in calls]), None
@@ -146,7 +149,9 @@ def foreign(monkeypatch):
     return add
 
 
-def moving_chord(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
+def moving_chord(
+    count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
+) -> Any:
     """Slope over the last twelve samples: a finite impulse response of order 12."""
     if state_i[1] == 0:
         state_i[1], state_i[2] = 1, count
@@ -155,7 +160,7 @@ def moving_chord(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters)
     return (state_f[0] - state_f[12]) * parameters[0] / (12 * parameters[1])
 
 
-def test_a_third_partys_linear_estimator_is_realised_too(foreign):
+def test_a_third_partys_linear_estimator_is_realised_too(foreign: Any) -> None:
     foreign(third_party("chord", moving_chord))
     found = linear.realise("chord", {}, 1e-3, RESOLUTION)
     expected = np.zeros(30)
@@ -164,8 +169,8 @@ def test_a_third_partys_linear_estimator_is_realised_too(foreign):
     assert found.impulse(30) == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_third_party_with_a_dead_zone_is_not_linear(foreign):
-    def deaf(count, *others):
+def test_a_third_party_with_a_dead_zone_is_not_linear(foreign: Any) -> None:
+    def deaf(count: Any, *others: Any) -> Any:
         return moving_chord(count if abs(count) > 3 else 0, *others)
 
     foreign(third_party("deaf", deaf))
@@ -173,8 +178,8 @@ def test_a_third_party_with_a_dead_zone_is_not_linear(foreign):
         linear.realise("deaf", {}, 1e-3, RESOLUTION)
 
 
-def test_one_that_changes_with_time_is_not_linear_and_time_invariant(foreign):
-    def tiring(count, edge, elapsed, state_f, state_i, parameters):
+def test_one_that_changes_with_time_is_not_linear_and_time_invariant(foreign: Any) -> None:
+    def tiring(count: Any, edge: Any, elapsed: Any, state_f: Any, state_i: Any, parameters: Any) -> Any:
         state_f[40] += 1.0
         return moving_chord(count, edge, elapsed, state_f, state_i, parameters) / (1.0 + 1e-6 * state_f[40])
 
@@ -183,13 +188,13 @@ def test_one_that_changes_with_time_is_not_linear_and_time_invariant(foreign):
         linear.realise("tiring", {}, 1e-3, RESOLUTION)
 
 
-def test_the_sign_of_the_encoder_and_its_resolution_change_nothing():
+def test_the_sign_of_the_encoder_and_its_resolution_change_nothing() -> None:
     there = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, RESOLUTION)
     back = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, -1e-6)
     assert there.impulse(100) == pytest.approx(back.impulse(100), rel=1e-9, abs=1e-9)
 
 
-def test_a_realisation_is_a_value():
+def test_a_realisation_is_a_value() -> None:
     found = linear.realise("fdm", {}, 5e-4, RESOLUTION)
     assert dataclasses.is_dataclass(found)
     assert found.error < 1e-12

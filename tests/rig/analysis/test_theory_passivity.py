@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,28 +22,28 @@ RIGID = config.rig_model(presets.load("koul-rigid"))
 IDEAL = replace(RIGID, amplifier=replace(RIGID.amplifier, lag_s=0.0))
 
 
-def beta(scheme, **options):
+def beta(scheme: Any, **options: Any) -> Any:
     return theory.beta(theory.linear_loop(IDEAL, scheme), **options)
 
 
 @pytest.mark.parametrize(("share", "table"), [(20, 0.354), (10, 0.479), (5, 0.675)])
 @pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:20k", "uniform:1k"])
 def test_beta_of_difference_and_butterworth_is_the_table_and_depends_on_the_share_of_the_rate_only(
-    share, table, rates
-):
+    share: int, table: float, rates: str
+) -> None:
     rate = theory.linear_loop(IDEAL, rates).controller.velocity_rate
     assert beta(f"{rates},cutoff_hz={rate / share}") == pytest.approx(table, abs=5e-4)
     assert beta(f"{rates},cutoff_hz={rate / share}", negative=True) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:20k"])
-def test_beta_of_a_bare_difference_is_one(rates):
+def test_beta_of_a_bare_difference_is_one(rates: str) -> None:
     assert beta(f"{rates},estimator=fdm") == pytest.approx(1.0, abs=1e-9)
     assert beta("uniform:1k,cutoff_hz=499") == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(("rate", "cutoff_hz"), [(2_000, 100.0), (2_000, 400.0), (20_000, 500.0)])
-def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate, cutoff_hz):
+def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate: int, cutoff_hz: float) -> None:
     """Brown's formula, for his filter: the bilinear pole of order 1 has T + 2τ = T/tan(π f_c T)·(…) in its place.
 
     H = B (z − 1)/T · g (z + 1)/(z (z − p)): the maximum is found here by a dense search on the formula itself.
@@ -55,7 +56,7 @@ def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate, cut
     assert beta(f"uniform:{rate},order=1,cutoff_hz={cutoff_hz}") == pytest.approx(exact, abs=1e-6)
 
 
-def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifted_wall():
+def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifted_wall() -> None:
     """Brute force: the map from increments of position in one period to efforts, at each frequency, by eigvalsh."""
     scheme, n = "dual:10k/2k,cutoff_hz=400,prediction=extrapolate", 5
     loop = theory.linear_loop(IDEAL, scheme)
@@ -72,7 +73,7 @@ def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifte
     assert theory.beta(loop) > beta("dual:10k/2k,cutoff_hz=400")
 
 
-def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing():
+def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing() -> None:
     assert beta("uniform:2k,prediction=extrapolate") == beta("uniform:2k")
 
 
@@ -86,7 +87,9 @@ def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing(
     spring=st.floats(0.0, 5e3),
     damper=st.floats(0.0, 1.0),
 )
-def test_a_passive_wall_is_stable_with_any_passive_hand(damping, share, scheme, spring, damper):
+def test_a_passive_wall_is_stable_with_any_passive_hand(
+    damping: float, share: float, scheme: Any, spring: float, damper: float
+) -> None:
     """Sufficiency of the multi-rate bound, without lag and delay: hands from nothing to a stiff spring to ground."""
     model = replace(IDEAL, mechanics=replace(IDEAL.mechanics, motor_damping=0.02, end_mass=0.0))
     stiffness = share * theory.passivity_bound(model, scheme, damping).stiffness
@@ -97,7 +100,7 @@ def test_a_passive_wall_is_stable_with_any_passive_hand(damping, share, scheme, 
     assert radius < 1.0
 
 
-def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series():
+def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series() -> None:
     """The least of Re Z at the motor over all frequencies and passive hands, searched; the sum would be too much."""
     mechanics = replace(KOUL.mechanics, link_damping=0.03, end_mass=0.0)
     subject = theory.resolve(replace(KOUL, mechanics=mechanics))
@@ -110,14 +113,14 @@ def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series():
     assert subject.port_damping < subject.damping
 
 
-def test_dual_rate_relaxes_the_bound_on_k_n_fold_and_leaves_that_on_b():
+def test_dual_rate_relaxes_the_bound_on_k_n_fold_and_leaves_that_on_b() -> None:
     dual = theory.passivity_bound(IDEAL, "dual:20k/2k,cutoff_hz=200")
     uniform = theory.passivity_bound(IDEAL, "uniform:2k,cutoff_hz=200")
     assert dual.stiffness == pytest.approx(10 * uniform.stiffness, rel=1e-9)
     assert dual.largest_damping == pytest.approx(uniform.largest_damping, rel=1e-9)
 
 
-def test_lag_and_delay_tighten_the_bound():
+def test_lag_and_delay_tighten_the_bound() -> None:
     late = replace(RIGID, simulation=replace(RIGID.simulation, computation_delay_ticks=2))
     found = theory.passivity_bound(late, "dual:20k/2k", 1e-3)
     needed = 3e-3 - found.beta * 1e-3
@@ -130,7 +133,7 @@ def test_lag_and_delay_tighten_the_bound():
     assert found.largest_damping < 3e-3 / found.beta
 
 
-def test_one_damping_of_the_rig_stands_in_all_of_a_bound():
+def test_one_damping_of_the_rig_stands_in_all_of_a_bound() -> None:
     """On two masses what the motor side meets; only slow motion, at B = 0, meets all of it."""
     heavy = replace(KOUL, mechanics=replace(KOUL.mechanics, link_damping=0.5))
     subject = theory.resolve(heavy)
@@ -150,7 +153,7 @@ def test_one_damping_of_the_rig_stands_in_all_of_a_bound():
     assert found["Abbott and Okamura"].meaning == "approximate"
 
 
-def test_gils_rule_is_given_where_it_means_something():
+def test_gils_rule_is_given_where_it_means_something() -> None:
     """Without damping of the wall. At B·τ/J of a tenth, τ the delay of the estimator, it is already twice too high."""
     rule = {b.name: b.stiffness for b in theory.passivity_bound(RIGID, "dual:20k/2k").bounds}["Gil"]
     assert theory.k_max(RIGID, "dual:20k/2k").stiffness == pytest.approx(rule, rel=0.01)
@@ -161,13 +164,13 @@ def test_gils_rule_is_given_where_it_means_something():
     assert "Gil" not in {b.name for b in theory.passivity_bound(RIGID, "dual:20k/2k", damping).bounds}
 
 
-def test_back_emf_is_damping_under_voltage_drive_only():
+def test_back_emf_is_damping_under_voltage_drive_only() -> None:
     voltage = replace(RIGID, amplifier=replace(RIGID.amplifier, drive="voltage"))
     assert theory.resolve(RIGID).damping == pytest.approx(3e-3)
     assert theory.resolve(voltage).damping == pytest.approx(3e-3 + 0.0253)
 
 
-def test_each_bound_says_formula_source_and_meaning():
+def test_each_bound_says_formula_source_and_meaning() -> None:
     bounds = {b.name: b for b in theory.passivity_bound("chawda-linear", "uniform:1k").bounds}
     assert bounds["Colgate and Schenkel"].meaning == "exact"
     assert bounds["Colgate and Schenkel"].stiffness == pytest.approx(26.4e3, rel=1e-9)
@@ -184,7 +187,7 @@ def test_each_bound_says_formula_source_and_meaning():
     assert theory.passivity_bound(prompt, "dual:20k/2k").bounds[0].meaning == "sufficient"
 
 
-def test_friction_binds_where_the_quantum_is_coarse():
+def test_friction_binds_where_the_quantum_is_coarse() -> None:
     """Koul at ×1: 2 f_c/Δ falls below 2b/T."""
     coarse = replace(KOUL, encoder=replace(KOUL.encoder, decoding=1))
     found = {b.name: b.stiffness for b in theory.passivity_bound(coarse, "uniform:20k").bounds}
@@ -200,7 +203,9 @@ def test_friction_binds_where_the_quantum_is_coarse():
         (100.0, 1e-3, 1e-6, "unstable"),
     ],
 )
-def test_diolaitis_plane_has_four_regions(stiffness, damping, coulomb, region):
+def test_diolaitis_plane_has_four_regions(
+    stiffness: float, damping: float, coulomb: float, region: str
+) -> None:
     mechanics = replace(RIGID.mechanics, motor_damping=damping, link_damping=0.0, motor_coulomb=coulomb)
     found = theory.diolaiti(replace(RIGID, mechanics=mechanics), "uniform:20k", stiffness)
     assert found.region == region
@@ -212,6 +217,8 @@ def test_diolaitis_plane_has_four_regions(stiffness, damping, coulomb, region):
     ("scheme", "within"),
     [("dual:20k/2k,cutoff_hz=200", 0.05), ("uniform:2k,cutoff_hz=200", 0.05), ("uniform:20k", 0.21)],
 )
-def test_the_rule_for_the_largest_damping_of_a_rigid_rig_is_near_and_on_the_safe_side(scheme, within):
+def test_the_rule_for_the_largest_damping_of_a_rigid_rig_is_near_and_on_the_safe_side(
+    scheme: str, within: float
+) -> None:
     rule, exact = theory.rigid_b_max(theory.linear_loop(RIGID, scheme)), theory.b_max(RIGID, scheme).damping
     assert (1 - within) * exact < rule < exact

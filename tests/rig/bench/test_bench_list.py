@@ -3,6 +3,7 @@
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -15,12 +16,12 @@ BLOCKS = re.findall(r"```sh\n(.*?)```", BENCH.read_text(encoding="utf-8"), re.DO
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("rig ")]
 
 
-def test_there_are_commands():
+def test_there_are_commands() -> None:
     assert len(COMMANDS) >= 12
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_a_command_of_the_list_exists_with_its_options(line):
+def test_a_command_of_the_list_exists_with_its_options(line: Any) -> None:
     words = shlex.split(line)[1:]
     command: click.Command = rig.cli.rig
     context = click.Context(command, info_name="rig")
@@ -33,7 +34,9 @@ def test_a_command_of_the_list_exists_with_its_options(line):
 
 
 @pytest.mark.parametrize("line", [line for line in COMMANDS if re.search(r"--set|--operator|-K", line)])
-def test_keys_of_the_list_are_keys_of_an_experiment(line, tmp_path, monkeypatch, capfd):
+def test_keys_of_the_list_are_keys_of_an_experiment(
+    line: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     """What the list runs on a rig can be planned for the preset that its numbers are for."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text('preset = "koul-rigid"\n')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,16 @@ BY_HAND = config.override(
 CALM = config.override(config.with_realtime(KOUL), {"controller.position_rate": 1000})
 
 
-def link(travel_s=30e-6, *, number=4000, lost=0, sent=4000, capacity=None, simulated=False, virtual=False):
+def link(
+    travel_s: float = 30e-6,
+    *,
+    number: int = 4000,
+    lost: int = 0,
+    sent: int = 4000,
+    capacity: Any = None,
+    simulated: bool = False,
+    virtual: bool = False,
+) -> Any:
     """A link on which every trip takes the same time."""
     times = Distribution.of(np.full(number, travel_s))
     return LinkMeasurement(
@@ -55,28 +65,28 @@ def link(travel_s=30e-6, *, number=4000, lost=0, sent=4000, capacity=None, simul
     )
 
 
-def outcomes(found):
+def outcomes(found: Any) -> Any:
     """Outcome of each check of a gate, by name."""
     return {one.name: one.outcome for one in found.checks}
 
 
-def texts(found):
+def texts(found: Any) -> Any:
     return {one.name: one.text for one in found.checks}
 
 
-def refused(found):
+def refused(found: Any) -> Any:
     """Text of each check that refuses, by name."""
     return {one.name: one.text for one in found.checks if one.outcome is Outcome.REFUSED}
 
 
-def test_delay_is_the_ticks_that_the_way_takes_and_one_at_least():
+def test_delay_is_the_ticks_that_the_way_takes_and_one_at_least() -> None:
     assert [link(30e-6).delay_ticks(rate) for rate in (1000, 20_000, 33_000, 34_000)] == [1, 1, 1, 2]
     assert link(0.0, virtual=True).delay_ticks(20_000) == 0
     assert link(30e-6).delay_ticks(20_000, "host") == 2  # a sample waits for the host's own tick
     assert link(1e-3).loop_rate_hz == pytest.approx(1000.0)
 
 
-def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay():
+def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay() -> None:
     """The limit of test_theory_limits, 359 N·m/rad in a normal hand: the gate stands on either side of it."""
     with_limits = gate(BY_HAND, link(30e-6))
     assert with_limits.delay_ticks == 1
@@ -92,7 +102,7 @@ def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay():
 
 
 @pytest.mark.parametrize("delay", [1, 2, 3])
-def test_the_radius_is_the_theorys_own_in_every_hand(delay):
+def test_the_radius_is_the_theorys_own_in_every_hand(delay: int) -> None:
     found = gate(CALM, link((delay - 0.5) * 1e-3))
     assert found.delay_ticks == delay
     assert set(found.spectral_radius) == {"none", "relaxed", "normal", "firm"}
@@ -107,14 +117,14 @@ def test_the_radius_is_the_theorys_own_in_every_hand(delay):
     assert ("stability" in refused(found)) is unstable
 
 
-def test_a_loop_that_the_host_paces_is_judged_one_tick_later():
+def test_a_loop_that_the_host_paces_is_judged_one_tick_later() -> None:
     paced = config.override(CALM, {"host.pacing": "host"})
     one, two = gate(paced, link(0.5e-3)), gate(CALM, link(1.5e-3))
     assert one.delay_ticks == two.delay_ticks == 2
     assert one.spectral_radius == pytest.approx(two.spectral_radius)
 
 
-def test_a_calm_wall_on_a_quick_link_is_armed():
+def test_a_calm_wall_on_a_quick_link_is_armed() -> None:
     found = gate(CALM, link(0.5e-3))
     assert found.armable
     assert refused(found) == {}
@@ -123,7 +133,7 @@ def test_a_calm_wall_on_a_quick_link_is_armed():
     assert json.loads(json.dumps(plain(found)))["spectral_radius"]["none"] < 1.0
 
 
-def test_a_way_of_more_than_half_a_lifetime_is_refused():
+def test_a_way_of_more_than_half_a_lifetime_is_refused() -> None:
     half = LIFETIME_SHARE * controller.command_lifetime_s(CALM)
     assert half == pytest.approx(2.5e-3)
     for travel_s, too_slow in ((0.99 * half, False), (1.01 * half, True)):
@@ -132,18 +142,18 @@ def test_a_way_of_more_than_half_a_lifetime_is_refused():
 
 
 @pytest.mark.parametrize(("lost", "too_many"), [(0, False), (4, False), (5, True)])
-def test_losing_more_than_one_in_a_thousand_is_refused(lost, too_many):
+def test_losing_more_than_one_in_a_thousand_is_refused(lost: int, too_many: bool) -> None:
     found = gate(CALM, link(lost=lost))
     assert ("losses" in refused(found)) is too_many
 
 
-def test_too_few_exchanges_are_told_and_the_longest_counts():
+def test_too_few_exchanges_are_told_and_the_longest_counts() -> None:
     found = gate(CALM, link(number=100))
     assert "bound p97.049 only" in texts(found)["measurement"]
     assert found.travel_s == pytest.approx(30e-6)
 
 
-def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear():
+def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear() -> None:
     adaptive = config.override(CALM, {"controller.estimator": "foaw-end"})
     found = gate(adaptive, link())
     assert "foaw-end is not linear" in texts(found)["estimator"]
@@ -152,7 +162,7 @@ def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear():
     assert found.spectral_radius == pytest.approx(gate(same, link()).spectral_radius)
 
 
-def test_two_velocity_rates_are_both_looked_at():
+def test_two_velocity_rates_are_both_looked_at() -> None:
     rates = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000, "wall.stiffness": 100.0}
     fixed = config.override(KOUL, rates)
     slow = config.override(
@@ -165,7 +175,7 @@ def test_two_velocity_rates_are_both_looked_at():
         assert value == pytest.approx(max(a.spectral_radius[hand], b.spectral_radius[hand]))
 
 
-def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone():
+def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone() -> None:
     law = replace(CALM, wall=replace(CALM.wall, law="my-own", stiffness=1e6))
     found = gate(law, link())
     assert found.armable
@@ -177,7 +187,7 @@ def test_what_theory_does_not_speak_of_is_said_and_the_round_trip_gates_alone():
     assert not slow.armable
 
 
-def test_a_hand_of_ones_own_is_looked_at_too():
+def test_a_hand_of_ones_own_is_looked_at_too() -> None:
     changes = {"trial.kind": "human", "operator.hand_stiffness": 111.0, "operator.press": 1.0}
     own = config.override(CALM, changes)
     assert list(hands_of(own)) == ["none", "relaxed", "normal", "firm", "the experiment's own"]
@@ -187,7 +197,7 @@ def test_a_hand_of_ones_own_is_looked_at_too():
 # ---------------------------------------------------------------------- before arming
 
 
-def device(*, simulated=False, virtual=False):
+def device(*, simulated: bool = False, virtual: bool = False) -> Any:
     class Device:
         dictionary = SimpleNamespace(simulated=simulated)
         link = SimpleNamespace(clock=VirtualClock() if virtual else MonotonicClock())
@@ -196,11 +206,11 @@ def device(*, simulated=False, virtual=False):
 
 
 @pytest.fixture
-def measures(monkeypatch):
+def measures(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Links are not measured but made up; returns the list of measurements and what was asked."""
     asked = []
 
-    def measure(device, seconds, **_):
+    def measure(device: Any, seconds: Any, **_: Any) -> Any:
         asked.append(seconds)
         return link(2.6e-3, lost=1000, simulated=device.dictionary.simulated)
 
@@ -208,7 +218,7 @@ def measures(monkeypatch):
     return asked
 
 
-def test_a_real_device_is_refused_with_every_reason_and_every_remedy(measures):
+def test_a_real_device_is_refused_with_every_reason_and_every_remedy(measures: Any) -> None:
     with pytest.raises(PlanError) as caught:
         check_armable(device(), CALM)
     for text in ("lifetime", "were lost", "unstable", "must not be armed"):
@@ -218,7 +228,7 @@ def test_a_real_device_is_refused_with_every_reason_and_every_remedy(measures):
     assert caught.value.exit_code == 2
 
 
-def test_anyway_and_a_simulated_device_are_told_and_not_refused(measures):
+def test_anyway_and_a_simulated_device_are_told_and_not_refused(measures: Any) -> None:
     forced = check_armable(device(), CALM, anyway=True)
     assert forced.forced
     assert not forced.armable
@@ -227,7 +237,7 @@ def test_anyway_and_a_simulated_device_are_told_and_not_refused(measures):
     assert not simulated.armable
 
 
-def test_a_device_is_measured_once_and_in_virtual_time_never(measures):
+def test_a_device_is_measured_once_and_in_virtual_time_never(measures: Any) -> None:
     one, other = device(simulated=True), device(simulated=True)
     for _ in range(3):
         check_armable(one, CALM)
@@ -238,7 +248,7 @@ def test_a_device_is_measured_once_and_in_virtual_time_never(measures):
     assert len(measures) == 2
 
 
-def test_a_real_device_is_measured_as_long_as_p999_takes(measures):
+def test_a_real_device_is_measured_as_long_as_p999_takes(measures: Any) -> None:
     for rate, seconds in ((1000, 3.1), (5000, 1.0), (100, 4.0)):
         experiment = config.override(
             CALM,
@@ -256,8 +266,8 @@ def test_a_real_device_is_measured_as_long_as_p999_takes(measures):
 # ---------------------------------------------------------------------- the table of walls
 
 
-def test_rates_worth_looking_at():
-    def found(measurement, maximum):
+def test_rates_worth_looking_at() -> None:
+    def found(measurement: Any, maximum: Any) -> Any:
         return [(rate.hertz, rate.because) for rate in candidate_rates(CALM, measurement, maximum)]
 
     assert found(link(30e-6), 4000) == [(1000, "the experiment's"), (4000, "the device's largest")]
@@ -273,7 +283,7 @@ def test_rates_worth_looking_at():
     ]  # fmt: skip
 
 
-def test_the_table_holds_what_theory_says_of_each_scheme_with_its_delay():
+def test_the_table_holds_what_theory_says_of_each_scheme_with_its_delay() -> None:
     told = []
     rows = supported_walls(CALM, link(0.4e-3), 4000, told.append)
     assert told == sorted(told)
@@ -294,12 +304,12 @@ def test_the_table_holds_what_theory_says_of_each_scheme_with_its_delay():
         assert json.loads(json.dumps(plain(row)))["k_max"][0]["by_hand"].keys() == row.k_max[0].by_hand.keys()
 
 
-def test_a_dual_rate_experiment_keeps_its_ratio():
+def test_a_dual_rate_experiment_keeps_its_ratio() -> None:
     rows = supported_walls(KOUL, link(40e-6), 20_000)
     assert [(row.position_rate, row.velocity_rate) for row in rows] == [(20_000, 20_000), (20_000, 2_000)]
 
 
-def test_a_scheme_that_cannot_be_says_why():
+def test_a_scheme_that_cannot_be_says_why() -> None:
     kalman = config.override(CALM, {"controller.estimator": "levant"})
     rows = supported_walls(kalman, link(30e-6), 1000)
     assert all("levant" in row.reason for row in rows)

@@ -7,6 +7,7 @@ import gzip
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -58,7 +59,7 @@ class Tree:
 
 
 @pytest.fixture
-def tree(tmp_path) -> Tree:
+def tree(tmp_path: Path) -> Tree:
     return Tree(tmp_path)
 
 
@@ -69,7 +70,7 @@ def group_of(path: Path) -> str:
 # ---------------------------------------------------------------------- all of them
 
 
-def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(tree):
+def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(tree: Tree) -> None:
     findings = machine_checks(machine=tree.machine(ORDINARY), seconds=0)
     assert len(findings) == len(CHECKS)
     assert len({finding.name for finding in findings}) == len(CHECKS)
@@ -80,7 +81,7 @@ def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(
 
 
 @given(st.text(max_size=200))
-def test_any_text_in_any_file_gives_findings(tmp_path_factory, text):
+def test_any_text_in_any_file_gives_findings(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     names = [
         *(
             "proc/swaps",
@@ -102,7 +103,7 @@ def test_any_text_in_any_file_gives_findings(tmp_path_factory, text):
     assert len(machine_checks(machine=tree.machine(ORDINARY), seconds=0)) == len(CHECKS)
 
 
-def test_every_problem_of_an_ordinary_user_has_its_command(tree):
+def test_every_problem_of_an_ordinary_user_has_its_command(tree: Tree) -> None:
     tree.with_files({"dev/ttyACM0": "", "dev/cpu_dma_latency": "", f"{CPU}/online": "0-1"})
     for finding in machine_checks(
         machine=tree.machine(ORDINARY, may_open=False, realtime="enforce"), seconds=0
@@ -112,7 +113,7 @@ def test_every_problem_of_an_ordinary_user_has_its_command(tree):
             assert "\n" not in finding.remedy
 
 
-def test_this_machine_is_looked_at_without_a_change():
+def test_this_machine_is_looked_at_without_a_change() -> None:
     before = facts.status_kilobytes("VmLck"), ThreadState.here()
     assert len(machine_checks(seconds=0)) == len(CHECKS)
     assert (facts.status_kilobytes("VmLck"), ThreadState.here()) == before
@@ -122,7 +123,7 @@ def test_this_machine_is_looked_at_without_a_change():
 
 
 @pytest.mark.parametrize(("realtime", "outcome"), [("enforce", REFUSED), ("try", WARNING), ("off", WARNING)])
-def test_a_refusal_is_as_bad_as_the_experiment_takes_it(tree, realtime, outcome):
+def test_a_refusal_is_as_bad_as_the_experiment_takes_it(tree: Tree, realtime: str, outcome: Any) -> None:
     machine = tree.machine(ORDINARY, realtime=realtime)
     for check in (limits.priority, limits.memory):
         finding = check(machine)
@@ -130,7 +131,7 @@ def test_a_refusal_is_as_bad_as_the_experiment_takes_it(tree, realtime, outcome)
         assert finding.remedy == f"{refusals.LOG_IN_AGAIN}{refusals.LIMITS_COMMAND}"
 
 
-def test_limits_that_suffice_are_well(tree):
+def test_limits_that_suffice_are_well(tree: Tree) -> None:
     assert limits.priority(tree.machine()).outcome == OK
     assert limits.memory(tree.machine()).outcome == OK
     assert limits.priority(tree.machine(priority=98)).outcome == OK
@@ -149,13 +150,13 @@ SHARE = "sys/fs/cgroup/cpu,cpuacct/user.slice/cpu.rt_runtime_us"
         ({}, OK),
     ],
 )
-def test_a_control_group_needs_a_share_of_real_time(tree, files, outcome):
+def test_a_control_group_needs_a_share_of_real_time(tree: Tree, files: Any, outcome: Any) -> None:
     finding = limits.priority(tree.with_files(GROUP | files).machine())
     assert finding.outcome == outcome
     assert finding.remedy == (f"run: echo 100000 | sudo tee /{SHARE}" if outcome == WARNING else "")
 
 
-def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree):
+def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree: Tree) -> None:
     tree.refusals = [refusals.of_policy(80, ALLOWED, errno.EPERM, tree.root)]
     finding = limits.priority(tree.machine())
     assert finding.outcome == WARNING
@@ -163,12 +164,12 @@ def test_what_neither_limits_nor_groups_explain_is_found_by_trying(tree):
     assert finding.remedy
 
 
-def test_the_group_of_a_container_is_the_root_of_its_mount(tree):
+def test_the_group_of_a_container_is_the_root_of_its_mount(tree: Tree) -> None:
     tree.with_files({"proc/self/cgroup": "4:cpu:/docker/0123\n", "sys/fs/cgroup/cpu/cpu.rt_runtime_us": "0"})
     assert limits.priority(tree.machine()).remedy.endswith("/sys/fs/cgroup/cpu/cpu.rt_runtime_us")
 
 
-def test_deep_sleep_of_processors(tree):
+def test_deep_sleep_of_processors(tree: Tree) -> None:
     assert limits.idle_states(tree.machine()).outcome == OK
     tree.with_files({f"{CPU}/cpuidle/current_driver": "intel_idle"})
     assert limits.idle_states(tree.machine()).outcome == WARNING
@@ -181,7 +182,7 @@ def test_deep_sleep_of_processors(tree):
 SWAPS = "Filename Type Size Used Priority\n/dev/sda2 partition 2097148 20480 -2\n/swap file 1024 2048 -3\n"
 
 
-def test_swap_matters_to_memory_that_is_not_locked(tree):
+def test_swap_matters_to_memory_that_is_not_locked(tree: Tree) -> None:
     assert limits.swap(tree.machine(ORDINARY)).text == "there is none"
     tree.with_files({"proc/swaps": SWAPS})
     assert limits.swap(tree.machine()).outcome == OK
@@ -191,7 +192,7 @@ def test_swap_matters_to_memory_that_is_not_locked(tree):
 
 
 @pytest.mark.parametrize(("runtime", "outcome"), [("950000", OK), ("-1", WARNING), ("0", WARNING), ("", OK)])
-def test_the_share_of_real_time(tree, runtime, outcome):
+def test_the_share_of_real_time(tree: Tree, runtime: str, outcome: Any) -> None:
     finding = limits.real_time_share(
         tree.with_files({"proc/sys/kernel/sched_rt_runtime_us": runtime}).machine()
     )
@@ -216,7 +217,7 @@ def test_the_share_of_real_time(tree, runtime, outcome):
         ("#1 SMP", "", WARNING),
     ],
 )
-def test_kernels_and_how_they_give_way(tree, version, config, outcome):
+def test_kernels_and_how_they_give_way(tree: Tree, version: str, config: str, outcome: Any) -> None:
     tree.with_files({"proc/sys/kernel/version": version})
     (tree.root / "proc/config.gz").write_bytes(gzip.compress(f"{config}\nCONFIG_X=m\n".encode()))
     finding = kernel.preemption(tree.machine())
@@ -224,7 +225,7 @@ def test_kernels_and_how_they_give_way(tree, version, config, outcome):
     assert bool(finding.remedy) == (outcome != OK)
 
 
-def test_coarse_timers_are_a_problem(tree):
+def test_coarse_timers_are_a_problem(tree: Tree) -> None:
     assert (
         kernel.timer(tree.with_files({"proc/timer_list": "  .resolution: 1 nsecs\n"}).machine()).outcome == OK
     )
@@ -243,13 +244,13 @@ def test_coarse_timers_are_a_problem(tree):
         ("acpi_pm", "hpet acpi_pm", WARNING, ""),
     ],
 )
-def test_slow_clocks(tree, current, available, outcome, command):
+def test_slow_clocks(tree: Tree, current: str, available: str, outcome: Any, command: Any) -> None:
     tree.with_files({f"{CLOCKS}/current_clocksource": current, f"{CLOCKS}/available_clocksource": available})
     finding = kernel.clock(tree.machine())
     assert (finding.outcome, finding.remedy) == (outcome, command)
 
 
-def test_processors_that_change_their_frequency(tree):
+def test_processors_that_change_their_frequency(tree: Tree) -> None:
     assert kernel.governor(tree.machine()).outcome == OK
     tree.with_files({f"{CPU}/cpu{n}/cpufreq/scaling_governor": "performance\n" for n in range(4)})
     assert kernel.governor(tree.machine()).outcome == OK
@@ -268,7 +269,7 @@ def test_processors_that_change_their_frequency(tree):
         (7, REFUSED, "this machine has 0, 1, 2, 3"),
     ],
 )
-def test_the_loop_s_own_processor(tree, cpu, outcome, text):
+def test_the_loop_s_own_processor(tree: Tree, cpu: int | None, outcome: Any, text: str) -> None:
     finding = kernel.isolation(
         tree.with_files({f"{CPU}/online": "0-3", f"{CPU}/isolated": "3"}).machine(cpu=cpu)
     )
@@ -290,14 +291,14 @@ def test_the_loop_s_own_processor(tree, cpu, outcome, text):
         ({"proc/device-tree/hypervisor/compatible": "linux,kvm\0"}, WARNING),
     ],
 )
-def test_a_machine_below_the_machine(tree, files, outcome):
+def test_a_machine_below_the_machine(tree: Tree, files: Any, outcome: Any) -> None:
     assert kernel.virtual_machine(tree.with_files(files).machine()).outcome == outcome
 
 
 # ---------------------------------------------------------------------- ports
 
 
-def test_ports_that_do_not_open_name_the_group_that_owns_them(tree):
+def test_ports_that_do_not_open_name_the_group_that_owns_them(tree: Tree) -> None:
     tree.with_files({"dev/ttyACM0": "", "dev/ttyUSB1": "", "dev/ttyS0": ""})
     assert access.serial_ports(tree.machine()).text == "ttyACM0, ttyUSB1 may be opened"
     finding = access.serial_ports(tree.machine(may_open=False))
@@ -308,7 +309,7 @@ def test_ports_that_do_not_open_name_the_group_that_owns_them(tree):
     )
 
 
-def test_a_port_of_a_group(tree, monkeypatch):
+def test_a_port_of_a_group(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(access, "name_of_group", lambda number: "uucp")
     tree.with_files({"dev/ttyACM0": "", "etc/group": "uucp:x:14:bob\n"})
     finding = access.serial_ports(tree.machine(ORDINARY, may_open=False))
@@ -326,7 +327,7 @@ def test_a_port_of_a_group(tree, monkeypatch):
         (ALLOWED, "dialout:x:20:ada\n", OK),
     ],
 )
-def test_the_group_is_told_before_a_port_is_there(tree, rights, groups, outcome):
+def test_the_group_is_told_before_a_port_is_there(tree: Tree, rights: Any, groups: str, outcome: Any) -> None:
     finding = access.serial_ports(tree.with_files({"etc/group": groups}).machine(rights))
     assert finding.outcome == outcome
     assert finding.remedy == (
@@ -334,7 +335,7 @@ def test_the_group_is_told_before_a_port_is_there(tree, rights, groups, outcome)
     )
 
 
-def test_modem_manager_is_harmless_once_the_rules_are_there(tree):
+def test_modem_manager_is_harmless_once_the_rules_are_there(tree: Tree) -> None:
     assert access.modem_manager(tree.machine()).outcome == OK
     tree.with_files({"proc/17/comm": "ModemManager\n", "proc/self/comm": "rig\n"})
     finding = access.modem_manager(tree.machine())
@@ -345,7 +346,7 @@ def test_modem_manager_is_harmless_once_the_rules_are_there(tree):
     assert access.udev_rules_present(tree.machine()).outcome == OK
 
 
-def test_brltty_is_found_running_or_waiting_for_an_adapter(tree):
+def test_brltty_is_found_running_or_waiting_for_an_adapter(tree: Tree) -> None:
     assert access.brltty(tree.machine()).outcome == OK
     rules = tree.root / "usr/lib/udev/rules.d/85-brltty.rules"
     tree.with_files({"usr/lib/udev/rules.d/85-brltty.rules": ""})
@@ -363,7 +364,7 @@ RULE = re.compile(r'[A-Z]+(\{[A-Za-z_]+\})?(==|\+=|=)"[^"]*"')
 
 
 @given(st.lists(st.tuples(st.integers(0, 0xFFFF), st.integers(0, 0xFFFF)), max_size=5))
-def test_rules_are_well_formed_and_match_before_they_assign(rigs):
+def test_rules_are_well_formed_and_match_before_they_assign(rigs: Any) -> None:
     text = udev_rules(rigs)
     for line in text.splitlines():
         if line and not line.startswith("#"):
@@ -377,7 +378,7 @@ def test_rules_are_well_formed_and_match_before_they_assign(rigs):
     assert text.count("haptic-rig-$env{ID_SERIAL_SHORT}") == len(set(rigs))
 
 
-def test_rules_do_what_rigs_want():
+def test_rules_do_what_rigs_want() -> None:
     text = udev_rules()
     assert RIGS == ((0x2E8A, 0x000A),)
     for part in ('ID_MM_DEVICE_IGNORE}="1"', 'TAG+="uaccess"', 'ATTR{latency_timer}="1"', "cpu_dma_latency"):
@@ -389,7 +390,7 @@ def test_rules_do_what_rigs_want():
 
 
 @pytest.fixture
-def wake_up():
+def wake_up() -> Any:
     if numba.config.DISABLE_JIT:
         pytest.skip("system calls exist only in compiled code")
     from rig.bench.doctor import wake_up  # noqa: PLC0415
@@ -398,7 +399,7 @@ def wake_up():
 
 
 @pytest.mark.parametrize("realtime", ["enforce", "try", "off"])
-def test_wake_ups_are_measured_as_far_as_granted(wake_up, realtime):
+def test_wake_ups_are_measured_as_far_as_granted(wake_up: Any, realtime: str) -> None:
     before = facts.status_kilobytes("VmLck"), ThreadState.here()
     woken = wake_up.measure(Host(realtime=realtime), 0.05)
     assert (facts.status_kilobytes("VmLck"), ThreadState.here()) == before
@@ -413,13 +414,13 @@ def test_wake_ups_are_measured_as_far_as_granted(wake_up, realtime):
     assert finding.numbers["worst_s"] == woken.worst_s
 
 
-def test_the_kernel_sleeps_to_a_grid_and_skips_what_it_missed(wake_up):
+def test_the_kernel_sleeps_to_a_grid_and_skips_what_it_missed(wake_up: Any) -> None:
     late = np.full(20, -1, np.int64)
     assert wake_up.wake_ups(200_000, late) >= 0
     assert (late >= 0).all()
 
 
-def test_late_wake_ups_are_a_warning_with_what_was_refused(wake_up):
+def test_late_wake_ups_are_a_warning_with_what_was_refused(wake_up: Any) -> None:
     thread = ThreadState(policy=0, priority=0, cpus=(0,), timer_slack_ns=1)
     woken = wake_up.WakeUps(
         rate_hz=1000,
@@ -443,11 +444,11 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused(wake_up):
 # ---------------------------------------------------------------------- the command
 
 
-def test_the_command_prints_the_rules_and_nothing_else():
+def test_the_command_prints_the_rules_and_nothing_else() -> None:
     result = CliRunner().invoke(doctor, ["--print-udev"])
     assert result.exit_code == 0
     assert result.stdout == udev_rules()
 
 
-def test_the_checks_take_what_the_experiment_asks():
+def test_the_checks_take_what_the_experiment_asks() -> None:
     assert machine_checks(Host(cpu=4095), seconds=0) != machine_checks(Host(), seconds=0)

@@ -7,8 +7,10 @@ import errno
 import json
 import math
 import threading
+from collections.abc import Iterator
 from queue import Queue
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +45,15 @@ class EchoLink:
     bytes_per_second = 1e6
     url = DeviceUrl.parse("echo://here")
 
-    def __init__(self, delays, *, kept=0, noise=b"", broken_after=math.inf, takes=None):
+    def __init__(
+        self,
+        delays: Any,
+        *,
+        kept: int = 0,
+        noise: bytes = b"",
+        broken_after: Any = math.inf,
+        takes: Any = None,
+    ) -> None:
         self.clock = VirtualClock(start_ns=1_000_000)
         self.delays = [0] * WARM_UP + list(delays)
         self.kept, self.noise, self.broken_after = kept, noise, broken_after
@@ -53,11 +63,11 @@ class EchoLink:
         self._coming = []  # (when, bytes)
         self._there = b""
 
-    def failure(self):
+    def failure(self) -> None:
         return None
 
-    def port(self):
-        def native(kind, function, signature):
+    def port(self) -> Any:
+        def native(kind: Any, function: Any, signature: Any) -> Any:
             callback = kind(function)
             address = ctypes.cast(callback, ctypes.c_void_p).value
             return NativeFunction(address, signature, keep=callback)
@@ -72,7 +82,7 @@ class EchoLink:
             handle=0,
         )
 
-    def _write(self, handle, address, size):
+    def _write(self, handle: Any, address: Any, size: Any) -> Any:
         if len(self.asked_at) >= self.broken_after:
             return -errno.ENODEV
         now = self.clock.now_ns()
@@ -91,7 +101,7 @@ class EchoLink:
             self._coming.append((now + delay, self.noise + encode_frame(pack(answer))))
         return size
 
-    def _wait(self, handle, deadline):
+    def _wait(self, handle: Any, deadline: Any) -> Any:
         self._coming.sort(key=lambda item: item[0])
         if self._coming and self._coming[0][0] <= deadline:
             when, data = self._coming.pop(0)
@@ -102,24 +112,24 @@ class EchoLink:
         self.clock.sleep_until(deadline)
         return 0
 
-    def _read(self, handle, address, size):
+    def _read(self, handle: Any, address: Any, size: Any) -> Any:
         data, self._there = self._there[:size], self._there[size:]
         ctypes.memmove(address, data, len(data))
         return len(data)
 
 
-def around(link):
+def around(link: Any) -> Any:
     """A device that answers nothing but the time."""
     dictionary = SimpleNamespace(simulated=False, time_unit_ns=UNIT_NS)
     connection = SimpleNamespace(session=0, statistics=LinkStatistics())
     return SimpleNamespace(link=link, dictionary=dictionary, connection=connection)
 
 
-def measured(link, seconds=1.0, rate=1000, **more):
+def measured(link: Any, seconds: float = 1.0, rate: int = 1000, **more: Any) -> Any:
     return measure_link(around(link), seconds, rate, **more)
 
 
-def test_delays_come_back_as_they_are():
+def test_delays_come_back_as_they_are() -> None:
     """990 of 200 µs, 9 of 500 µs and one of 3 ms: every quantile is known."""
     delays = np.full(1000, 200_000)
     delays[5:955:106] = 500_000
@@ -140,7 +150,7 @@ def test_delays_come_back_as_they_are():
 
 
 @pytest.mark.parametrize("rate", [100, 1000, 7000])
-def test_it_asks_as_often_as_it_was_told_and_for_as_long(rate):
+def test_it_asks_as_often_as_it_was_told_and_for_as_long(rate: int) -> None:
     link = EchoLink([10_000] * 8000)
     found = measured(link, 0.5, rate)
     assert found.duration_s == pytest.approx(0.5, abs=2e-3)
@@ -150,12 +160,12 @@ def test_it_asks_as_often_as_it_was_told_and_for_as_long(rate):
     assert found.capacity_bytes_per_s == 1e6
 
 
-def test_without_a_rate_it_asks_again_as_soon_as_the_answer_is_there():
+def test_without_a_rate_it_asks_again_as_soon_as_the_answer_is_there() -> None:
     found = measured(EchoLink([100_000] * 20_000), 1.0, None)
     assert found.sent == pytest.approx(10_000, abs=20)
 
 
-def test_what_the_device_keeps_is_no_travel():
+def test_what_the_device_keeps_is_no_travel() -> None:
     found = measured(EchoLink([900_000] * 1000, kept=800_000))
     assert found.stamps_trusted
     assert found.round_trip_s.p50.value == pytest.approx(900e-6)
@@ -163,7 +173,7 @@ def test_what_the_device_keeps_is_no_travel():
     assert [found.delay_ticks(rate) for rate in (1000, 9000, 11_000)] == [0, 0, 0]  # virtual time has none
 
 
-def test_stamps_that_make_no_sense_are_not_believed():
+def test_stamps_that_make_no_sense_are_not_believed() -> None:
     """A device that says it kept the question for longer than the whole trip took."""
     link = EchoLink([100_000] * 1000)
     link.kept = 0
@@ -175,7 +185,7 @@ def test_stamps_that_make_no_sense_are_not_believed():
     assert found.travel_s == found.round_trip_s
 
 
-def test_questions_without_an_answer_are_lost_and_answers_behind_the_time_are_late():
+def test_questions_without_an_answer_are_lost_and_answers_behind_the_time_are_late() -> None:
     delays = [100_000] * 1000
     delays[10] = delays[20] = None
     delays[30] = round((TIMEOUT_S + 0.01) * 1e9)
@@ -185,39 +195,39 @@ def test_questions_without_an_answer_are_lost_and_answers_behind_the_time_are_la
     assert found.round_trip_s.maximum < TIMEOUT_S
 
 
-def test_noise_between_the_frames_is_counted_and_hurts_nothing():
+def test_noise_between_the_frames_is_counted_and_hurts_nothing() -> None:
     found = measured(EchoLink([100_000] * 500, noise=b"\x07noise\0"))
     assert found.bad_frames == found.sent
     assert found.lost == 0
 
 
-def test_a_line_that_is_full_now_and_then_is_told_apart():
+def test_a_line_that_is_full_now_and_then_is_told_apart() -> None:
     calls = iter(range(100_000))
     found = measured(EchoLink([100_000] * 2000, takes=lambda size: 0 if next(calls) % 10 == 0 else size))
     assert found.unsent > 50
     assert found.lost == 0
 
 
-def test_a_link_that_breaks_says_so():
+def test_a_link_that_breaks_says_so() -> None:
     with pytest.raises(LinkLostError, match="echo://here is gone") as caught:
         measured(EchoLink([0] * 1000, broken_after=100))
     assert "cable" in caught.value.remedy
 
 
-def test_nobody_there_ends_in_time():
+def test_nobody_there_ends_in_time() -> None:
     link = EchoLink([None] * 1000)
     with pytest.raises(LinkLostError, match="does not answer"):
         measured(link, 0.3)
     assert link.clock.now_ns() < 2e9
 
 
-def test_progress_rises_to_one_and_what_it_raises_ends_the_measurement():
+def test_progress_rises_to_one_and_what_it_raises_ends_the_measurement() -> None:
     shares = []
     measured(EchoLink([100_000] * 100), 0.1, progress=shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
 
-    def stop(share):
+    def stop(share: Any) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -225,7 +235,7 @@ def test_progress_rises_to_one_and_what_it_raises_ends_the_measurement():
     assert not [thread for thread in threading.enumerate() if thread.name == "rig-ping"]
 
 
-def test_its_mapping_is_plain_json():
+def test_its_mapping_is_plain_json() -> None:
     mapping = plain(measured(EchoLink([100_000] * 10), 0.01))
     assert json.loads(json.dumps(mapping))["round_trip_s"]["p50"]["value"] == pytest.approx(1e-4)
     assert "exchanges" not in mapping
@@ -234,7 +244,7 @@ def test_its_mapping_is_plain_json():
 # ---------------------------------------------------------------------- the simulated device
 
 
-def test_virtual_time_has_no_delay_and_the_device_is_as_before():
+def test_virtual_time_has_no_delay_and_the_device_is_as_before() -> None:
     with rig.devices.open_device("sim://koul-compliant") as device:
         found = measure_link(device, 0.5, 2000)
         assert found.virtual
@@ -251,7 +261,7 @@ def test_virtual_time_has_no_delay_and_the_device_is_as_before():
 
 
 @pytest.fixture
-def port():
+def port() -> Iterator[Any]:
     """A simulated rig behind a pseudo-terminal."""
     announced, stop = Queue(), threading.Event()
     model = config.rig_model(presets.load("koul-compliant"))
@@ -264,7 +274,7 @@ def port():
     thread.join(WAIT_S)
 
 
-def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(port):
+def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(port: Any) -> None:
     with rig.devices.open_device(port) as device:
         found = measure_link(device, 0.4)
         assert not found.virtual
@@ -281,15 +291,15 @@ def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(
 class Babbler(EchoLink):
     """A far end that never pauses: whatever is read, more is there."""
 
-    def _wait(self, handle, deadline):
+    def _wait(self, handle: Any, deadline: Any) -> Any:
         return 1
 
-    def _read(self, handle, address, size):
+    def _read(self, handle: Any, address: Any, size: Any) -> Any:
         self.clock.sleep_until(self.clock.now_ns() + 100_000)
         ctypes.memset(address, 1, size)
         return size
 
 
-def test_a_far_end_that_never_pauses_ends_the_measurement_and_does_not_hold_it():
+def test_a_far_end_that_never_pauses_ends_the_measurement_and_does_not_hold_it() -> None:
     with pytest.raises(LinkLostError, match="does not answer"):
         measure_link(around(Babbler([])), 0.1)

@@ -1,6 +1,8 @@
 """Flashing by copying to the drive of a boot ROM; the drive is a directory here."""
 
 import errno
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,14 +21,14 @@ PICO = "UF2 Bootloader v3.0\nModel: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n"
 
 
 @pytest.fixture
-def image(tmp_path):
+def image(tmp_path: Path) -> Any:
     path = tmp_path / "a.uf2"
     path.write_bytes(write_uf2([Piece(0x1000_0000, IMAGE)], RP2040))
     return path
 
 
 @pytest.fixture
-def drive(tmp_path, monkeypatch):
+def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     path = tmp_path / "RPI-RP2"
     path.mkdir()
     (path / "INFO_UF2.TXT").write_text(PICO)
@@ -34,17 +36,17 @@ def drive(tmp_path, monkeypatch):
     return path
 
 
-def starting(drive):
+def starting(drive: Any) -> Any:
     """What a board does when it has been told all: it restarts, and the drive is gone."""
 
-    def step(what, _share):
+    def step(what: Any, _share: Any) -> None:
         if what.startswith("waiting"):
             (drive / "INFO_UF2.TXT").unlink(missing_ok=True)
 
     return step
 
 
-def test_the_image_is_copied_and_the_board_starts(image, drive):
+def test_the_image_is_copied_and_the_board_starts(image: Any, drive: Any) -> None:
     done = flash(image, on_progress=starting(drive))
     assert (drive / "a.uf2").read_bytes() == image.read_bytes()
     assert (done.drive, done.board_id, done.rig, done.bytes) == (
@@ -55,12 +57,14 @@ def test_the_image_is_copied_and_the_board_starts(image, drive):
     )
 
 
-def test_a_drive_is_known_by_what_it_says(drive):
+def test_a_drive_is_known_by_what_it_says(drive: Any) -> None:
     assert find_drives() == [Drive(path=drive, board_id="RPI-RP2", model="Raspberry Pi RP2")]
     assert drive_at(drive).board_id == "RPI-RP2"
 
 
-def test_without_a_drive_it_says_which_button_to_hold(image, monkeypatch, tmp_path):
+def test_without_a_drive_it_says_which_button_to_hold(
+    image: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(flashing, "_mounted", list)
     with pytest.raises(DeviceNotFoundError, match="BOOTSEL"):
         flash(image)
@@ -68,14 +72,14 @@ def test_without_a_drive_it_says_which_button_to_hold(image, monkeypatch, tmp_pa
         flash(image, tmp_path)
 
 
-def test_of_two_boards_one_must_be_named(image, drive, monkeypatch):
+def test_of_two_boards_one_must_be_named(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flashing, "_mounted", lambda: [drive, drive])
     with pytest.raises(DeviceNotFoundError, match="--drive"):
         flash(image)
     assert flash(image, drive, starting(drive)).drive == drive
 
 
-def test_an_image_for_another_processor_is_refused(image, drive):
+def test_an_image_for_another_processor_is_refused(image: Any, drive: Any) -> None:
     image.write_bytes(write_uf2([Piece(0x1000_0000, IMAGE)], 0xE48BFF59))
     with pytest.raises(ConfigError, match="RP2350"):
         flash(image)
@@ -85,13 +89,13 @@ def test_an_image_for_another_processor_is_refused(image, drive):
     assert not (drive / "a.uf2").exists()
 
 
-def test_a_board_that_nobody_knows_is_refused(image, drive):
+def test_a_board_that_nobody_knows_is_refused(image: Any, drive: Any) -> None:
     (drive / "INFO_UF2.TXT").write_text("Board-ID: OTHER\n")
     with pytest.raises(DeviceNotFoundError, match="OTHER"):
         flash(image)
 
 
-def test_an_image_for_another_board_is_refused(image, drive):
+def test_an_image_for_another_board_is_refused(image: Any, drive: Any) -> None:
     facts = ImageFacts(package="0.1", sources="abc", board="mps2", rig="mine", settings={})
     other = pack(Record(facts, dictionaries.encode(DICTIONARY)))
     image.write_bytes(write_uf2([Piece(0x1000_0000, other)], RP2040))
@@ -99,22 +103,24 @@ def test_an_image_for_another_board_is_refused(image, drive):
         flash(image)
 
 
-def test_a_board_that_does_not_start_is_told(image, drive, monkeypatch):
+def test_a_board_that_does_not_start_is_told(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flashing, "VANISH_S", 0.0)
     with pytest.raises(LinkLostError, match="did not take the image"):
         flash(image)
 
 
-def test_a_drive_that_takes_nothing_is_told(image, drive):
+def test_a_drive_that_takes_nothing_is_told(image: Any, drive: Any) -> None:
     (drive / "a.uf2").mkdir()
     with pytest.raises(LinkLostError, match="cannot be written"):
         flash(image)
 
 
-def test_a_board_that_goes_away_in_mid_copy_is_told(image, drive, monkeypatch):
+def test_a_board_that_goes_away_in_mid_copy_is_told(
+    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(flashing, "_CHUNK", 64)
 
-    def step(_what, _share):
+    def step(_what: Any, _share: Any) -> None:
         (drive / "INFO_UF2.TXT").unlink()
         raise OSError(errno.EIO, "input/output error")
 
@@ -122,8 +128,10 @@ def test_a_board_that_goes_away_in_mid_copy_is_told(image, drive, monkeypatch):
         flash(image, on_progress=step)
 
 
-def test_a_sync_that_fails_after_the_last_byte_is_fine(image, drive, monkeypatch):
-    def fsync(_descriptor):
+def test_a_sync_that_fails_after_the_last_byte_is_fine(
+    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(_descriptor: Any) -> None:
         (drive / "INFO_UF2.TXT").unlink()
         raise OSError(errno.EIO, "input/output error")
 
@@ -131,10 +139,12 @@ def test_a_sync_that_fails_after_the_last_byte_is_fine(image, drive, monkeypatch
     assert flash(image).bytes == image.stat().st_size
 
 
-def test_a_stale_mount_is_a_drive_that_is_gone(image, drive, monkeypatch):
+def test_a_stale_mount_is_a_drive_that_is_gone(
+    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     honest = flashing.Path.exists
 
-    def stale(path, **named):
+    def stale(path: Any, **named: Any) -> Any:
         if path.name == flashing.INFO_FILE:
             raise OSError(errno.EIO, "input/output error")
         return honest(path, **named)
@@ -145,7 +155,9 @@ def test_a_stale_mount_is_a_drive_that_is_gone(image, drive, monkeypatch):
     assert done.drive == drive
 
 
-def test_the_command_says_what_it_knows_and_how_to_check(image, drive, monkeypatch, capfd):
+def test_the_command_says_what_it_knows_and_how_to_check(
+    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(flashing, "_is_there", lambda _drive: False)
     assert rig.cli.run(["firmware", "flash", str(image)]) == 0
     said = capfd.readouterr().out

@@ -1,6 +1,8 @@
 """An image says what it is, in whatever file it stands; and whether this package can speak to it."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -25,7 +27,7 @@ FACTS = ImageFacts(
 
 
 @given(st.binary(max_size=300), st.binary(max_size=300))
-def test_a_record_is_found_wherever_it_stands(before, behind):
+def test_a_record_is_found_wherever_it_stands(before: bytes, behind: bytes) -> None:
     record = find(before + MAGIC[:7] + pack(Record(FACTS, PACKED)) + behind, "x")
     assert record == Record(FACTS, PACKED)
     assert record.dictionary == DICTIONARY
@@ -33,7 +35,7 @@ def test_a_record_is_found_wherever_it_stands(before, behind):
 
 
 @given(st.data())
-def test_a_damaged_record_is_refused(data):
+def test_a_damaged_record_is_refused(data: st.DataObject) -> None:
     content = bytearray(pack(Record(FACTS, PACKED)))
     at = data.draw(st.integers(0, len(content) - 1))
     content[at] ^= data.draw(st.integers(1, 255))
@@ -41,13 +43,13 @@ def test_a_damaged_record_is_refused(data):
         find(bytes(content), "x")
 
 
-def test_a_damaged_record_does_not_hide_a_good_one():
+def test_a_damaged_record_does_not_hide_a_good_one() -> None:
     good = pack(Record(FACTS, PACKED))
     assert find(good[:-1] + b"\0" + good, "x").facts == FACTS
 
 
 @pytest.mark.parametrize("kind", ["bin", "uf2"])
-def test_a_file_of_any_format_tells_what_a_device_would(tmp_path, kind):
+def test_a_file_of_any_format_tells_what_a_device_would(tmp_path: Path, kind: str) -> None:
     image = b"\0" * 500 + pack(Record(FACTS, PACKED))
     path = tmp_path / f"a.{kind}"
     path.write_bytes(image if kind == "bin" else write_uf2([Piece(0x1000_0000, image)], RP2040))
@@ -59,7 +61,7 @@ def test_a_file_of_any_format_tells_what_a_device_would(tmp_path, kind):
     assert found.facts.settings == FACTS.settings
 
 
-def test_a_file_that_is_none_is_refused(tmp_path):
+def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         read_image(tmp_path / "none.uf2")
     (tmp_path / "text.bin").write_text("hello")
@@ -67,15 +69,15 @@ def test_a_file_that_is_none_is_refused(tmp_path):
         read_image(tmp_path / "text.bin")
 
 
-def outcomes(dictionary):
+def outcomes(dictionary: Any) -> Any:
     return [(check.name, check.outcome) for check in compatibility(dictionary)]
 
 
-def texts(dictionary):
+def texts(dictionary: Any) -> Any:
     return [check.text for check in compatibility(dictionary)]
 
 
-def test_another_major_version_is_refused_and_another_minor_is_a_warning():
+def test_another_major_version_is_refused_and_another_minor_is_a_warning() -> None:
     assert outcomes(DICTIONARY) == []
     other = replace(DICTIONARY, major=MAJOR + 1)
     assert outcomes(other) == [("protocol", Outcome.REFUSED)]
@@ -83,7 +85,7 @@ def test_another_major_version_is_refused_and_another_minor_is_a_warning():
     assert outcomes(replace(DICTIONARY, minor=MINOR + 1)) == [("protocol", Outcome.WARNING)]
 
 
-def test_parameters_that_are_missing_or_others_are_refused_and_more_of_them_are_a_warning():
+def test_parameters_that_are_missing_or_others_are_refused_and_more_of_them_are_a_warning() -> None:
     first, second, *others = DICTIONARY.parameters
     missing = replace(DICTIONARY, parameters=(second, *others))
     assert outcomes(missing) == [("parameters", Outcome.REFUSED)]
@@ -94,7 +96,7 @@ def test_parameters_that_are_missing_or_others_are_refused_and_more_of_them_are_
     assert "later" in texts(more)[0]
 
 
-def test_a_firmware_that_this_package_cannot_run_is_incompatible():
+def test_a_firmware_that_this_package_cannot_run_is_incompatible() -> None:
     found = about("x", replace(DICTIONARY, major=MAJOR + 1), 1, None)
     assert not found.compatible
     assert plain(found)["compatible"] is False

@@ -1,6 +1,8 @@
 """The self test passes on a device that is sound, and finds each defect; nothing moves."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -22,17 +24,17 @@ REQUEST = SelfTestRequest(rate=2_000, seconds=0.1)
 
 
 @pytest.fixture
-def device():
+def device() -> Iterator[Any]:
     with open_device("sim://koul-rigid") as opened:
         yield opened
 
 
-def outcome(device, name, request=REQUEST):
+def outcome(device: Any, name: Any, request: Any = REQUEST) -> Any:
     found = {check.name: check for check in selftest(device, request).checks}
     return found[name]
 
 
-def test_a_sound_device_passes_and_is_left_as_it_was(device):
+def test_a_sound_device_passes_and_is_left_as_it_was(device: Any) -> None:
     before = device.active_parameters()
     told = []
     found = selftest(
@@ -50,14 +52,14 @@ def test_a_sound_device_passes_and_is_left_as_it_was(device):
     assert plain(found)["passed"] is True
 
 
-def test_the_image_of_another_rig_is_found(device):
+def test_the_image_of_another_rig_is_found(device: Any) -> None:
     check = outcome(device, "rig", replace(REQUEST, experiment=presets.load("chawda-linear")))
     assert check.outcome == Outcome.REFUSED
     assert "motion" in check.text
     assert "--rig chawda-linear" in check.remedy
 
 
-def test_a_fault_of_an_earlier_run_is_told_and_cleared(device):
+def test_a_fault_of_an_earlier_run_is_told_and_cleared(device: Any) -> None:
     device.link.device.inject_fault(Fault.OVER_CURRENT)
     check = outcome(device, "fault memory")
     assert check.outcome == Outcome.OK
@@ -72,7 +74,9 @@ def test_a_fault_of_an_earlier_run_is_told_and_cleared(device):
         ("ticks", "states", []),
     ],
 )
-def test_a_defect_is_found(device, monkeypatch, name, method, value):
+def test_a_defect_is_found(
+    device: Any, monkeypatch: pytest.MonkeyPatch, name: str, method: str, value: Any
+) -> None:
     monkeypatch.setattr(device, method, lambda *_args, **_named: value)
     monkeypatch.setattr(device, "disarm", lambda **_named: None)
     check = outcome(device, name)
@@ -91,13 +95,15 @@ def test_a_defect_is_found(device, monkeypatch, name, method, value):
     ],
     ids=["jitter", "rate", "missed"],
 )
-def test_ticks_that_are_not_regular_are_found(device, monkeypatch, spoil):
+def test_ticks_that_are_not_regular_are_found(
+    device: Any, monkeypatch: pytest.MonkeyPatch, spoil: Any
+) -> None:
     honest = device.states
     monkeypatch.setattr(device, "states", lambda seconds: [spoil(state) for state in honest(seconds)])
     assert outcome(device, "ticks").outcome == Outcome.REFUSED
 
 
-def test_damaged_frames_are_found(device):
+def test_damaged_frames_are_found(device: Any) -> None:
     device.identify()
     device.link.write(b"\x03\x05\x07\x00")
     check = outcome(device, "link")
@@ -108,7 +114,7 @@ def test_damaged_frames_are_found(device):
     assert "link" in error.message
 
 
-def test_a_hand_on_the_handle_is_seen(device):
+def test_a_hand_on_the_handle_is_seen(device: Any) -> None:
     request = replace(REQUEST, move=True)
     assert outcome(device, "encoder", request).outcome == Outcome.REFUSED
     device.link.device.hardware.external_effort = 0.5
@@ -117,11 +123,11 @@ def test_a_hand_on_the_handle_is_seen(device):
     device.link.device.hardware.external_effort = 0.0
 
 
-def batch(first, samples, base=100):
+def batch(first: Any, samples: Any, base: int = 100) -> Any:
     return m.Batch(first, 0, base, 0, pack_batch_samples(0, samples))
 
 
-def state(index, **fields):
+def state(index: Any, **fields: Any) -> Any:
     values = dict.fromkeys(m.State.__dataclass_fields__, 0)
     return m.State(**{**values, "sample_index": index, **fields})
 
@@ -140,14 +146,16 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
         ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, Outcome.REFUSED, Fault.LINK_LOST.text),
     ],
 )
-def test_the_samples_of_a_law_on_the_device_are_judged(said, ticks, outcome, text):
+def test_the_samples_of_a_law_on_the_device_are_judged(
+    said: list[str], ticks: int, outcome: Any, text: Any
+) -> None:
     check = judge_stream(said, ticks, 1_000, DICTIONARY)
     assert check.outcome == outcome
     assert text in check.text
 
 
 @pytest.mark.parametrize(("share", "outcome"), [(0.79, Outcome.OK), (0.81, Outcome.REFUSED)])
-def test_a_law_that_leaves_too_little_of_a_period_is_found(share, outcome):
+def test_a_law_that_leaves_too_little_of_a_period_is_found(share: float, outcome: Any) -> None:
     period = 1e9 / DICTIONARY.time_unit_ns / 1_000
     worst = state(0, count=103, execution_time=round(share * period))
     check = judge_stream([*WHOLE, worst, state(7)], 4, 1_000, DICTIONARY)

@@ -1,6 +1,7 @@
 """UF2 by its specification: what is written there is read back, block by block, and damage is seen."""
 
 import struct
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ FLASH = 0x1000_0000
 
 
 @st.composite
-def apart(draw):
+def apart(draw: Any) -> Any:
     """Pieces that share no page of 256 bytes."""
     at, pieces = FLASH, []
     for data in draw(st.lists(st.binary(min_size=1, max_size=700), min_size=1, max_size=4)):
@@ -24,7 +25,7 @@ def apart(draw):
 
 
 @given(apart())
-def test_every_byte_comes_back_where_it_belongs(pieces):
+def test_every_byte_comes_back_where_it_belongs(pieces: Any) -> None:
     read = read_uf2(write_uf2(pieces, RP2040), "a.uf2")
     assert read.family == RP2040
     memory = {p.address + i: byte for p in read.pieces for i, byte in enumerate(p.data)}
@@ -33,7 +34,7 @@ def test_every_byte_comes_back_where_it_belongs(pieces):
     assert all(byte == 0 for at, byte in memory.items() if at not in wanted)
 
 
-def test_a_block_is_what_the_specification_says():
+def test_a_block_is_what_the_specification_says() -> None:
     content = write_uf2([Piece(FLASH, bytes(range(256)) * 2)], 0xE48BFF56)
     assert len(content) == 2 * 512
     assert is_uf2(content)
@@ -45,7 +46,7 @@ def test_a_block_is_what_the_specification_says():
 
 
 @given(st.data())
-def test_a_damaged_file_is_refused(data):
+def test_a_damaged_file_is_refused(data: st.DataObject) -> None:
     content = bytearray(write_uf2([Piece(FLASH, bytes(700))], RP2040))
     at = data.draw(st.sampled_from([0, 4, 20, 24, 512, 532, 1023, 1020]))
     content[at] ^= 0x55
@@ -54,13 +55,13 @@ def test_a_damaged_file_is_refused(data):
 
 
 @pytest.mark.parametrize("cut", [1, 512, 700])
-def test_a_file_that_ends_early_is_refused(cut):
+def test_a_file_that_ends_early_is_refused(cut: int) -> None:
     content = write_uf2([Piece(FLASH, bytes(700))], RP2040)
     with pytest.raises(ConfigError, match="not a whole UF2"):
         read_uf2(content[:-cut], "a.uf2")
 
 
-def test_blocks_for_two_processors_are_refused_and_comments_skipped():
+def test_blocks_for_two_processors_are_refused_and_comments_skipped() -> None:
     one, other = (bytearray(write_uf2([Piece(FLASH, b"x")], family)) for family in (RP2040, 1))
     for number, block in enumerate((one, other)):
         struct.pack_into("<2I", block, 20, number, 2)
@@ -71,6 +72,6 @@ def test_blocks_for_two_processors_are_refused_and_comments_skipped():
     assert read_uf2(bytes(one + other), "a.uf2").pieces == (Piece(FLASH, b"x".ljust(256, b"\0")),)
 
 
-def test_flat_bytes_have_erased_flash_in_the_gaps():
+def test_flat_bytes_have_erased_flash_in_the_gaps() -> None:
     assert flat((Piece(8, b"ab"), Piece(12, b"c"))) == b"ab\xff\xffc"
     assert flat(()) == b""

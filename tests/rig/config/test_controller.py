@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +24,12 @@ COMPLIANT = presets.load("koul-compliant")
 ALL = presets.names()
 
 
-def built(experiment, **options):
+def built(experiment: Any, **options: Any) -> Any:
     quantum = experiment.rig.amplifier.current_quantum_a
     return controller.for_experiment(experiment, current_quantum_a=quantum, **options)
 
 
-def told(experiment, *, reference_count=0, verified=True, **options):
+def told(experiment: Any, *, reference_count: int = 0, verified: bool = True, **options: Any) -> Any:
     quantum = options.pop("quantum", experiment.rig.amplifier.current_quantum_a)
     return controller.prepared(
         experiment, current_quantum_a=quantum, reference_count=reference_count, verified=verified
@@ -37,7 +38,7 @@ def told(experiment, *, reference_count=0, verified=True, **options):
 
 @pytest.mark.parametrize("realtime", [False, True])
 @pytest.mark.parametrize("name", ALL)
-def test_the_guard_and_the_device_clip_to_the_same_whole_number_of_quanta(name, realtime):
+def test_the_guard_and_the_device_clip_to_the_same_whole_number_of_quanta(name: Any, realtime: bool) -> None:
     experiment = presets.load(name)
     if realtime:
         experiment = config.with_realtime(experiment)
@@ -50,7 +51,7 @@ def test_the_guard_and_the_device_clip_to_the_same_whole_number_of_quanta(name, 
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_every_preset_is_taken_by_its_simulated_device_as_it_is(name):
+def test_every_preset_is_taken_by_its_simulated_device_as_it_is(name: Any) -> None:
     experiment = presets.load(name)
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
         values = told(experiment)
@@ -67,7 +68,9 @@ def test_every_preset_is_taken_by_its_simulated_device_as_it_is(name):
     per_ampere=st.floats(0.02, 2.0),
     quantum_a=st.sampled_from([1e-4, 1e-3, 3e-3]),
 )
-def test_an_effort_limit_of_a_whole_number_of_quanta_is_that_number(quanta, per_ampere, quantum_a):
+def test_an_effort_limit_of_a_whole_number_of_quanta_is_that_number(
+    quanta: int, per_ampere: float, quantum_a: Any
+) -> None:
     """Rounding must not lose a quantum on either side: 3 N·m at 1 mN·m a quantum are 3000 quanta, not 2999."""
     effort = quanta * per_ampere * quantum_a
     limits = {
@@ -93,7 +96,7 @@ def test_an_effort_limit_of_a_whole_number_of_quanta_is_that_number(quanta, per_
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_at_the_limit_of_the_amplifier_rig_and_simulated_device_agree(name):
+def test_at_the_limit_of_the_amplifier_rig_and_simulated_device_agree(name: Any) -> None:
     """The highest limit that a configuration allows is one that its simulated device takes."""
     experiment = presets.load(name)
     top = experiment.rig.amplifier.effort_limit
@@ -102,7 +105,7 @@ def test_at_the_limit_of_the_amplifier_rig_and_simulated_device_agree(name):
     assert told(experiment)["current_limit"] <= info.maximum
 
 
-def test_units_become_ticks_counts_and_quanta():
+def test_units_become_ticks_counts_and_quanta() -> None:
     experiment = config.override(
         COMPLIANT,
         {
@@ -139,7 +142,7 @@ def test_units_become_ticks_counts_and_quanta():
     assert p["motion"] == 0
 
 
-def test_the_device_never_limits_what_the_guard_lets_through():
+def test_the_device_never_limits_what_the_guard_lets_through() -> None:
     """Its limits of slew, speed and window are no narrower than the host's: rounding goes out, or to the nearest."""
     for name in ALL:
         experiment = presets.load(name)
@@ -149,11 +152,11 @@ def test_the_device_never_limits_what_the_guard_lets_through():
         assert p["window_maximum"] * c["resolution"] >= c["window_maximum"] - abs(c["resolution"])
 
 
-def test_a_linear_rig_says_so():
+def test_a_linear_rig_says_so() -> None:
     assert told(presets.load("chawda-linear"))["motion"] == 1
 
 
-def test_an_encoder_that_counts_down_swaps_the_edges_of_the_window():
+def test_an_encoder_that_counts_down_swaps_the_edges_of_the_window() -> None:
     """Position −0.05 … 0.04 with falling counts is count −0.04/δ … 0.05/δ, from the reference."""
     window = {"rig.limits.position_minimum": -0.05, "rig.limits.position_maximum": 0.04}
     experiment = config.override(COMPLIANT, {**window, "rig.encoder.sign": -1})
@@ -168,7 +171,7 @@ def test_an_encoder_that_counts_down_swaps_the_edges_of_the_window():
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_the_edges_of_both_windows_are_the_same_place(sign):
+def test_the_edges_of_both_windows_are_the_same_place(sign: int) -> None:
     experiment = config.override(COMPLIANT, {"rig.encoder.sign": sign})
     c, p = built(experiment, reference_count=77).control[0], told(experiment, reference_count=77)
     edges = sorted(c["resolution"] * (p[name] - 77) for name in ("window_minimum", "window_maximum"))
@@ -185,7 +188,9 @@ def test_the_edges_of_both_windows_are_the_same_place(sign):
         (1_000, 0.012, 0.012),
     ],
 )
-def test_a_command_lives_for_five_ticks_and_3_ms_at_least(rate, configured, expected):
+def test_a_command_lives_for_five_ticks_and_3_ms_at_least(
+    rate: int, configured: float | None, expected: float
+) -> None:
     changes = {
         "controller.position_rate": rate,
         "controller.velocity_rate": rate,
@@ -209,7 +214,7 @@ SLOW = {
 }
 
 
-def test_a_slow_loop_has_the_longest_lifetime_that_a_device_takes():
+def test_a_slow_loop_has_the_longest_lifetime_that_a_device_takes() -> None:
     """Five ticks of 10 ms would be 50 ms; two of them fit into the 20 ms that a device holds a command at most."""
     slow = config.override(
         COMPLIANT, {**SLOW, "controller.position_rate": 100, "controller.velocity_rate": 100}
@@ -226,7 +231,9 @@ def test_a_slow_loop_has_the_longest_lifetime_that_a_device_takes():
         ({"rig.limits.thermal_time_constant_s": 0.1}, "thermal_time_constant", "0.125 to 8192"),
     ],
 )
-def test_what_does_not_fit_the_wire_is_refused_with_name_value_and_range(changes, name, words):
+def test_what_does_not_fit_the_wire_is_refused_with_name_value_and_range(
+    changes: Any, name: str, words: str
+) -> None:
     experiment = config.override(COMPLIANT, changes)
     with pytest.raises(PlanError) as caught:
         told(experiment)
@@ -236,25 +243,25 @@ def test_what_does_not_fit_the_wire_is_refused_with_name_value_and_range(changes
     assert isinstance(caught.value, ConfigError)
 
 
-def test_a_quantum_too_fine_for_the_limit_is_refused():
+def test_a_quantum_too_fine_for_the_limit_is_refused() -> None:
     """The device declares its quantum, not the file: it may be finer than anybody thought."""
     with pytest.raises(PlanError, match=r"current_limit = .* quantum .* 0 to 32767"):
         told(COMPLIANT, quantum=1e-6)
 
 
-def test_all_values_are_of_the_table_and_consistent():
+def test_all_values_are_of_the_table_and_consistent() -> None:
     for name in ALL:
         values = told(presets.load(name))
         assert set(values) <= set(BY_NAME)
         check(values)
 
 
-def test_verified_is_what_somebody_said():
+def test_verified_is_what_somebody_said() -> None:
     assert told(COMPLIANT, verified=True)["verified"] == 1
     assert told(COMPLIANT, verified=False)["verified"] == 0
 
 
-def test_the_named_law_and_estimator_are_used_or_the_callers_law():
+def test_the_named_law_and_estimator_are_used_or_the_callers_law() -> None:
     made = built(COMPLIANT)
     assert made.law.law.name == COMPLIANT.wall.law
     assert made.estimator.estimator.name == COMPLIANT.controller.estimator
@@ -266,7 +273,7 @@ def test_the_named_law_and_estimator_are_used_or_the_callers_law():
     assert np.all(other.law.state == 0.0)
 
 
-def test_each_controller_has_a_memory_of_its_own():
+def test_each_controller_has_a_memory_of_its_own() -> None:
     first, second = built(COMPLIANT), built(COMPLIANT)
     first.memory["index"] = 5
     first.law.state[0] = 1.0

@@ -1,5 +1,7 @@
 """Schemes: a text form that survives the round trip, and what they make of an experiment."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +22,7 @@ KOUL = presets.load("koul-compliant")
         (" dual:50k/0.5k ", (50_000, 500)),
     ],
 )
-def test_rates_are_read_in_hertz_or_kilohertz(text, rates):
+def test_rates_are_read_in_hertz_or_kilohertz(text: str, rates: tuple[int, ...]) -> None:
     scheme = Scheme.parse(text)
     assert (scheme.position_rate, scheme.velocity_rate) == rates
     assert scheme.kind == text.strip().partition(":")[0]
@@ -33,13 +35,13 @@ def test_rates_are_read_in_hertz_or_kilohertz(text, rates):
         (1_234_567_800, "1234567.8k"), (100, "100"), (10_100, "10.1k"),
     ],
 )  # fmt: skip
-def test_a_rate_is_written_in_whole_digits(rate, text):
+def test_a_rate_is_written_in_whole_digits(rate: int, text: str) -> None:
     scheme = Scheme(position_rate=rate, velocity_rate=rate)
     assert scheme.text == f"uniform:{text}"
     assert Scheme.parse(scheme.text) == scheme
 
 
-def test_the_usual_cutoff_is_a_tenth_of_the_rate_for_every_estimator_that_has_one():
+def test_the_usual_cutoff_is_a_tenth_of_the_rate_for_every_estimator_that_has_one() -> None:
     for name, usual in (
         ("fdm-butterworth", {"cutoff_hz": 200.0}),
         ("fdm", {}),
@@ -58,7 +60,9 @@ def test_the_usual_cutoff_is_a_tenth_of_the_rate_for_every_estimator_that_has_on
     st.one_of(st.none(), st.integers(1, 10_000)),
     st.one_of(st.none(), st.floats(0.0, 10.0)),
 )
-def test_the_text_form_gives_an_equal_scheme(fast, slow, estimator, parameters, prediction, rate, below):
+def test_the_text_form_gives_an_equal_scheme(
+    fast: int, slow: int, estimator: Any, parameters: Any, prediction: Any, rate: Any, below: Any
+) -> None:
     scheme = Scheme(
         position_rate=fast,
         velocity_rate=slow,
@@ -79,20 +83,20 @@ def test_the_text_form_gives_an_equal_scheme(fast, slow, estimator, parameters, 
         "dual:20k/2k,slow_velocity_rate=0.5",
     ],
 )  # fmt: skip
-def test_what_is_no_scheme_is_refused_with_the_form_to_write(text):
+def test_what_is_no_scheme_is_refused_with_the_form_to_write(text: str) -> None:
     with pytest.raises(ConfigError) as refused:
         Scheme.parse(text)
     assert "20k" in refused.value.remedy or "rate" in refused.value.remedy
 
 
-def test_a_filter_keeps_its_share_of_the_velocity_rate():
+def test_a_filter_keeps_its_share_of_the_velocity_rate() -> None:
     uniform = Scheme.parse("uniform:20k").applied(KOUL).controller
     assert (uniform.velocity_rate, uniform.parameters["cutoff_hz"]) == (20_000, 2000.0)
     assert Scheme.parse("uniform:20k,cutoff_hz=1000").applied(KOUL).controller.parameters["cutoff_hz"] == 1000
     assert Scheme.parse("dual:20k/2k").applied(KOUL).controller.parameters["cutoff_hz"] == 200.0
 
 
-def test_another_estimator_brings_its_own_settings_and_leaves_the_old_ones_behind():
+def test_another_estimator_brings_its_own_settings_and_leaves_the_old_ones_behind() -> None:
     kalman = Scheme.parse("dual:20k/2k,estimator=kalman").applied(KOUL).controller
     assert kalman.estimator == "kalman"
     assert "cutoff_hz" not in kalman.parameters
@@ -101,7 +105,7 @@ def test_another_estimator_brings_its_own_settings_and_leaves_the_old_ones_behin
     assert back.parameters["cutoff_hz"] == 1000.0
 
 
-def test_the_scheme_of_an_experiment_applied_to_it_changes_nothing():
+def test_the_scheme_of_an_experiment_applied_to_it_changes_nothing() -> None:
     for name in presets.names():
         experiment = presets.load(name)
         again = Scheme.of(experiment).applied(experiment)
@@ -112,7 +116,7 @@ def test_the_scheme_of_an_experiment_applied_to_it_changes_nothing():
         )
 
 
-def test_prediction_and_adaptive_velocity_rate_reach_the_controller():
+def test_prediction_and_adaptive_velocity_rate_reach_the_controller() -> None:
     text = "dual:20k/2k,prediction=extrapolate,slow_velocity_rate=500,slow_below=0.1"
     controller = Scheme.parse(text).applied(KOUL).controller
     assert (controller.prediction, controller.slow_velocity_rate, controller.slow_below) == (
@@ -123,18 +127,18 @@ def test_prediction_and_adaptive_velocity_rate_reach_the_controller():
 
 
 @pytest.mark.parametrize("text", ["dual:20k/3k", "dual:20k/2k,estimator=nobody", "dual:20k/2k,colour=3"])
-def test_a_scheme_that_cannot_run_is_an_error_that_names_it(text):
+def test_a_scheme_that_cannot_run_is_an_error_that_names_it(text: str) -> None:
     with pytest.raises(ConfigError, match=text.partition(",")[0]):
         Scheme.parse(text).applied(KOUL)
 
 
-def test_labels_show_what_differs():
+def test_labels_show_what_differs() -> None:
     assert Scheme.parse("uniform:20k").label(KOUL) == "uniform 20 kHz, fdm-butterworth 2000 Hz"
     text = "dual:20k/2k,estimator=levant,prediction=extrapolate"
     assert Scheme.parse(text).label(KOUL) == "dual 20/2 kHz, levant, extrapolated"
 
 
-def test_a_rate_is_refused_by_what_is_wrong_with_it():
+def test_a_rate_is_refused_by_what_is_wrong_with_it() -> None:
     with pytest.raises(ConfigError, match="too many"):
         parse_rates("20k/2k/1k")
     with pytest.raises(ConfigError, match="whole number"):

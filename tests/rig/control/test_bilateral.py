@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,18 +17,18 @@ WALL = {"stiffness": 1000.0, "damping": 5.0, "side": 1, "pull": "clamp", "dampin
 TABLE = np.array([1.0, -2.0, 3.0, 0.5])
 
 
-def excited(wall=WALL, table=TABLE, ramp_ticks=0):
+def excited(wall: Any = WALL, table: Any = TABLE, ramp_ticks: int = 0) -> Any:
     """The law with its memory, as a function of penetration, velocity and elapsed ticks."""
     prepared = bilateral.excited_law(table, ramp_ticks).prepare(wall)
 
-    def react(penetration=0.0, velocity=0.0, elapsed=1):
+    def react(penetration: float = 0.0, velocity: float = 0.0, elapsed: int = 1) -> Any:
         return prepared.law.function(penetration, velocity, elapsed, prepared.state, prepared.parameters)
 
     return react
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-10.0, 10.0))
-def test_a_bilateral_wall_pulls_as_it_pushes(penetration, velocity):
+def test_a_bilateral_wall_pulls_as_it_pushes(penetration: float, velocity: float) -> None:
     law = laws.get("bilateral").prepare(WALL)
     reaction = law.law.function(penetration, velocity, 1, law.state, law.parameters)
     assert reaction == pytest.approx(1000.0 * penetration + 5.0 * velocity, abs=1e-9)
@@ -35,19 +37,19 @@ def test_a_bilateral_wall_pulls_as_it_pushes(penetration, velocity):
     assert law.state[0] == 0.0, "never clamped"
 
 
-def test_without_stiffness_and_damping_nothing_reacts():
+def test_without_stiffness_and_damping_nothing_reacts() -> None:
     law = laws.get("bilateral").prepare(WALL | {"stiffness": 0.0, "damping": 0.0})
     assert law.law.function(0.3, -2.0, 1, law.state, law.parameters) == 0.0
 
 
-def test_the_excitation_is_taken_off_the_reaction_and_goes_round():
+def test_the_excitation_is_taken_off_the_reaction_and_goes_round() -> None:
     react = excited()
     assert [react() for _ in range(6)] == [-1.0, 2.0, -3.0, -0.5, -1.0, 2.0]
     react = excited()
     assert react(0.01, 0.2) == pytest.approx(1000.0 * 0.01 + 5.0 * 0.2 - 1.0)
 
 
-def test_on_a_wall_of_the_other_side_the_excitation_still_counts_along_the_position():
+def test_on_a_wall_of_the_other_side_the_excitation_still_counts_along_the_position() -> None:
     """Effort along the position is −side · reaction."""
     for side in (1, -1):
         react = excited(WALL | {"side": side})
@@ -55,7 +57,9 @@ def test_on_a_wall_of_the_other_side_the_excitation_still_counts_along_the_posit
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.integers(0, 12))
-def test_samples_that_were_lost_are_skipped_in_the_excitation_too(elapsed, ramp_ticks):
+def test_samples_that_were_lost_are_skipped_in_the_excitation_too(
+    elapsed: list[int], ramp_ticks: int
+) -> None:
     """The excitation is a function of the tick alone, however many of them the law saw; the first call is tick 0."""
     react = excited(ramp_ticks=ramp_ticks)
     ticks = np.concatenate([[0], np.cumsum(elapsed[1:])]).astype(int)
@@ -65,7 +69,7 @@ def test_samples_that_were_lost_are_skipped_in_the_excitation_too(elapsed, ramp_
     assert [-react(elapsed=n) for n in elapsed] == pytest.approx(whole[ticks].tolist(), abs=1e-12)
 
 
-def test_it_rises_without_a_step():
+def test_it_rises_without_a_step() -> None:
     """The compiled ramp is that of `rig.control.excitation`, from zero to all of it."""
     table, ticks = np.ones(5), 100
     react = excited(table=table, ramp_ticks=ticks)
@@ -76,7 +80,7 @@ def test_it_rises_without_a_step():
     assert np.abs(np.diff(rising)).max() < 2.0 / ticks
 
 
-def test_the_laws_are_found_by_name_so_that_a_recording_can_be_replayed():
+def test_the_laws_are_found_by_name_so_that_a_recording_can_be_replayed() -> None:
     for name in ("bilateral", "excited"):
         assert name in laws.names()
         assert laws.get(name).prepare(WALL).parameters[:2].tolist() == [1000.0, 5.0]

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,20 +42,22 @@ def lively(n: int = 400, seed: int = 1) -> np.ndarray:
     offset=st.floats(0, 1),
     sign=st.sampled_from([-1, 1]),
 )
-def test_counts_are_those_of_the_simulated_encoder(position, resolution, offset, sign):
+def test_counts_are_those_of_the_simulated_encoder(
+    position: float, resolution: float, offset: float, sign: Any
+) -> None:
     found = quantise(position, sign * resolution, offset=offset)
     assert found == encoder_count(position, resolution, offset, sign)
     assert found.dtype == np.int64
 
 
-def test_counts_round_to_the_nearest_and_keep_the_shape():
+def test_counts_round_to_the_nearest_and_keep_the_shape() -> None:
     counts = quantise([[0.0, 0.4e-6], [0.6e-6, -1.4e-6]], 1e-6)
     assert counts.tolist() == [[0, 0], [1, -1]]
     assert quantise([0.9e-6], 1e-6, offset=0.0).tolist() == [0]
 
 
 @pytest.mark.parametrize("position", [math.nan, math.inf, 1e30])
-def test_a_position_that_no_counter_holds_is_refused(position):
+def test_a_position_that_no_counter_holds_is_refused(position: Any) -> None:
     with pytest.raises(ConfigError, match="not finite or beyond"):
         quantise([0.0, position], 1e-6)
 
@@ -63,7 +66,7 @@ def test_a_position_that_no_counter_holds_is_refused(position):
 
 
 @pytest.mark.parametrize("name", estimators.names())
-def test_an_array_gives_the_bits_of_the_update_called_sample_by_sample(name):
+def test_an_array_gives_the_bits_of_the_update_called_sample_by_sample(name: Any) -> None:
     counts, prepared = lively(), estimators.get(name).prepare({}, DELTA, DT)
     whole, age, elapsed = inputs(counts, DT)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)
@@ -78,7 +81,7 @@ def test_an_array_gives_the_bits_of_the_update_called_sample_by_sample(name):
     assert estimate(name, counts, DT, resolution=DELTA).tolist() == expected
 
 
-def test_settings_reach_the_estimator():
+def test_settings_reach_the_estimator() -> None:
     counts = lively()
     velocity = estimate("fdm-butterworth", counts, DT, resolution=DELTA, cutoff_hz=77.0)
     slopes = np.diff(counts, prepend=counts[0]) * DELTA / DT
@@ -86,7 +89,7 @@ def test_settings_reach_the_estimator():
     assert velocity == pytest.approx(expected, abs=1e-9)
 
 
-def test_rounding_gives_the_finite_difference_its_noise_at_every_rate():
+def test_rounding_gives_the_finite_difference_its_noise_at_every_rate() -> None:
     """PHYSICS 2i (A) 2: Δ/(√6·T): 0.00408 m/s at 1 kHz, 0.0408 at 10 kHz, 0.0816 at 20 kHz for 10 µm."""
     for rate, noise in ((1000, 0.00408), (10_000, 0.0408), (20_000, 0.0816)):
         k = np.arange(40_000)
@@ -98,7 +101,7 @@ def test_rounding_gives_the_finite_difference_its_noise_at_every_rate():
 
 
 @pytest.mark.parametrize("name", estimators.names())
-def test_the_sign_of_the_resolution_is_the_encoders_and_cancels(name):
+def test_the_sign_of_the_resolution_is_the_encoders_and_cancels(name: Any) -> None:
     """Counts that fall while the position rises, with a negative resolution, give the same velocity."""
     position = 1e-3 * np.sin(np.arange(600) / 60)
     one = estimate(name, quantise(position, DELTA), DT, resolution=DELTA)
@@ -106,19 +109,19 @@ def test_the_sign_of_the_resolution_is_the_encoders_and_cancels(name):
     assert one == pytest.approx(other, rel=1e-6, abs=1e-6 * DELTA / DT)
 
 
-def test_lost_samples_are_told_by_elapsed():
+def test_lost_samples_are_told_by_elapsed() -> None:
     elapsed = np.array([1, 1, 5, 1, 2, 1])
     counts = 3 * np.cumsum(elapsed)
     velocity = estimate("fdm", counts, DT, resolution=DELTA, elapsed=elapsed)
     assert velocity[1:] == pytest.approx(3 * DELTA / DT)
 
 
-def test_no_samples_give_no_velocities():
+def test_no_samples_give_no_velocities() -> None:
     assert estimate("fdm", np.zeros(0, np.int64), DT, resolution=DELTA).shape == (0,)
     assert estimate("fdm", [], DT, resolution=DELTA).shape == (0,)
 
 
-def test_what_is_given_is_left_alone_and_may_be_read_only():
+def test_what_is_given_is_left_alone_and_may_be_read_only() -> None:
     counts = lively()
     counts.setflags(write=False)
     estimate("fdm", counts[::2], DT, resolution=DELTA)
@@ -128,18 +131,18 @@ def test_what_is_given_is_left_alone_and_may_be_read_only():
 # --- edges ------------------------------------------------------------------------------------------------
 
 
-def test_without_edge_times_an_edge_happens_at_the_sample_that_first_shows_it():
+def test_without_edge_times_an_edge_happens_at_the_sample_that_first_shows_it() -> None:
     _, age, _ = inputs([5, 5, 6, 6, 6, 4, 4], DT)
     assert age[:2].tolist() == [OLDEST_EDGE_S] * 2, "nobody has seen an edge yet"
     assert age[2:] == pytest.approx(np.array([0, 1, 2, 0, 1]) * DT)
 
 
-def test_edge_times_become_ages_at_the_samples_and_none_is_the_oldest():
+def test_edge_times_become_ages_at_the_samples_and_none_is_the_oldest() -> None:
     _, age, _ = inputs([0, 1, 2], DT, edge_time=[-math.inf, 0.2 * DT, 1.9 * DT])
     assert age == pytest.approx([OLDEST_EDGE_S, 0.8 * DT, 0.1 * DT])
 
 
-def test_edge_times_count_lost_samples():
+def test_edge_times_count_lost_samples() -> None:
     _, age, _ = inputs([0, 9], DT, edge_time=[-math.inf, 2.5 * DT], elapsed=[1, 3])
     assert age[1] == pytest.approx(0.5 * DT)
 
@@ -163,7 +166,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_meant_is_refused_with_a_remedy(case):
+def test_what_cannot_be_meant_is_refused_with_a_remedy(case: Any) -> None:
     changed, text = WRONG[case]
     arguments = {"name": "fdm-butterworth", "counts": [0, 1, 2], "dt": DT, "resolution": DELTA, **changed}
     with pytest.raises(ConfigError, match=text) as caught:
@@ -171,7 +174,7 @@ def test_what_cannot_be_meant_is_refused_with_a_remedy(case):
     assert caught.value.remedy
 
 
-def test_importing_the_family_compiles_nothing():
+def test_importing_the_family_compiles_nothing() -> None:
     script = (
         "import sys, rig.control.estimators\n"
         "rig.control.estimators.names()\n"
@@ -191,14 +194,14 @@ def examples() -> list[str]:
     return re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_the_guides_first_example_runs():
+def test_the_guides_first_example_runs() -> None:
     names = {"position": 1e-3 * np.sin(np.arange(2000) / 300)}
     exec(compile(examples()[0], str(GUIDE), "exec"), names)
     slope = 1e-3 / 300 * np.cos(np.arange(2000) / 300) * 20_000
     assert names["velocity"][500:] == pytest.approx(slope[500:], abs=0.03 * slope.max())
 
 
-def test_the_guides_own_estimator_keeps_the_promises_of_the_family(tmp_path):
+def test_the_guides_own_estimator_keeps_the_promises_of_the_family(tmp_path: Path) -> None:
     path = tmp_path / "lab_estimators.py"
     path.write_text(examples()[1], encoding="utf-8")
     module = importlib.util.module_from_spec(
@@ -208,7 +211,7 @@ def test_the_guides_own_estimator_keeps_the_promises_of_the_family(tmp_path):
     check_estimator(lambda resolution, period_s: module.ESTIMATOR.prepare({}, resolution, period_s))
 
 
-def test_files_that_the_guide_names_exist():
+def test_files_that_the_guide_names_exist() -> None:
     root = GUIDE.parents[3]
     for name in re.findall(r"`((?:rig|tests)/[\w/.]+)`", GUIDE.read_text(encoding="utf-8")):
         assert (root / name).exists(), name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 
@@ -46,7 +47,7 @@ def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
 
 
 @pytest.mark.parametrize("name", estimators.names())
-def test_an_estimator_is_as_good_as_the_table_says(name):
+def test_an_estimator_is_as_good_as_the_table_says(name: Any) -> None:
     assert ROWS[name], (
         f"estimator {name} is missing in {accuracy.TABLE.name}: run {accuracy.REGENERATE} {name}, look at the rows "
         "and commit them"
@@ -66,18 +67,18 @@ def test_an_estimator_is_as_good_as_the_table_says(name):
 
 
 @pytest.mark.parametrize("name", estimators.names())
-def test_the_table_holds_every_case_of_the_grid(name):
+def test_the_table_holds_every_case_of_the_grid(name: Any) -> None:
     found = {(r["case"], r["rate_hz"], r["resolution"]) for r in ROWS[name] if r["tuned"] is None}
     assert found == set(accuracy.grid()), f"run {accuracy.REGENERATE} {name}"
 
 
-def test_the_table_holds_no_estimator_that_is_gone():
+def test_the_table_holds_no_estimator_that_is_gone() -> None:
     assert {row["estimator"] for row in TABLE["rows"]} <= set(estimators.names()), (
         f"run {accuracy.REGENERATE}"
     )
 
 
-def test_a_worse_row_is_noticed_and_named():
+def test_a_worse_row_is_noticed_and_named() -> None:
     row = next(r for r in ROWS["fdm"] if r["case"] == "sine")
     worse, better = differences({**row, "rms": 0.9 * row["rms"]})
     assert [text for text in worse if "sine" in text and "rms" in text]
@@ -87,11 +88,11 @@ def test_a_worse_row_is_noticed_and_named():
     assert not worse
 
 
-def test_the_guide_shows_the_committed_table():
+def test_the_guide_shows_the_committed_table() -> None:
     assert accuracy.main(["--check"]) == 0, f"run {accuracy.REGENERATE} --guide"
 
 
-def test_the_guide_has_every_generated_section_once():
+def test_the_guide_has_every_generated_section_once() -> None:
     text = accuracy.GUIDE.read_text(encoding="utf-8")
     for section in accuracy.SECTIONS:
         assert text.count(f"<!-- generated: {section} -->") == 1

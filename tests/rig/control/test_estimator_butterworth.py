@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,17 +20,19 @@ MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
 ORDERS = range(1, 9)
 
 
-def butterworth(**given):
+def butterworth(**given: Any) -> Any:
     return estimators.get("fdm-butterworth").prepare(given, RESOLUTION, PERIOD)
 
 
-def differences(counts):
+def differences(counts: Any) -> Any:
     return velocities(estimators.get("fdm").prepare({}, RESOLUTION, PERIOD), counts)
 
 
 @settings(max_examples=80, deadline=None)
 @given(motion=MOTION, order=st.sampled_from(ORDERS), cutoff_hz=st.floats(20.0, 900.0))
-def test_each_order_is_scipys_filter_on_the_same_differences(motion, order, cutoff_hz):
+def test_each_order_is_scipys_filter_on_the_same_differences(
+    motion: Any, order: Any, cutoff_hz: float
+) -> None:
     counts = np.cumsum(motion).tolist()
     sections = signal.butter(order, cutoff_hz, fs=1 / PERIOD, output="sos")
     expected = signal.sosfilt(sections, differences(counts))
@@ -41,7 +44,7 @@ def test_each_order_is_scipys_filter_on_the_same_differences(motion, order, cuto
 
 @settings(max_examples=50, deadline=None)
 @given(motion=MOTION, cutoff_hz=st.floats(5.0, 900.0))
-def test_order_two_is_one_biquad_to_the_bit(motion, cutoff_hz):
+def test_order_two_is_one_biquad_to_the_bit(motion: Any, cutoff_hz: float) -> None:
     """Transposed direct form II as one writes it down, with the coefficients of ``butter(2, …)``: recordings replay."""
     counts = np.cumsum(motion).tolist()
     (b0, b1, b2), (_, a1, a2) = (c.tolist() for c in signal.butter(2, cutoff_hz, fs=1 / PERIOD))
@@ -56,7 +59,7 @@ def test_order_two_is_one_biquad_to_the_bit(motion, cutoff_hz):
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order):
+def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order: Any) -> None:
     sections = np.array(butterworth(order=order).parameters[2:]).reshape(-1, 5)
     delay = sum(signal.group_delay((s[:3], [1.0, *s[3:]]), w=[1e-4])[1][0] for s in sections)
     assert delay * PERIOD == pytest.approx(
@@ -65,14 +68,14 @@ def test_its_delay_at_rest_is_one_over_the_sine_of_the_first_pole(order):
 
 
 @pytest.mark.parametrize("order", [1, 3, 8])
-def test_every_order_keeps_the_promises_of_the_family(order):
+def test_every_order_keeps_the_promises_of_the_family(order: int) -> None:
     make = estimators.get("fdm-butterworth").prepare
     check_estimator(lambda r, p: make({"order": order}, r, p))
 
 
 @settings(max_examples=30, deadline=None)
 @given(before=MOTION, moved=st.integers(-5000, 5000), lost=st.integers(1, 40))
-def test_over_a_gap_every_section_runs_once_for_each_lost_period(before, moved, lost):
+def test_over_a_gap_every_section_runs_once_for_each_lost_period(before: Any, moved: int, lost: int) -> None:
     counts = [0, *np.cumsum(before).tolist()]
     slopes = [*differences(counts), *[moved * RESOLUTION / (lost * PERIOD)] * lost]
     expected = signal.sosfilt(signal.butter(5, 200.0, fs=1 / PERIOD, output="sos"), slopes)[-1]
@@ -81,11 +84,11 @@ def test_over_a_gap_every_section_runs_once_for_each_lost_period(before, moved, 
 
 
 @pytest.mark.parametrize("order", [0, 9])
-def test_an_order_out_of_range_is_refused(order):
+def test_an_order_out_of_range_is_refused(order: int) -> None:
     with pytest.raises(ConfigError, match=rf"order = {order} 1 is out of range.*1 to 8"):
         butterworth(order=order)
 
 
-def test_an_order_and_a_half_is_refused():
+def test_an_order_and_a_half_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"order = 2\.5 is not whole"):
         butterworth(order=2.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,11 +35,11 @@ SETTINGS = st.fixed_dictionaries(
 )
 
 
-def fixed(period_s: float = PERIOD, **given):
+def fixed(period_s: float = PERIOD, **given: Any) -> Any:
     return estimators.get("fdm-butterworth-fixed").prepare(given, RESOLUTION, period_s)
 
 
-def design(**given) -> Biquad:
+def design(**given: Any) -> Biquad:
     estimator = estimators.get("fdm-butterworth-fixed")
     return biquad({s.name: s.default for s in estimator.settings} | given, PERIOD)
 
@@ -61,7 +62,9 @@ def largest_error(f: Biquad) -> float:
 
 @settings(max_examples=150, deadline=None)
 @given(counts=st.lists(COUNT, min_size=1, max_size=40), given=SETTINGS, data=st.data())
-def test_it_is_exact_arithmetic_to_the_bit_over_gaps_jumps_and_saturation(counts, given, data):
+def test_it_is_exact_arithmetic_to_the_bit_over_gaps_jumps_and_saturation(
+    counts: Any, given: Any, data: st.DataObject
+) -> None:
     elapsed = data.draw(st.lists(st.integers(1, 60), min_size=len(counts), max_size=len(counts)))
     prepared, exact = fixed(**given), ExactFilter(design(**given))
     for count, steps in zip(counts, elapsed, strict=True):
@@ -70,12 +73,12 @@ def test_it_is_exact_arithmetic_to_the_bit_over_gaps_jumps_and_saturation(counts
 
 
 @pytest.mark.parametrize("rounding", ROUNDINGS)
-def test_the_other_roundings_keep_the_promises_of_the_family_too(rounding):
+def test_the_other_roundings_keep_the_promises_of_the_family_too(rounding: Any) -> None:
     make = estimators.get("fdm-butterworth-fixed").prepare
     check_estimator(lambda r, p: make({"rounding": rounding, "state_bits": 12}, r, p), linear=False)
 
 
-def test_it_keeps_them_over_a_gap_of_days():
+def test_it_keeps_them_over_a_gap_of_days() -> None:
     v = velocities(fixed(), [0, 10**9], [1, 10**9])
     assert v[1] == pytest.approx(ONE_COUNT, rel=1e-4)
 
@@ -85,7 +88,9 @@ def test_it_keeps_them_over_a_gap_of_days():
 
 @settings(max_examples=60, deadline=None)
 @given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), cutoff_hz=st.sampled_from((100.0, 200.0, 500.0)))
-def test_wide_words_give_the_float_filter_within_the_bound_of_rounding(motion, rounding, cutoff_hz):
+def test_wide_words_give_the_float_filter_within_the_bound_of_rounding(
+    motion: Any, rounding: Any, cutoff_hz: Any
+) -> None:
     """|error| ≤ e·Σ|g|·LSB for the outputs, and max|x|·Σ|h − h'| for the coefficients; 28 and 18 bits."""
     given = {"cutoff_hz": cutoff_hz, "coefficient_bits": 28, "state_bits": 18, "rounding": rounding}
     f = design(**given)
@@ -99,20 +104,20 @@ def test_wide_words_give_the_float_filter_within_the_bound_of_rounding(motion, r
     assert np.abs(error).max() <= bound + 1e-9
 
 
-def test_sixteen_bits_of_state_cost_less_than_a_ten_thousandth_count_per_period():
+def test_sixteen_bits_of_state_cost_less_than_a_ten_thousandth_count_per_period() -> None:
     assert largest_error(design()) < 1e-4
 
 
 # --- dead zone, bias, gain, limit cycles ------------------------------------------------------------------
 
 
-def steady(per_period: int, out_of: int = 1, **given) -> float:
+def steady(per_period: int, out_of: int = 1, **given: Any) -> float:
     """What a motion of that many counts in so many periods settles at (counts per period), mean of the last ones."""
     counts = [per_period * k // out_of for k in range(4000)]
     return float(velocities(fixed(**given), counts)[-200:].mean() / ONE_COUNT)
 
 
-def test_slow_motion_reads_as_rest_below_the_dead_zone():
+def test_slow_motion_reads_as_rest_below_the_dead_zone() -> None:
     """State of 0 bits: one count a period is one LSB, and the dead zone at fs/20 is 12.45 of them."""
     given = {"cutoff_hz": 100.0, "state_bits": 0, "rounding": "zero"}
     dead_zone = design(**given).dead_zone
@@ -125,7 +130,7 @@ def test_slow_motion_reads_as_rest_below_the_dead_zone():
     assert steady(7, **half) > 0.0
 
 
-def test_at_a_high_rate_every_count_of_a_slow_handle_vanishes():
+def test_at_a_high_rate_every_count_of_a_slow_handle_vanishes() -> None:
     """Koul et al., figure 8: the velocity at 20 kHz is null late in the impact. Here 0.16 rad/s are."""
     given = {"cutoff_hz": 100.0, "state_bits": 4, "rounding": "zero"}
     assert steady(1, 20, **given) == 0.0
@@ -133,7 +138,9 @@ def test_at_a_high_rate_every_count_of_a_slow_handle_vanishes():
 
 
 @pytest.mark.parametrize("velocity", [40, -40])
-def test_a_steady_motion_reads_low_by_floor_and_small_by_zero_and_by_no_more_than_the_dead_zone(velocity):
+def test_a_steady_motion_reads_low_by_floor_and_small_by_zero_and_by_no_more_than_the_dead_zone(
+    velocity: int,
+) -> None:
     given = {"cutoff_hz": 100.0, "state_bits": 0}
     errors = {r: steady(velocity, **given, rounding=r) - velocity for r in ROUNDINGS}
     dead_zone = design(**given, rounding="zero").dead_zone
@@ -142,7 +149,7 @@ def test_a_steady_motion_reads_low_by_floor_and_small_by_zero_and_by_no_more_tha
     assert abs(errors["nearest"]) <= dead_zone / 2
 
 
-def test_floor_leaves_a_handle_at_rest_with_a_negative_velocity_whichever_way_it_came():
+def test_floor_leaves_a_handle_at_rest_with_a_negative_velocity_whichever_way_it_came() -> None:
     """For ever, within 1/S LSB; rounding to zero comes back to zero, nearest rests within half of it on either side."""
     given = {"cutoff_hz": 100.0, "state_bits": 4}
     dead_zone = design(**given, rounding="floor").dead_zone / 2**4
@@ -155,7 +162,7 @@ def test_floor_leaves_a_handle_at_rest_with_a_negative_velocity_whichever_way_it
 
 
 @pytest.mark.parametrize("numerator", ["unit-gain", "nearest"])
-def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator):
+def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator: str) -> None:
     given = {"cutoff_hz": 20.0, "numerator": numerator, "state_bits": 8}
     gain = design(**given).dc_gain
     assert gain == (1.0 if numerator == "unit-gain" else pytest.approx(61 / 62, rel=1e-9))
@@ -164,7 +171,9 @@ def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator):
 
 @settings(max_examples=60, deadline=None)
 @given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), bits=st.integers(0, 8))
-def test_a_limit_cycle_of_a_handle_at_rest_stays_within_the_bound(motion, rounding, bits):
+def test_a_limit_cycle_of_a_handle_at_rest_stays_within_the_bound(
+    motion: Any, rounding: Any, bits: int
+) -> None:
     """Whatever came before, rest reads at most e·Σ|g| LSB; rounding to zero reads zero."""
     given = {"cutoff_hz": 100.0, "state_bits": bits, "rounding": rounding}
     counts = [*np.cumsum(motion).tolist()]
@@ -174,7 +183,7 @@ def test_a_limit_cycle_of_a_handle_at_rest_stays_within_the_bound(motion, roundi
         assert not rest.any()
 
 
-def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign():
+def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign() -> None:
     """A word of 16 bits with 4 behind the point ends at 2048 counts a period."""
     given = {"word_bits": 16, "state_bits": 4}
     assert steady(5000, **given) == pytest.approx(2048, abs=1)
@@ -192,12 +201,12 @@ def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign():
         ({"rounding": "even"}, r"rounding = 'even' is unknown.*floor, zero, nearest"),
     ],
 )
-def test_words_that_cannot_be_meant_are_refused(given, message):
+def test_words_that_cannot_be_meant_are_refused(given: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         fixed(**given)
 
 
-def test_golden_velocities_are_what_the_compiled_filter_computes():
+def test_golden_velocities_are_what_the_compiled_filter_computes() -> None:
     vectors = golden_vectors(seed=3)
     f, n = vectors.filter, vectors.velocity_divider
     prepared = fixed()

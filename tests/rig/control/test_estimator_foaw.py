@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,11 +28,11 @@ STEP = st.one_of(st.integers(-2, 2), st.integers(0, 1), st.integers(-300, 300))
 SAMPLES = st.lists(st.tuples(STEP, st.sampled_from([1, 1, 1, 1, 2, 3, 20])), min_size=1, max_size=50)
 
 
-def prepare(name, **given_settings):
+def prepare(name: Any, **given_settings: Any) -> Any:
     return estimators.get(name).prepare(given_settings, RESOLUTION, PERIOD)
 
 
-def run(prepared, counts, elapsed=None):
+def run(prepared: Any, counts: Any, elapsed: Any = None) -> Any:
     """Velocities in counts per period, and the window of each."""
     update, memory = prepared.estimator.update, (prepared.state_f, prepared.state_i, prepared.parameters)
     velocities, windows = [], []
@@ -41,7 +42,7 @@ def run(prepared, counts, elapsed=None):
     return np.array(velocities), np.array(windows)
 
 
-def textbook(fit, anchor, stop, band, limit, counts, times):
+def textbook(fit: Any, anchor: Any, stop: Any, band: Any, limit: Any, counts: Any, times: Any) -> Any:
     """The algorithm as a book states it, newest sample last, in exact fractions: slope and window.
 
     Every line is drawn anew and every sample tested anew: O(W²) at least.
@@ -83,7 +84,9 @@ def textbook(fit, anchor, stop, band, limit, counts, times):
     limit=st.sampled_from([1, 2, 7, 16]),
     samples=SAMPLES,
 )
-def test_every_variant_finds_the_windows_of_the_textbook_search(option, stop, band, limit, samples):
+def test_every_variant_finds_the_windows_of_the_textbook_search(
+    option: Any, stop: Any, band: Any, limit: Any, samples: Any
+) -> None:
     """Cones and running sums give the same windows as testing every line, also where samples were lost."""
     fit, anchor = option
     counts = np.cumsum([step for step, _ in samples]).tolist()
@@ -101,7 +104,7 @@ def test_every_variant_finds_the_windows_of_the_textbook_search(option, stop, ba
 @pytest.mark.parametrize(
     ("fit", "anchor"), [("foaw-end", "last"), ("foaw-best", "lsq"), ("foaw-best", "last")]
 )
-def test_the_longest_window_of_64_periods_is_searched_as_in_the_textbook(fit, anchor):
+def test_the_longest_window_of_64_periods_is_searched_as_in_the_textbook(fit: str, anchor: str) -> None:
     counts = np.floor(40 * np.sin(np.arange(300) / 45) + 0.5).astype(int).tolist()
     chosen = {"anchor": anchor} if fit == "foaw-best" else {}
     v, windows = run(prepare(fit, window_limit=64, **chosen), counts)
@@ -113,7 +116,7 @@ def test_the_longest_window_of_64_periods_is_searched_as_in_the_textbook(fit, an
 
 @settings(max_examples=60)
 @given(steps=st.lists(st.integers(-40, 40), min_size=1, max_size=40))
-def test_the_best_fit_is_polyfit_over_its_window(steps):
+def test_the_best_fit_is_polyfit_over_its_window(steps: list[int]) -> None:
     """PHYSICS 2i (A) 3, through equation (6)'s sums and numpy's QR decomposition alike."""
     counts = np.cumsum([0, *steps])
     v, windows = run(prepare("foaw-best", band=25.0), counts)
@@ -129,7 +132,7 @@ def test_the_best_fit_is_polyfit_over_its_window(steps):
     ("fit", "counts", "first"),
     [("foaw-end", [0, 1, 4, 5, 5, 7, 9], 2), ("foaw-best", [0, 3, 5, 5, 8, 10, 10], 3)],
 )
-def test_global_stop_reaches_over_windows_that_fail(fit, counts, first):
+def test_global_stop_reaches_over_windows_that_fail(fit: str, counts: list[int], first: int) -> None:
     """Some lines in between leave a sample outside, the one over all six periods does not."""
     _, windows = run(prepare(fit, stop="first"), counts)
     _, longest = run(prepare(fit, stop="global"), counts)
@@ -139,35 +142,35 @@ def test_global_stop_reaches_over_windows_that_fail(fit, counts, first):
 # --- the band ---------------------------------------------------------------------------------------------
 
 
-def rounded_ramps(number=2000, limit=16):
+def rounded_ramps(number: int = 2000, limit: int = 16) -> Any:
     """Random slopes and offsets, rounded as an encoder does, after the window has filled: (ramps, samples)."""
     random = np.random.default_rng(7)
     slope, offset = random.uniform(-5, 5, (number, 1)), random.uniform(0, 1, (number, 1))
     return np.floor(slope * np.arange(limit + 1) + offset).astype(int)
 
 
-def share_cut(name, **chosen):
+def share_cut(name: Any, **chosen: Any) -> Any:
     full = [run(prepare(name, **chosen), ramp)[1][-1] == len(ramp) - 1 for ramp in rounded_ramps()]
     return 1.0 - np.mean(full)
 
 
 @pytest.mark.parametrize("fit", FITS)
-def test_one_count_of_band_never_cuts_a_true_ramp(fit):
+def test_one_count_of_band_never_cuts_a_true_ramp(fit: Any) -> None:
     """PHYSICS 2i (A) 3: rounding moves each sample by half a count, hence a chord by up to one."""
     assert share_cut(fit) == 0.0
 
 
-def test_half_a_count_of_band_often_does():
+def test_half_a_count_of_band_often_does() -> None:
     assert share_cut("foaw-end", band=0.5) > 0.1
 
 
-def test_anchored_at_the_newest_sample_a_best_fit_cuts_one_ramp_in_fifty():
+def test_anchored_at_the_newest_sample_a_best_fit_cuts_one_ramp_in_fifty() -> None:
     """PHYSICS 2i (A) 3: the least-squares line through a rounded sample misses others by up to 1.37 counts."""
     assert 0.01 < share_cut("foaw-best", anchor="last") < 0.03
     assert share_cut("foaw-best", anchor="last", band=1.5) == 0.0
 
 
-def test_the_anchor_as_printed_drifts_until_windows_of_two_periods_are_left():
+def test_the_anchor_as_printed_drifts_until_windows_of_two_periods_are_left() -> None:
     """Equation (6) turns the line about t = 0, so one and the same ramp passes less and less as the run grows older.
 
     Over one or two periods chord and least-squares line are the same, so that those windows always have a chance.
@@ -182,7 +185,7 @@ def test_the_anchor_as_printed_drifts_until_windows_of_two_periods_are_left():
 
 
 @pytest.mark.parametrize("fit", FITS)
-def test_the_window_shrinks_at_an_impact_and_grows_again(fit):
+def test_the_window_shrinks_at_an_impact_and_grows_again(fit: Any) -> None:
     k = np.arange(80)
     counts = np.where(k < 40, 10 * k, 400 - 10 * (k - 40))
     v, windows = run(prepare(fit), counts)
@@ -192,7 +195,7 @@ def test_the_window_shrinks_at_an_impact_and_grows_again(fit):
     assert windows[60] == 16
 
 
-def test_noise_of_a_full_window_is_that_of_its_line():
+def test_noise_of_a_full_window_is_that_of_its_line() -> None:
     """End-fit: two rounded ends over n periods; best-fit: 12σ²/(n(n+1)(n+2)) for white rounding noise."""
     random = np.random.default_rng(5)
     # Small against the band, so that no window is cut; many counts a period, so that rounding is white.
@@ -211,7 +214,7 @@ def test_noise_of_a_full_window_is_that_of_its_line():
 
 
 @pytest.mark.parametrize("fit", FITS)
-def test_lost_samples_leave_a_ramp_exact_and_the_window_in_periods(fit):
+def test_lost_samples_leave_a_ramp_exact_and_the_window_in_periods(fit: Any) -> None:
     elapsed = [1] * 20 + [3, 1, 1, 4, 1]
     v, windows = run(prepare(fit), (7 * np.cumsum(elapsed)).tolist(), elapsed)
     assert v[1:] == pytest.approx(7.0, rel=1e-12)
@@ -219,7 +222,7 @@ def test_lost_samples_leave_a_ramp_exact_and_the_window_in_periods(fit):
 
 
 @pytest.mark.parametrize("fit", FITS)
-def test_a_gap_longer_than_the_limit_is_a_restart_from_the_mean_slope(fit):
+def test_a_gap_longer_than_the_limit_is_a_restart_from_the_mean_slope(fit: Any) -> None:
     counts, elapsed = [0, 5, 10, 1010, 1013], [1, 1, 1, 50, 1]
     v, windows = run(prepare(fit), counts, elapsed)
     assert v[3:].tolist() == pytest.approx([20.0, 3.0])
@@ -227,7 +230,7 @@ def test_a_gap_longer_than_the_limit_is_a_restart_from_the_mean_slope(fit):
 
 
 @pytest.mark.parametrize("fit", FITS)
-def test_no_window_before_the_second_sample_and_none_longer_than_the_run(fit):
+def test_no_window_before_the_second_sample_and_none_longer_than_the_run(fit: Any) -> None:
     v, windows = run(prepare(fit), [4] * 20)
     assert windows.tolist() == [*range(17), 16, 16, 16]
     assert not v.any()
@@ -246,7 +249,7 @@ VARIANTS = [
 
 
 @pytest.mark.parametrize(("name", "chosen"), VARIANTS)
-def test_every_variant_keeps_the_promises_of_the_family(name, chosen):
+def test_every_variant_keeps_the_promises_of_the_family(name: Any, chosen: Any) -> None:
     check_estimator(lambda r, p: estimators.get(name).prepare(chosen, r, p), **KNOWN_LIMITS[name])
 
 
@@ -256,7 +259,9 @@ def test_every_variant_keeps_the_promises_of_the_family(name, chosen):
     steps=st.lists(st.integers(-50, 50), min_size=1, max_size=50),
     shift=st.integers(-(2**31), 2**31 - 1),
 )
-def test_shift_sign_and_scale_with_the_band_change_nothing_else(fit, steps, shift):
+def test_shift_sign_and_scale_with_the_band_change_nothing_else(
+    fit: Any, steps: list[int], shift: int
+) -> None:
     """Exactly: shifts cancel in integers, and the factor four of counts and band is one of the exponent."""
     counts = np.cumsum(steps)
     v, windows = run(prepare(fit), counts)
@@ -274,7 +279,7 @@ def test_shift_sign_and_scale_with_the_band_change_nothing_else(fit, steps, shif
         st.tuples(st.integers(-(2**31), 2**31 - 1), st.one_of(st.just(1), st.integers(1, 10**9))), max_size=60
     ),
 )
-def test_any_counts_and_gaps_give_finite_velocities(variant, samples):
+def test_any_counts_and_gaps_give_finite_velocities(variant: Any, samples: Any) -> None:
     name, chosen = variant
     v, windows = run(prepare(name, **chosen), [c for c, _ in samples], [n for _, n in samples])
     assert np.isfinite(v).all()
@@ -282,7 +287,7 @@ def test_any_counts_and_gaps_give_finite_velocities(variant, samples):
 
 
 @pytest.mark.parametrize("fit", FITS)
-def test_half_a_period_of_window_is_refused(fit):
+def test_half_a_period_of_window_is_refused(fit: Any) -> None:
     with pytest.raises(ConfigError, match=r"window_limit = 7.5 is not a whole number.*7 or 8"):
         prepare(fit, window_limit=7.5)
     with pytest.raises(ConfigError, match=r"window_limit = 65 velocity periods is out of range.*1 to 64"):

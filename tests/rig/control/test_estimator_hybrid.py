@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ RESOLUTION, PERIOD = 2e-5, 5e-4  # a coarse linear encoder at 2 kHz
 BOUND = 25.0
 
 
-def bounce(period_s=PERIOD, resolution=RESOLUTION):
+def bounce(period_s: Any = PERIOD, resolution: Any = RESOLUTION) -> Any:
     """PHYSICS 2i (C): 0.1 m/s into a wall that rings at 34 Hz with ζ = 0.05; counts and true velocity."""
     t = np.arange(0.0, 0.4, period_s) - 0.1
     w, zeta = 2 * np.pi * 34.0, 0.05
@@ -25,7 +27,7 @@ def bounce(period_s=PERIOD, resolution=RESOLUTION):
     return arrays.quantise(position, resolution), velocity
 
 
-def both(counts, period_s=PERIOD, resolution=RESOLUTION, **given):
+def both(counts: Any, period_s: Any = PERIOD, resolution: Any = RESOLUTION, **given: Any) -> Any:
     levant = {k: v for k, v in given.items() if k not in ("fast_window", "slow_window")}
     return (
         *arrays.estimate_with_window("foaw-end", counts, period_s, resolution=resolution),
@@ -34,7 +36,7 @@ def both(counts, period_s=PERIOD, resolution=RESOLUTION, **given):
     )
 
 
-def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents():
+def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents() -> None:
     counts, _ = bounce()
     foaw, window, levant, hybrid = both(counts, lipschitz=BOUND, fast_window=2.0, slow_window=8.0)
     straight = np.clip((window - 2.0) / 6.0, 0.0, 1.0)
@@ -47,7 +49,7 @@ def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents():
     assert weight.min() == 0.0
 
 
-def test_in_the_impact_it_is_levant_alone():
+def test_in_the_impact_it_is_levant_alone() -> None:
     counts, _ = bounce(resolution=1e-6)
     _, window, levant, hybrid = both(counts, resolution=1e-6, lipschitz=BOUND)
     bent = window <= 2
@@ -55,7 +57,7 @@ def test_in_the_impact_it_is_levant_alone():
     assert (hybrid[bent] == levant[bent]).all()
 
 
-def test_at_rest_it_does_not_chatter_even_where_levant_does():
+def test_at_rest_it_does_not_chatter_even_where_levant_does() -> None:
     """An explicit Levant buzzes at rest for ever; FOAW's long window takes most of it away."""
     counts = np.full(4000, 100)
     counts[0] = 0
@@ -65,14 +67,14 @@ def test_at_rest_it_does_not_chatter_even_where_levant_does():
 
 
 @pytest.mark.parametrize("period_s", [1e-3, 5e-4])
-def test_on_a_hit_with_a_coarse_encoder_it_is_better_than_either(period_s):
+def test_on_a_hit_with_a_coarse_encoder_it_is_better_than_either(period_s: float) -> None:
     counts, velocity = bounce(period_s)
     foaw, _, levant, hybrid = both(counts, period_s, lipschitz=21.4)
     error = [float(np.sqrt(np.mean((v - velocity)[5:] ** 2))) for v in (foaw, levant, hybrid)]
     assert error[2] < 0.95 * min(error[:2])
 
 
-def test_where_foaw_is_held_back_by_its_window_limit_the_noise_bound_hands_over_to_levant():
+def test_where_foaw_is_held_back_by_its_window_limit_the_noise_bound_hands_over_to_levant() -> None:
     """At 50 kHz the longest window is 0.3 ms: FOAW is always 'straight', and three times as noisy as Levant."""
     counts, velocity = bounce(2e-5)
     foaw, _, levant, hybrid = both(counts, 2e-5, lipschitz=21.4)
@@ -80,13 +82,13 @@ def test_where_foaw_is_held_back_by_its_window_limit_the_noise_bound_hands_over_
     assert error[1] < error[2] < 0.7 * error[0]
 
 
-def test_the_window_in_the_row_is_that_of_foaw():
+def test_the_window_in_the_row_is_that_of_foaw() -> None:
     counts, _ = bounce()
     expected = arrays.estimate_with_window("foaw-end", counts, PERIOD, resolution=RESOLUTION)[1]
     assert (arrays.estimate_with_window(NAME, counts, PERIOD, resolution=RESOLUTION)[1] == expected).all()
 
 
-def test_windows_out_of_order_and_gains_out_of_region_are_refused():
+def test_windows_out_of_order_and_gains_out_of_region_are_refused() -> None:
     prepare = estimators.get(NAME).prepare
     with pytest.raises(ConfigError, match=r"fast_window = 8, slow_window = 8 .* not in order"):
         prepare({"fast_window": 8.0}, RESOLUTION, PERIOD)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,23 +25,23 @@ PAPER = {"q": 2.5e4, "variance": "paper"}
 FADINGS = ("instant", "window", "stf")
 
 
-def prepare(resolution=RESOLUTION, period_s=PERIOD, **given_settings):
+def prepare(resolution: Any = RESOLUTION, period_s: Any = PERIOD, **given_settings: Any) -> Any:
     return estimators.get("kalman").prepare(given_settings, resolution, period_s)
 
 
-def transition(order):
+def transition(order: Any) -> Any:
     return np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
 
 
-def covariance(prepared):
+def covariance(prepared: Any) -> Any:
     p = prepared.state_f
     return np.array([[p[P11], p[P12], p[P13]], [p[P12], p[P22], p[P23]], [p[P13], p[P23], p[P33]]])
 
 
 def textbook(
-    counts, elapsed, *, order, q, r, fading="none", memory=16, rho=0.95, printed=False, period=PERIOD,
-    resolution=RESOLUTION,
-):  # fmt: skip
+    counts: Any, elapsed: Any, *, order: Any, q: Any, r: Any, fading: str = "none", memory: int = 16,
+    rho: float = 0.95, printed: bool = False, period: Any = PERIOD, resolution: Any = RESOLUTION,
+) -> Any:  # fmt: skip
     """The filter as a book writes it: matrices, metres and seconds, absolute positions. Velocities, largest λ."""
     T, n = period, order
     A = linalg.expm(np.diag(np.ones(n - 1), 1) * T)
@@ -95,7 +96,9 @@ MOTION = st.lists(
     memory=st.sampled_from([1, 4, 16, 64]),
     rho=st.sampled_from([0.0, 0.5, 0.95]),
 )
-def test_every_variant_is_the_textbook_filter(samples, order, variance, fading, bandwidth_hz, memory, rho):
+def test_every_variant_is_the_textbook_filter(
+    samples: Any, order: Any, variance: Any, fading: Any, bandwidth_hz: Any, memory: Any, rho: Any
+) -> None:
     """Counts, periods, scalars and a moving origin against matrices in metres and seconds."""
     name, divisor = variance
     counts, elapsed = np.cumsum([s for s, _ in samples]).tolist(), [n for _, n in samples]
@@ -114,7 +117,7 @@ def test_every_variant_is_the_textbook_filter(samples, order, variance, fading, 
 
 
 @pytest.mark.parametrize("fading", ["none", *FADINGS])
-def test_the_noise_as_printed_runs_as_printed(fading):
+def test_the_noise_as_printed_runs_as_printed(fading: Any) -> None:
     random = np.random.default_rng(2)
     counts = np.cumsum(random.integers(-20, 20, 200)).tolist()
     r, bandwidth_hz = RESOLUTION**2 / 3, 100.0
@@ -129,11 +132,11 @@ def test_the_noise_as_printed_runs_as_printed(fading):
 
 
 @pytest.mark.parametrize("order", [2, 3])
-def test_the_process_noise_is_the_integral_over_one_period(order):
+def test_the_process_noise_is_the_integral_over_one_period(order: int) -> None:
     """PHYSICS 2i (A) 1: the covariance of white noise carried to the end of the period."""
     a, g = np.diag(np.ones(order - 1), 1), np.eye(order)[:, -1:]
 
-    def carried(s):
+    def carried(s: Any) -> Any:
         return linalg.expm(a * s) @ g @ g.T @ linalg.expm(a.T * s)
 
     expected, _ = integrate.quad_vec(carried, 0.0, 1.0)
@@ -141,14 +144,14 @@ def test_the_process_noise_is_the_integral_over_one_period(order):
     assert np.linalg.eigvalsh(process_noise(order)).min() > 0
 
 
-def test_the_process_noise_as_printed_is_no_covariance():
+def test_the_process_noise_as_printed_is_no_covariance() -> None:
     printed = process_noise(3, printed=True)
     expected = [[1 / 480, 1 / 48, 1 / 12], [1 / 48, 1 / 6, 1 / 2], [1 / 12, 1 / 2, 1]]
     assert printed == pytest.approx(np.array(expected), rel=1e-15)
     assert np.linalg.eigvalsh(printed).min() == pytest.approx(-0.0715, abs=1e-4)
 
 
-def test_q_has_the_unit_of_length_squared():
+def test_q_has_the_unit_of_length_squared() -> None:
     """Metres or millimetres: the same filter, when q goes with the square of the unit."""
     counts = np.cumsum(np.random.default_rng(3).integers(-9, 9, 100)).tolist()
     metres = velocities(prepare(1e-6, **PAPER), counts)
@@ -157,7 +160,7 @@ def test_q_has_the_unit_of_length_squared():
 
 
 @pytest.mark.parametrize(("model", "order"), [("triple", 3), ("double", 2)])
-def test_a_bandwidth_is_a_q(model, order):
+def test_a_bandwidth_is_a_q(model: str, order: int) -> None:
     by_bandwidth = prepare(model=model, bandwidth_hz=50.0).parameters
     q = (2 * math.pi * 50.0) ** (2 * order) * (RESOLUTION**2 / 12) * PERIOD
     assert by_bandwidth == pytest.approx(prepare(model=model, q=q).parameters, rel=1e-12)
@@ -168,7 +171,7 @@ def test_a_bandwidth_is_a_q(model, order):
 
 @pytest.mark.parametrize("model", ["triple", "double"])
 @pytest.mark.parametrize("bandwidth_hz", [1.0, 30.0, 100.0, 450.0])
-def test_the_recursion_converges_to_the_steady_gain(model, bandwidth_hz):
+def test_the_recursion_converges_to_the_steady_gain(model: str, bandwidth_hz: float) -> None:
     """PHYSICS 2i (A) 1: two roads to one number, the recursion that runs and scipy's Riccati equation."""
     recursive = prepare(model=model, bandwidth_hz=bandwidth_hz)
     velocities(recursive, [0] * int(20_000 / bandwidth_hz + 50))
@@ -179,7 +182,7 @@ def test_the_recursion_converges_to_the_steady_gain(model, bandwidth_hz):
 
 @pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("turn", [1e-3, 1e-2, 0.3, 2.0])
-def test_the_steady_gain_solves_the_riccati_equation(order, turn):
+def test_the_steady_gain_solves_the_riccati_equation(order: int, turn: float) -> None:
     """Put back into one step of the recursion, in matrices, it returns itself."""
     r = 1 / 12
     noise = turn ** (2 * order) * r * process_noise(order)
@@ -191,14 +194,14 @@ def test_the_steady_gain_solves_the_riccati_equation(order, turn):
     assert predicted[:, 0] / (predicted[0, 0] + r) == pytest.approx(K, rel=1e-4)
 
 
-def test_slow_filters_have_the_gains_of_the_continuous_limit():
+def test_slow_filters_have_the_gains_of_the_continuous_limit() -> None:
     """Poles of a Butterworth filter at ω0: K → (2, 2, 1)·(ω0·T)^(1, 2, 3) for three integrators."""
     w = 2 * math.pi * 1.0 * PERIOD
     gain = prepare(bandwidth_hz=1.0, gain="steady").parameters[GAIN1 : GAIN1 + 3]
     assert gain == pytest.approx([2 * w, 2 * w**2, w**3], rel=1.5 * w)
 
 
-def response(prepared, frequency_hz, length=4000):
+def response(prepared: Any, frequency_hz: Any, length: int = 4000) -> Any:
     """Gain of the running filter from position to velocity, from what it makes of one count for one sample."""
     counts = [0] * length
     counts[1] = 1
@@ -208,7 +211,7 @@ def response(prepared, frequency_hz, length=4000):
     return phases @ velocities(prepared, counts) / prepared.parameters[0]
 
 
-def test_the_papers_q_at_1_khz_peaks_by_1_57_at_286_hz():
+def test_the_papers_q_at_1_khz_peaks_by_1_57_at_286_hz() -> None:
     """PHYSICS 2i (A) 1: relative to an ideal differentiator. Nearly all-pass, and no velocity filter."""
     f = np.arange(1.0, 500.0)
     gain = np.abs(response(prepare(gain="steady", **PAPER), f) / (2j * math.pi * f))
@@ -218,7 +221,7 @@ def test_the_papers_q_at_1_khz_peaks_by_1_57_at_286_hz():
     assert (q / (r * PERIOD)) ** (1 / 6) / (2 * math.pi) == pytest.approx(327, abs=1)
 
 
-def test_two_integrators_are_a_second_order_butterworth_filter_behind_a_differentiator():
+def test_two_integrators_are_a_second_order_butterworth_filter_behind_a_differentiator() -> None:
     f = np.array([10.0, 50.0, 100.0, 200.0])
     prepared = prepare(period_s=2e-5, model="double", bandwidth_hz=100.0, gain="steady")
     s = 1j * f / 100.0
@@ -226,7 +229,7 @@ def test_two_integrators_are_a_second_order_butterworth_filter_behind_a_differen
     assert np.abs(response(prepared, f, 20_000) / expected) == pytest.approx(1.0, abs=0.02)
 
 
-def test_three_integrators_follow_an_acceleration_without_lag_and_two_do_with_theirs():
+def test_three_integrators_follow_an_acceleration_without_lag_and_two_do_with_theirs() -> None:
     """√2/ω0 = 2.25 ms at 100 Hz, the delay of the Butterworth filter, against none."""
     k = np.arange(4000)
     acceleration, period_s = 2 * RESOLUTION / 1e-4**2, 1e-4  # position of k² counts: no rounding at all
@@ -238,7 +241,7 @@ def test_three_integrators_follow_an_acceleration_without_lag_and_two_do_with_th
     assert late["double"] == pytest.approx(math.sqrt(2) / (2 * math.pi * 100.0), rel=0.05)
 
 
-def test_the_covariance_says_how_large_the_error_of_the_velocity_is():
+def test_the_covariance_says_how_large_the_error_of_the_velocity_is() -> None:
     """On motion that is as rough as the model believes: white jerk, rounded to counts."""
     random = np.random.default_rng(8)
     intensity = (2 * math.pi * 50.0 * PERIOD) ** 6 / 12
@@ -257,7 +260,7 @@ def test_the_covariance_says_how_large_the_error_of_the_velocity_is():
 
 
 @pytest.mark.parametrize("fading", ["none", *FADINGS])
-def test_the_covariance_stays_positive(fading):
+def test_the_covariance_stays_positive(fading: Any) -> None:
     random = np.random.default_rng(4)
     filter_ = prepare(bandwidth_hz=20.0, fading=fading)
     for size in (1, 300, 1, 10_000, 1):
@@ -269,7 +272,7 @@ def test_the_covariance_stays_positive(fading):
 
 @pytest.mark.parametrize("noise", ["integral", "printed"])
 @pytest.mark.parametrize("fading", ["none", *FADINGS])
-def test_a_burst_of_false_counts_is_forgotten(fading, noise):
+def test_a_burst_of_false_counts_is_forgotten(fading: Any, noise: str) -> None:
     """Jumps over the whole counter leave nothing behind: neither in the state nor in the covariance."""
     random = np.random.default_rng(6)
     counts = np.cumsum(random.integers(-3, 4, 3000)).tolist()
@@ -284,7 +287,7 @@ def test_a_burst_of_false_counts_is_forgotten(fading, noise):
 
 
 @pytest.mark.parametrize("fading", FADINGS)
-def test_where_nothing_surprises_fading_is_the_plain_filter_to_the_bit(fading):
+def test_where_nothing_surprises_fading_is_the_plain_filter_to_the_bit(fading: Any) -> None:
     """λ ≡ 1: a filter that expects more than one count a period is never surprised by one."""
     counts = np.cumsum(np.random.default_rng(5).integers(-1, 2, 300)).tolist()
     plain = velocities(prepare(q=1e6), counts)
@@ -292,7 +295,7 @@ def test_where_nothing_surprises_fading_is_the_plain_filter_to_the_bit(fading):
 
 
 @pytest.mark.parametrize("fading", FADINGS)
-def test_after_an_impact_fading_finds_the_new_velocity_sooner(fading):
+def test_after_an_impact_fading_finds_the_new_velocity_sooner(fading: Any) -> None:
     k = np.arange(200)
     counts = np.where(k < 100, 50 * k, 5000 - 50 * (k - 100))
     after = slice(103, 120)
@@ -306,7 +309,7 @@ def test_after_an_impact_fading_finds_the_new_velocity_sooner(fading):
 # --- gaps -------------------------------------------------------------------------------------------------
 
 
-def test_over_a_gap_the_steady_filter_predicts_with_its_acceleration():
+def test_over_a_gap_the_steady_filter_predicts_with_its_acceleration() -> None:
     """Constant acceleration, no rounding: nothing is lost with the samples."""
     elapsed = [1] * 400 + [7, 1, 30, 1]
     k = np.cumsum(elapsed) - 1
@@ -315,7 +318,7 @@ def test_over_a_gap_the_steady_filter_predicts_with_its_acceleration():
         assert v[-4:] / (RESOLUTION / PERIOD) == pytest.approx(2 * k[-4:], rel=1e-6)
 
 
-def test_a_gap_of_days_is_a_restart_from_the_mean_slope():
+def test_a_gap_of_days_is_a_restart_from_the_mean_slope() -> None:
     later = [0, 1000, 1003, 1009]
     v = velocities(prepare(), [5, 50, 10_050], [1, 1, 2000])
     assert v[-1] == pytest.approx(5 * RESOLUTION / PERIOD, rel=1e-12)
@@ -338,7 +341,7 @@ VARIANTS = [
 
 
 @pytest.mark.parametrize("chosen", VARIANTS)
-def test_every_variant_keeps_the_promises_of_the_family(chosen):
+def test_every_variant_keeps_the_promises_of_the_family(chosen: Any) -> None:
     linear = "fading" not in chosen and chosen.get("bandwidth_hz") is None
     check_estimator(lambda r, p: estimators.get("kalman").prepare(chosen, r, p), linear=linear)
 
@@ -350,7 +353,7 @@ def test_every_variant_keeps_the_promises_of_the_family(chosen):
         st.tuples(st.integers(-(2**31), 2**31 - 1), st.one_of(st.just(1), st.integers(1, 1500))), max_size=60
     ),
 )
-def test_any_counts_and_gaps_give_finite_velocities(chosen, samples):
+def test_any_counts_and_gaps_give_finite_velocities(chosen: Any, samples: Any) -> None:
     prepared = prepare(period_s=5e-4, **chosen)
     v = velocities(prepared, [c for c, _ in samples], [n for _, n in samples])
     assert np.isfinite(v).all()
@@ -359,7 +362,7 @@ def test_any_counts_and_gaps_give_finite_velocities(chosen, samples):
 
 @settings(max_examples=60)
 @given(steps=st.lists(st.integers(-50, 50), min_size=1, max_size=50), shift=st.integers(-(2**31), 2**31 - 1))
-def test_shift_and_sign_are_exact_and_scale_is_where_nothing_fades(steps, shift):
+def test_shift_and_sign_are_exact_and_scale_is_where_nothing_fades(steps: list[int], shift: int) -> None:
     counts = np.cumsum(steps)
     shifted = (counts + shift + 2**31) % 2**32 - 2**31
     for chosen in ({}, {"fading": "stf"}, {"gain": "steady"}):
@@ -385,15 +388,15 @@ def test_shift_and_sign_are_exact_and_scale_is_where_nothing_fades(steps, shift)
         ({"model": "quadruple"}, r"model = 'quadruple' is unknown.*triple, double"),
     ],
 )
-def test_settings_that_contradict_each_other_are_refused(chosen, message):
+def test_settings_that_contradict_each_other_are_refused(chosen: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         prepare(**chosen)
 
 
-def test_beyond_the_limit_the_printed_noise_does_give_a_negative_variance():
+def test_beyond_the_limit_the_printed_noise_does_give_a_negative_variance() -> None:
     """Why `PRINTED_LIMIT` is where it is: the same recursion in matrices, below and above."""
 
-    def smallest(turn):
+    def smallest(turn: Any) -> Any:
         A, H, r = transition(3), np.eye(1, 3), 1 / 12
         Q = turn**6 * r * process_noise(3, printed=True)
         P, seen = np.diag([r, 1.0, 1.0]), []

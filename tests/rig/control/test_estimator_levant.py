@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,20 +20,20 @@ RESOLUTION, PERIOD = 1e-6, 1e-4
 MOTION = st.lists(st.integers(-1000, 1000), min_size=1, max_size=60)
 
 
-def prepare(resolution=RESOLUTION, period_s=PERIOD, **given):
+def prepare(resolution: Any = RESOLUTION, period_s: Any = PERIOD, **given: Any) -> Any:
     return levant.ESTIMATOR.prepare(given, resolution, period_s)
 
 
-def run(counts, resolution=RESOLUTION, period_s=PERIOD, **given):
+def run(counts: Any, resolution: Any = RESOLUTION, period_s: Any = PERIOD, **given: Any) -> Any:
     prepared = prepare(resolution, period_s, **given)
     return arrays.run(prepared, *arrays.inputs(counts, period_s))[0]
 
 
-def rms(values):
+def rms(values: Any) -> Any:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def textbook(position, period_s, bound, gains, scheme):
+def textbook(position: Any, period_s: Any, bound: Any, gains: Any, scheme: Any) -> Any:
     """Equation (9) in SI units and the textbook's words; u and u1 at each sample."""
     alpha, gain = gains[0] * bound, gains[1] * math.sqrt(bound)
     x, u1, out = position[0], 0.0, [(0.0, 0.0)]
@@ -65,7 +66,7 @@ def textbook(position, period_s, bound, gains, scheme):
 
 @pytest.mark.parametrize("output", levant.OUTPUTS)
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_every_scheme_and_output_keeps_the_promises_of_the_family(scheme, output):
+def test_every_scheme_and_output_keeps_the_promises_of_the_family(scheme: Any, output: Any) -> None:
     chatter = 0.01 if scheme == "implicit" else 0.1  # 1.7·α·T against the ramp of 7 counts a period
     check_estimator(
         lambda r, p: levant.ESTIMATOR.prepare({"discretisation": scheme, "output": output}, r, p),
@@ -76,7 +77,7 @@ def test_every_scheme_and_output_keeps_the_promises_of_the_family(scheme, output
 
 @pytest.mark.parametrize("gains", ["levant", "hba-sc"])
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_in_counts_and_periods_it_is_the_textbook_in_si(scheme, gains):
+def test_in_counts_and_periods_it_is_the_textbook_in_si(scheme: Any, gains: str) -> None:
     counts = np.cumsum(np.random.default_rng(2).integers(-40, 60, 2000))
     pair = levant_regions.NAMED_GAINS[gains]
     expected = textbook(counts * RESOLUTION, PERIOD, 30.0, pair, scheme)
@@ -88,8 +89,8 @@ def test_in_counts_and_periods_it_is_the_textbook_in_si(scheme, gains):
 @settings(max_examples=50, deadline=None)
 @given(motion=MOTION, scheme=st.sampled_from(levant.SCHEMES), bound=st.sampled_from([0.5, 30.0, 2000.0]))
 def test_four_times_the_motion_under_four_times_the_bound_reads_four_times_the_velocity(
-    motion, scheme, bound
-):
+    motion: Any, scheme: Any, bound: Any
+) -> None:
     """Exactly: four is a square of a power of two, so that even the root rounds alike."""
     counts = np.cumsum(motion)
     one = run(counts, lipschitz=bound, discretisation=scheme)
@@ -104,7 +105,9 @@ def test_four_times_the_motion_under_four_times_the_bound_reads_four_times_the_v
     lost=st.integers(1, 40),
     scheme=st.sampled_from(levant.SCHEMES),
 )
-def test_lost_periods_are_run_through_along_a_straight_line(motion, jump, lost, scheme):
+def test_lost_periods_are_run_through_along_a_straight_line(
+    motion: Any, jump: int, lost: int, scheme: Any
+) -> None:
     counts = [0, *np.cumsum(motion).tolist()]
     whole = [*counts, *(counts[-1] + jump * np.arange(1, lost + 1)).tolist()]
     given = {"lipschitz": 30.0, "discretisation": scheme}
@@ -112,7 +115,7 @@ def test_lost_periods_are_run_through_along_a_straight_line(motion, jump, lost, 
     assert seen[-1] == velocities(prepare(**given), whole)[-1]
 
 
-def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope():
+def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope() -> None:
     gap = levant.LONGEST_GAP + 1
     prepared = prepare()
     v = velocities(prepared, [0, 5, 5 + 3 * gap, 8 + 3 * gap], [1, 1, gap, 1])
@@ -127,7 +130,9 @@ def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope():
     bound=st.sampled_from([1e-6, 1.0, 1e9]),
     scheme=st.sampled_from(levant.SCHEMES),
 )
-def test_no_counts_and_no_bound_give_anything_but_a_number(counts, bound, scheme):
+def test_no_counts_and_no_bound_give_anything_but_a_number(
+    counts: list[int], bound: Any, scheme: Any
+) -> None:
     assert np.isfinite(run(counts, lipschitz=bound, discretisation=scheme)).all()
 
 
@@ -146,8 +151,8 @@ CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
 )
 @pytest.mark.parametrize(("gains", "scheme", "expected_rms", "peak"), CHATTER)
 def test_an_explicit_scheme_chatters_at_rest_by_a_fixed_number_of_alpha_t(
-    gains, scheme, expected_rms, peak, period_s, bound, offset
-):
+    gains: Any, scheme: Any, expected_rms: Any, peak: Any, period_s: float, bound: float, offset: int
+) -> None:
     """Whatever T, C and the offset from which it comes: 0.77 N of force at B = 100, C = 6, 1 kHz."""
     counts = np.full(40_000, offset)
     counts[0] = 0
@@ -162,7 +167,9 @@ def test_an_explicit_scheme_chatters_at_rest_by_a_fixed_number_of_alpha_t(
 )
 @pytest.mark.parametrize("gains", ["hba-sc", "levant"])
 @pytest.mark.parametrize("output", levant.OUTPUTS)
-def test_the_implicit_scheme_rests_exactly(gains, output, period_s, bound, offset):
+def test_the_implicit_scheme_rests_exactly(
+    gains: str, output: Any, period_s: float, bound: float, offset: int
+) -> None:
     counts = np.full(40_000, offset)
     counts[0] = 0
     v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, output=output)
@@ -176,7 +183,7 @@ def test_the_implicit_scheme_rests_exactly(gains, output, period_s, bound, offse
     alpha=st.floats(1e-6, 1e3),
     gain=st.floats(1e-3, 100.0),
 )
-def test_the_implicit_step_solves_its_inclusion(error, u1, alpha, gain):
+def test_the_implicit_step_solves_its_inclusion(error: float, u1: float, alpha: float, gain: float) -> None:
     """x⁺ = x + u, u = u1⁺ − λ·|e⁺|^½·σ, u1⁺ = u1 − α·σ with one σ ∈ sign(e⁺), the set [−1, 1] at zero."""
     after, u1_after, u = step(error, u1, alpha, gain, 2)
     scale = 1e-9 * (abs(error) + abs(u1) + alpha)
@@ -194,7 +201,9 @@ def test_the_implicit_step_solves_its_inclusion(error, u1, alpha, gain):
 
 @settings(max_examples=50, deadline=None)
 @given(bends=st.lists(st.integers(-3, 3), min_size=2, max_size=80))
-def test_where_alpha_exceeds_every_bend_of_the_counts_the_implicit_scheme_is_the_finite_difference(bends):
+def test_where_alpha_exceeds_every_bend_of_the_counts_the_implicit_scheme_is_the_finite_difference(
+    bends: list[int],
+) -> None:
     """So at 1 kHz and 1 µm any C from 2.8 m/s² on leaves a bend of three counts unfiltered."""
     slopes = np.concatenate([[0], np.cumsum(bends)])
     counts = np.concatenate([[0], np.cumsum(slopes)])
@@ -205,7 +214,7 @@ def test_where_alpha_exceeds_every_bend_of_the_counts_the_implicit_scheme_is_the
 # --- convergence and error --------------------------------------------------------------------------------
 
 
-def sine(period_s, duration_s=1.0, amplitude=0.01, frequency_hz=5.0):
+def sine(period_s: Any, duration_s: float = 1.0, amplitude: float = 0.01, frequency_hz: float = 5.0) -> Any:
     """Position, velocity and largest acceleration (9.87 m/s²) of a swing that starts at full speed."""
     t, w = np.arange(0.0, duration_s, period_s), 2 * math.pi * frequency_hz
     return amplitude * np.sin(w * t), amplitude * w * np.cos(w * t), amplitude * w * w
@@ -213,7 +222,9 @@ def sine(period_s, duration_s=1.0, amplitude=0.01, frequency_hz=5.0):
 
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
 @pytest.mark.parametrize("gains", ["levant", "hba-sc"])
-def test_without_noise_it_converges_in_finite_time_to_an_error_of_the_order_of_c_t(scheme, gains):
+def test_without_noise_it_converges_in_finite_time_to_an_error_of_the_order_of_c_t(
+    scheme: Any, gains: str
+) -> None:
     position, velocity, bound = sine(1e-4)
     fine = 1e-12
     v = run(
@@ -224,7 +235,7 @@ def test_without_noise_it_converges_in_finite_time_to_an_error_of_the_order_of_c
     assert np.abs(v - velocity)[1] > 0.1  # it did not begin there
 
 
-def test_an_acceleration_above_alpha_is_lost():
+def test_an_acceleration_above_alpha_is_lost() -> None:
     position, velocity, bound = sine(1e-4)
     slow = run(arrays.quantise(position, 1e-9), 1e-9, 1e-4, lipschitz=0.2 * bound)
     fast = run(arrays.quantise(position, 1e-9), 1e-9, 1e-4, lipschitz=1.2 * bound)
@@ -232,7 +243,7 @@ def test_an_acceleration_above_alpha_is_lost():
 
 
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_without_noise_the_error_is_proportional_to_the_period(scheme):
+def test_without_noise_the_error_is_proportional_to_the_period(scheme: Any) -> None:
     errors = []
     for period_s in (4e-4, 2e-4, 1e-4):
         position, velocity, bound = sine(period_s)
@@ -245,7 +256,7 @@ def test_without_noise_the_error_is_proportional_to_the_period(scheme):
 
 
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_at_a_high_rate_the_error_is_proportional_to_the_root_of_the_noise(scheme):
+def test_at_a_high_rate_the_error_is_proportional_to_the_root_of_the_noise(scheme: Any) -> None:
     """Levant 1998: the error is of the order of √(C·N). White noise of a rate so high that the period is no matter."""
     position, velocity, bound = sine(1e-5)
     noise = np.random.default_rng(7).uniform(-1.0, 1.0, len(position))
@@ -258,15 +269,15 @@ def test_at_a_high_rate_the_error_is_proportional_to_the_root_of_the_noise(schem
     assert errors[2] / errors[1] == pytest.approx(2.0, rel=0.3)
 
 
-def continuous(position, bound, gains, arcs=4):
+def continuous(position: Any, bound: Any, gains: Any, arcs: int = 4) -> Any:
     """u1 of the continuous differentiator (9), by a Runge-Kutta method that stops at every change of sign."""
     alpha, gain = gains[0] * bound, gains[1] * math.sqrt(bound)
     times, u1, state, t, sign = [], [], np.array([position(0.0), 0.0]), 0.0, -1.0
 
-    def rate(at, z, sign):
+    def rate(at: Any, z: Any, sign: Any) -> Any:
         return [z[1] - gain * math.sqrt(abs(z[0] - position(at))) * sign, -alpha * sign]
 
-    def change(at, z, _sign):
+    def change(at: Any, z: Any, _sign: Any) -> Any:
         return z[0] - position(at)
 
     change.terminal = True
@@ -280,12 +291,12 @@ def continuous(position, bound, gains, arcs=4):
 
 @pytest.mark.parametrize("gains", ["levant", "hba-sc"])
 @pytest.mark.parametrize("scheme", levant.SCHEMES)
-def test_its_transient_is_that_of_the_continuous_differentiator(scheme, gains):
+def test_its_transient_is_that_of_the_continuous_differentiator(scheme: Any, gains: str) -> None:
     """A copy at rest catches up with a swing at full speed; u1 overshoots as often and as far."""
     bound, period_s = 12.0, 1e-5
     assert sine(period_s)[2] < bound
 
-    def position(t):
+    def position(t: Any) -> Any:
         return 0.01 * math.sin(2 * math.pi * 5.0 * t)
 
     times, expected = continuous(position, bound, levant_regions.NAMED_GAINS[gains])
@@ -300,13 +311,13 @@ def test_its_transient_is_that_of_the_continuous_differentiator(scheme, gains):
 # --- gains ------------------------------------------------------------------------------------------------
 
 
-def si_gains(prepared):
+def si_gains(prepared: Any) -> Any:
     alpha = prepared.parameters[ALPHA] * abs(prepared.parameters[0]) / prepared.parameters[1] ** 2
     gain = prepared.parameters[LAMBDA] * math.sqrt(abs(prepared.parameters[0])) / prepared.parameters[1]
     return alpha, gain
 
 
-def test_the_papers_gains_are_those_of_c_6():
+def test_the_papers_gains_are_those_of_c_6() -> None:
     """PHYSICS 2i (A) 8: α/1.1 = 6.000, λ² = 6.0025 ≈ C."""
     assert si_gains(prepare(lipschitz=6.0, gains="hba-sc")) == pytest.approx((6.6, 2.45), rel=3e-4)
     assert si_gains(prepare(lipschitz=6.0)) == pytest.approx((6.6, 1.5 * math.sqrt(6.0)))
@@ -315,7 +326,7 @@ def test_the_papers_gains_are_those_of_c_6():
     )
 
 
-def test_a_pair_outside_its_region_is_refused_with_the_one_that_is_needed():
+def test_a_pair_outside_its_region_is_refused_with_the_one_that_is_needed() -> None:
     with pytest.raises(ConfigError, match=r"mu1 = 2, mu2 = 3 lie outside the region 'hba'.*mu1 ≥ 2\.6"):
         prepare(gains="hba", mu1=2.0, mu2=3.0)
     with pytest.raises(ConfigError, match=r"outside the region 'hba'.*mu2 above 2"):
@@ -327,7 +338,7 @@ def test_a_pair_outside_its_region_is_refused_with_the_one_that_is_needed():
     prepare(gains="custom", mu1=0.5, mu2=0.1)
 
 
-def test_gains_that_contradict_each_other_are_refused():
+def test_gains_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"'levant' fixes mu1 and mu2"):
         prepare(mu1=2.0)
     with pytest.raises(ConfigError, match=r"'custom' needs mu1 and mu2"):

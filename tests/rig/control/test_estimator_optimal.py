@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +17,11 @@ from tests.conformance.estimator import velocities
 RESOLUTION, PERIOD = 1e-6, 1e-4
 
 
-def prepare(resolution=RESOLUTION, period_s=PERIOD, **given):
+def prepare(resolution: Any = RESOLUTION, period_s: Any = PERIOD, **given: Any) -> Any:
     return optimal.ESTIMATOR.prepare(given, resolution, period_s)
 
 
-def brute_force(counts, bend, longest):
+def brute_force(counts: Any, bend: Any, longest: Any) -> Any:
     """The definition in the module's docstring, word by word: slopes in counts per period, and chords."""
     slopes, chords = [0.0], [0]
     for k in range(1, len(counts)):
@@ -40,7 +41,7 @@ def brute_force(counts, bend, longest):
     motion=st.lists(st.integers(-6, 6), min_size=1, max_size=40),
     bound=st.sampled_from([3.0, 20.3, 100.0, 711.0]),
 )
-def test_it_is_its_definition(motion, bound):
+def test_it_is_its_definition(motion: list[int], bound: Any) -> None:
     counts = [0, *np.cumsum(motion).tolist()]
     prepared = prepare(lipschitz=bound)
     bend, longest = prepared.parameters[2:]
@@ -50,7 +51,7 @@ def test_it_is_its_definition(motion, bound):
     assert (windows == chords).all()
 
 
-def swing(period_s, resolution, offset=0.5):
+def swing(period_s: Any, resolution: Any, offset: float = 0.5) -> Any:
     t = np.arange(0.0, 0.4, period_s)
     w = 2 * math.pi * 11.0
     return (
@@ -62,7 +63,9 @@ def swing(period_s, resolution, offset=0.5):
 
 @pytest.mark.parametrize("period_s", [1e-3, 2e-4, 5e-5])
 @pytest.mark.parametrize("resolution", [1e-6, 5e-6, 2e-5])
-def test_the_error_keeps_to_the_bound_that_no_exact_differentiator_can_beat(period_s, resolution):
+def test_the_error_keeps_to_the_bound_that_no_exact_differentiator_can_beat(
+    period_s: float, resolution: float
+) -> None:
     """|v̂ − v| ≤ 2·√(2·N·C) + C·T/2 with N half a count, once the longest chord is filled."""
     counts, velocity, bound = swing(period_s, resolution)
     prepared = prepare(resolution, period_s, lipschitz=bound, window_limit=64.0)
@@ -71,7 +74,7 @@ def test_the_error_keeps_to_the_bound_that_no_exact_differentiator_can_beat(peri
     assert error[filled:].max() <= 2 * math.sqrt(resolution * bound) + bound * period_s / 2
 
 
-def test_without_noise_it_is_the_finite_difference_whatever_the_speed():
+def test_without_noise_it_is_the_finite_difference_whatever_the_speed() -> None:
     """A parabola of whole counts that bends by no more than C: the shortest chord, at once, off by C·T/2."""
     k = np.arange(200)
     counts = 3 * k**2
@@ -80,7 +83,7 @@ def test_without_noise_it_is_the_finite_difference_whatever_the_speed():
     assert v[1:] == pytest.approx(np.diff(counts) * RESOLUTION / PERIOD)
 
 
-def test_a_toggling_count_at_rest_is_seen_as_noise_and_divided_by_a_long_chord():
+def test_a_toggling_count_at_rest_is_seen_as_noise_and_divided_by_a_long_chord() -> None:
     """Its noise is half a count but for what C might have bent: one period less than the longest chord at most."""
     prepared = prepare(lipschitz=20.0)
     longest = prepared.parameters[3]
@@ -90,13 +93,13 @@ def test_a_toggling_count_at_rest_is_seen_as_noise_and_divided_by_a_long_chord()
     assert np.abs(v[50:]).max() <= RESOLUTION / ((longest - 1) * PERIOD) * (1 + 1e-12)
 
 
-def test_samples_lost_within_the_chord_bend_nothing():
+def test_samples_lost_within_the_chord_bend_nothing() -> None:
     counts = 3 * np.cumsum([1, 1, 1, 2, 1, 3, 1, 1])
     v = velocities(prepare(lipschitz=0.5), counts.tolist(), [1, 1, 1, 2, 1, 3, 1, 1])
     assert v[1:] == pytest.approx(3 * RESOLUTION / PERIOD)
 
 
-def test_the_longest_chord_follows_from_noise_and_bound_within_the_limit():
+def test_the_longest_chord_follows_from_noise_and_bound_within_the_limit() -> None:
     assert prepare(lipschitz=20.0).parameters[3] == 4
     assert prepare(lipschitz=20.0, noise=2.0).parameters[3] == 7
     assert prepare(lipschitz=1e6).parameters[3] == 2

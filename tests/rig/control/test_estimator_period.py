@@ -6,6 +6,7 @@ import math
 import tomllib
 from bisect import bisect_right
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,16 +27,16 @@ NAMES = ("period", "period-frequency")
 SPEED = st.floats(0.03, 3000.0)  # counts per period
 
 
-def prepare(name: str, **given):
+def prepare(name: str, **given: Any) -> Any:
     return estimators.get(name).prepare(given, RESOLUTION, PERIOD)
 
 
-def on_the_wire(age_s):
+def on_the_wire(age_s: Any) -> Any:
     """Edge ages as the loop gets them: device time in 1/16 µs, then whole nanoseconds."""
     return np.floor(np.rint(np.asarray(age_s) / TICK) * 62.5) * 1e-9
 
 
-def steady(speed: float, start: float, samples: int):
+def steady(speed: float, start: float, samples: int) -> Any:
     """Counts and edge ages of a handle at `speed` (counts per period) that was at `start` (counts) at sample 0."""
     position = start + speed * np.arange(samples)
     count = np.floor(position)
@@ -43,7 +44,7 @@ def steady(speed: float, start: float, samples: int):
     return count.astype(np.int64), beyond / abs(speed) * PERIOD
 
 
-def velocities(prepared, counts, ages, elapsed=None):
+def velocities(prepared: Any, counts: Any, ages: Any, elapsed: Any = None) -> Any:
     """Velocities in counts per period."""
     steps = np.ones(len(counts), np.int64) if elapsed is None else np.asarray(elapsed, np.int64)
     return (
@@ -56,7 +57,9 @@ def velocities(prepared, counts, ages, elapsed=None):
 
 @settings(max_examples=150, deadline=None)
 @given(speed=SPEED, sign=st.sampled_from((1, -1)), start=st.floats(0, 1), name=st.sampled_from(NAMES))
-def test_a_steady_motion_reads_exactly_to_the_resolution_of_edge_times_at_any_speed(speed, sign, start, name):
+def test_a_steady_motion_reads_exactly_to_the_resolution_of_edge_times_at_any_speed(
+    speed: Any, sign: Any, start: float, name: Any
+) -> None:
     """From the second edge on. Two edges used lie half a period apart at least, else a count."""
     samples = 20 + math.ceil(4 / speed)
     counts, ages = steady(sign * speed, start, samples)
@@ -69,14 +72,14 @@ def test_a_steady_motion_reads_exactly_to_the_resolution_of_edge_times_at_any_sp
 
 @settings(max_examples=50, deadline=None)
 @given(speed=st.floats(1.0, 3000.0), start=st.floats(0, 1))
-def test_a_window_of_many_periods_reads_that_much_finer(speed, start):
+def test_a_window_of_many_periods_reads_that_much_finer(speed: float, start: float) -> None:
     counts, ages = steady(speed, start, 80)
     v = velocities(prepare("period-frequency", window_s=32 * PERIOD), counts, on_the_wire(ages))
     assert np.abs(v[40:] / speed - 1.0).max() <= CLOCK / (31 * PERIOD)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_steady_motion_is_read_over_lost_periods(name):
+def test_steady_motion_is_read_over_lost_periods(name: Any) -> None:
     elapsed = np.array([1] * 20 + [2, 1, 5, 1, 17, 3, 40, 1])
     when = np.cumsum(elapsed) - 1
     counts, ages = steady(3.7, 0.2, when[-1] + 1)
@@ -84,7 +87,7 @@ def test_steady_motion_is_read_over_lost_periods(name):
     assert v[5:] == pytest.approx(3.7, rel=1e-9)
 
 
-def test_the_finite_difference_is_no_match_for_it():
+def test_the_finite_difference_is_no_match_for_it() -> None:
     """At 0.37 counts a period the difference reads 0 or 1."""
     counts, ages = steady(0.37, 0.1, 400)
     v = velocities(prepare("period"), counts, on_the_wire(ages))[20:]
@@ -95,7 +98,7 @@ def test_the_finite_difference_is_no_match_for_it():
 
 @settings(max_examples=50, deadline=None)
 @given(speed=st.floats(0.05, 50.0), start=st.floats(0, 1))
-def test_a_window_of_one_period_is_period_counting(speed, start):
+def test_a_window_of_one_period_is_period_counting(speed: float, start: float) -> None:
     counts, ages = steady(speed, start, 200)
     windowed = velocities(prepare("period-frequency", window_s=PERIOD), counts, ages)
     assert windowed == pytest.approx(velocities(prepare("period"), counts, ages), rel=1e-9)
@@ -104,7 +107,7 @@ def test_a_window_of_one_period_is_period_counting(speed, start):
 # --- changing motion --------------------------------------------------------------------------------------
 
 
-def edges_of(motion, until_s: float, step_s: float = 1e-6):
+def edges_of(motion: Any, until_s: float, step_s: float = 1e-6) -> Any:
     """Independent oracle: every boundary crossing (time, boundary) of a motion in counts, by bisection."""
     times = np.arange(0.0, until_s, step_s)
     cells = np.floor(motion(times))
@@ -120,7 +123,7 @@ def edges_of(motion, until_s: float, step_s: float = 1e-6):
     return found
 
 
-def sampled(motion, edges, samples: int):
+def sampled(motion: Any, edges: Any, samples: int) -> Any:
     times = PERIOD * np.arange(samples)
     when = [t for t, _ in edges]
     last = [bisect_right(when, t) - 1 for t in times]
@@ -128,7 +131,7 @@ def sampled(motion, edges, samples: int):
     return np.floor(motion(times)).astype(np.int64), np.array(ages), last
 
 
-def mean_velocities(edges, last):
+def mean_velocities(edges: Any, last: Any) -> Any:
     """Mean velocity between the edges that two samples saw last, bounded by the silence since (counts per period)."""
     expected, speed = [], 0.0
     for k, (i, before) in enumerate(zip(last, [-1, *last], strict=False)):
@@ -141,10 +144,10 @@ def mean_velocities(edges, last):
 
 
 @pytest.mark.parametrize("turn_s", [0.0487, 0.0501, 0.0612])
-def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s):
+def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s: float) -> None:
     """A parabola that turns inside a cell: positive, zero at the edge that it goes back over, then negative."""
 
-    def motion(t):
+    def motion(t: Any) -> Any:
         return 100.3 - 8000.0 * (t - turn_s) ** 2
 
     edges = edges_of(motion, 0.11)
@@ -160,11 +163,11 @@ def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s):
 
 
 @pytest.mark.parametrize("frequency_hz", [3.0, 17.0])
-def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(frequency_hz):
+def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(frequency_hz: float) -> None:
     """Against the true velocity, where edges come every few periods at least."""
     amplitude, omega = 150.3, 2 * math.pi * frequency_hz
 
-    def motion(t):
+    def motion(t: Any) -> Any:
         return 0.37 + amplitude * np.sin(omega * t)
 
     edges = edges_of(motion, 0.4)
@@ -180,7 +183,7 @@ def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(freq
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_handle_that_stops_decays_as_one_over_the_time_since_its_last_edge(name):
+def test_a_handle_that_stops_decays_as_one_over_the_time_since_its_last_edge(name: Any) -> None:
     counts, ages = steady(5.0, 0.0, 20)
     rest = np.arange(1, 200)
     v = velocities(
@@ -193,14 +196,14 @@ def test_a_handle_that_stops_decays_as_one_over_the_time_since_its_last_edge(nam
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_handle_that_toggles_one_count_reads_zero(name):
+def test_a_handle_that_toggles_one_count_reads_zero(name: Any) -> None:
     """Up and down over the same boundary is no distance: a quiet wall stays quiet."""
     counts, ages = [0] * 5 + [1, 0] * 30, [134.0] * 5 + [1e-4, 2e-4] * 30
     assert not velocities(prepare(name), counts, ages).any()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_two_edges_within_a_period_leave_an_unknown_boundary_and_a_velocity_of_zero(name):
+def test_two_edges_within_a_period_leave_an_unknown_boundary_and_a_velocity_of_zero(name: Any) -> None:
     counts, ages = steady(0.8, 0.0, 20)
     last = counts[-1]
     there = [*counts, last, last + 1, last + 2]
@@ -210,10 +213,10 @@ def test_two_edges_within_a_period_leave_an_unknown_boundary_and_a_velocity_of_z
     assert v[22] == pytest.approx(1.0)
 
 
-def test_a_reversal_begins_a_new_window():
+def test_a_reversal_begins_a_new_window() -> None:
     """Twenty periods of mean would show a handle that turned with the wrong sign for ten of them."""
 
-    def motion(t):
+    def motion(t: Any) -> Any:
         return 1000.3 - np.abs(2.0e4 * (t - 0.02015))
 
     edges = edges_of(motion, 0.041)
@@ -225,7 +228,7 @@ def test_a_reversal_begins_a_new_window():
 
 @settings(max_examples=20, deadline=None)
 @given(speed=st.floats(6.0, 40.0), start=st.floats(0, 1))
-def test_uneven_encoder_lines_are_averaged_by_the_window(speed, start):
+def test_uneven_encoder_lines_are_averaged_by_the_window(speed: float, start: float) -> None:
     """Every other boundary 0.2 counts late: the distance is 0.2 counts off at most, over one period or over 32."""
     position = start + speed * np.arange(200)
     count = np.floor(position)
@@ -238,7 +241,7 @@ def test_uneven_encoder_lines_are_averaged_by_the_window(speed, start):
         assert np.abs(v / speed - 1.0).max() <= 0.2 / (least - 0.2) + 1e-3
 
 
-def test_a_wide_gap_between_lines_looks_like_a_stop_unless_it_is_allowed_for():
+def test_a_wide_gap_between_lines_looks_like_a_stop_unless_it_is_allowed_for() -> None:
     """Lines 1.2 counts apart at 6.3 counts a period: the bound of an ideal encoder takes a sixth off the velocity."""
     position = 6.3 * np.arange(200)
     count = np.floor(position)
@@ -266,7 +269,7 @@ def test_a_wide_gap_between_lines_looks_like_a_stop_unless_it_is_allowed_for():
     ),
     name=st.sampled_from(NAMES),
 )
-def test_any_counts_ages_and_gaps_give_a_finite_velocity(data, name):
+def test_any_counts_ages_and_gaps_give_a_finite_velocity(data: Any, name: Any) -> None:
     counts, ages, elapsed = zip(*data, strict=True)
     prepared = prepare(name)
     assert np.isfinite(velocities(prepared, counts, ages, elapsed)).all()
@@ -279,14 +282,16 @@ def test_any_counts_ages_and_gaps_give_a_finite_velocity(data, name):
     ages=st.lists(st.floats(0, 2 * PERIOD), min_size=100, max_size=100),
     name=st.sampled_from(NAMES),
 )
-def test_whatever_the_edges_it_never_reads_faster_than_one_count_since_the_last(motion, ages, name):
+def test_whatever_the_edges_it_never_reads_faster_than_one_count_since_the_last(
+    motion: list[int], ages: list[float], name: Any
+) -> None:
     ages = np.array(ages[: len(motion)])
     v = velocities(prepare(name), np.cumsum(motion), ages)
     used = np.where(np.diff(np.cumsum(motion), prepend=0) != 0, np.minimum(ages, PERIOD), ages)
     assert (np.abs(v) * np.maximum(used - TICK, 0.0) <= PERIOD * (1 + 1e-9)).all()
 
 
-def test_without_edge_times_it_is_the_finite_difference_held_between_counts():
+def test_without_edge_times_it_is_the_finite_difference_held_between_counts() -> None:
     counts = np.floor(0.3 * np.arange(60) ** 1.3).astype(int)
     v = estimators.estimate("period", counts, PERIOD, resolution=RESOLUTION)
     fdm = estimators.estimate("fdm", counts, PERIOD, resolution=RESOLUTION)
@@ -297,7 +302,7 @@ def test_without_edge_times_it_is_the_finite_difference_held_between_counts():
     assert v[consecutive] == pytest.approx(fdm[consecutive], rel=1e-9)
 
 
-def test_the_row_shows_over_how_many_periods_it_looks():
+def test_the_row_shows_over_how_many_periods_it_looks() -> None:
     counts, ages = steady(0.1, 0.0, 60)
     prepared = prepare("period")
     velocities(prepared, counts, ages)
@@ -309,7 +314,7 @@ def test_the_row_shows_over_how_many_periods_it_looks():
     assert fast.state_i[WINDOW] == 8
 
 
-def test_a_window_beyond_the_memory_is_refused():
+def test_a_window_beyond_the_memory_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"window_s = 0\.2 s is 400 velocity periods.*at most 256 periods, 0\.128 s"
     ):
@@ -318,7 +323,7 @@ def test_a_window_beyond_the_memory_is_refused():
     assert prepare("period-frequency", window_s=3 * PERIOD).parameters[3] == 3.0
 
 
-def test_on_the_simulated_rig_it_is_several_times_closer_to_the_truth_than_the_difference():
+def test_on_the_simulated_rig_it_is_several_times_closer_to_the_truth_than_the_difference() -> None:
     """A slow push and pull on koul-rigid at 20 kHz, with edge times as the device gives them."""
     table = tomllib.loads((files("rig.config.presets") / "koul-rigid.toml").read_text())["rig"]
     model = RigModel(

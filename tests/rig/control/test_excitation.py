@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,14 +19,14 @@ from rig.core.present import plain
 BAND = (1.0, 250.0)
 
 
-def test_equal_amplitudes_get_schroeders_textbook_phases():
+def test_equal_amplitudes_get_schroeders_textbook_phases() -> None:
     n = 250
     k = np.arange(1, n + 1)
     found = Multisine.schroeder(BAND, rms=1.0, first_phase=0.3).phases
     assert np.exp(1j * found) == pytest.approx(np.exp(1j * (0.3 - np.pi * k * (k - 1) / n)), abs=1e-9)
 
 
-def test_unequal_amplitudes_get_schroeders_general_phases():
+def test_unequal_amplitudes_get_schroeders_general_phases() -> None:
     amplitudes = np.array([3.0, 1.0, 2.0, 0.5])
     share = amplitudes**2 / np.sum(amplitudes**2)
     expected = [-2 * np.pi * sum((k - m) * share[m] for m in range(k)) for k in range(4)]
@@ -35,7 +36,7 @@ def test_unequal_amplitudes_get_schroeders_general_phases():
 
 
 @pytest.mark.parametrize("spectrum", ["flat", "mass"])
-def test_schroeders_phases_give_less_than_half_the_crest_of_zero_phases(spectrum):
+def test_schroeders_phases_give_less_than_half_the_crest_of_zero_phases(spectrum: str) -> None:
     multisine = Multisine.schroeder(BAND, rms=1.0, spectrum=spectrum)
     aligned = Multisine(1.0, multisine.lines_hz, multisine.amplitudes, np.zeros(250))
     random = [Multisine.random(BAND, seed=s, rms=1.0, spectrum=spectrum).crest_factor for s in range(10)]
@@ -45,7 +46,7 @@ def test_schroeders_phases_give_less_than_half_the_crest_of_zero_phases(spectrum
     assert aligned.crest_factor > 10.0
 
 
-def test_one_line_has_the_crest_of_a_sine():
+def test_one_line_has_the_crest_of_a_sine() -> None:
     assert Multisine.schroeder((7.0, 7.0), rms=1.0).crest_factor == pytest.approx(np.sqrt(2.0), rel=1e-6)
 
 
@@ -56,7 +57,9 @@ def test_one_line_has_the_crest_of_a_sine():
     spacing=st.integers(1, 4),
     odd=st.booleans(),
 )
-def test_rms_and_peak_are_those_of_a_fine_sampling(seed, low, width, spacing, odd):
+def test_rms_and_peak_are_those_of_a_fine_sampling(
+    seed: int, low: int, width: int, spacing: int, odd: bool
+) -> None:
     multisine = Multisine.random((low, low + width + 1), seed=seed, peak=3.0, spacing_lines=spacing, odd=odd)
     fine = multisine.at(np.arange(40_000) / 40_000)
     assert np.abs(fine).max() <= 3.0 * (1 + 1e-3)
@@ -64,7 +67,7 @@ def test_rms_and_peak_are_those_of_a_fine_sampling(seed, low, width, spacing, od
     assert multisine.rms == pytest.approx(np.sqrt(np.mean(fine**2)), rel=1e-9)
 
 
-def test_lines_are_what_was_asked_for():
+def test_lines_are_what_was_asked_for() -> None:
     assert Multisine.schroeder((1.0, 3.0), 2.0, rms=1.0).lines_hz == pytest.approx([1, 1.5, 2, 2.5, 3])
     assert Multisine.schroeder((2.0, 9.0), rms=1.0, odd=True).lines_hz == pytest.approx([3, 5, 7, 9])
     assert Multisine.schroeder((2.0, 9.0), rms=1.0, spacing_lines=3).lines_hz == pytest.approx([2, 5, 8])
@@ -78,12 +81,12 @@ def test_lines_are_what_was_asked_for():
     ]  # 0.3 · 10 < 3 in floats
 
 
-def test_a_mass_moves_equally_fast_at_each_line_of_its_spectrum():
+def test_a_mass_moves_equally_fast_at_each_line_of_its_spectrum() -> None:
     speed = Multisine.schroeder(BAND, rms=2.0, spectrum="mass").velocity(lambda f: 2j * np.pi * f * 0.52)
     assert speed.amplitudes == pytest.approx(speed.amplitudes[0])
 
 
-def test_random_phases_come_from_the_seed_alone():
+def test_random_phases_come_from_the_seed_alone() -> None:
     one, same, other = (Multisine.random(BAND, seed=s, rms=1.0) for s in ((5, 1), (5, 1), (5, 2)))
     assert np.array_equal(one.phases, same.phases)
     assert not np.array_equal(one.phases, other.phases)
@@ -91,7 +94,7 @@ def test_random_phases_come_from_the_seed_alone():
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5, 0.25])
-def test_a_period_is_the_sum_of_cosines_at_its_samples(offset):
+def test_a_period_is_the_sum_of_cosines_at_its_samples(offset: float) -> None:
     multisine = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
     assert multisine.period(1000.0, offset) == pytest.approx(
         multisine.at((np.arange(500) + offset) / 1000.0), abs=1e-12
@@ -99,7 +102,7 @@ def test_a_period_is_the_sum_of_cosines_at_its_samples(offset):
     assert multisine.at(0.123) == pytest.approx(multisine.at(0.123 + 3 * 0.5), abs=1e-12)
 
 
-def test_it_fades_in_over_whole_periods_and_is_itself_afterwards():
+def test_it_fades_in_over_whole_periods_and_is_itself_afterwards() -> None:
     multisine = Multisine.schroeder((3.0, 40.0), 0.5, rms=2.0)
     t = np.linspace(-0.5, 2.0, 2501)
     faded = multisine.ramped(t, 2)
@@ -109,7 +112,7 @@ def test_it_fades_in_over_whole_periods_and_is_itself_afterwards():
     assert ramp([-1.0, 0.0, 1.0], 0.0) == pytest.approx([0.0, 1.0, 1.0])
 
 
-def test_predicted_motion_is_that_of_the_equation_of_motion():
+def test_predicted_motion_is_that_of_the_equation_of_motion() -> None:
     """The position put into m·x″ + b·x′ + K·x gives the effort back."""
     m, b, k = 0.52, 13.2, 2e4
     multisine = Multisine.schroeder((2.0, 60.0), rms=3.0)
@@ -123,7 +126,7 @@ def test_predicted_motion_is_that_of_the_equation_of_motion():
     assert v.at(t) == pytest.approx(np.fft.irfft(1j * w * spectrum, 50_000), abs=1e-9)
 
 
-def test_a_plan_gets_numbers_and_limits():
+def test_a_plan_gets_numbers_and_limits() -> None:
     m, b, k = 0.52, 13.2, 2e4
     multisine = Multisine.schroeder(BAND, peak=20.0)
     s = 2j * np.pi * multisine.lines_hz
@@ -144,7 +147,7 @@ def test_a_plan_gets_numbers_and_limits():
     assert all(check.holds for check in no_wall)  # nothing to keep
 
 
-def test_a_plan_refuses_an_impedance_that_nothing_can_be_divided_by():
+def test_a_plan_refuses_an_impedance_that_nothing_can_be_divided_by() -> None:
     for impedance in (0.0, np.nan, [1.0, 0.0]):
         with pytest.raises(ConfigError, match="impedance"):
             Multisine.schroeder((1.0, 2.0), rms=1.0).check(impedance, position_limit=1.0)
@@ -170,19 +173,19 @@ def test_a_plan_refuses_an_impedance_that_nothing_can_be_divided_by():
         (lambda: Multisine.schroeder((1.0, 50.0), rms=1.0).period(100.0), "cannot be played"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(make, reason):
+def test_what_cannot_be_meant_is_refused(make: Any, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason) as caught:
         make()
     assert caught.value.remedy
 
 
-def test_its_mapping_is_json():
+def test_its_mapping_is_json() -> None:
     mapping = json.loads(json.dumps(plain(Multisine.schroeder((1.0, 3.0), rms=1.0))))
     again = Multisine(mapping["period_s"], mapping["lines_hz"], mapping["amplitudes"], mapping["phases"])
     assert again.crest_factor == pytest.approx(mapping["crest_factor"])
 
 
-def test_it_needs_numpy_alone():
+def test_it_needs_numpy_alone() -> None:
     code = "import sys, rig.control.excitation; print([m for m in ('scipy', 'numba', 'pydantic') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,30 +18,30 @@ RATE, QUANTUM = 20_000, 2.5e-4  # N·m for one quantum
 BAND = (1.0, 250.0)
 
 
-def usual(**changes):
+def usual(**changes: Any) -> Any:
     shape = Multisine.schroeder(BAND, 1.0, rms=0.05)
     return ExcitationTable.of(shape, RATE, QUANTUM, **changes)
 
 
 @given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=200))
-def test_the_cosine_keeps_its_bound(numbers):
+def test_the_cosine_keeps_its_bound(numbers: list[int]) -> None:
     phases = np.array(numbers, np.uint32)
     assert np.abs(cosine(phases) / 2**24 - np.cos(phases * (2 * np.pi / 2**32))).max() < 5.2e-6
 
 
-def test_the_cosine_at_its_ends():
+def test_the_cosine_at_its_ends() -> None:
     quarters = np.array([0, 2**30, 2**31, 3 * 2**30], np.uint32)
     assert cosine(quarters).tolist() == [2**24, 0, -(2**24), 0]
 
 
-def test_hashed_phases_are_even_on_the_circle():
+def test_hashed_phases_are_even_on_the_circle() -> None:
     phases = np.concatenate([hashed_phases(seed, 64) for seed in range(50)]) / 2**32
     assert np.abs(np.histogram(phases, 16, (0, 1))[0] - 200).max() < 60
     assert abs(np.exp(2j * np.pi * phases).mean()) < 0.05
 
 
 @pytest.mark.parametrize("phases", PHASES)
-def test_the_table_is_the_multisine_within_the_stated_error(phases):
+def test_the_table_is_the_multisine_within_the_stated_error(phases: Any) -> None:
     excitation = usual(phases=phases, seed=3)
     ideal = excitation.multisine(RATE, QUANTUM).period(RATE)
     off = np.abs(excitation.efforts(QUANTUM) - ideal)
@@ -50,7 +52,7 @@ def test_the_table_is_the_multisine_within_the_stated_error(phases):
     assert excitation.peak * QUANTUM == pytest.approx(np.abs(ideal).max(), rel=1e-3)
 
 
-def test_schroeders_phases_are_those_of_the_host():
+def test_schroeders_phases_are_those_of_the_host() -> None:
     mine, shape = usual().multisine(RATE, QUANTUM), Multisine.schroeder(BAND, 1.0, rms=0.05)
     assert np.abs(np.exp(1j * mine.phases) - np.exp(1j * shape.phases)).max() < 1e-4
     assert mine.lines_hz == pytest.approx(shape.lines_hz)
@@ -58,7 +60,7 @@ def test_schroeders_phases_are_those_of_the_host():
     assert mine.crest_factor < 2.0
 
 
-def test_the_format_leaves_room_for_the_peak_and_no_more():
+def test_the_format_leaves_room_for_the_peak_and_no_more() -> None:
     excitation = usual()
     assert 2**14 <= np.abs(excitation.table.astype(int)).max() < 2**15
     small = ExcitationTable(1, 1, 1, 100, 2**10).with_most_bits()
@@ -67,7 +69,7 @@ def test_the_format_leaves_room_for_the_peak_and_no_more():
         ExcitationTable(64, 1, 1, 1000, 2**31 - 1).with_most_bits()
 
 
-def test_it_rises_along_a_raised_cosine_and_then_repeats():
+def test_it_rises_along_a_raised_cosine_and_then_repeats() -> None:
     excitation = usual(ramp=5000)
     ticks = np.arange(30_000)
     played = excitation.played(ticks) / 2**16
@@ -76,7 +78,7 @@ def test_it_rises_along_a_raised_cosine_and_then_repeats():
     assert (played[5000:10_000] == played[25_000:]).all()
 
 
-def test_its_parameters_are_the_devices():
+def test_its_parameters_are_the_devices() -> None:
     excitation = usual(phases="hashed", seed=2**32 - 1, ramp=7)
     values = excitation.parameters()
     assert set(values) == {p.name for p in PARAMETERS if p.name.startswith("excitation_")}
@@ -95,7 +97,7 @@ def test_its_parameters_are_the_devices():
     ],
     ids=["spectrum", "spacing", "no whole number of ticks", "too long", "above Nyquist", "too large"],
 )
-def test_what_a_device_cannot_play_is_refused(shape, rate):
+def test_what_a_device_cannot_play_is_refused(shape: Any, rate: Any) -> None:
     with pytest.raises(ConfigError):
         ExcitationTable.of(shape, rate, QUANTUM)
 
@@ -103,7 +105,7 @@ def test_what_a_device_cannot_play_is_refused(shape, rate):
 @pytest.mark.parametrize(
     "change", [{"lines": 0}, {"phases": "random"}, {"amplitude": 2**31 - 1}, {"first": 400}, {"bits": 16}]
 )
-def test_numbers_that_a_device_would_refuse_are_refused_here(change):
+def test_numbers_that_a_device_would_refuse_are_refused_here(change: Any) -> None:
     good = {"lines": 200, "first": 1, "step": 1, "period": 1000, "amplitude": 1}
     ExcitationTable(**good)
     with pytest.raises(ConfigError):

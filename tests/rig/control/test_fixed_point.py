@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -30,30 +31,32 @@ STATE = Format(32, 16)
 
 @settings(deadline=None)
 @given(value=VALUE, bits=st.integers(0, 61), rounding=ROUNDING)
-def test_a_shift_is_a_division_by_a_power_of_two_with_the_rounding_that_it_names(value, bits, rounding):
+def test_a_shift_is_a_division_by_a_power_of_two_with_the_rounding_that_it_names(
+    value: Any, bits: int, rounding: Any
+) -> None:
     assert shift_right(value, bits, rounding) == rounded(Fraction(value, 2**bits), rounding)
 
 
 @settings(deadline=None)
 @given(value=VALUE, denominator=st.integers(1, 2**61), rounding=ROUNDING)
-def test_a_division_rounds_as_it_says(value, denominator, rounding):
+def test_a_division_rounds_as_it_says(value: Any, denominator: int, rounding: Any) -> None:
     assert divide(value, denominator, rounding) == rounded(Fraction(value, denominator), rounding)
 
 
 @settings(deadline=None)
 @given(value=st.integers(-(2**63), 2**63 - 1), bits=st.integers(1, 63))
-def test_what_does_not_fit_its_word_saturates(value, bits):
+def test_what_does_not_fit_its_word_saturates(value: int, bits: int) -> None:
     assert saturate(value, bits) == clipped(value, bits)
 
 
-def test_the_three_roundings_differ_where_they_say():
+def test_the_three_roundings_differ_where_they_say() -> None:
     quarters = range(-6, 7)  # of one unit
     assert [shift_right(q, 2, FLOOR) for q in quarters] == [-2, -2, -1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1]
     assert [shift_right(q, 2, ZERO) for q in quarters] == [-1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1]
     assert [shift_right(q, 2, NEAREST) for q in quarters] == [-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 2]
 
 
-def test_a_format_knows_its_name_its_step_and_its_ends():
+def test_a_format_knows_its_name_its_step_and_its_ends() -> None:
     q = Format(16, 12)
     assert (str(q), q.lsb, q.limits) == ("Q4.12", 2**-12, (-32768, 32767))
     assert q.quantised(-8.0) == -32768
@@ -65,42 +68,42 @@ def test_a_format_knows_its_name_its_step_and_its_ends():
 
 @settings(deadline=None)
 @given(value=st.floats(-100, 100))
-def test_quantising_is_rounding_of_the_exact_value(value):
+def test_quantising_is_rounding_of_the_exact_value(value: float) -> None:
     assert Format(48, 30).quantised(value) == rounded(Fraction(value) * 2**30, NEAREST)
 
 
 # --- a low pass in rounded coefficients -------------------------------------------------------------------
 
 
-def low_pass(relative_cutoff: float, bits: int = 14, **options):
+def low_pass(relative_cutoff: float, bits: int = 14, **options: Any) -> Any:
     b, a = signal.butter(2, relative_cutoff, fs=1.0)
     return design_biquad(b, a, coefficient_bits=bits, state=STATE, **options)
 
 
-def at_rest(f) -> int:
+def at_rest(f: Any) -> int:
     return 2**f.coefficient_bits + f.a1 + f.a2
 
 
 @pytest.mark.parametrize("relative_cutoff", [0.02, 0.05, 0.1, 0.2, 0.45])
-def test_the_gain_at_rest_is_one_to_the_bit(relative_cutoff):
+def test_the_gain_at_rest_is_one_to_the_bit(relative_cutoff: float) -> None:
     f = low_pass(relative_cutoff)
     assert f.b0 + f.b1 + f.b2 == at_rest(f)
     assert f.dc_gain == 1.0
 
 
-def test_coefficients_as_they_round_may_scale_a_velocity():
+def test_coefficients_as_they_round_may_scale_a_velocity() -> None:
     """200 Hz at 20 kHz in 14 bits: 61 LSB over 62."""
     f = low_pass(0.01, unit_gain=False)
     assert f.dc_gain == pytest.approx(61 / 62, rel=1e-12)
     assert f.dc_gain == (f.b0 + f.b1 + f.b2) / at_rest(f)
 
 
-def test_coefficients_that_round_the_gain_at_rest_to_zero_are_refused():
+def test_coefficients_that_round_the_gain_at_rest_to_zero_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"gain at rest is 0\b.*more coefficient_bits than 14"):
         low_pass(0.0012, unit_gain=False)  # b is a quarter, half and a quarter of an LSB
 
 
-def test_rounding_that_makes_another_filter_is_refused():
+def test_rounding_that_makes_another_filter_is_refused() -> None:
     """1 + a1 + a2 is the square of the cut-off; here it has no bit left."""
     with pytest.raises(
         ConfigError, match=r"1 \+ a1 \+ a2 = 0\.\d+ LSB becomes -?\d.*another filter.*more coeff"
@@ -109,7 +112,7 @@ def test_rounding_that_makes_another_filter_is_refused():
     low_pass(1e-3, bits=24)
 
 
-def test_products_that_could_overflow_64_bits_are_refused():
+def test_products_that_could_overflow_64_bits_are_refused() -> None:
     b, a = signal.butter(2, 0.1, fs=1.0)
     with pytest.raises(ConfigError, match=r"overflow 64 bits.*60 bits together"):
         design_biquad(b, a, coefficient_bits=30, state=Format(34, 16))
@@ -117,7 +120,7 @@ def test_products_that_could_overflow_64_bits_are_refused():
 
 @settings(max_examples=200, deadline=None)
 @given(cutoff=st.floats(0.02, 0.49), bits=st.integers(12, 30), word=st.integers(20, 48))
-def test_no_design_that_is_accepted_can_overflow(cutoff, bits, word):
+def test_no_design_that_is_accepted_can_overflow(cutoff: float, bits: int, word: int) -> None:
     b, a = signal.butter(2, cutoff, fs=1.0)
     try:
         f = design_biquad(b, a, coefficient_bits=bits, state=Format(word, 8))
@@ -129,7 +132,9 @@ def test_no_design_that_is_accepted_can_overflow(cutoff, bits, word):
 
 @pytest.mark.parametrize("rounding", ROUNDINGS)
 @pytest.mark.parametrize("relative_cutoff", [0.02, 0.05, 0.1])
-def test_the_dead_zone_is_where_a_filter_without_input_may_rest(relative_cutoff, rounding):
+def test_the_dead_zone_is_where_a_filter_without_input_may_rest(
+    relative_cutoff: float, rounding: Any
+) -> None:
     """Brute force over outputs: which of them does y = round(−(a1 + a2)·y) keep for ever?"""
     f = low_pass(relative_cutoff, rounding=rounding)
     one = 2**f.coefficient_bits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -36,7 +37,7 @@ WALLS = st.fixed_dictionaries(
 )
 
 
-def designed(**given):
+def designed(**given: Any) -> Any:
     common = {"stiffness": 300.0, "damping": 0.5, "resolution": RESOLUTION, "velocity": VELOCITY}
     return design_wall(
         **(common | {"period_s": PERIOD, "effort_quantum": QUANTUM, "effort_limit": LIMIT} | given)
@@ -45,7 +46,9 @@ def designed(**given):
 
 @settings(max_examples=300, deadline=None)
 @given(given=WALLS, offset=st.integers(-2000, 2000) | COUNT, data=st.data())
-def test_it_is_exact_arithmetic_to_the_bit_near_the_wall_and_at_every_extreme(given, offset, data):
+def test_it_is_exact_arithmetic_to_the_bit_near_the_wall_and_at_every_extreme(
+    given: Any, offset: int, data: st.DataObject
+) -> None:
     least, greatest = given["velocity"].limits
     velocity = data.draw(st.integers(least, greatest) | st.sampled_from((least, greatest, 0)))
     w = designed(**given)
@@ -55,7 +58,7 @@ def test_it_is_exact_arithmetic_to_the_bit_near_the_wall_and_at_every_extreme(gi
 
 @settings(max_examples=300, deadline=None)
 @given(given=WALLS)
-def test_no_sum_of_any_design_can_leave_64_bits(given):
+def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
     """The greatest depth against the fastest velocity, the constant effort and the half quantum of rounding."""
     w = designed(**given)
     largest = w.stiffness * DEPTH.limits[1] - w.damping * given["velocity"].limits[0] + abs(w.constant)
@@ -68,7 +71,7 @@ def test_no_sum_of_any_design_can_leave_64_bits(given):
 
 @settings(max_examples=300, deadline=None)
 @given(given=WALLS, offset=st.integers(-2000, 2000), speed=st.floats(-3, 3))
-def test_it_is_the_float_wall_and_guard_within_a_quantum(given, offset, speed):
+def test_it_is_the_float_wall_and_guard_within_a_quantum(given: Any, offset: int, speed: float) -> None:
     """Away from the surface by more than its rounding; gains are held to 1e-3, so the limit of 1.3 N·m bounds all."""
     w = designed(**given)
     delta, side = given["resolution"], given["side"]
@@ -93,7 +96,7 @@ def test_it_is_the_float_wall_and_guard_within_a_quantum(given, offset, speed):
     assert abs(current_quanta(count, velocity, w) - expected) <= 1 + surface + gains
 
 
-def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand():
+def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand() -> None:
     w = designed()
     assert math.ldexp(w.stiffness, DEPTH.fraction_bits - w.shift) * QUANTUM / RESOLUTION == pytest.approx(
         300.0, rel=1e-8
@@ -109,37 +112,37 @@ ONE = 1 << VELOCITY.fraction_bits  # one count per period
 SPRING = 300.0 * RESOLUTION / QUANTUM  # quanta per count
 
 
-def test_the_wall_pushes_out_and_exists_inside_only():
+def test_the_wall_pushes_out_and_exists_inside_only() -> None:
     w = designed(damping=0.0)
     assert [current_quanta(c, 0, w) for c in (-5, 0, 1, 10)] == [0, 0, -round(SPRING), -round(10 * SPRING)]
 
 
-def test_an_encoder_that_counts_the_other_way_and_a_wall_on_the_other_side():
+def test_an_encoder_that_counts_the_other_way_and_a_wall_on_the_other_side() -> None:
     mirrored = designed(damping=0.0, resolution=-RESOLUTION)
     assert [current_quanta(c, 0, mirrored) for c in (1, -10)] == [0, -round(10 * SPRING)]
     below = designed(damping=0.0, side=-1)
     assert [current_quanta(c, 0, below) for c in (1, -10)] == [0, round(10 * SPRING)]
 
 
-def test_a_wall_that_may_not_pull_lets_go_and_one_that_may_holds_the_handle_back():
+def test_a_wall_that_may_not_pull_lets_go_and_one_that_may_holds_the_handle_back() -> None:
     fast_out = -50 * ONE
     assert current_quanta(2, fast_out, designed()) == 0
     assert current_quanta(2, fast_out, designed(may_pull=True)) > 0
     assert current_quanta(2, fast_out, designed(entry_only=True)) == -round(2 * SPRING)
 
 
-def test_the_surface_lies_between_counts_to_a_256th():
+def test_the_surface_lies_between_counts_to_a_256th() -> None:
     w = designed(damping=0.0, wall_position=2.25 * RESOLUTION)
     assert [current_quanta(c, 0, w) for c in (2, 3)] == [0, -round(0.75 * SPRING)]
 
 
-def test_the_constant_effort_acts_outside_too_and_the_limit_clips_the_sum_once():
+def test_the_constant_effort_acts_outside_too_and_the_limit_clips_the_sum_once() -> None:
     w = designed(constant_effort=0.15)
     assert current_quanta(-100, 0, w) == round(0.15 / QUANTUM)
     assert current_quanta(1000, 0, w) == -w.limit == -math.floor(LIMIT / QUANTUM)
 
 
-def test_the_counter_may_wrap_inside_the_wall():
+def test_the_counter_may_wrap_inside_the_wall() -> None:
     w = designed(reference_count=2**31 - 5)
     plain = designed()
     assert [current_quanta(difference(2**31 - 5 + c, 0), 0, w) for c in range(20)] == [
@@ -161,7 +164,7 @@ def test_the_counter_may_wrap_inside_the_wall():
         ({"wall_position": 2000.0}, r"wall position in counts = .* does not fit Q24\.8"),
     ],
 )
-def test_what_its_words_cannot_hold_is_refused(given, message):
+def test_what_its_words_cannot_hold_is_refused(given: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         designed(**given)
 
@@ -170,7 +173,7 @@ def test_what_its_words_cannot_hold_is_refused(given, message):
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_golden_quanta_are_what_the_compiled_wall_computes(seed):
+def test_golden_quanta_are_what_the_compiled_wall_computes(seed: int) -> None:
     v = golden_vectors(seed)
     assert (
         tuple(current_quanta(c, u, v.wall) for c, u in zip(v.counts, v.velocities, strict=True)) == v.quanta
@@ -179,7 +182,7 @@ def test_golden_quanta_are_what_the_compiled_wall_computes(seed):
     assert max(map(abs, v.quanta)) <= v.wall.limit
 
 
-def test_golden_vectors_are_the_same_for_ever():
+def test_golden_vectors_are_the_same_for_ever() -> None:
     """A change here is a change of the law that devices run: of format, rounding or design."""
     text = json.dumps([(v.wall, v.counts, v.velocities, v.quanta) for v in map(golden_vectors, range(8))])
     assert crc32(text.encode()) == 3486532006

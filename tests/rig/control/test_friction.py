@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -50,7 +52,9 @@ levels = st.floats(0.0, 1.0)
 
 
 @given(velocity=velocities, estimate=velocities, up=levels, down=levels, share=st.floats(0.0, 0.99))
-def test_with_friction_it_takes_power_out_whatever_the_estimator_says(velocity, estimate, up, down, share):
+def test_with_friction_it_takes_power_out_whatever_the_estimator_says(
+    velocity: Any, estimate: Any, up: Any, down: Any, share: float
+) -> None:
     """u·v − level·|v| ≤ −(1 − share)·level·|v|, for the smaller level when the direction is mistaken too."""
     effort = compensation(estimate, up, down, 0.1, share)
     rubbing = up if velocity > 0.0 else down
@@ -65,7 +69,7 @@ def test_with_friction_it_takes_power_out_whatever_the_estimator_says(velocity, 
 
 
 @given(velocity=velocities, share=st.floats(0.0, 0.99), level=levels)
-def test_it_is_odd_smooth_and_whole_outside_the_dead_band(velocity, share, level):
+def test_it_is_odd_smooth_and_whole_outside_the_dead_band(velocity: Any, share: float, level: Any) -> None:
     effort = compensation(velocity, level, level, 0.5, share)
     assert compensation(-velocity, level, level, 0.5, share) == -effort
     assert compensation(0.0, level, level, 0.5, share) == 0.0
@@ -81,12 +85,12 @@ def test_it_is_odd_smooth_and_whole_outside_the_dead_band(velocity, share, level
     "wrong",
     [{"share": 1.0}, {"share": -0.1}, {"dead_band": 0.0}, {"up": -1.0}, {"down": float("nan")}],
 )
-def test_what_could_drive_the_rig_is_refused(wrong):
+def test_what_could_drive_the_rig_is_refused(wrong: Any) -> None:
     with pytest.raises(ConfigError):
         Compensation(**{"up": 0.02, "down": 0.02, "dead_band": 0.1, **wrong})
 
 
-def bench(law, external, velocity=0.0, seconds=1.5, changes=None):
+def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, changes: Any = None) -> Any:
     """Run the law on koul-rigid, pushed by `external(tick, state)` on the link; return states, efforts and pushes."""
     experiment = config.override(FREE, changes or {})
     rate = experiment.controller.position_rate
@@ -110,37 +114,37 @@ def bench(law, external, velocity=0.0, seconds=1.5, changes=None):
 
 
 @cache
-def stepping():
+def stepping() -> Any:
     """`rig.control.step.step` for plain Python: it is made to be inlined into compiled callers."""
 
     @kernel(types.int64(CONTROLLER_TYPE, types.int64), cache=False)
-    def run(controller, count):
+    def run(controller: Any, count: Any) -> Any:
         return step(controller, count, 1.0, 1)
 
     return run
 
 
 @pytest.fixture(scope="module")
-def free():
+def free() -> Any:
     return laws.get("spring-damper")
 
 
 @pytest.fixture(scope="module")
-def helped(free):
+def helped(free: Any) -> Any:
     return compensated(free, Compensation(up=LEVEL, down=LEVEL, dead_band=DEAD_BAND))
 
 
-def hand(speed):
+def hand(speed: Any) -> Any:
     """A stiff, damped hand that takes the handle along at a slow constant speed."""
 
-    def push(time_s, state):
+    def push(time_s: Any, state: Any) -> Any:
         return 20.0 * (speed * time_s - state[0]) + 0.2 * (speed - state[1])
 
     return push
 
 
 @pytest.mark.parametrize("speed", [0.4, -0.4])
-def test_a_slow_hand_feels_less_than_half_of_the_friction(free, helped, speed):
+def test_a_slow_hand_feels_less_than_half_of_the_friction(free: Any, helped: Any, speed: float) -> None:
     felt = {}
     for name, law in (("off", free), ("on", helped)):
         _, _, pushes = bench(law, hand(speed), seconds=0.5)
@@ -151,7 +155,7 @@ def test_a_slow_hand_feels_less_than_half_of_the_friction(free, helped, speed):
     assert felt["on"] - viscous == pytest.approx((1.0 - DEFAULT_SHARE) * LEVEL, abs=0.1 * LEVEL)
 
 
-def test_it_cannot_drive_the_rig_by_itself(helped):
+def test_it_cannot_drive_the_rig_by_itself(helped: Any) -> None:
     """Thrown and let go, the handle comes to rest and stays; at rest it is given nothing."""
     states, efforts, _ = bench(helped, lambda time_s, state: 0.0, velocity=2.0, seconds=0.5)
     assert states[-1, 1] == 0.0
@@ -162,7 +166,7 @@ def test_it_cannot_drive_the_rig_by_itself(helped):
 
 
 @pytest.mark.parametrize("rate", [20_000, 1000])
-def test_on_a_passive_bench_it_injects_nothing(helped, rate):
+def test_on_a_passive_bench_it_injects_nothing(helped: Any, rate: int) -> None:
     """Excited at random, the motor's work is never above what friction takes: net energy of both ≤ 0 always."""
     rng = np.random.default_rng(5)
     pushes = np.repeat(rng.normal(0.0, 0.05, 200), rate // 100)
@@ -182,7 +186,7 @@ def test_on_a_passive_bench_it_injects_nothing(helped, rate):
     assert (work <= (DEFAULT_SHARE + 0.5 * quantum / LEVEL) * rubbed + 1e-12).all()
 
 
-def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free):
+def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free: Any) -> None:
     wall = {"stiffness": 300.0, "damping": 0.5, "pull": "clamp", "damping_on": "both", "side": 1}
     law = compensated(free, Compensation(up=0.03, down=0.01, dead_band=0.1, share=0.5))
     run = law.function
@@ -198,7 +202,7 @@ def test_the_wall_stays_the_wall_and_each_direction_has_its_level(free):
             assert prepared.state[0] == plain.state[0], "the mark of a clamped wall passes"
 
 
-def test_it_is_off_by_default_and_recorded_when_on(tmp_path, free):
+def test_it_is_off_by_default_and_recorded_when_on(tmp_path: Path, free: Any) -> None:
     experiment = config.override(
         config.with_realtime(presets.load("koul-rigid")), {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
     )
@@ -216,7 +220,7 @@ def test_it_is_off_by_default_and_recorded_when_on(tmp_path, free):
     assert trial["effort_wall"] == pytest.approx(-0.016), "outside the wall too, in the column of the law"
 
 
-def test_a_replay_needs_only_the_wrapper(free):
+def test_a_replay_needs_only_the_wrapper(free: Any) -> None:
     wall = {"stiffness": 300.0, "damping": 0.5, "pull": "clamp", "damping_on": "both", "side": 1}
     law = compensated(free, Compensation(up=0.03, down=0.01, dead_band=0.1)).prepare(wall)
     again = around(free)
@@ -226,9 +230,9 @@ def test_a_replay_needs_only_the_wrapper(free):
     assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected
 
 
-def test_a_third_party_law_can_be_compensated():
+def test_a_third_party_law_can_be_compensated() -> None:
     @kernel(LAW_SIGNATURE, cache=False)
-    def nothing(penetration, velocity, elapsed_ticks, state, parameters):
+    def nothing(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
         return parameters[0]
 
     law = compensated(
@@ -239,11 +243,11 @@ def test_a_third_party_law_can_be_compensated():
 
 
 @pytest.mark.parametrize("name", ["traced", "nudges", "spring-damper+friction", "excited+friction"])
-def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(name):
+def test_the_laws_of_an_identification_are_found_by_the_names_in_its_recordings(name: str) -> None:
     assert laws.get(name).name == name
 
 
-def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(tmp_path):
+def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial(tmp_path: Path) -> None:
     """A hand-free push below friction moves a rig whose motor takes most of that friction over, and no other."""
     base = {"trial.effort": 1.0, "wall.stiffness": 1000.0, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
     plain = config.override(presets.load("chawda-linear"), base)
@@ -260,7 +264,7 @@ def test_an_experiment_asks_for_compensation_by_a_share_and_gets_it_in_its_trial
     assert speeds[1] > 1.02 * speeds[0], "less friction, faster at the wall"
 
 
-def test_on_two_masses_only_the_motor_sides_friction_is_taken_over():
+def test_on_two_masses_only_the_motor_sides_friction_is_taken_over() -> None:
     changes = {"controller.friction_compensation": 0.5, "controller.friction_dead_band": 0.2}
     law = controller.for_experiment(
         config.override(presets.load("koul-compliant"), changes), current_quantum_a=0.001

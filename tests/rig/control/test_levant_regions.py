@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,12 +22,12 @@ LFBA = (5.0, 3.889, 3.5, 3.334, 3.32, 3.250, 3.222, 3.125, 3.056, 3.02)
 HBA = (math.inf, math.inf, math.inf, 5.005, 4.556, 3.001, 2.6, 1.667, 1.25, 1.083)
 
 
-def test_the_boundaries_are_those_of_the_table():
+def test_the_boundaries_are_those_of_the_table() -> None:
     assert [regions.lfba_mu1(m) for m in MU2] == pytest.approx(LFBA, rel=2e-4)
     assert [regions.hba_mu1(m) for m in MU2] == pytest.approx(HBA, rel=5e-4)
 
 
-def test_they_cross_at_3_2656_2_7443():
+def test_they_cross_at_3_2656_2_7443() -> None:
     mu1, mu2 = regions.crossing()
     assert (mu1, mu2) == pytest.approx((3.2656, 2.7443), abs=5e-5)
     assert regions.hba_mu1(mu2) == pytest.approx(regions.lfba_mu1(mu2), rel=1e-12)
@@ -34,7 +36,7 @@ def test_they_cross_at_3_2656_2_7443():
 
 @settings(deadline=None)
 @given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.01, 1e3))
-def test_the_regions_are_the_papers_inequalities_for_every_c(mu1, mu2, bound):
+def test_the_regions_are_the_papers_inequalities_for_every_c(mu1: float, mu2: float, bound: float) -> None:
     """Equations (10) and (14) as printed, in α, λ and C: the regions must not depend on C."""
     alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
     hba = alpha > bound and gain**2 >= 4 * bound * (alpha + bound) / (alpha - bound)
@@ -48,7 +50,9 @@ def test_the_regions_are_the_papers_inequalities_for_every_c(mu1, mu2, bound):
 
 @settings(max_examples=300, deadline=None)
 @given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.1, 100.0))
-def test_lfba_holds_exactly_where_the_derivative_of_its_lyapunov_function_is_negative(mu1, mu2, bound):
+def test_lfba_holds_exactly_where_the_derivative_of_its_lyapunov_function_is_negative(
+    mu1: float, mu2: float, bound: float
+) -> None:
     """V̇ ≤ −|x1|^−½·(λ/2)·ζᵀQζ: Q is positive definite iff (14) holds, and P is that of (13)."""
     alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
     q = np.array(
@@ -63,7 +67,7 @@ def test_lfba_holds_exactly_where_the_derivative_of_its_lyapunov_function_is_neg
     assert zeta @ p @ zeta == pytest.approx(v, rel=1e-12)
 
 
-def test_along_the_worst_disturbance_the_lyapunov_function_falls_as_q_says():
+def test_along_the_worst_disturbance_the_lyapunov_function_falls_as_q_says() -> None:
     """V̇ by the chain rule along (12), with f̈ where ḟ is printed; x2 > 0 is the case that Q bounds."""
     random = np.random.default_rng(5)
     for _ in range(500):
@@ -82,7 +86,7 @@ def test_along_the_worst_disturbance_the_lyapunov_function_falls_as_q_says():
             assert rate < 0
 
 
-def test_levants_own_pair_lies_in_neither_region_but_converges():
+def test_levants_own_pair_lies_in_neither_region_but_converges() -> None:
     for name, contraction in (("hba-sc", 0.989), ("levant", 0.537)):
         pair = regions.NAMED_GAINS[name]
         assert not regions.in_hba(*pair)
@@ -94,14 +98,14 @@ def test_levants_own_pair_lies_in_neither_region_but_converges():
     ("mu1", "mu2"),
     [(1.05, 1.046), (1.1, 0.991), (1.2, 0.915), (1.5, 0.780), (2, 0.656), (3, 0.527), (5, 0.404)],
 )
-def test_the_worst_case_boundary_is_that_of_the_table(mu1, mu2):
+def test_the_worst_case_boundary_is_that_of_the_table(mu1: float, mu2: float) -> None:
     assert regions.worst_case_mu2(mu1) == pytest.approx(mu2, abs=1.1e-3)
 
 
 def bang_bang(mu1: float, mu2: float, switch: float) -> float:
     """|x2| after a half cycle under f̈ = −C, then +C from the ray x2 = switch·w on: two linear flows, by expm."""
 
-    def flow(gain, z, stop):
+    def flow(gain: Any, z: Any, stop: Any) -> Any:
         """From z to where stop falls to zero: in equal steps, then exactly; None when it never does."""
         a = np.array([[-0.5 * mu2, 0.5], [-gain, 0.0]])
         one = expm(0.1 * a)
@@ -119,21 +123,23 @@ def bang_bang(mu1: float, mu2: float, switch: float) -> float:
 
 
 @pytest.mark.parametrize(("mu1", "mu2"), [(1.1, 1.0), (1.1, 1.5), (2.0, 1.0), (3.0, 0.6)])
-def test_no_bang_bang_disturbance_does_worse_than_the_computed_one_and_the_best_of_them_equals_it(mu1, mu2):
+def test_no_bang_bang_disturbance_does_worse_than_the_computed_one_and_the_best_of_them_equals_it(
+    mu1: float, mu2: float
+) -> None:
     computed = regions.half_cycle_contraction(mu1, mu2)
     tried = max(bang_bang(mu1, mu2, switch) for switch in np.linspace(-0.5, 3.0, 36))
     assert tried <= computed * (1 + 1e-5)
     assert tried == pytest.approx(computed, rel=5e-3)
 
 
-def test_both_proven_regions_lie_inside_the_computed_one():
+def test_both_proven_regions_lie_inside_the_computed_one() -> None:
     for mu2 in np.linspace(0.3, 10.0, 40):
         for bound in (regions.hba_mu1(mu2), regions.lfba_mu1(mu2)):
             if math.isfinite(bound):
                 assert regions.half_cycle_contraction(bound * 1.0001, mu2) < 1.0
 
 
-def test_a_gain_that_the_disturbance_outweighs_never_converges():
+def test_a_gain_that_the_disturbance_outweighs_never_converges() -> None:
     assert regions.half_cycle_contraction(1.0, 5.0) == math.inf
     assert regions.worst_case_mu2(0.9) == math.inf
     assert regions.hba_mu1(2.0) == math.inf
@@ -141,7 +147,9 @@ def test_a_gain_that_the_disturbance_outweighs_never_converges():
     assert not regions.in_lfba(100.0, 0.0)
 
 
-def test_the_picture_and_its_numbers_come_from_one_command(tmp_path, capfd):
+def test_the_picture_and_its_numbers_come_from_one_command(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     picture = tmp_path / "fig1.png"
     assert rig.cli.run(["plot", "levant-regions", "-o", str(picture), "--json"]) == 0
     facts = json.loads(capfd.readouterr().out)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from rig.core.present import plain
 QUANTUM = 1e-6
 
 
-def chord(time_s, sines):
+def chord(time_s: Any, sines: Any) -> Any:
     """Position and second derivative of Σ A·sin(2πft + φ)."""
     w = [(a, 2 * np.pi * f, p) for a, f, p in sines]
     position = sum(a * np.sin(k * time_s + p) for a, k, p in w)
@@ -25,7 +27,9 @@ SINES = ((1.5e-3, 7.0, 0.3), (4e-4, 23.0, -1.1), (8e-5, 61.0, 2.0))
 
 @pytest.mark.parametrize("rate_hz", [1000, 10_000])
 @pytest.mark.parametrize("noise", [0.0, 2e-6])
-def test_a_sum_of_sines_with_noise_and_rounding_gives_its_largest_acceleration(rate_hz, noise):
+def test_a_sum_of_sines_with_noise_and_rounding_gives_its_largest_acceleration(
+    rate_hz: int, noise: float
+) -> None:
     time_s = 5.0 + np.arange(0.0, 0.4, 1 / rate_hz)  # a recording does not begin at zero
     position, second = chord(time_s, SINES)
     random = np.random.default_rng(11)
@@ -40,7 +44,7 @@ def test_a_sum_of_sines_with_noise_and_rounding_gives_its_largest_acceleration(r
     assert fit.residual_rms == pytest.approx(np.hypot(noise, QUANTUM / np.sqrt(12)), rel=0.15)
 
 
-def test_two_differences_of_the_same_counts_give_nothing_but_the_quantum():
+def test_two_differences_of_the_same_counts_give_nothing_but_the_quantum() -> None:
     """Why a fit at all: the naive way is off by a factor of thousands at 10 kHz."""
     time_s = np.arange(0.0, 0.4, 1e-4)
     position, second = chord(time_s, SINES)
@@ -48,7 +52,7 @@ def test_two_differences_of_the_same_counts_give_nothing_but_the_quantum():
     assert naive > 5 * np.abs(second).max()
 
 
-def test_the_reported_numbers_are_the_fitted_curve():
+def test_the_reported_numbers_are_the_fitted_curve() -> None:
     time_s = np.arange(0.0, 0.5, 1e-3)
     position, _ = chord(time_s, SINES)
     fit = identify_lipschitz(time_s, position + 0.01, sines=3)
@@ -61,7 +65,7 @@ def test_the_reported_numbers_are_the_fitted_curve():
     }  # fmt: skip
 
 
-def test_scale_and_shift_of_the_motion_scale_c_and_change_nothing_else():
+def test_scale_and_shift_of_the_motion_scale_c_and_change_nothing_else() -> None:
     time_s = np.arange(0.0, 0.3, 1e-3)
     position, _ = chord(time_s, SINES)
     one = identify_lipschitz(time_s, position, sines=3)
@@ -70,13 +74,13 @@ def test_scale_and_shift_of_the_motion_scale_c_and_change_nothing_else():
     assert other.frequencies_hz == pytest.approx(one.frequencies_hz, rel=1e-3)
 
 
-def test_a_handle_that_never_moved_has_no_acceleration():
+def test_a_handle_that_never_moved_has_no_acceleration() -> None:
     fit = identify_lipschitz(np.arange(100) * 1e-3, np.full(100, 0.3), sines=2)
     assert fit.lipschitz == 0.0
     assert fit.residual_rms == 0.0
 
 
-def test_what_cannot_be_fitted_is_refused():
+def test_what_cannot_be_fitted_is_refused() -> None:
     t = np.arange(100) * 1e-3
     with pytest.raises(ConfigError, match=r"shape \(100,\) and position \(99,\)"):
         identify_lipschitz(t, np.zeros(99))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from typing import Any
 
 import numba
 import numpy as np
@@ -40,23 +41,25 @@ TIME = np.arange(RATE) / RATE
 QUIET = np.zeros(RATE)
 
 
-def recorded(position, *, effort=None, resolution=DELTA, rate=RATE, limits=LIMITS):
+def recorded(
+    position: Any, *, effort: Any = None, resolution: Any = DELTA, rate: Any = RATE, limits: Any = LIMITS
+) -> Any:
     """Numbers of a trial from its counts alone."""
     flags = np.zeros(len(position), np.int64)
     effort = np.zeros(len(position)) if effort is None else effort
     return meter(limits, 1.0 / rate, resolution).recorded(position, effort, position, flags)
 
 
-def true(position, velocity, effort):
+def true(position: Any, velocity: Any, effort: Any) -> Any:
     flags = np.zeros(len(position), np.int64)
     return meter(LIMITS, 1.0 / RATE, DELTA).true(position, velocity, effort, position, flags)
 
 
-def rms(signal):
+def rms(signal: Any) -> Any:
     return math.sqrt(np.mean(np.square(signal)))
 
 
-def by_scipy(position, velocity, effort, rate, limits=LIMITS):
+def by_scipy(position: Any, velocity: Any, effort: Any, rate: Any, limits: Any = LIMITS) -> Any:
     """Felt, heard, moved and growth with scipy's filters over the whole trial."""
     tail = slice(max(0, len(position) - round(limits.tail_s * rate)), None)
     highpass = butter(2, limits.highpass_hz, "highpass", fs=rate, output="sos")
@@ -76,7 +79,7 @@ def by_scipy(position, velocity, effort, rate, limits=LIMITS):
     }
 
 
-def counts(position, offset=0.3):
+def counts(position: Any, offset: float = 0.3) -> Any:
     return np.floor(position / DELTA + offset) * DELTA
 
 
@@ -90,7 +93,9 @@ def counts(position, offset=0.3):
     has_velocity=st.booleans(),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_a_trial_that_is_filtered_whole_gives_what_scipy_gives(ticks, rate, has_velocity, seed):
+def test_a_trial_that_is_filtered_whole_gives_what_scipy_gives(
+    ticks: int, rate: Any, has_velocity: bool, seed: int
+) -> None:
     """Shorter than tail and lead-in: the same filters over the same samples, to rounding."""
     position, effort, velocity = np.cumsum(np.random.default_rng(seed).normal(size=(3, ticks)), axis=1)
     if not has_velocity:
@@ -103,7 +108,7 @@ def test_a_trial_that_is_filtered_whole_gives_what_scipy_gives(ticks, rate, has_
         assert numbers[name] == pytest.approx(value, rel=1e-8, abs=1e-10), name
 
 
-def impact(seed):
+def impact(seed: Any) -> Any:
     """Half a second of violence, then a tail that is a thousand times calmer."""
     rng = np.random.default_rng(seed)
     calm = 1e-3 * rng.normal(size=RATE)
@@ -112,7 +117,7 @@ def impact(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_lead_in_stands_for_the_whole_trial(seed):
+def test_the_lead_in_stands_for_the_whole_trial(seed: int) -> None:
     """1 s at 20 kHz is filtered from 0.44 s on; what was before changes no number by a millionth."""
     effort, position = impact(seed), 1e-2 * impact(seed + 10)
     velocity = np.gradient(position, 1.0 / RATE)
@@ -122,7 +127,7 @@ def test_the_lead_in_stands_for_the_whole_trial(seed):
         assert numbers[name] == pytest.approx(value, rel=1e-6), name
 
 
-def test_what_a_filter_still_remembers_of_the_trial_before_the_lead_in_is_a_billionth():
+def test_what_a_filter_still_remembers_of_the_trial_before_the_lead_in_is_a_billionth() -> None:
     """A step of 1 before the lead-in and nothing since: the whole trial remembers it, the lead-in does not."""
     lead_s = filters(1.0 / RATE, 30.0, 500.0).lead_ticks / RATE
     step = np.where(0.599 - lead_s > TIME, 0.0, 1.0)
@@ -133,7 +138,7 @@ def test_what_a_filter_still_remembers_of_the_trial_before_the_lead_in_is_a_bill
         assert whole[name] < 1e-9, name
 
 
-def test_a_constant_leaves_no_ripple_at_all():
+def test_a_constant_leaves_no_ripple_at_all() -> None:
     numbers = recorded(np.full(RATE, 1.234e-3), effort=np.full(RATE, 0.7), resolution=0.0)
     assert [numbers[name] for name in ("felt", "heard", "moved", "growth", "felt_floor")] == [0.0] * 5
 
@@ -143,12 +148,12 @@ def test_a_constant_leaves_no_ripple_at_all():
 
 @settings(max_examples=100, deadline=None)
 @given(values=st.lists(st.sampled_from([-2.0, 0.0, 0.5, 1e-9, 7.0]) | st.floats(-1e9, 1e9), min_size=1))
-def test_the_median_is_that_of_numpy(values):
+def test_the_median_is_that_of_numpy(values: Any) -> None:
     assert median(np.array(values), len(values)) == np.median(values)
 
 
 @pytest.mark.parametrize("shape", ["constant", "ramp", "organ pipe", "sine", "nan"])
-def test_the_median_ends_for_every_order_of_values(shape):
+def test_the_median_ends_for_every_order_of_values(shape: str) -> None:
     n = 2_000
     values = {
         "constant": np.ones(n),
@@ -163,7 +168,7 @@ def test_the_median_ends_for_every_order_of_values(shape):
 
 @settings(max_examples=50, deadline=None)
 @given(contact=st.integers(4, 300), seed=st.integers(0, 2**32 - 1))
-def test_the_velocity_at_impact_is_that_of_the_parabola_with_least_squares(contact, seed):
+def test_the_velocity_at_impact_is_that_of_the_parabola_with_least_squares(contact: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     position = -1.0 + 1e-3 * np.arange(400) + rng.normal(size=400) * 1e-4
     penetration = np.where(np.arange(400) >= contact, 1.0, -1.0)
@@ -179,45 +184,45 @@ def test_the_velocity_at_impact_is_that_of_the_parabola_with_least_squares(conta
 # --- the encoder's floor ----------------------------------------------------------------------------------
 
 
-def square(hz, duty=0.5):
+def square(hz: Any, duty: float = 0.5) -> Any:
     return DELTA * (10 + ((hz * TIME + 0.123) % 1.0 < duty))
 
 
-def jittered(hz, jitter, seed=0):
+def jittered(hz: Any, jitter: Any, seed: int = 0) -> Any:
     """A count that changes 2·hz times a second, each time off by `jitter` of half a period (rms)."""
     changes = np.arange(2 * hz) + jitter * np.random.default_rng(seed).normal(size=2 * hz)
     marks = np.bincount(np.clip(changes * RATE / (2 * hz), 0, RATE - 1).astype(int), minlength=RATE)
     return DELTA * (np.cumsum(marks) % 2)
 
 
-def telegraph(changes_per_s, seed=0):
+def telegraph(changes_per_s: Any, seed: int = 0) -> Any:
     """A count that changes at random, without any period."""
     return DELTA * (np.cumsum(np.random.default_rng(seed).random(RATE) < changes_per_s / RATE) % 2)
 
 
-def floor_of(position):
+def floor_of(position: Any) -> Any:
     return float(recorded(position)["felt_floor"])
 
 
-def floor_at(hz):
+def floor_at(hz: Any) -> Any:
     return toggling_floor(hz, DELTA, LIMITS.highpass_hz, LIMITS.lowpass_hz)
 
 
-def dominant_hz(position):
+def dominant_hz(position: Any) -> Any:
     """Highest line in the spectrum of the tail, the other definition of the frequency of a toggling."""
     highpass = butter(2, 30.0, "highpass", fs=RATE, output="sos")
     tail = sosfilt(highpass, position - position[0])[-8_000:]
     return np.argmax(np.abs(np.fft.rfft(tail * np.hanning(8_000)))) * RATE / 8_000
 
 
-def told_hz(position):
+def told_hz(position: Any) -> Any:
     """Frequency that the floor was told of, where no harmonic is left in the band."""
     one_line = replace(LIMITS, highpass_hz=30.0, lowpass_hz=31.0)
     numbers = recorded(position, limits=one_line)
     return numbers["felt_floor"] / (2.0 * math.sqrt(2.0) * DELTA)
 
 
-def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power():
+def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power() -> None:
     """100 Hz: 100, 300 and 500 Hz; 20 Hz: 60, 100, … 500 Hz, twelve lines."""
     fundamental = 2.0 * math.sqrt(2.0) * DELTA
     assert floor_at(100.0) == pytest.approx(math.sqrt(3.0) * fundamental * 100.0)
@@ -227,7 +232,7 @@ def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power():
 
 
 @pytest.mark.parametrize("hz", [35, 60, 100, 151, 240, 400])
-def test_for_whatever_has_a_period_in_the_band_it_is_the_highest_line_of_the_spectrum(hz):
+def test_for_whatever_has_a_period_in_the_band_it_is_the_highest_line_of_the_spectrum(hz: int) -> None:
     sine = 7.3 * DELTA * np.sin(2 * np.pi * hz * TIME)
     for position in (square(hz), square(hz, 0.3), square(hz, 0.7), jittered(hz, 0.05), counts(sine)):
         assert told_hz(position) == pytest.approx(
@@ -235,11 +240,11 @@ def test_for_whatever_has_a_period_in_the_band_it_is_the_highest_line_of_the_spe
         )  # its lines are 2.5 Hz apart
 
 
-def away(floor, reading):
+def away(floor: Any, reading: Any) -> Any:
     return abs(math.log(floor / reading))
 
 
-def test_where_it_differs_from_the_highest_line_it_is_nearer_to_what_the_count_reads():
+def test_where_it_differs_from_the_highest_line_it_is_nearer_to_what_the_count_reads() -> None:
     """Toggling below the high pass, a short burst, a creeping count."""
     burst = DELTA * ((np.sin(2 * np.pi * 200 * TIME) > 0) & (TIME > 0.7) & (TIME < 0.74))
     for position in (square(10), burst, counts(30 * DELTA * TIME), counts(100 * DELTA * TIME)):
@@ -248,7 +253,7 @@ def test_where_it_differs_from_the_highest_line_it_is_nearer_to_what_the_count_r
 
 
 @pytest.mark.parametrize("changes_per_s", [20, 60, 150])
-def test_without_a_period_the_rate_of_changes_tells_what_the_count_reads(changes_per_s):
+def test_without_a_period_the_rate_of_changes_tells_what_the_count_reads(changes_per_s: int) -> None:
     for seed in range(8):
         position = telegraph(changes_per_s, seed)
         assert away(floor_of(position), recorded(position)["felt"]) < 0.3
@@ -263,14 +268,16 @@ def test_without_a_period_the_rate_of_changes_tells_what_the_count_reads(changes
         *(counts(rate * DELTA * TIME) for rate in (10, 30, 50, 70, 110, 200, 400, 550)),
     ],
 )
-def test_one_count_that_changes_without_a_motion_in_the_band_reads_no_more_than_its_floor(position):
+def test_one_count_that_changes_without_a_motion_in_the_band_reads_no_more_than_its_floor(
+    position: Any,
+) -> None:
     """A tenth more where a harmonic lies just above the band, which lets it through in part (510 Hz of 170)."""
     numbers = recorded(position)
     assert numbers["felt"] < 1.12 * numbers["felt_floor"]
 
 
 @pytest.mark.parametrize("stiffness", [15, 20, 30, 60, 200])
-def test_a_slow_press_on_a_soft_wall_is_never_called_felt(stiffness):
+def test_a_slow_press_on_a_soft_wall_is_never_called_felt(stiffness: int) -> None:
     """0.4 N·m that swells by a fifth at 2 Hz crosses many counts; its true velocity in the band is next to none."""
     press = 0.4 / stiffness * (1.0 + 0.2 * np.sin(2 * np.pi * 2.0 * TIME + 1.5))
     assert math.isnan(recorded(counts(press), limits=replace(LIMITS, felt_velocity=0.05))["felt"]) or (
@@ -280,7 +287,9 @@ def test_a_slow_press_on_a_soft_wall_is_never_called_felt(stiffness):
 
 @pytest.mark.parametrize("hz", [33.0, 40.0, 60.0, 150.0])
 @pytest.mark.parametrize("amplitude", [3.0, 10.0, 40.0])
-def test_an_oscillation_over_many_counts_has_the_floor_of_its_own_frequency(hz, amplitude):
+def test_an_oscillation_over_many_counts_has_the_floor_of_its_own_frequency(
+    hz: float, amplitude: float
+) -> None:
     """Not of the many counts that it crosses on its way."""
     position = counts(amplitude * DELTA * np.sin(2 * np.pi * hz * TIME))
     assert told_hz(position) == pytest.approx(hz, abs=1.3)  # one change more or less in 0.4 s
@@ -290,7 +299,7 @@ def test_an_oscillation_over_many_counts_has_the_floor_of_its_own_frequency(hz, 
 
 
 @pytest.fixture(scope="module")
-def hits():
+def hits() -> Any:
     """Hits of the simulated rigs: a calm one, one that bounces for ever, and one on the linear rig."""
     return [
         hit("koul-compliant", {}),
@@ -302,7 +311,7 @@ def hits():
     ]
 
 
-def hit(name, changes):
+def hit(name: Any, changes: Any) -> Any:
     """Arrays of the trial phase of one hit, as a sweep has them: columns of its states, and what was recorded."""
     experiment = config.override(presets.load(name), changes)
     tick_s = 1.0 / experiment.controller.position_rate
@@ -335,7 +344,7 @@ def hit(name, changes):
     }
 
 
-def test_hits_of_the_simulated_rigs_have_the_numbers_that_scipy_gives_for_the_whole_trial(hits):
+def test_hits_of_the_simulated_rigs_have_the_numbers_that_scipy_gives_for_the_whole_trial(hits: Any) -> None:
     for trial in hits:
         limits = replace(trial["limits"], felt_velocity=1e9)
         rate = 1.0 / trial["tick_s"]
@@ -349,7 +358,7 @@ def test_hits_of_the_simulated_rigs_have_the_numbers_that_scipy_gives_for_the_wh
         compare(measuring.true(*trial["true"]), by_scipy(position, velocity, effort, rate, limits))
 
 
-def compare(numbers, expected):
+def compare(numbers: Any, expected: Any) -> None:
     """A millionth of the value, or the billionth of the impact that a filter may still remember."""
     assert numbers["felt"] == pytest.approx(expected["felt"], rel=1e-6, abs=1e-9)
     assert numbers["heard"] == pytest.approx(expected["heard"], rel=1e-6, abs=1e-8)
@@ -358,7 +367,7 @@ def compare(numbers, expected):
         assert numbers["growth"] == pytest.approx(expected["growth"], rel=1e-5)
 
 
-def test_the_floor_of_a_hit_at_rest_on_the_edge_of_a_count_is_that_of_all_its_changes(hits):
+def test_the_floor_of_a_hit_at_rest_on_the_edge_of_a_count_is_that_of_all_its_changes(hits: Any) -> None:
     """Friction holds the handle where the count toggles in pulses, 407 of them a second; the highest line is at 115 Hz.
 
     Pulses that short read a quarter of their floor: it is no estimate but a bound, also with the highest line.
@@ -371,7 +380,7 @@ def test_the_floor_of_a_hit_at_rest_on_the_edge_of_a_count_is_that_of_all_its_ch
     assert numbers["felt"] < floor_at(dominant_hz(position)) < numbers["felt_floor"]
 
 
-def test_the_floor_of_a_hit_that_bounces_is_that_of_the_mode_that_excites_the_encoder(hits):
+def test_the_floor_of_a_hit_that_bounces_is_that_of_the_mode_that_excites_the_encoder(hits: Any) -> None:
     """The handle hops at a low frequency, while the capstan's mode at 586 Hz moves the motor by some counts."""
     numbers = meter(LIMITS, 1.0 / RATE, DELTA).recorded(*hits[1]["recorded"])
     assert numbers["exits_in_tail"] > 50
@@ -379,7 +388,9 @@ def test_the_floor_of_a_hit_that_bounces_is_that_of_the_mode_that_excites_the_en
     assert dominant_hz(hits[1]["recorded"][0]) < 60.0
 
 
-def test_columns_of_a_bigger_array_give_the_same_bits_as_copies_and_nothing_is_written_to_them(hits):
+def test_columns_of_a_bigger_array_give_the_same_bits_as_copies_and_nothing_is_written_to_them(
+    hits: Any,
+) -> None:
     trial = hits[0]
     measuring = meter(trial["limits"], trial["tick_s"], trial["resolution"])
     assert not trial["true"][0].flags.c_contiguous
@@ -389,7 +400,7 @@ def test_columns_of_a_bigger_array_give_the_same_bits_as_copies_and_nothing_is_w
     assert measuring.true(*trial["true"]).tobytes() == measuring.true(*copies).tobytes()
 
 
-def test_a_meter_remembers_nothing_of_the_trial_before(hits):
+def test_a_meter_remembers_nothing_of_the_trial_before(hits: Any) -> None:
     trial = hits[0]
     used, fresh = (meter(trial["limits"], trial["tick_s"], trial["resolution"]) for _ in range(2))
     first = used.recorded(*trial["recorded"])
@@ -400,7 +411,7 @@ def test_a_meter_remembers_nothing_of_the_trial_before(hits):
     assert used.recorded(*trial["recorded"]).tobytes() == fresh.recorded(*trial["recorded"]).tobytes() == kept
 
 
-def test_flags_are_counted_in_the_trial_and_in_its_tail():
+def test_flags_are_counted_in_the_trial_and_in_its_tail() -> None:
     flags = np.zeros(RATE, np.int64)
     flags[[0, 5, -1]] |= int(RowFlag.SATURATED | RowFlag.INSIDE)
     flags[3:303] |= int(RowFlag.LATE)
@@ -415,12 +426,12 @@ def test_flags_are_counted_in_the_trial_and_in_its_tail():
     assert not any(OVERRULED & flag for flag in RowFlag)
 
 
-def test_every_number_of_a_verdict_is_measured():
+def test_every_number_of_a_verdict_is_measured() -> None:
     assert set(Verdict.__dataclass_fields__) - {"kind", "reasons"} <= set(NUMBERS.names)
 
 
 @pytest.mark.parametrize("ticks", [0, 1, FEWEST_TICKS - 1])
-def test_a_trial_too_short_to_be_measured_is_written_whole(ticks):
+def test_a_trial_too_short_to_be_measured_is_written_whole(ticks: Any) -> None:
     measuring = meter(LIMITS, 1.0 / RATE, DELTA)
     measuring.recorded(TIME, TIME, TIME, np.ones(RATE, np.int64) * 0xFF)  # leaves nothing behind
     few = TIME[:ticks]
@@ -432,12 +443,12 @@ def test_a_trial_too_short_to_be_measured_is_written_whole(ticks):
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python allocates")
-def test_measuring_allocates_nothing():
+def test_measuring_allocates_nothing() -> None:
     """Without numba's runtime a kernel that makes an array does not compile."""
     assert measure.measure.targetoptions["_nrt"] is False
 
 
-def test_filters_are_designed_once_for_a_rate():
+def test_filters_are_designed_once_for_a_rate() -> None:
     assert filters(1e-3, 30.0, 500.0) is filters(1e-3, 30.0, 500.0)
     assert asdict(LIMITS)["lowpass_hz"] >= 0.45 * 1_000.0  # dropped: what is left passes 400 Hz
     tone = np.sin(2 * np.pi * 400.0 * np.arange(1_000) * 1e-3)
@@ -446,7 +457,7 @@ def test_filters_are_designed_once_for_a_rate():
 
 
 @pytest.mark.parametrize("hz", [800.0, 1300.0, 2000.0])
-def test_a_ripple_above_the_band_is_felt_as_little_as_the_filter_lets_through(hz):
+def test_a_ripple_above_the_band_is_felt_as_little_as_the_filter_lets_through(hz: float) -> None:
     """Whatever its phase where the trial ends: an extension must not make a step of it."""
     rate, amplitude = 20_000, 0.05 * math.sqrt(2.0)
     time = np.arange(rate) / rate
@@ -461,6 +472,6 @@ def test_a_ripple_above_the_band_is_felt_as_little_as_the_filter_lets_through(hz
         assert numbers["felt"] == pytest.approx(0.05 * gain, rel=0.25, abs=0.005 * amplitude)
 
 
-def sosfreqz_at(sections, hz, rate):
+def sosfreqz_at(sections: Any, hz: Any, rate: Any) -> Any:
     z = np.exp(2j * np.pi * hz / rate)
     return np.prod([np.polyval(s[:3], z) / np.polyval(s[3:], z) for s in sections])

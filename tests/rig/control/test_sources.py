@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,14 +15,16 @@ PLACE = st.floats(-1.0, 1.0)
 
 @settings(deadline=None)
 @given(setpoint=PLACE, target=PLACE, step=st.floats(1e-6, 0.5))
-def test_a_set_point_moves_by_one_step_at_most_and_never_past_its_target(setpoint, target, step):
+def test_a_set_point_moves_by_one_step_at_most_and_never_past_its_target(
+    setpoint: Any, target: Any, step: float
+) -> None:
     moved = approach(setpoint, target, step)
     assert abs(moved - setpoint) <= step * (1 + 1e-9)
     assert min(setpoint, target) <= moved <= max(setpoint, target)
     assert abs(target - moved) == pytest.approx(max(0.0, abs(target - setpoint) - step), abs=1e-12)
 
 
-def test_a_set_point_arrives_exactly_and_stays():
+def test_a_set_point_arrives_exactly_and_stays() -> None:
     """Exactly: the loop compares it with the target to know that homing is over."""
     setpoint, ticks = -0.05, 0
     while setpoint != 0.1 and ticks < 1000:
@@ -31,12 +35,14 @@ def test_a_set_point_arrives_exactly_and_stays():
 
 @settings(deadline=None)
 @given(error=PLACE, velocity=st.floats(-10, 10), limit=st.floats(0.01, 1.0))
-def test_whatever_is_in_the_way_of_homing_meets_at_most_its_limit(error, velocity, limit):
+def test_whatever_is_in_the_way_of_homing_meets_at_most_its_limit(
+    error: Any, velocity: float, limit: float
+) -> None:
     effort = servo(error, velocity, 50.0, 0.5, limit)
     assert abs(effort) <= limit
     assert effort == pytest.approx(max(-limit, min(limit, 50.0 * error - 0.5 * velocity)))
 
 
-def test_the_servo_pulls_towards_the_set_point_and_brakes():
+def test_the_servo_pulls_towards_the_set_point_and_brakes() -> None:
     assert servo(0.001, 0.0, 50.0, 0.5, 1.0) == pytest.approx(0.05)
     assert servo(0.0, 0.1, 50.0, 0.5, 1.0) == pytest.approx(-0.05)

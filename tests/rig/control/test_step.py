@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -53,7 +54,15 @@ PLAIN = {
 class Tick:
     """A controller and a hand on its encoder: call with a count, get the quanta, look at `memory`."""
 
-    def __init__(self, *, estimator="fdm", law="spring-damper", wall=None, skip_homing=True, **changes):
+    def __init__(
+        self,
+        *,
+        estimator: str = "fdm",
+        law: str = "spring-damper",
+        wall: Any = None,
+        skip_homing: bool = True,
+        **changes: Any,
+    ) -> None:
         control = np.zeros(1, CONTROL)
         for name, value in {**PLAIN, **changes}.items():
             control[name] = value
@@ -71,7 +80,7 @@ class Tick:
     def __call__(self, count: int, elapsed: int = 1) -> int:
         return step(self.controller.arguments(), int(count), 0.0, elapsed)
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: Any) -> Any:
         if name not in MEMORY.names:
             raise AttributeError(name)
         return self.controller.memory[name].item()
@@ -80,34 +89,40 @@ class Tick:
         return bool(self.flags & flag)
 
 
-def law_of(function) -> Law:
+def law_of(function: Any) -> Law:
     return Law("test", "", function, 4, lambda _: [0.0])
 
 
-def estimator_of(function):
+def estimator_of(function: Any) -> Any:
     base = estimators.get("fdm")
     return type(base)("test", "", "", function, floats=8, ints=8)
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def not_a_number(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+def not_a_number(
+    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
+) -> Any:
     return math.nan if penetration > 0.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def infinite(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+def infinite(
+    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
+) -> Any:
     return -math.inf if penetration > 0.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def raises(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+def raises(
+    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
+) -> Any:
     if penetration > 0.0:
         raise ValueError("my law has a bug")
     return 0.0
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def spy(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+def spy(penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     """Remember what the law was given, behind the word that marks clamping."""
     state[1] = penetration
     state[2] = penetration_velocity
@@ -116,7 +131,9 @@ def spy(penetration, penetration_velocity, elapsed_ticks, state, parameters):
 
 
 @kernel(ESTIMATOR_SIGNATURE, cache=False)
-def recorder(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
+def recorder(
+    count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
+) -> Any:
     """Remember what the estimator was given; return the number of its calls."""
     state_i[0] += 1
     state_i[1] = count
@@ -125,7 +142,9 @@ def recorder(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
 
 
 @kernel(ESTIMATOR_SIGNATURE, cache=False)
-def blind(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
+def blind(
+    count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
+) -> Any:
     return math.nan
 
 
@@ -139,7 +158,9 @@ def blind(count, edge_age_s, elapsed_ticks, state_f, state_i, parameters):
     side=st.sampled_from([-1.0, 1.0]),
     wall=st.floats(-0.5, 0.5),
 )
-def test_penetration_is_side_times_distance_without_half_count_corrections(count, reference, side, wall):
+def test_penetration_is_side_times_distance_without_half_count_corrections(
+    count: int, reference: int, side: Any, wall: float
+) -> None:
     tick = Tick(reference_count=reference, wall_side=side, wall_position=wall)
     tick(count + reference)
     assert tick.position == count * DELTA
@@ -147,7 +168,7 @@ def test_penetration_is_side_times_distance_without_half_count_corrections(count
     assert tick.has(RowFlag.INSIDE) == (tick.penetration > 0.0)
 
 
-def test_on_its_surface_a_wall_is_not_touched():
+def test_on_its_surface_a_wall_is_not_touched() -> None:
     tick = Tick(wall={"stiffness": 1e4})
     assert tick(0) == 0
     assert not tick.has(RowFlag.INSIDE)
@@ -155,7 +176,7 @@ def test_on_its_surface_a_wall_is_not_touched():
     assert tick.has(RowFlag.INSIDE)
 
 
-def test_an_encoder_that_counts_backwards_changes_nothing_but_the_counts():
+def test_an_encoder_that_counts_backwards_changes_nothing_but_the_counts() -> None:
     forward = Tick(wall={"stiffness": 1e4, "damping": 5.0})
     backward = Tick(wall={"stiffness": 1e4, "damping": 5.0}, resolution=-DELTA)
     for count in (0, 100, 250, 180):
@@ -163,7 +184,7 @@ def test_an_encoder_that_counts_backwards_changes_nothing_but_the_counts():
         assert forward.velocity == backward.velocity
 
 
-def test_a_wall_on_the_other_side_is_the_mirror_image():
+def test_a_wall_on_the_other_side_is_the_mirror_image() -> None:
     """Entered with falling position it pushes up, and its damping brakes inward motion all the same."""
     right = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=1e-4)
     left = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=-1e-4, wall_side=-1.0)
@@ -177,7 +198,7 @@ def test_a_wall_on_the_other_side_is_the_mirror_image():
 # --- 3: two rates -----------------------------------------------------------------------------------------
 
 
-def test_the_velocity_is_updated_every_nth_tick_and_held_between():
+def test_the_velocity_is_updated_every_nth_tick_and_held_between() -> None:
     tick = Tick(velocity_divider=10, estimator=estimator_of(recorder))
     seen = []
     for k in range(40):
@@ -187,7 +208,7 @@ def test_the_velocity_is_updated_every_nth_tick_and_held_between():
     assert [velocity for _, velocity in seen] == [1.0 + k // 10 for k in range(40)]
 
 
-def test_the_wall_sees_this_ticks_position_and_the_held_velocity():
+def test_the_wall_sees_this_ticks_position_and_the_held_velocity() -> None:
     """That is the whole of dual-rate rendering."""
     tick = Tick(velocity_divider=4, law=law_of(spy))
     state = tick.controller.law.state
@@ -202,7 +223,7 @@ def test_the_wall_sees_this_ticks_position_and_the_held_velocity():
             assert velocity == pytest.approx(slope, rel=1e-12)
 
 
-def test_equal_rates_update_the_velocity_in_every_tick():
+def test_equal_rates_update_the_velocity_in_every_tick() -> None:
     tick = Tick(velocity_divider=1)
     for k in range(5):
         tick(3 * k)
@@ -212,7 +233,9 @@ def test_equal_rates_update_the_velocity_in_every_tick():
 
 @settings(max_examples=60, deadline=None)
 @given(divider=st.integers(1, 12), gaps=st.lists(st.integers(1, 40), min_size=1, max_size=40))
-def test_over_gaps_the_estimator_runs_when_a_new_velocity_period_began_and_knows_how_many(divider, gaps):
+def test_over_gaps_the_estimator_runs_when_a_new_velocity_period_began_and_knows_how_many(
+    divider: int, gaps: list[int]
+) -> None:
     tick = Tick(velocity_divider=divider, estimator=estimator_of(recorder))
     seen = tick.controller.estimator.state_i
     index, period, calls = -1, -1, 0
@@ -229,7 +252,7 @@ def test_over_gaps_the_estimator_runs_when_a_new_velocity_period_began_and_knows
         assert seen[0] == calls
 
 
-def test_a_steady_motion_keeps_its_velocity_over_a_gap_of_whole_periods():
+def test_a_steady_motion_keeps_its_velocity_over_a_gap_of_whole_periods() -> None:
     tick = Tick(velocity_divider=10)
     counts = {k: 5 * k for k in range(100)}
     for k in range(21):
@@ -238,14 +261,14 @@ def test_a_steady_motion_keeps_its_velocity_over_a_gap_of_whole_periods():
     assert tick.velocity == pytest.approx(5 * DELTA / TICK_S, rel=1e-12)
 
 
-def test_the_law_is_told_how_many_ticks_passed():
+def test_the_law_is_told_how_many_ticks_passed() -> None:
     tick = Tick(law=law_of(spy))
     tick(0)
     tick(0, 6)
     assert tick.controller.law.state[3] == 6
 
 
-def test_the_estimator_runs_outside_the_wall_too():
+def test_the_estimator_runs_outside_the_wall_too() -> None:
     """Started afresh at the surface it would read zero there: the first peak would change by a fifth."""
     tick = Tick(wall={"stiffness": 0.0, "damping": 10.0})
     for count in (-300, -200, -100, 0, 100):
@@ -257,7 +280,7 @@ def test_the_estimator_runs_outside_the_wall_too():
 # --- 4, 5: law and sources --------------------------------------------------------------------------------
 
 
-def test_the_push_acts_inside_and_outside_and_the_wall_against_it():
+def test_the_push_acts_inside_and_outside_and_the_wall_against_it() -> None:
     tick = Tick(wall={"stiffness": 1000.0}, constant_effort=20.0)
     tick(-5000)
     assert (tick.effort_wall, tick.effort_wanted) == (0.0, 20.0)
@@ -265,7 +288,7 @@ def test_the_push_acts_inside_and_outside_and_the_wall_against_it():
     assert (tick.effort_wall, tick.effort_wanted) == (pytest.approx(5.0), pytest.approx(15.0))
 
 
-def test_a_wall_that_would_have_pulled_is_marked_in_the_row():
+def test_a_wall_that_would_have_pulled_is_marked_in_the_row() -> None:
     tick = Tick(wall={"stiffness": 100.0, "damping": 50.0})
     tick(2000)
     assert not tick.has(RowFlag.CLAMPED)
@@ -276,7 +299,7 @@ def test_a_wall_that_would_have_pulled_is_marked_in_the_row():
     assert not tick.has(RowFlag.CLAMPED)
 
 
-def test_an_exception_in_a_users_law_reaches_the_caller_as_itself():
+def test_an_exception_in_a_users_law_reaches_the_caller_as_itself() -> None:
     tick = Tick(law=law_of(raises))
     assert tick(-1) == 0
     with pytest.raises(ValueError, match="my law has a bug"):
@@ -288,7 +311,9 @@ def test_an_exception_in_a_users_law_reaches_the_caller_as_itself():
 
 @settings(max_examples=60, deadline=None)
 @given(effort=st.floats(-150.0, 150.0), quantum=st.floats(0.01, 2.0))
-def test_what_is_sent_is_a_whole_number_of_quanta_within_half_of_the_limited_sum(effort, quantum):
+def test_what_is_sent_is_a_whole_number_of_quanta_within_half_of_the_limited_sum(
+    effort: float, quantum: float
+) -> None:
     tick = Tick(constant_effort=effort, effort_quantum=quantum)
     quanta = tick(-1)
     assert tick.current_sent == quanta
@@ -300,7 +325,7 @@ def test_what_is_sent_is_a_whole_number_of_quanta_within_half_of_the_limited_sum
 
 
 @pytest.mark.parametrize("law", [not_a_number, infinite])
-def test_an_effort_that_is_not_finite_is_cut_to_zero_and_ends_the_run(law):
+def test_an_effort_that_is_not_finite_is_cut_to_zero_and_ends_the_run(law: Any) -> None:
     tick = Tick(law=law_of(law), constant_effort=20.0)
     assert tick(-1) == 2000
     assert tick(1) == 0
@@ -311,7 +336,7 @@ def test_an_effort_that_is_not_finite_is_cut_to_zero_and_ends_the_run(law):
     assert tick(-1) == 0  # and it stays ended
 
 
-def test_a_velocity_that_is_not_a_number_ends_the_run_also_outside_the_wall():
+def test_a_velocity_that_is_not_a_number_ends_the_run_also_outside_the_wall() -> None:
     tick = Tick(estimator=estimator_of(blind), constant_effort=20.0)
     assert tick(-1) == 0
     assert tick.has(RowFlag.NONFINITE)
@@ -319,7 +344,7 @@ def test_a_velocity_that_is_not_a_number_ends_the_run_also_outside_the_wall():
 
 
 @pytest.mark.parametrize("count", [1001, -501])
-def test_leaving_the_window_cuts_the_effort_and_ends_the_run(count):
+def test_leaving_the_window_cuts_the_effort_and_ends_the_run(count: int) -> None:
     tick = Tick(constant_effort=20.0, window_minimum=-500 * DELTA, window_maximum=1000 * DELTA)
     for inside in (1000, -500):
         assert tick(inside) == 2000
@@ -330,7 +355,7 @@ def test_leaving_the_window_cuts_the_effort_and_ends_the_run(count):
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_too_much_speed_cuts_the_effort_and_ends_the_run(way):
+def test_too_much_speed_cuts_the_effort_and_ends_the_run(way: int) -> None:
     tick = Tick(constant_effort=20.0, speed_limit=1.0005)
     assert tick(0) == 2000
     assert tick(1000 * way) == 2000  # 1 m/s
@@ -339,7 +364,7 @@ def test_too_much_speed_cuts_the_effort_and_ends_the_run(way):
     assert tick.phase == Phase.DONE
 
 
-def test_a_slew_limit_that_binds_in_a_trial_is_marked_and_starts_from_the_effort_before():
+def test_a_slew_limit_that_binds_in_a_trial_is_marked_and_starts_from_the_effort_before() -> None:
     tick = Tick(constant_effort=20.0, trial_slew=8.0)
     sent = []
     for _ in range(4):
@@ -348,7 +373,7 @@ def test_a_slew_limit_that_binds_in_a_trial_is_marked_and_starts_from_the_effort
     assert sent == [(8.0, True), (16.0, True), (20.0, False), (20.0, False)]
 
 
-def test_the_slew_limit_grows_with_the_ticks_that_were_lost():
+def test_the_slew_limit_grows_with_the_ticks_that_were_lost() -> None:
     tick = Tick(constant_effort=20.0, trial_slew=8.0)
     tick(-1)
     tick(-1, 2)
@@ -356,7 +381,7 @@ def test_the_slew_limit_grows_with_the_ticks_that_were_lost():
     assert not tick.has(RowFlag.SLEW_BOUND)
 
 
-def test_rounding_does_not_pile_up_under_the_slew_limit():
+def test_rounding_does_not_pile_up_under_the_slew_limit() -> None:
     """The limit starts from the effort before rounding: 0.4 quanta a tick reach the goal after all."""
     tick = Tick(constant_effort=1.0, trial_slew=0.4, effort_quantum=1.0)
     assert [tick(-1) for _ in range(4)] == [0, 1, 1, 1]
@@ -373,14 +398,14 @@ def phases(tick: Tick, ticks: int, count: int = 0) -> list[Phase]:
     return seen
 
 
-def test_a_run_goes_through_its_phases_tick_by_tick():
+def test_a_run_goes_through_its_phases_tick_by_tick() -> None:
     """Home already: one tick to start, three of rest, five of trial, four of release."""
     tick = Tick(skip_homing=False, settle_ticks=3, trial_ticks=5, release_ticks=4)
     expected = [Phase.HOMING, Phase.SETTLE, Phase.SETTLE] + [Phase.TRIAL] * 5 + [Phase.RELEASE] * 4
     assert phases(tick, 14) == [*expected, Phase.DONE, Phase.DONE]
 
 
-def test_lost_ticks_count_as_time_in_every_phase():
+def test_lost_ticks_count_as_time_in_every_phase() -> None:
     tick = Tick(skip_homing=False, settle_ticks=3, trial_ticks=50, release_ticks=4)
     phases(tick, 4)
     assert tick.phase == Phase.TRIAL
@@ -390,7 +415,7 @@ def test_lost_ticks_count_as_time_in_every_phase():
     assert tick.phase == Phase.RELEASE
 
 
-def test_lost_ticks_count_as_rest_and_as_way_of_the_set_point_in_homing():
+def test_lost_ticks_count_as_rest_and_as_way_of_the_set_point_in_homing() -> None:
     tick = Tick(**HOME)
     tick(-250)
     tick(-250, 7)
@@ -401,7 +426,7 @@ def test_lost_ticks_count_as_rest_and_as_way_of_the_set_point_in_homing():
     assert tick.phase == Phase.TRIAL
 
 
-def test_the_wall_stands_during_the_release_and_fades_with_the_push():
+def test_the_wall_stands_during_the_release_and_fades_with_the_push() -> None:
     """Push and wall leave together: a wall that vanished first would throw the handle."""
     tick = Tick(
         skip_homing=False, constant_effort=20.0, wall={"stiffness": 1e3}, trial_ticks=1, release_ticks=4
@@ -413,7 +438,7 @@ def test_the_wall_stands_during_the_release_and_fades_with_the_push():
     assert balance[1:] == [(15.0, 5.0), (15.0, 5.0), (15.0, 3.75), (15.0, 2.5), (15.0, 1.25)]
 
 
-def test_the_push_is_released_by_a_ramp():
+def test_the_push_is_released_by_a_ramp() -> None:
     tick = Tick(skip_homing=False, constant_effort=20.0, trial_ticks=2, release_ticks=4)
     sent = []
     for _ in range(9):
@@ -422,7 +447,7 @@ def test_the_push_is_released_by_a_ramp():
     assert sent == [0.0, 20.0, 20.0, 20.0, 15.0, 10.0, 5.0, 0.0, 0.0]
 
 
-def test_a_release_of_no_length_ends_at_zero_and_not_in_a_division():
+def test_a_release_of_no_length_ends_at_zero_and_not_in_a_division() -> None:
     tick = Tick(skip_homing=False, constant_effort=20.0, trial_ticks=2, release_ticks=0)
     for phase in (Phase.HOMING, Phase.TRIAL, Phase.TRIAL, Phase.RELEASE, Phase.DONE):
         tick(-1)
@@ -443,7 +468,7 @@ HOME = {
 }
 
 
-def test_the_homing_set_point_starts_at_the_handle_and_moves_at_limited_speed():
+def test_the_homing_set_point_starts_at_the_handle_and_moves_at_limited_speed() -> None:
     tick = Tick(**HOME)
     setpoints = []
     for _ in range(30):
@@ -454,7 +479,7 @@ def test_the_homing_set_point_starts_at_the_handle_and_moves_at_limited_speed():
     assert setpoints[-1] == 0.0  # arrives exactly
 
 
-def test_homing_pushes_with_its_own_small_effort_at_most():
+def test_homing_pushes_with_its_own_small_effort_at_most() -> None:
     tick = Tick(**HOME, constant_effort=50.0, wall={"stiffness": 1e6})
     efforts = []
     for _ in range(60):
@@ -464,7 +489,7 @@ def test_homing_pushes_with_its_own_small_effort_at_most():
     assert efforts[0] == pytest.approx(0.1)
 
 
-def test_a_handle_that_is_not_home_stays_in_homing_and_rest_counts_from_zero_again():
+def test_a_handle_that_is_not_home_stays_in_homing_and_rest_counts_from_zero_again() -> None:
     tick = Tick(**HOME)
     assert phases(tick, 3, count=40) == [Phase.HOMING] * 3
     assert phases(tick, 5, count=2)[-1] == Phase.SETTLE
@@ -473,13 +498,13 @@ def test_a_handle_that_is_not_home_stays_in_homing_and_rest_counts_from_zero_aga
     assert phases(tick, 1, count=-2) == [Phase.TRIAL]
 
 
-def test_without_a_time_to_settle_the_trial_still_waits_for_the_handle_to_be_home():
+def test_without_a_time_to_settle_the_trial_still_waits_for_the_handle_to_be_home() -> None:
     tick = Tick(**{**HOME, "settle_ticks": 0})
     assert phases(tick, 20, count=-250) == [Phase.HOMING] * 20
     assert Phase.TRIAL in phases(tick, 20, count=0)
 
 
-def test_a_start_that_is_not_reached_in_time_ends_the_run_at_zero_effort():
+def test_a_start_that_is_not_reached_in_time_ends_the_run_at_zero_effort() -> None:
     tick = Tick(**HOME, home_timeout_ticks=20)
     assert phases(tick, 21, count=-250) == [Phase.HOMING] * 21
     assert tick.current_sent != 0
@@ -488,7 +513,7 @@ def test_a_start_that_is_not_reached_in_time_ends_the_run_at_zero_effort():
     assert tick.current_sent == 0
 
 
-def test_homing_efforts_rise_no_faster_than_the_homing_slew():
+def test_homing_efforts_rise_no_faster_than_the_homing_slew() -> None:
     tick = Tick(**HOME, homing_slew=0.05)
     efforts = [0.0]
     for _ in range(40):
@@ -501,7 +526,9 @@ def test_homing_efforts_rise_no_faster_than_the_homing_slew():
 # --- what the handle feels --------------------------------------------------------------------------------
 
 
-def press(tick: Tick, *, seconds: float, mass: float = 0.5, friction: float = 20.0, start: float = -0.005):
+def press(
+    tick: Tick, *, seconds: float, mass: float = 0.5, friction: float = 20.0, start: float = -0.005
+) -> Any:
     """A mass on a viscous slide between encoder and motor, exact between ticks (Chawda's rig, damped well).
 
     The law runs at its tick rate; effort held between. Returns positions and efforts.
@@ -520,7 +547,7 @@ def press(tick: Tick, *, seconds: float, mass: float = 0.5, friction: float = 20
 
 
 @pytest.mark.parametrize("estimator", estimators.names())
-def test_a_20_newton_push_rests_20_mm_inside_a_1_kn_per_metre_wall(estimator):
+def test_a_20_newton_push_rests_20_mm_inside_a_1_kn_per_metre_wall(estimator: Any) -> None:
     tick = Tick(
         estimator=estimator,
         constant_effort=20.0,
@@ -534,7 +561,7 @@ def test_a_20_newton_push_rests_20_mm_inside_a_1_kn_per_metre_wall(estimator):
     assert np.ptp(positions[-200:]) < 2 * DELTA
 
 
-def test_damping_makes_the_first_peak_lower_and_the_ringing_shorter():
+def test_damping_makes_the_first_peak_lower_and_the_ringing_shorter() -> None:
     peaks = {}
     for damping in (0.0, 10.0):
         tick = Tick(constant_effort=20.0, effort_quantum=1e-4, wall={"stiffness": 1e3, "damping": damping})
@@ -576,7 +603,7 @@ DUAL = {
 }
 
 
-def test_a_saved_controller_continues_bit_for_bit_after_json():
+def test_a_saved_controller_continues_bit_for_bit_after_json() -> None:
     """The header of a recording holds it so: replay starts where the run started."""
     one = Tick(**DUAL)
     lively(one, 137, seed=1)
@@ -587,7 +614,7 @@ def test_a_saved_controller_continues_bit_for_bit_after_json():
     assert one.controller.as_mapping() == two.controller.as_mapping()
 
 
-def test_a_saved_controller_is_a_copy():
+def test_a_saved_controller_is_a_copy() -> None:
     tick = Tick(**DUAL)
     saved = tick.controller.as_mapping()
     before = json.dumps(saved)
@@ -600,7 +627,7 @@ def test_a_saved_controller_is_a_copy():
 
 
 @pytest.mark.parametrize("part", ["control", "memory"])
-def test_a_saved_controller_of_another_version_is_refused_not_filled_up_with_zeros(part):
+def test_a_saved_controller_of_another_version_is_refused_not_filled_up_with_zeros(part: str) -> None:
     saved = Tick(**DUAL).controller.as_mapping()
     removed = next(iter(saved[part]))
     lacking = {**saved, part: {k: v for k, v in saved[part].items() if k != removed}}
@@ -610,7 +637,7 @@ def test_a_saved_controller_of_another_version_is_refused_not_filled_up_with_zer
         Controller.from_mapping({**saved, part: {**saved[part], "friction_compensation": 1.0}})
 
 
-def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given():
+def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given() -> None:
     saved = Tick(law=law_of(spy)).controller.as_mapping()
     with pytest.raises(ConfigError, match="no law 'test'"):
         Controller.from_mapping(saved)
@@ -626,7 +653,7 @@ def digest() -> str:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="compares with the compiled law")
-def test_compiled_and_plain_python_give_the_same_bits():
+def test_compiled_and_plain_python_give_the_same_bits() -> None:
     script = f"import runpy; print(runpy.run_path({str(Path(__file__))!r})['digest']())"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
@@ -640,7 +667,7 @@ def test_compiled_and_plain_python_give_the_same_bits():
     assert done.stdout.strip() == compiled
 
 
-def test_between_velocity_samples_the_velocity_is_held_or_extrapolated_to_first_order():
+def test_between_velocity_samples_the_velocity_is_held_or_extrapolated_to_first_order() -> None:
     """A uniformly accelerated handle: FDM rises linearly from sample to sample, and so does the prediction."""
     counts = [k * k for k in range(41)]
     for extrapolate in (0, 1):
@@ -656,7 +683,7 @@ def test_between_velocity_samples_the_velocity_is_held_or_extrapolated_to_first_
             assert seen[k][0] == pytest.approx(sample + extrapolate * slope * since, rel=1e-12)
 
 
-def test_a_slow_handle_is_sampled_more_rarely_and_a_fast_one_at_the_velocity_rate():
+def test_a_slow_handle_is_sampled_more_rarely_and_a_fast_one_at_the_velocity_rate() -> None:
     tick = Tick(velocity_divider=2, slow_multiple=5, slow_speed=2.5 * DELTA / TICK_S)
     updated = []
     for k in range(100):

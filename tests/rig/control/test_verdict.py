@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,15 @@ TIME = np.arange(RATE) * T
 TAIL = TIME >= 0.6
 
 
-def signals(position, *, effort=None, velocity=None, resolution=0.0, penetration=None, **flags) -> Signals:
+def signals(
+    position: Any,
+    *,
+    effort: Any = None,
+    velocity: Any = None,
+    resolution: float = 0.0,
+    penetration: Any = None,
+    **flags: Any,
+) -> Signals:
     """A trial of 1 s against a wall at zero; without anything else said a calm one."""
     position = np.asarray(position, dtype=float)
     nothing = np.zeros(len(position), bool)
@@ -71,7 +80,7 @@ def ripple(amplitude: float, hz: float = 100.0) -> np.ndarray:
 # --- each kind --------------------------------------------------------------------------------------------
 
 
-def test_a_handle_at_rest_in_the_wall_is_stable():
+def test_a_handle_at_rest_in_the_wall_is_stable() -> None:
     verdict = judge(signals(REST, resolution=DELTA), LIMITS)
     assert verdict.kind is Kind.STABLE
     assert verdict.reasons == ()
@@ -79,18 +88,18 @@ def test_a_handle_at_rest_in_the_wall_is_stable():
     assert verdict.ticks == RATE
 
 
-def test_a_hit_that_rings_down_before_the_tail_is_stable():
+def test_a_hit_that_rings_down_before_the_tail_is_stable() -> None:
     ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.05) * np.cos(2 * np.pi * 60 * TIME)
     assert judge(signals(ring, effort=300 * ring), LIMITS).kind is Kind.STABLE
 
 
-def test_a_lasting_oscillation_inside_the_wall_is_a_limit_cycle():
+def test_a_lasting_oscillation_inside_the_wall_is_a_limit_cycle() -> None:
     verdict = judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS)
     assert verdict.kind is Kind.LIMIT_CYCLE
     assert [reason.split()[0] for reason in verdict.reasons] == ["felt", "heard", "moved"]
 
 
-def test_a_growing_oscillation_is_unstable():
+def test_a_growing_oscillation_is_unstable() -> None:
     grown = np.exp((TIME - 1.0) / 0.3)
     verdict = judge(signals(5e-3 + grown * ripple(2e-3), effort=grown * ripple(1.0)), LIMITS)
     assert verdict.kind is Kind.UNSTABLE
@@ -98,12 +107,12 @@ def test_a_growing_oscillation_is_unstable():
     assert verdict.reasons[0].startswith("ripple grows 1.9")
 
 
-def test_growth_of_something_nobody_notices_is_no_instability():
+def test_growth_of_something_nobody_notices_is_no_instability() -> None:
     grown = np.exp((TIME - 1.0) / 0.3)
     assert judge(signals(REST, effort=grown * ripple(0.1)), LIMITS).kind is Kind.STABLE
 
 
-def test_a_handle_that_leaves_the_wall_in_the_tail_is_unstable():
+def test_a_handle_that_leaves_the_wall_in_the_tail_is_unstable() -> None:
     bouncing = 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME)  # leaves in every period
     verdict = judge(signals(bouncing), LIMITS)
     assert verdict.kind is Kind.UNSTABLE
@@ -112,7 +121,7 @@ def test_a_handle_that_leaves_the_wall_in_the_tail_is_unstable():
     assert verdict.reasons[0] == "left the wall 2 times in the tail"
 
 
-def test_leaving_the_wall_at_the_very_start_of_the_tail_counts():
+def test_leaving_the_wall_at_the_very_start_of_the_tail_counts() -> None:
     position = REST.copy()
     start = RATE - round(LIMITS.tail_s * RATE)
     position[start : start + 100] = -1e-4
@@ -131,7 +140,9 @@ def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
 
 @pytest.mark.parametrize("at", [0.82, 0.9, 0.97])
 @pytest.mark.parametrize(("speed", "stiffness"), [(0.3, 200.0), (3.0, 200.0), (10.0, 800.0)])
-def test_a_person_who_leaves_a_calm_wall_says_nothing_of_it(at, speed, stiffness):
+def test_a_person_who_leaves_a_calm_wall_says_nothing_of_it(
+    at: float, speed: float, stiffness: float
+) -> None:
     position = withdrawn(at, speed)
     s = signals(position, effort=-stiffness * np.maximum(position, 0.0), resolution=DELTA)
     verdict = judge(s, PERSON)
@@ -151,24 +162,24 @@ def test_a_person_who_leaves_a_calm_wall_says_nothing_of_it(at, speed, stiffness
         withdrawn(0.85) + np.where(TIME < 0.85, ripple(0.9e-3, 60.0), 0.0),  # it shook before
     ],
 )
-def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position):
+def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position: Any) -> None:
     assert judge(signals(position), PERSON).kind is Kind.UNSTABLE
 
 
-def test_a_wall_that_buzzed_until_a_person_left_stays_unstable():
+def test_a_wall_that_buzzed_until_a_person_left_stays_unstable() -> None:
     position = withdrawn(0.85)
     effort = np.where(position > 0.0, -0.3 + ripple(0.2, 150.0), 0.0)
     assert judge(signals(position, effort=effort), PERSON).kind is Kind.UNSTABLE
 
 
-def test_bouncing_before_the_tail_is_only_counted():
+def test_bouncing_before_the_tail_is_only_counted() -> None:
     bouncing = np.where(TIME < 0.5, 1e-3 + 2e-3 * np.sin(2 * np.pi * 5 * TIME), 1e-3)
     verdict = judge(signals(bouncing), LIMITS)
     assert verdict.kind is Kind.STABLE
     assert (verdict.exits, verdict.exits_in_tail) == (2, 0)
 
 
-def test_a_wall_that_was_never_touched_says_nothing():
+def test_a_wall_that_was_never_touched_says_nothing() -> None:
     verdict = judge(signals(REST - 2e-3), LIMITS)
     assert verdict.kind is Kind.INVALID
     assert verdict.reasons == ("the wall was never touched",)
@@ -177,14 +188,14 @@ def test_a_wall_that_was_never_touched_says_nothing():
     assert verdict.settling_s is None
 
 
-def test_a_handle_that_was_thrown_out_and_stays_out_is_not_called_stable():
+def test_a_handle_that_was_thrown_out_and_stays_out_is_not_called_stable() -> None:
     """It touched the wall once; in the tail there is no contact to judge."""
     verdict = judge(signals(np.where(TIME < 0.2, 1e-3, -1e-3)), LIMITS)
     assert verdict.kind is Kind.INVALID
     assert verdict.reasons == ("the wall was not touched in the tail",)
 
 
-def test_one_gap_spoils_a_trial():
+def test_one_gap_spoils_a_trial() -> None:
     assert judge(signals(REST, gap=first(1)), LIMITS).kind is Kind.INVALID
     verdict = judge(signals(REST, gap=first(3)), LIMITS)
     assert verdict.gaps == 3
@@ -192,13 +203,13 @@ def test_one_gap_spoils_a_trial():
 
 
 @pytest.mark.parametrize(("late", "kind"), [(199, Kind.STABLE), (200, Kind.INVALID)])
-def test_a_trial_is_spoiled_by_one_per_cent_of_late_ticks(late, kind):
+def test_a_trial_is_spoiled_by_one_per_cent_of_late_ticks(late: int, kind: Any) -> None:
     verdict = judge(signals(REST, late=first(late)), LIMITS)
     assert verdict.kind is kind
     assert verdict.late_ticks == late
 
 
-def test_a_binding_slew_limit_spoils_a_trial():
+def test_a_binding_slew_limit_spoils_a_trial() -> None:
     verdict = judge(signals(REST, overruled=first(3)), LIMITS)
     assert verdict.kind is Kind.INVALID
     assert "overruled the law in 3 ticks" in verdict.reasons[0]
@@ -207,7 +218,7 @@ def test_a_binding_slew_limit_spoils_a_trial():
     assert verdict.reasons == ("the slew limit bound in 2 ticks",)
 
 
-def test_saturation_at_impact_is_reported_and_forgiven():
+def test_saturation_at_impact_is_reported_and_forgiven() -> None:
     impact = (TIME > 0.05) & (TIME < 0.06)
     verdict = judge(signals(REST, saturated=impact), LIMITS)
     assert verdict.kind is Kind.STABLE
@@ -224,18 +235,20 @@ def test_saturation_at_impact_is_reported_and_forgiven():
         (81, 0.0, Kind.INVALID),  # a motor at its limit without ripple: the push is too strong
     ],
 )
-def test_saturation_in_the_tail_is_unstable_with_ripple_and_invalid_without(saturated, effort, kind):
+def test_saturation_in_the_tail_is_unstable_with_ripple_and_invalid_without(
+    saturated: int, effort: float, kind: Any
+) -> None:
     verdict = judge(signals(REST, effort=ripple(effort), saturated=first(saturated)), LIMITS)
     assert verdict.kind is kind
 
 
-def test_what_spoils_a_trial_outweighs_what_it_shows():
+def test_what_spoils_a_trial_outweighs_what_it_shows() -> None:
     verdict = judge(signals(5e-3 + ripple(4e-3), gap=first(1)), LIMITS)
     assert verdict.kind is Kind.INVALID
 
 
 @pytest.mark.parametrize("count", [0, 1, 7])
-def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count):
+def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count: int) -> None:
     verdict = judge(signals(REST[:count]), LIMITS)
     assert verdict.kind is Kind.INVALID
     assert verdict.ticks == count
@@ -245,13 +258,13 @@ def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count):
 
 @settings(max_examples=30, deadline=None)
 @given(count=st.integers(8, 300), seed=st.integers(0, 2**32 - 1))
-def test_any_short_trial_gets_a_verdict_in_finite_numbers(count, seed):
+def test_any_short_trial_gets_a_verdict_in_finite_numbers(count: int, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(size=count)
     verdict = judge(signals(noise, effort=noise, resolution=DELTA), LIMITS)
     json.dumps(plain(verdict), allow_nan=False)
 
 
-def test_a_trial_shorter_than_its_tail_is_judged_on_what_there_is():
+def test_a_trial_shorter_than_its_tail_is_judged_on_what_there_is() -> None:
     """A steady push from the first sample on is no ripple: the filter starts in steady state."""
     verdict = judge(signals(REST[:1000], effort=np.full(1000, 1.0)), LIMITS)
     assert verdict.kind is Kind.STABLE
@@ -263,7 +276,7 @@ def test_a_trial_shorter_than_its_tail_is_judged_on_what_there_is():
 
 @pytest.mark.parametrize("share", [0.98, 1.02])
 @pytest.mark.parametrize("hz", [60.0, 100.0, 150.0])
-def test_felt_is_the_rms_velocity_in_the_band(share, hz):
+def test_felt_is_the_rms_velocity_in_the_band(share: float, hz: float) -> None:
     rms = share * LIMITS.felt_velocity
     amplitude = rms * math.sqrt(2) / (2 * math.pi * hz)
     verdict = judge(signals(5e-3 + ripple(amplitude, hz)), LIMITS)
@@ -276,14 +289,14 @@ def test_felt_is_the_rms_velocity_in_the_band(share, hz):
 
 
 @pytest.mark.parametrize(("share", "kind"), [(0.98, Kind.STABLE), (1.02, Kind.LIMIT_CYCLE)])
-def test_heard_is_the_rms_ripple_of_the_effort(share, kind):
+def test_heard_is_the_rms_ripple_of_the_effort(share: float, kind: Any) -> None:
     verdict = judge(signals(REST, effort=0.7 + ripple(share * 0.10 * math.sqrt(2), 300.0)), LIMITS)
     assert verdict.heard == pytest.approx(share * 0.10, rel=0.005)
     assert verdict.kind is kind
 
 
 @pytest.mark.parametrize(("share", "kind"), [(0.98, Kind.STABLE), (1.02, Kind.LIMIT_CYCLE)])
-def test_moved_is_the_travel_from_peak_to_peak(share, kind):
+def test_moved_is_the_travel_from_peak_to_peak(share: float, kind: Any) -> None:
     hz = 300.0
     deaf = replace(LIMITS, felt_velocity=10.0)
     verdict = judge(signals(5e-3 + ripple(share * 1.25e-3 / 2, hz)), deaf)
@@ -291,18 +304,18 @@ def test_moved_is_the_travel_from_peak_to_peak(share, kind):
     assert verdict.kind is kind
 
 
-def test_moved_is_less_one_count():
+def test_moved_is_less_one_count() -> None:
     smooth = judge(signals(5e-3 + ripple(5e-4, 300.0)), LIMITS).moved
     with_counts = judge(signals(5e-3 + ripple(5e-4, 300.0), resolution=DELTA), LIMITS).moved
     assert with_counts == pytest.approx(smooth - DELTA)
 
 
-def test_one_count_that_toggles_fast_has_not_moved():
+def test_one_count_that_toggles_fast_has_not_moved() -> None:
     toggling = DELTA * (10 + (np.sin(2 * np.pi * 200 * TIME + 0.3) > 0))
     assert judge(signals(toggling, resolution=DELTA), LIMITS).moved < 0.4 * DELTA
 
 
-def test_a_slow_press_is_neither_felt_nor_heard_nor_moved():
+def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
     """A hand breathes at 2 Hz by a fifth of its press: the two poles at 30 Hz must not leak it."""
     press = 1.3e-3 * (1 + 0.2 * np.sin(2 * np.pi * 2 * TIME))
     verdict = judge(signals(press, effort=300 * press), LIMITS)
@@ -318,7 +331,7 @@ def toggling(hz: float) -> np.ndarray:
     return DELTA * (10 + (np.sin(2 * np.pi * hz * TIME + 0.3) > 0))
 
 
-def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_velocity():
+def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_velocity() -> None:
     """2√2·f·Δ = 0.05 rad/s: above it counts cannot say whether anything is felt."""
     one_line = replace(LIMITS, lowpass_hz=200.0)  # lets nothing but the fundamental through
     below = judge(signals(toggling(112.0), resolution=DELTA), one_line)
@@ -330,7 +343,7 @@ def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_ve
 
 
 @pytest.mark.parametrize("hz", [35, 45, 60, 80, 95, 110, 130, 160, 240, 330])
-def test_the_floor_is_what_one_toggling_count_really_reads_with_all_its_harmonics(hz):
+def test_the_floor_is_what_one_toggling_count_really_reads_with_all_its_harmonics(hz: int) -> None:
     everything = replace(LIMITS, felt_velocity=10.0)
     verdict = judge(signals(toggling(hz), resolution=DELTA), everything)
     assert verdict.felt == pytest.approx(verdict.felt_floor, rel=0.35)
@@ -338,12 +351,12 @@ def test_the_floor_is_what_one_toggling_count_really_reads_with_all_its_harmonic
 
 
 @pytest.mark.parametrize("hz", [10, 20, 31, 40, 51, 60, 70, 80, 90, 100, 112, 120, 200, 400, 700, 1500])
-def test_one_toggling_count_is_never_called_a_limit_cycle(hz):
+def test_one_toggling_count_is_never_called_a_limit_cycle(hz: int) -> None:
     verdict = judge(signals(toggling(hz), resolution=DELTA), LIMITS)
     assert verdict.kind is Kind.STABLE
 
 
-def test_a_vote_that_is_not_measurable_does_not_silence_the_others():
+def test_a_vote_that_is_not_measurable_does_not_silence_the_others() -> None:
     buzz = 5e-3 + ripple(2e-3, 150.0)
     counts = np.floor(buzz / DELTA + 0.5) * DELTA
     verdict = judge(signals(counts, resolution=DELTA), LIMITS)
@@ -352,7 +365,7 @@ def test_a_vote_that_is_not_measurable_does_not_silence_the_others():
     assert judge(signals(buzz), LIMITS).felt > 20 * LIMITS.felt_velocity  # the truth has no floor
 
 
-def test_a_handle_at_rest_and_the_truth_have_no_floor():
+def test_a_handle_at_rest_and_the_truth_have_no_floor() -> None:
     assert judge(signals(REST, resolution=DELTA), LIMITS).felt_floor == 0.0
     assert judge(signals(toggling(100.0)), LIMITS).felt_floor == 0.0
 
@@ -384,7 +397,7 @@ def hit() -> tuple[np.ndarray, np.ndarray, float]:
     return position, np.where(t < 0, fall * TIME, inside_v), contact
 
 
-def test_the_measures_of_a_hit_are_those_of_the_closed_form():
+def test_the_measures_of_a_hit_are_those_of_the_closed_form() -> None:
     position, velocity, contact = hit()
     verdict = judge(signals(position, velocity=velocity, effort=PUSH - STIFFNESS * position), LIMITS)
     assert verdict.contact_s == pytest.approx(contact, abs=1.01 * T)
@@ -400,8 +413,8 @@ def test_the_measures_of_a_hit_are_those_of_the_closed_form():
 @pytest.mark.parametrize("offset", [0.1, 0.4, 0.7, 0.95])
 @pytest.mark.parametrize("decimation", [1, 10, 20])
 def test_the_velocity_at_impact_is_that_of_the_accelerating_handle_whatever_the_encoder_shows(
-    offset, decimation
-):
+    offset: float, decimation: int
+) -> None:
     """A mean over the last milliseconds would lag by half its length: 13 % here."""
     position, _, _ = hit()
     counts = np.floor(position[::decimation] / DELTA + offset) * DELTA
@@ -410,23 +423,23 @@ def test_the_velocity_at_impact_is_that_of_the_accelerating_handle_whatever_the_
     assert verdict.impact_velocity == pytest.approx(math.sqrt(2 * PUSH / INERTIA * -START), rel=0.05)
 
 
-def test_a_trial_that_begins_in_the_wall_has_no_impact_velocity_from_counts():
+def test_a_trial_that_begins_in_the_wall_has_no_impact_velocity_from_counts() -> None:
     assert judge(signals(REST, resolution=DELTA), LIMITS).impact_velocity is None
 
 
-def test_what_never_settles_has_no_settling_time():
+def test_what_never_settles_has_no_settling_time() -> None:
     verdict = judge(signals(5e-3 + ripple(2e-3)), LIMITS)
     assert verdict.settling_s is None
 
 
-def test_settling_is_never_finer_than_two_counts():
+def test_settling_is_never_finer_than_two_counts() -> None:
     """Peak 11 counts: 5 % of it is half a count, which a toggling encoder would never satisfy."""
     short_pulses = DELTA * (10 + (np.sin(2 * np.pi * 20 * TIME) > 0.5))
     assert judge(signals(short_pulses, resolution=DELTA), LIMITS).settling_s == 0.0
     assert judge(signals(short_pulses), LIMITS).settling_s is None
 
 
-def test_truth_and_record_agree_where_the_encoder_is_fine():
+def test_truth_and_record_agree_where_the_encoder_is_fine() -> None:
     position, velocity, _ = hit()
     fine = 1e-9
     effort = np.clip(PUSH - STIFFNESS * np.maximum(position, 0), -1.3, 1.3)
@@ -465,7 +478,7 @@ def rows(truth: bool = False) -> np.ndarray:
     return made
 
 
-def test_only_the_trial_itself_is_judged_and_from_what_a_rig_records():
+def test_only_the_trial_itself_is_judged_and_from_what_a_rig_records() -> None:
     s = recorded_signals(rows(), T, -DELTA)
     assert s.resolution == DELTA
     assert s.velocity is None
@@ -476,7 +489,7 @@ def test_only_the_trial_itself_is_judged_and_from_what_a_rig_records():
     assert s.gap.tolist() == s.slew_bound.tolist() == [False, False, True]
 
 
-def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_that_the_law_sees():
+def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_that_the_law_sees() -> None:
     made = rows(truth=True)
     made["position_true"] = [9, 0.5, 0.6, 0.7, 9]
     made["handle_position_true"] = [9, 0.4, 0.5, 0.6, 9]
@@ -491,7 +504,7 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
     assert s.gap.tolist() == [False, False, True]
 
 
-def test_a_verdict_is_plain_data():
+def test_a_verdict_is_plain_data() -> None:
     mapping = plain(judge(signals(5e-3 + ripple(2e-3), effort=ripple(0.5)), LIMITS))
     again = json.loads(json.dumps(mapping, allow_nan=False))
     assert again == mapping
@@ -503,7 +516,7 @@ def test_a_verdict_is_plain_data():
 
 
 @st.composite
-def numbers_of_trials(draw) -> np.ndarray:
+def numbers_of_trials(draw: Any) -> np.ndarray:
     """Records around every threshold, with everything that can be absent absent now and then."""
     size = draw(st.integers(1, 6))
     records = np.zeros(size, NUMBERS)
@@ -559,7 +572,7 @@ def kind_in_words(n: np.void) -> Kind:
 
 @settings(max_examples=200, deadline=None)
 @given(records=numbers_of_trials())
-def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records):
+def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records: Any) -> None:
     expected = [kind_in_words(record) for record in records]
     assert [KINDS[code] for code in kinds(records, LIMITS)] == expected
     for record, kind in zip(records, expected, strict=True):
@@ -570,7 +583,9 @@ def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself(records):
 
 @settings(max_examples=200, deadline=None)
 @given(records=numbers_of_trials())
-def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_trial_says_nothing(records):
+def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_trial_says_nothing(
+    records: Any,
+) -> None:
     for record in records:
         kind = kind_in_words(record)
         gone = record["contact_s"] >= 0.0 and record["inside_ticks_in_tail"] == 0
@@ -599,14 +614,14 @@ def test_a_wall_fails_that_is_unstable_or_exceeds_the_criterion_and_a_spoilt_tri
                 assert passes is not bool(votes[criterion])
 
 
-def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wants_a_longer_trial():
+def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wants_a_longer_trial() -> None:
     ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.32) * np.cos(2 * np.pi * 60 * TIME)
     ringing = measured(ring, effort=900 * ring)
     assert ringing.kind is Kind.INVALID
     assert ringing.passes("heard") is False
 
 
-def measured(position, **options) -> Measured:
+def measured(position: Any, **options: Any) -> Measured:
     """The numbers of `signals`, as a sweep has them."""
     s = signals(position, **options)
     flags = np.where(s.slew_bound, int(RowFlag.SLEW_BOUND), 0)
@@ -614,7 +629,7 @@ def measured(position, **options) -> Measured:
     return Measured(taken, LIMITS)
 
 
-def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_gives_no_verdict():
+def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_gives_no_verdict() -> None:
     gone = measured(np.where(TIME < 0.2, 1e-3, -1e-3))
     assert gone.kind is Kind.INVALID
     assert {gone.passes(criterion) for criterion in CRITERIA} == {False}
@@ -622,22 +637,22 @@ def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_g
     assert {spoilt.passes(criterion) for criterion in CRITERIA} == {None}
 
 
-def test_a_wall_that_was_never_touched_neither_passes_nor_fails():
+def test_a_wall_that_was_never_touched_neither_passes_nor_fails() -> None:
     assert {measured(REST - 2e-3).passes(criterion) for criterion in CRITERIA} == {None}
 
 
-def test_a_buzz_that_is_heard_and_not_felt_fails_the_criteria_that_ask_for_it():
+def test_a_buzz_that_is_heard_and_not_felt_fails_the_criteria_that_ask_for_it() -> None:
     buzz = measured(REST, effort=ripple(0.5))
     assert [buzz.passes(criterion) for criterion in ("felt", "heard", "any")] == [True, False, False]
 
 
-def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_without():
+def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_without() -> None:
     thrown, lost = (replace(measured(position), thrown_out=True) for position in (REST, REST - 2e-3))
     assert (thrown.kind, lost.kind) == (Kind.UNSTABLE, Kind.INVALID)
     assert [side.passes("any") for side in (thrown, lost)] == [False, None]
 
 
-def test_a_sweep_has_the_numbers_of_the_verdict():
+def test_a_sweep_has_the_numbers_of_the_verdict() -> None:
     position, velocity, _ = hit()
     effort = PUSH - STIFFNESS * position
     flags = np.zeros(RATE, np.int64)
@@ -647,6 +662,6 @@ def test_a_sweep_has_the_numbers_of_the_verdict():
     assert shown == {name: numbers[name].item() for name in shown}
 
 
-def test_whoever_wants_only_the_limits_does_not_load_the_compiler():
+def test_whoever_wants_only_the_limits_does_not_load_the_compiler() -> None:
     code = "import sys, rig.control.verdict; assert not {'numba', 'scipy'} & set(sys.modules), sorted(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,27 +31,29 @@ def reaction(law: PreparedLaw, penetration: float, velocity: float) -> float:
 
 @settings(deadline=None)
 @given(penetration=st.floats(-1.0, 0.0), velocity=VELOCITY, pull=st.sampled_from(["clamp", "allow"]))
-def test_outside_there_is_no_wall(penetration, velocity, pull):
+def test_outside_there_is_no_wall(penetration: float, velocity: Any, pull: Any) -> None:
     """Also on the very surface: inside means a penetration above zero."""
     law = wall(1000.0, 10.0, pull)
     assert reaction(law, penetration, velocity) == 0.0
     assert law.state[LAW_CLAMPED] == 0.0
 
 
-def test_twenty_millimetres_deep_a_wall_of_1_kn_per_metre_pushes_with_20_newton():
+def test_twenty_millimetres_deep_a_wall_of_1_kn_per_metre_pushes_with_20_newton() -> None:
     assert reaction(wall(1000.0, 0.0), 0.020, 0.3) == pytest.approx(20.0)
 
 
 @settings(deadline=None)
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_inside_it_is_a_spring_and_a_damper(depth, velocity, stiffness, damping):
+def test_inside_it_is_a_spring_and_a_damper(depth: Any, velocity: Any, stiffness: Any, damping: Any) -> None:
     law = wall(stiffness, damping, pull="allow")
     assert reaction(law, depth, velocity) == stiffness * depth + damping * velocity
 
 
 @settings(deadline=None)
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_a_clamped_wall_never_pulls_and_says_when_it_would_have(depth, velocity, stiffness, damping):
+def test_a_clamped_wall_never_pulls_and_says_when_it_would_have(
+    depth: Any, velocity: Any, stiffness: Any, damping: Any
+) -> None:
     clamped, pulling = wall(stiffness, damping), wall(stiffness, damping, pull="allow")
     free = reaction(pulling, depth, velocity)
     assert reaction(clamped, depth, velocity) == max(free, 0.0)
@@ -57,7 +61,7 @@ def test_a_clamped_wall_never_pulls_and_says_when_it_would_have(depth, velocity,
     assert pulling.state[LAW_CLAMPED] == 0.0
 
 
-def test_the_mark_of_clamping_is_of_this_tick_only():
+def test_the_mark_of_clamping_is_of_this_tick_only() -> None:
     law = wall(100.0, 10.0)
     reaction(law, 0.01, -5.0)
     assert law.state[LAW_CLAMPED] == 1.0
@@ -67,33 +71,35 @@ def test_the_mark_of_clamping_is_of_this_tick_only():
 
 @settings(deadline=None)
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_damping_on_entry_only_leaves_a_pure_spring_on_the_way_out(depth, velocity, stiffness, damping):
+def test_damping_on_entry_only_leaves_a_pure_spring_on_the_way_out(
+    depth: Any, velocity: Any, stiffness: Any, damping: Any
+) -> None:
     law = wall(stiffness, damping, damping_on="entry")
     assert reaction(law, depth, velocity) == stiffness * depth + damping * max(velocity, 0.0)
 
 
 @settings(deadline=None)
 @given(depth=DEPTH, velocity=st.floats(0.0, 20.0), more=st.floats(0.0, 0.1))
-def test_deeper_is_never_softer(depth, velocity, more):
+def test_deeper_is_never_softer(depth: Any, velocity: float, more: float) -> None:
     law = wall(560.0, 0.5)
     assert reaction(law, depth + more, velocity) >= reaction(law, depth, velocity)
 
 
-def test_a_velocity_that_is_not_a_number_is_passed_on_for_the_guard_to_stop():
+def test_a_velocity_that_is_not_a_number_is_passed_on_for_the_guard_to_stop() -> None:
     assert np.isnan(reaction(wall(100.0, 1.0), 0.01, np.nan))
 
 
-def test_an_unknown_law_lists_the_known_ones():
+def test_an_unknown_law_lists_the_known_ones() -> None:
     assert laws.names()[0] == "spring-damper"
     with pytest.raises(ConfigError, match=r"no law 'spring'.*spring-damper"):
         laws.get("spring")
 
 
-def test_a_broken_plug_in_is_named(monkeypatch):
+def test_a_broken_plug_in_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     class Broken:
         name, value = "theirs", "theirs:LAW"
 
-        def load(self):
+        def load(self) -> None:
             raise AttributeError("LAW")
 
     monkeypatch.setattr(laws, "entry_points", lambda **_: [Broken()])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,9 @@ def ran(tick: Tick, counts: list[int]) -> list[float]:
     damping=st.sampled_from([0.0, 3.0]),
     side=st.sampled_from([-1.0, 1.0]),
 )
-def test_the_energy_is_that_of_effort_times_travel_forgiven_in_free_space(counts, damping, side):
+def test_the_energy_is_that_of_effort_times_travel_forgiven_in_free_space(
+    counts: list[int], damping: Any, side: Any
+) -> None:
     tick = Tick(wall=STIFF | {"damping": damping}, wall_side=side)
     ran(tick, counts[:1])
     effort, position, given = tick.effort_sent, tick.position, 0.0
@@ -49,13 +52,13 @@ def test_the_energy_is_that_of_effort_times_travel_forgiven_in_free_space(counts
 
 @settings(deadline=None)
 @given(depth=st.integers(1, 50))
-def test_a_sampled_spring_gives_stiffness_times_a_count_squared_for_each_count_in_and_out(depth):
+def test_a_sampled_spring_gives_stiffness_times_a_count_squared_for_each_count_in_and_out(depth: int) -> None:
     tick = Tick(wall=STIFF)
     ran(tick, [0, *range(depth + 1), *range(depth, -1, -1)])
     assert tick.energy == pytest.approx(depth * 1e6 * DELTA**2, rel=1e-9)
 
 
-def test_what_damping_took_is_no_licence_for_the_next_contact():
+def test_what_damping_took_is_no_licence_for_the_next_contact() -> None:
     tick = Tick(wall={"stiffness": 0.0, "damping": 50.0})
     ran(tick, [0, 10, 20, 30, 30, 30])
     assert tick.energy < 0.0
@@ -64,7 +67,7 @@ def test_what_damping_took_is_no_licence_for_the_next_contact():
     assert tick.energy == 0.0
 
 
-def test_too_much_energy_cuts_in_its_tick():
+def test_too_much_energy_cuts_in_its_tick() -> None:
     counts = [-1, *([5, -5] * 50)]
     free = Tick(wall=STIFF)
     given = []
@@ -83,7 +86,7 @@ def test_too_much_energy_cuts_in_its_tick():
     raise AssertionError("it gave no energy")
 
 
-def test_neither_homing_nor_a_wall_that_stands_still_gives_energy():
+def test_neither_homing_nor_a_wall_that_stands_still_gives_energy() -> None:
     homing = Tick(
         skip_homing=False, home_stiffness=100.0, home_effort=50.0, home_tolerance=0.0, energy_limit=1e-12
     )
@@ -116,7 +119,7 @@ def oscillate(tick: Tick, period: int, times: int, low: int = -4, high: int = 4)
     return None
 
 
-def test_so_many_oscillations_in_a_row_end_the_run():
+def test_so_many_oscillations_in_a_row_end_the_run() -> None:
     tick = Tick(**OSCILLATES)
     # an oscillation is seen one tick after the effort of the sample that made it
     assert oscillate(tick, 6, 10) == 4
@@ -135,13 +138,13 @@ def test_so_many_oscillations_in_a_row_end_the_run():
         ({"skip_homing": False, "home_target": 1.0, "home_tolerance": 0.0}, -4, 4, 6),
     ],
 )
-def test_what_is_no_violence(changes, low, high, period):
+def test_what_is_no_violence(changes: Any, low: int, high: int, period: int) -> None:
     tick = Tick(**OSCILLATES | changes)
     assert oscillate(tick, period, 20, low, high) is None
     assert tick.oscillations < 4
 
 
-def test_a_pause_begins_a_new_row():
+def test_a_pause_begins_a_new_row() -> None:
     tick = Tick(**OSCILLATES)
     assert oscillate(tick, 6, 3) is None
     ran(tick, [-4] * 10)
@@ -150,13 +153,13 @@ def test_a_pause_begins_a_new_row():
     assert oscillate(tick, 6, 1) == 1
 
 
-def test_the_other_side_beats_alike():
+def test_the_other_side_beats_alike() -> None:
     tick = Tick(**OSCILLATES, wall_side=-1.0)
     assert oscillate(tick, 6, 10, 4, -4) == 4
 
 
 @pytest.mark.parametrize(("elapsed", "ends"), [(1, True), (3, True), (4, False)])
-def test_lost_samples_count_as_time(elapsed, ends):
+def test_lost_samples_count_as_time(elapsed: int, ends: bool) -> None:
     tick = Tick(**OSCILLATES)  # six ticks between two oscillations are in a row
     seen = []
     for count in [-4, 4] * 8:
@@ -165,14 +168,14 @@ def test_lost_samples_count_as_time(elapsed, ends):
     assert any(seen) == ends
 
 
-def test_an_oscillation_is_what_the_constants_say():
+def test_an_oscillation_is_what_the_constants_say() -> None:
     for reaction, meaning in ((-50.0, -1), (10.0, -1), (10.1, 0), (89.9, 0), (90.0, 1), (100.0, 1)):
         assert watch.extreme(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
     assert watch.extreme(100.0, 100.0, -1.0, 1.0, 2.0) == 0
     assert np.isclose(watch.energy_given(-3.0, 2.0, 1.0, False), -1.0)
 
 
-def test_the_default_oscillations_are_the_ones_that_were_measured():
+def test_the_default_oscillations_are_the_ones_that_were_measured() -> None:
     limits = inspect.get_annotations(Limits, eval_str=True)
     assert Limits.__dataclass_fields__["oscillation_s"].default == OSCILLATION_S
     assert f"left out: {OSCILLATIONS} in" in str(limits["oscillations"])

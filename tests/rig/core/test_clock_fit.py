@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,32 +23,40 @@ SECOND = 10**9
 class World:
     """Two clocks and a link: device = (host − start)·(1 + ppm) + up, exactly, in fractions."""
 
-    def __init__(self, ppm=0.0, *, start_ns=77 * 10**12, up_ns=UP_NS, seed=0):
+    def __init__(
+        self, ppm: float = 0.0, *, start_ns: Any = 77 * 10**12, up_ns: Any = UP_NS, seed: int = 0
+    ) -> None:
         self.rate = 1 + Fraction(ppm).limit_denominator(10**6) / 10**6
         self.start_ns, self.up_ns = start_ns, up_ns
         self.rng = np.random.default_rng(seed)
 
     @property
-    def drift_ppm(self):
+    def drift_ppm(self) -> Any:
         """Of host − device over device time."""
         return float((1 / self.rate - 1) * 10**6)
 
-    def device(self, host_ns):
+    def device(self, host_ns: Any) -> Any:
         """Stamp of the device: units of 62.5 ns, cut off."""
         exact = (host_ns - self.start_ns) * self.rate + self.up_ns
         return int(exact * 2 // 125) * 125 // 2
 
-    def host(self, device_ns):
+    def host(self, device_ns: Any) -> Any:
         """True host time of device times (ns), from the origin of the session."""
         return [float((int(d) - self.up_ns) / self.rate) for d in device_ns]
 
-    def error_ns(self, fit, device_ns):
+    def error_ns(self, fit: Any, device_ns: Any) -> Any:
         """What the fit gives less the truth."""
         return (fit.host_of(device_ns) - self.start_ns) - np.array(self.host(device_ns))
 
     def exchanges(
-        self, count, span_s, *, ways_ns=(40_000, 60_000), jitter_ns=(20_000.0, 20_000.0), burst=0.0
-    ):
+        self,
+        count: Any,
+        span_s: Any,
+        *,
+        ways_ns: tuple[int, ...] = (40_000, 60_000),
+        jitter_ns: tuple[float, ...] = (20_000.0, 20_000.0),
+        burst: float = 0.0,
+    ) -> Any:
         """Exchanges at random times; of a `burst` share, in a row, one way waits 2 ms more on average."""
         rng = self.rng
         sent = self.start_ns + np.sort(rng.integers(0, round(span_s * SECOND) + 1, count))
@@ -66,7 +75,7 @@ class World:
         return made
 
 
-def ends_of(exchanges):
+def ends_of(exchanges: Any) -> Any:
     return exchanges["device_received"][[0, len(exchanges) // 2, -1]]
 
 
@@ -83,7 +92,9 @@ def ends_of(exchanges):
     burst=st.sampled_from([0.0, 0.0, 0.2, 0.4]),
     seed=st.integers(0, 2**32),
 )
-def test_the_truth_lies_within_three_sigma_and_the_bound(ppm, count, span_s, ways, jitter, burst, seed):
+def test_the_truth_lies_within_three_sigma_and_the_bound(
+    ppm: float, count: int, span_s: float, ways: Any, jitter: Any, burst: Any, seed: int
+) -> None:
     """Any drift of crystals, any delay: exponential jitter, bursts, and ways that differ."""
     world = World(ppm, seed=seed)
     exchanges = world.exchanges(count, span_s, ways_ns=ways, jitter_ns=jitter, burst=burst)
@@ -108,7 +119,7 @@ def test_the_truth_lies_within_three_sigma_and_the_bound(ppm, count, span_s, way
     ids=["both-ways-wait", "back-waits", "out-waits-on-a-fast-link", "asymmetric", "bursts", "quiet"],
 )
 @pytest.mark.parametrize(("count", "span_s"), [(10, 1.0), (150, 15.0)])
-def test_three_sigma_cover_the_truth(link, count, span_s):
+def test_three_sigma_cover_the_truth(link: Any, count: int, span_s: float) -> None:
     """Counted over seeds: offset at start, middle and end, and the drift, at least 97 times in a hundred each."""
     seeds = 100
     covered = drifts = 0
@@ -123,7 +134,7 @@ def test_three_sigma_cover_the_truth(link, count, span_s):
     assert drifts >= 0.97 * seeds
 
 
-def test_uncertainties_are_of_use():
+def test_uncertainties_are_of_use() -> None:
     """Not only true but small: 150 exchanges in 15 s through 20 µs of jitter give a microsecond and 0.5 ppm."""
     world = World(-87.5)
     fit = fit_clock(world.exchanges(150, 15.0))
@@ -134,7 +145,7 @@ def test_uncertainties_are_of_use():
     assert fit.round_trip_ns == pytest.approx(100_000, rel=0.2)
 
 
-def test_ways_that_differ_shift_the_offset_by_half_the_difference_and_the_bound_says_so():
+def test_ways_that_differ_shift_the_offset_by_half_the_difference_and_the_bound_says_so() -> None:
     world = World(20.0)
     exchanges = world.exchanges(200, 20.0, ways_ns=(10_000, 90_000), jitter_ns=(0.0, 0.0))
     fit = fit_clock(exchanges)
@@ -144,7 +155,7 @@ def test_ways_that_differ_shift_the_offset_by_half_the_difference_and_the_bound_
 
 
 @pytest.mark.parametrize(("jitter", "share"), [((0.0, 5e4), 0.5), ((5e4, 0.0), -0.5), ((5e4, 5e4), 0.0)])
-def test_waiting_on_one_way_alone_is_seen_and_taken_out(jitter, share):
+def test_waiting_on_one_way_alone_is_seen_and_taken_out(jitter: tuple[float, ...], share: float) -> None:
     """The excess of a round trip then tells the error; without it the offset would be off by half the mean wait."""
     world = World(0.0)
     exchanges = world.exchanges(300, 10.0, ways_ns=(1_000, 1_000), jitter_ns=jitter)
@@ -156,7 +167,7 @@ def test_waiting_on_one_way_alone_is_seen_and_taken_out(jitter, share):
 # ---------------------------------------------------------------------- little to go by
 
 
-def test_one_exchange_leaves_the_drift_to_the_prior():
+def test_one_exchange_leaves_the_drift_to_the_prior() -> None:
     world = World(73.0)
     fit = fit_clock(world.exchanges(1, 0.0))
     assert (fit.drift_ppm, fit.drift_sd_ppm) == (0.0, pytest.approx(100.0))
@@ -169,13 +180,13 @@ def test_one_exchange_leaves_the_drift_to_the_prior():
 
 
 @pytest.mark.parametrize("count", [2, 8])
-def test_exchanges_within_a_moment_say_nothing_of_the_drift(count):
+def test_exchanges_within_a_moment_say_nothing_of_the_drift(count: int) -> None:
     fit = fit_clock(World(150.0).exchanges(count, 0.001))
     assert abs(fit.drift_ppm) < 1.0
     assert fit.drift_sd_ppm == pytest.approx(100.0, rel=0.01)
 
 
-def test_two_exchanges_a_minute_apart_do():
+def test_two_exchanges_a_minute_apart_do() -> None:
     world = World(150.0)
     exchanges = world.exchanges(2, 0.0)
     later = World(150.0, start_ns=world.start_ns).exchanges(1, 0.0)
@@ -188,7 +199,7 @@ def test_two_exchanges_a_minute_apart_do():
     assert fit.drift_sd_ppm < 5.0
 
 
-def test_nothing_to_fit_is_an_error_that_says_so():
+def test_nothing_to_fit_is_an_error_that_says_so() -> None:
     with pytest.raises(RigError, match="none of 0 clock exchanges"):
         fit_clock(np.zeros(0, EXCHANGE))
     backwards = as_exchanges([(100, 50, 40, 200), (100, 50, 60, 90), (0, 0, 10_000, 100)])
@@ -199,7 +210,7 @@ def test_nothing_to_fit_is_an_error_that_says_so():
 # ---------------------------------------------------------------------- the outlier rule
 
 
-def test_impossible_exchanges_are_rejected():
+def test_impossible_exchanges_are_rejected() -> None:
     """A clock that ran backwards, or an answer quicker than nothing; cut stamps may be two units short."""
     world = World(0.0)
     good = world.exchanges(20, 2.0, ways_ns=(1_000, 1_000), jitter_ns=(0.0, 0.0))
@@ -217,7 +228,7 @@ def test_impossible_exchanges_are_rejected():
     assert fit_clock(instant).round_trip_ns == 0
 
 
-def test_slow_exchanges_are_rejected_from_ten_times_the_median_excess_on():
+def test_slow_exchanges_are_rejected_from_ten_times_the_median_excess_on() -> None:
     world = World(0.0)
     good = world.exchanges(99, 10.0)
     excess = (good["host_received"] - good["host_sent"]) - (good["device_sent"] - good["device_received"])
@@ -236,7 +247,7 @@ def test_slow_exchanges_are_rejected_from_ten_times_the_median_excess_on():
     shift=st.one_of(st.integers(10**6, 10**12), st.integers(-(10**12), -(10**6)), st.just(268_435_456_000)),
     seed=st.integers(0, 2**32),
 )
-def test_stamps_that_do_not_belong_together_are_rejected(bad, shift, seed):
+def test_stamps_that_do_not_belong_together_are_rejected(bad: int, shift: Any, seed: int) -> None:
     """Fast round trips that lie, up to one in five: off by a millisecond or by a wrap of the device's clock."""
     world = World(35.0, seed=seed)
     exchanges = world.exchanges(60, 6.0)
@@ -264,7 +275,7 @@ ANY = st.integers(-(2**63), 2**63 - 1)
         max_size=20,
     )
 )
-def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps):
+def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps: Any) -> None:
     """Whatever a device says: no other exception, no warning, and `fit_if_possible` gives None instead."""
     exchanges = as_exchanges(stamps)
     try:
@@ -277,7 +288,7 @@ def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps):
     assert len(fit.device_of(fit.host_of(np.array([0, 10**12])))) == 2
 
 
-def test_a_unit_of_time_that_is_wrong_is_told():
+def test_a_unit_of_time_that_is_wrong_is_told() -> None:
     """Sixteen units a microsecond, declared as ten."""
     exchanges = World().exchanges(20, 2.0)
     for name in EXCHANGE.names[1:3]:
@@ -286,7 +297,7 @@ def test_a_unit_of_time_that_is_wrong_is_told():
         fit_clock(exchanges)
 
 
-def test_order_does_not_matter():
+def test_order_does_not_matter() -> None:
     exchanges = World(12.0).exchanges(50, 5.0, burst=0.2)
     fit = fit_clock(exchanges)
     turned = fit_clock(exchanges[::-1])
@@ -316,7 +327,7 @@ FITS = st.builds(
 
 
 @given(fit=FITS, since=st.lists(st.integers(-(10**15), 10**15), min_size=1, max_size=20))
-def test_no_nanosecond_is_lost_in_eleven_days(fit, since):
+def test_no_nanosecond_is_lost_in_eleven_days(fit: Any, since: list[int]) -> None:
     """Against exact fractions; and there and back is the same to a nanosecond."""
     device = np.array([fit.reference_ns + s for s in since], np.int64)
     host = fit.host_of(device)
@@ -327,7 +338,7 @@ def test_no_nanosecond_is_lost_in_eleven_days(fit, since):
 
 
 @given(fit=FITS, start=st.integers(-(10**14), 10**14), steps=st.lists(st.integers(0, 10**7), max_size=50))
-def test_later_on_one_clock_is_never_earlier_on_the_other(fit, start, steps):
+def test_later_on_one_clock_is_never_earlier_on_the_other(fit: Any, start: int, steps: list[int]) -> None:
     times = (
         fit.reference_ns
         + start
@@ -338,18 +349,18 @@ def test_later_on_one_clock_is_never_earlier_on_the_other(fit, start, steps):
 
 
 @given(fit=FITS)
-def test_a_fit_survives_json(fit):
+def test_a_fit_survives_json(fit: Any) -> None:
     assert ClockFit.from_mapping(json.loads(json.dumps({"kind": "monotonic", **plain(fit)}))) == fit
 
 
 @pytest.mark.parametrize("broken", [{}, {"reference_ns": "yesterday"}, {"drift_ppm": None}])
-def test_a_mapping_that_is_no_fit_is_refused(broken):
+def test_a_mapping_that_is_no_fit_is_refused(broken: Any) -> None:
     mapping = {} if not broken else {**plain(fit_clock(World().exchanges(5, 1.0))), **broken}
     with pytest.raises(RigError, match="clock fit is invalid"):
         ClockFit.from_mapping(mapping)
 
 
-def test_ten_thousand_exchanges_are_quick():
+def test_ten_thousand_exchanges_are_quick() -> None:
     """Some 10 ms on an ordinary machine; the bound is wide, because it is there to find a square law."""
     exchanges = np.tile(World(3.0).exchanges(500, 50.0), 20)
     for name in EXCHANGE.names:

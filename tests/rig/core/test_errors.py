@@ -2,18 +2,20 @@
 
 import importlib
 import pkgutil
+from collections.abc import Iterator
+from typing import Any
 
 import rig
 from rig.core.errors import RigError
 
 
-def every_error(root=RigError):
+def every_error(root: Any = RigError) -> Iterator[Any]:
     for child in root.__subclasses__():
         yield child
         yield from every_error(child)
 
 
-def test_kinds_of_errors_that_are_no_kin_have_exit_codes_of_their_own():
+def test_kinds_of_errors_that_are_no_kin_have_exit_codes_of_their_own() -> None:
     for module in pkgutil.walk_packages(rig.__path__, "rig."):
         if module.name != "rig.__main__":
             importlib.import_module(module.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ FINE = 1e-6  # step of the brute-force oracles (s)
 
 
 @pytest.mark.parametrize("name", SIGNALS)
-def test_velocity_and_acceleration_are_the_derivatives_of_the_position(name):
+def test_velocity_and_acceleration_are_the_derivatives_of_the_position(name: Any) -> None:
     signal = SIGNALS[name]
     t = np.linspace(0.0, signal.end_s, 200_001)
     motion = signal(t)
@@ -34,7 +35,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_position(name):
         assert np.abs(found - exact)[smooth].max() <= tolerance * np.abs(exact).max() + 1e-9
 
 
-def test_the_bounce_is_a_mass_on_a_spring_that_met_the_wall_with_the_approach_speed():
+def test_the_bounce_is_a_mass_on_a_spring_that_met_the_wall_with_the_approach_speed() -> None:
     bounce = wall_bounce(approach=0.2, contact_s=0.05, ring_hz=30.0, damping_ratio=0.1)
     at_contact = bounce([0.05 - 1e-12, 0.05, 0.05 + 1e-12])
     assert at_contact.position == pytest.approx(0.0, abs=1e-12)
@@ -45,7 +46,7 @@ def test_the_bounce_is_a_mass_on_a_spring_that_met_the_wall_with_the_approach_sp
     assert a + 2 * 0.1 * natural * v + natural**2 * x == pytest.approx(0.0, abs=1e-9 * natural)
 
 
-def test_numbers_of_the_reference_hit():
+def test_numbers_of_the_reference_hit() -> None:
     """PHYSICS 2i (C): 0.1 m/s, 34 Hz, ζ = 0.05, v·ω = 21.4 m/s²."""
     motion = SIGNALS["wall-bounce"](np.linspace(0.0, 0.5, 100_001))
     assert motion.velocity.max() == pytest.approx(0.1)
@@ -61,7 +62,7 @@ def brute_force_edges(signal: Signal, times: np.ndarray, resolution: float, offs
 
 @pytest.mark.parametrize("name", SIGNALS)
 @pytest.mark.parametrize("offset", [0.5, 0.13])
-def test_edges_are_where_a_finely_sampled_encoder_changes(name, offset):
+def test_edges_are_where_a_finely_sampled_encoder_changes(name: Any, offset: float) -> None:
     signal, resolution = SIGNALS[name], 2e-5
     times = np.arange(0.0, min(signal.end_s, 0.5), 1e-3)
     found, expected = (
@@ -73,14 +74,14 @@ def test_edges_are_where_a_finely_sampled_encoder_changes(name, offset):
     assert found[known] == pytest.approx(expected[known], abs=1.01 * FINE)
 
 
-def test_edges_of_a_ramp_are_the_boundaries_of_its_cells():
+def test_edges_of_a_ramp_are_the_boundaries_of_its_cells() -> None:
     times = np.arange(0.0, 0.01, 1e-4)
     found = edge_times(ramp(speed=0.1), times, 1e-5, offset=0.5)
     steps = np.floor(0.1 * times / 1e-5 + 0.5 + 1e-9)
     assert found[steps > 0] == pytest.approx((steps[steps > 0] - 0.5) * 1e-4, abs=1e-12)
 
 
-def test_a_turn_between_two_samples_may_leave_an_edge_that_no_count_shows():
+def test_a_turn_between_two_samples_may_leave_an_edge_that_no_count_shows() -> None:
     """Over a boundary and back within one period: the count is unchanged, the last edge is not."""
     signal = sine(amplitude=1e-3, frequency_hz=10.0)  # its peak, at 25 ms, is 1 mm
     times, resolution, offset = np.array([0.0, 0.023, 0.027]), 1e-3, 1e-4  # a boundary 0.1 µm below the peak
@@ -97,8 +98,8 @@ def test_a_turn_between_two_samples_may_leave_an_edge_that_no_count_shows():
     sign=st.sampled_from([-1, 1]),
 )
 def test_an_edge_lies_between_its_sample_and_the_one_before_that_shows_another_count(
-    speed, resolution, offset, sign
-):
+    speed: float, resolution: float, offset: float, sign: Any
+) -> None:
     signal, times = sine(amplitude=sign * speed / 30.0, frequency_hz=5.0), np.arange(60) * 1e-3
     edges = edge_times(signal, times, resolution, offset=offset)
     counts = quantise(signal(times).position, resolution, offset=offset)
@@ -108,7 +109,7 @@ def test_an_edge_lies_between_its_sample_and_the_one_before_that_shows_another_c
     assert (edges[changed] >= times[changed - 1] - 1e-12).all()
 
 
-def test_signals_load_numpy_alone():
+def test_signals_load_numpy_alone() -> None:
     script = (
         "import sys, rig.core.signals; print(sorted({'numba', 'scipy', 'matplotlib'} & set(sys.modules)))"
     )

@@ -5,8 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -25,23 +28,23 @@ from tests.conformance.rigs import rotary_rig
 class Point:
     """An entry point, as `importlib.metadata` gives it."""
 
-    def __init__(self, name, value, distribution="third-party"):
+    def __init__(self, name: Any, value: Any, distribution: str = "third-party") -> None:
         self.name, self.value = name, value
         self.dist = type("Distribution", (), {"name": distribution}) if distribution else None
 
 
 @pytest.fixture
-def plugins(monkeypatch):
+def plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Install entry points of the group ``rig.devices``."""
 
-    def install(*points):
+    def install(*points: Any) -> None:
         monkeypatch.setattr(devices, "entry_points", lambda group: points if group == "rig.devices" else ())
 
     return install
 
 
 @pytest.fixture
-def third_party(monkeypatch):
+def third_party(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A module of somebody else, with an opener that returns what it was given."""
     module = ModuleType("third_party_rig")
     module.open_link = lambda url, model: (url, model)
@@ -52,7 +55,7 @@ def third_party(monkeypatch):
 # ---------------------------------------------------------------------- URLs
 
 
-def test_a_url_has_scheme_place_and_options():
+def test_a_url_has_scheme_place_and_options() -> None:
     url = DeviceUrl.parse("serial:///dev/ttyACM0?baud=921600&x=")
     assert (url.scheme, url.place, dict(url.options)) == (
         "serial",
@@ -66,7 +69,7 @@ def test_a_url_has_scheme_place_and_options():
 @pytest.mark.parametrize(
     "text", ["", "sim", "/dev/ttyACM0", "://x", "sim:koul", "sim://[x", "sim://?seed=1&seed=2"]
 )
-def test_what_is_no_url_is_refused_with_a_remedy(text):
+def test_what_is_no_url_is_refused_with_a_remedy(text: str) -> None:
     with pytest.raises(ConfigError) as caught:
         DeviceUrl.parse(text)
     assert repr(text) in str(caught.value)
@@ -76,7 +79,7 @@ def test_what_is_no_url_is_refused_with_a_remedy(text):
 # ---------------------------------------------------------------------- the table
 
 
-def test_the_built_in_backends_load():
+def test_the_built_in_backends_load() -> None:
     table = {backend.scheme: backend for backend in devices.backends()}
     assert set(table) >= {"sim", "serial"}
     for scheme in ("sim", "serial"):
@@ -84,14 +87,14 @@ def test_the_built_in_backends_load():
         assert callable(devices.load_backend(f"{scheme}://x"))
 
 
-def test_an_unknown_scheme_is_refused_with_the_known_ones():
+def test_an_unknown_scheme_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="no backend for can://") as caught:
         devices.open_link("can://0")
     assert "serial://" in caught.value.remedy
     assert "sim://" in caught.value.remedy
 
 
-def test_a_third_party_adds_a_scheme(plugins, third_party):
+def test_a_third_party_adds_a_scheme(plugins: Any, third_party: Any) -> None:
     plugins(Point("zusb", "third_party_rig:open_link"), Point("can", "third_party_rig:open_link", None))
     built_in = list(devices.BUILT_IN)
     assert [backend.scheme for backend in devices.backends()] == [*built_in, "can", "zusb"]
@@ -101,7 +104,7 @@ def test_a_third_party_adds_a_scheme(plugins, third_party):
     assert (url.place, dict(url.options), given) == ("1:2", {"speed": "high"}, model)
 
 
-def test_a_third_party_cannot_shadow_a_built_in_scheme(plugins, third_party):
+def test_a_third_party_cannot_shadow_a_built_in_scheme(plugins: Any, third_party: Any) -> None:
     plugins(Point("sim", "third_party_rig:open_link"))
     assert isinstance(devices.open_link("sim://", rotary_rig()), MemoryLink)
 
@@ -110,8 +113,8 @@ def test_a_third_party_cannot_shadow_a_built_in_scheme(plugins, third_party):
     "target", ["no_such_module_here:open_link", "third_party_rig:nothing", "broken_rig:open_link"]
 )
 def test_a_backend_that_does_not_load_is_named_with_its_distribution(
-    target, plugins, third_party, monkeypatch, tmp_path
-):
+    target: str, plugins: Any, third_party: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "broken_rig.py").write_text("raise RuntimeError('built for another version')")
     monkeypatch.syspath_prepend(str(tmp_path))
     plugins(Point("can", target))
@@ -121,7 +124,7 @@ def test_a_backend_that_does_not_load_is_named_with_its_distribution(
     assert "third-party" in caught.value.remedy
 
 
-def test_listing_loads_no_backend(plugins):
+def test_listing_loads_no_backend(plugins: Any) -> None:
     plugins(Point("can", "no_such_module_here:open_link"))
     assert len(devices.backends()) == len(devices.BUILT_IN) + 1
 
@@ -129,7 +132,7 @@ def test_listing_loads_no_backend(plugins):
 # ---------------------------------------------------------------------- what is simulated
 
 
-def test_the_name_in_the_url_wins_over_the_model():
+def test_the_name_in_the_url_wins_over_the_model() -> None:
     assert devices.open_link("sim://chawda-linear", rotary_rig()).device.hardware.count == 0
     with devices.open_device("sim://chawda-linear", rotary_rig()) as device:
         assert device.dictionary.device == "chawda-linear"
@@ -137,7 +140,7 @@ def test_the_name_in_the_url_wins_over_the_model():
         assert device.dictionary.device == "test-rotary"
 
 
-def test_sim_without_a_name_needs_a_model():
+def test_sim_without_a_name_needs_a_model() -> None:
     with pytest.raises(ConfigError, match="nothing to simulate"):
         devices.open_link("sim://")
     with pytest.raises(ConfigError, match="koul-compliant"):
@@ -147,7 +150,7 @@ def test_sim_without_a_name_needs_a_model():
 # ---------------------------------------------------------------------- a process of its own
 
 
-def test_only_the_simulation_can_be_served():
+def test_only_the_simulation_can_be_served() -> None:
     with (
         pytest.raises(ConfigError, match="serial:///dev/x cannot be served"),
         local.serve_locally("serial:///dev/x", rotary_rig()),
@@ -155,13 +158,13 @@ def test_only_the_simulation_can_be_served():
         pass
 
 
-def test_a_server_that_does_not_load_is_named(monkeypatch):
+def test_a_server_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "SERVER", "no_such_module_here:serve")
     with pytest.raises(DeviceNotFoundError, match="no_such_module_here"):
         local.serve(rotary_rig())
 
 
-def test_options_of_virtual_time_are_refused_where_they_would_do_nothing():
+def test_options_of_virtual_time_are_refused_where_they_would_do_nothing() -> None:
     with (
         pytest.raises(ConfigError, match="offset"),
         local.serve_locally("sim://?offset=0.25", rotary_rig()),
@@ -169,7 +172,7 @@ def test_options_of_virtual_time_are_refused_where_they_would_do_nothing():
         pass
 
 
-def test_a_device_process_answers_by_name_and_ends_with_its_context():
+def test_a_device_process_answers_by_name_and_ends_with_its_context() -> None:
     """Ctrl-C in a terminal goes to a whole process group: the device must not be in it, or it dies before the host."""
     with local.serve_locally("sim://chawda-linear", config.rig_model(presets.load("koul-compliant"))) as url:
         (process,) = multiprocessing.active_children()
@@ -185,12 +188,12 @@ def test_a_device_process_answers_by_name_and_ends_with_its_context():
 
 
 @pytest.fixture
-def served(monkeypatch):
+def served(monkeypatch: pytest.MonkeyPatch) -> Any:
     """What device processes were asked for; each is a simulation in this process."""
     asked = []
 
     @contextmanager
-    def serve_locally(url, model, **options):
+    def serve_locally(url: Any, model: Any, **options: Any) -> Iterator[Any]:
         asked.append({"url": url, **options})
         yield "sim://koul-compliant"
 
@@ -199,13 +202,15 @@ def served(monkeypatch):
 
 
 @pytest.mark.parametrize(("wanted", "asked"), [("off", "off"), ("try", "try"), ("enforce", "try")])
-def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(served, wanted, asked):
+def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(
+    served: Any, wanted: str, asked: str
+) -> None:
     with local.opened("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
         assert device.dictionary.device == "koul-compliant"
     assert served == [{"url": "sim://", "seed": 3, "realtime": asked}]
 
 
-def test_nothing_is_served_in_virtual_time_and_nothing_that_is_real(served):
+def test_nothing_is_served_in_virtual_time_and_nothing_that_is_real(served: Any) -> None:
     with local.opened("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
         assert device.dictionary.device == "chawda-linear"
     with pytest.raises(DeviceNotFoundError), local.opened("serial:///dev/none", None, in_real_time=True):
@@ -213,14 +218,16 @@ def test_nothing_is_served_in_virtual_time_and_nothing_that_is_real(served):
     assert served == []
 
 
-def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_says_off(served, tmp_path):
+def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_says_off(
+    served: Any, tmp_path: Path
+) -> None:
     experiment = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
     with examined(OnDevice(url="sim://", recordings=tmp_path, realtime=True), experiment):
         pass
     assert served[0]["realtime"] == "off"
 
 
-def test_a_device_process_is_the_firmware_when_the_url_says_so():
+def test_a_device_process_is_the_firmware_when_the_url_says_so() -> None:
     need_compiler()
     with (
         local.serve_locally("sim://chawda-linear?firmware=1", rotary_rig()) as url,
@@ -235,7 +242,9 @@ def test_a_device_process_is_the_firmware_when_the_url_says_so():
         pass
 
 
-def test_a_device_process_that_does_not_start_is_an_error_and_no_process_stays(monkeypatch):
+def test_a_device_process_that_does_not_start_is_an_error_and_no_process_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(local, "_child", exit)  # ends at once
     with (
         pytest.raises(DeviceNotFoundError, match="did not start"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from typing import Any
 
 import pytest
 
@@ -35,13 +36,13 @@ USB, SERIAL = "usb://1209:0001", "serial:///dev/ttyACM0"
         (0, LinkLostError, LinkLostError),
     ],
 )
-def test_each_number_has_its_error(number, on_usb, on_serial):
+def test_each_number_has_its_error(number: Any, on_usb: Any, on_serial: Any) -> None:
     assert failure(number, USB).kind is on_usb
     assert failure(number, SERIAL).kind is on_serial
 
 
 @pytest.mark.parametrize("number", [*FAILURES, errno.EBADF, 0])
-def test_every_error_says_what_happened_and_what_to_do(number):
+def test_every_error_says_what_happened_and_what_to_do(number: Any) -> None:
     error = link_error(number, USB)
     assert isinstance(error, LinkLostError)
     assert error.exit_code == LinkLostError.exit_code
@@ -49,11 +50,11 @@ def test_every_error_says_what_happened_and_what_to_do(number):
     assert error.remedy
 
 
-def test_the_place_is_shown_where_one_is_given():
+def test_the_place_is_shown_where_one_is_given() -> None:
     assert link_error(errno.ENODEV, SERIAL, "/dev/ttyACM0").message.startswith("/dev/ttyACM0 is gone")
 
 
-def test_exceptions_become_numbers():
+def test_exceptions_become_numbers() -> None:
     assert error_number(OSError(errno.EPIPE, "x")) == errno.EPIPE
     assert error_number(TimeoutError("x")) == errno.ETIMEDOUT
     assert error_number(ValueError("x")) == errno.EIO

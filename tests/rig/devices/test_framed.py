@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,39 +34,39 @@ from tests.conformance.rigs import linear_rig, rotary_rig
 class Wire:
     """A link that keeps what the host says, when it says it, and what it hears."""
 
-    def __init__(self, link):
+    def __init__(self, link: Any) -> None:
         self.link = link
         self.url, self.clock, self.bytes_per_second = link.url, link.clock, link.bytes_per_second
         self.sent = []
         self.heard = b""
 
-    def read(self, timeout_s):
+    def read(self, timeout_s: Any) -> Any:
         data = self.link.read(timeout_s)
         self.heard += data
         return data
 
-    def write(self, data):
+    def write(self, data: Any) -> None:
         self.sent.append((self.clock.now_ns(), data))
         self.link.write(data)
 
-    def close(self):
+    def close(self) -> None:
         self.link.close()
 
-    def messages(self):
+    def messages(self) -> Any:
         """What the host sent, decoded."""
         return [decoded(frame) for _, frame in self.sent]
 
-    def answers(self, kind):
+    def answers(self, kind: Any) -> Any:
         """What the device answered, of one kind."""
         frames = [frame + b"\0" for frame in self.heard.split(b"\0") if frame]
         return [message for message in map(decoded, frames) if isinstance(message, kind)]
 
 
-def decoded(frame):
+def decoded(frame: Any) -> Any:
     return unpack(decode_frame(frame.rstrip(b"\0")))[1]
 
 
-def make(*, faults=None, **options):
+def make(*, faults: Any = None, **options: Any) -> Any:
     """A device, what goes over its wire, and a host that has never met one."""
     framed._dictionaries.clear()
     simulated = SimulatedDevice(rotary_rig(), **options)
@@ -75,26 +77,26 @@ def make(*, faults=None, **options):
 class Answering:
     """A far end made of one function: request in, answers out, in virtual time."""
 
-    def __init__(self, answer):
+    def __init__(self, answer: Any) -> None:
         self._link = MemoryLink(SimulatedDevice(rotary_rig()))
         self.url, self.clock, self.bytes_per_second = DeviceUrl.parse("sim://strange"), self._link.clock, None
         self._answer = answer
         self._arrived = b""
 
-    def read(self, timeout_s):
+    def read(self, timeout_s: Any) -> Any:
         data, self._arrived = self._arrived, b""
         if not data:
             self.clock.sleep_until(self.clock.now_ns() + round(timeout_s * 1e9))
         return data
 
-    def write(self, data):
+    def write(self, data: Any) -> None:
         self._arrived += self._answer(unpack(decode_frame(data.rstrip(b"\0")))[1])
 
-    def close(self):
+    def close(self) -> None:
         pass
 
 
-def silent(*directions):
+def silent(*directions: Any) -> Any:
     return Faults(
         frames=tuple(FrameFault(kind=Kind.SILENCE, direction=d, frame=0) for d in directions or Direction)
     )
@@ -103,7 +105,7 @@ def silent(*directions):
 # ---------------------------------------------------------------------- retries
 
 
-def test_a_silent_device_is_asked_four_times_at_20_40_80_ms_and_then_given_up():
+def test_a_silent_device_is_asked_four_times_at_20_40_80_ms_and_then_given_up() -> None:
     _, wire, device = make(faults=silent())
     with pytest.raises(LinkLostError, match="does not answer Identify") as caught:
         device.identify()
@@ -117,7 +119,7 @@ def test_a_silent_device_is_asked_four_times_at_20_40_80_ms_and_then_given_up():
 
 
 @pytest.mark.parametrize("direction", Direction)
-def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direction):
+def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direction: Any) -> None:
     _, clean, device = make(faults=Faults())
     echo = device.configure(RUN_PARAMETERS)
     device.arm()
@@ -135,11 +137,11 @@ def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direc
         assert simulated.connection.state is State.CONFIGURED
 
 
-def test_a_late_answer_to_an_earlier_step_is_not_taken_for_the_answer():
+def test_a_late_answer_to_an_earlier_step_is_not_taken_for_the_answer() -> None:
     """The ACKs of BEGIN, CHUNKs and COMMIT carry one nonce: a doubled ACK of one must not answer the next."""
     seen = []
 
-    def answer(request):
+    def answer(request: Any) -> Any:
         if isinstance(request, m.Identify):
             packed = dictionaries.encode(DICTIONARY)
             piece = packed[request.offset : request.offset + 30]
@@ -171,35 +173,35 @@ def test_a_late_answer_to_an_earlier_step_is_not_taken_for_the_answer():
 DICTIONARY = dictionaries.build(device="strange", firmware="1", simulated=True, current_quantum_a=0.001)
 
 
-def frame_of(message, major=m.MAJOR):
+def frame_of(message: Any, major: Any = m.MAJOR) -> Any:
     return encode_frame(bytes([major]) + pack(message)[1:])
 
 
 # ---------------------------------------------------------------------- strangers
 
 
-def another_major(request):
+def another_major(request: Any) -> Any:
     return frame_of(m.Identity(request.nonce, 0, 1, 7, 10, 0, b"0123456789"), major=m.MAJOR + 1)
 
 
-def garbage(request):
+def garbage(request: Any) -> Any:
     packed = b"this is no dictionary"
     return frame_of(
         m.Identity(request.nonce, 0, 1, dictionaries.dictionary_hash(packed), len(packed), 0, packed)
     )
 
 
-def wrong_hash(request):
+def wrong_hash(request: Any) -> Any:
     packed = dictionaries.encode(DICTIONARY)
     piece = packed[request.offset : request.offset + 30]
     return frame_of(m.Identity(request.nonce, 0, 1, 7, len(packed), request.offset, piece))
 
 
-def changing(request):
+def changing(request: Any) -> Any:
     return frame_of(m.Identity(request.nonce, 0, 1, request.offset, 100, request.offset, b"x" * 10))
 
 
-def test_a_device_of_another_major_version_is_named_with_both_versions():
+def test_a_device_of_another_major_version_is_named_with_both_versions() -> None:
     device = FramedDevice(Answering(another_major))
     with pytest.raises(IncompatibleDeviceError) as caught:
         device.identify()
@@ -209,7 +211,7 @@ def test_a_device_of_another_major_version_is_named_with_both_versions():
 
 
 @pytest.mark.parametrize("answer", [garbage, wrong_hash, changing])
-def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer):
+def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer: Any) -> None:
     device = FramedDevice(Answering(answer))
     with pytest.raises(IncompatibleDeviceError, match="sends invalid data"):
         device.identify()
@@ -217,7 +219,13 @@ def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer):
 
 @pytest.mark.parametrize("answer", [another_major, garbage])
 @pytest.mark.parametrize("command", [["devices", "sim://"], ["hit", "--no-plot", "--url", "sim://"]])
-def test_the_command_line_says_so_in_one_line(command, answer, capsys, monkeypatch, tmp_path):
+def test_the_command_line_says_so_in_one_line(
+    command: list[str],
+    answer: Any,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(rig.devices, "open_link", lambda url, model=None: Answering(answer))
     assert rig.cli.run(command) == 4
@@ -227,13 +235,13 @@ def test_the_command_line_says_so_in_one_line(command, answer, capsys, monkeypat
     assert not list(tmp_path.rglob("*.rigcap"))
 
 
-def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it():
+def test_an_answer_of_the_wrong_kind_is_a_refusal_that_names_it() -> None:
     device = FramedDevice(Answering(lambda request: frame_of(m.Time(request.nonce, 0, 0, 0))))
     with pytest.raises(DeviceRefusedError, match="answered Time instead"):
         device.identify()
 
 
-def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible_device():
+def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible_device() -> None:
     _, wire, device = make()
     device.configure(RUN_PARAMETERS)
     wire.link = Answering(
@@ -250,7 +258,7 @@ def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible
         device.configure(RUN_PARAMETERS)
 
 
-def strange_block(request):
+def strange_block(request: Any) -> Any:
     block = b"\xff\xff\xff"
     if isinstance(request, m.GetParameters):
         return frame_of(m.Parameters(request.nonce, len(block), 0x1234, 0, block))
@@ -265,7 +273,7 @@ def strange_block(request):
 # ---------------------------------------------------------------------- refusals
 
 
-def test_a_refused_parameter_is_named_with_the_range_that_the_device_allows():
+def test_a_refused_parameter_is_named_with_the_range_that_the_device_allows() -> None:
     _, _, device = make()
     peak = device.dictionary.parameter("current_limit").maximum
     with pytest.raises(DeviceRefusedError) as caught:
@@ -275,7 +283,7 @@ def test_a_refused_parameter_is_named_with_the_range_that_the_device_allows():
     assert caught.value.remedy
 
 
-def test_a_refused_block_changes_nothing():
+def test_a_refused_block_changes_nothing() -> None:
     _, _, device = make()
     before = device.configure(RUN_PARAMETERS)
     with pytest.raises(DeviceRefusedError):
@@ -283,19 +291,19 @@ def test_a_refused_block_changes_nothing():
     assert device.configure(RUN_PARAMETERS).values == before.values
 
 
-def test_the_echo_is_what_the_device_has_active():
+def test_the_echo_is_what_the_device_has_active() -> None:
     _, _, device = make()
     echo = device.configure(RUN_PARAMETERS)
     assert {name: echo.values[name] for name in RUN_PARAMETERS} == RUN_PARAMETERS
     assert set(echo.values) == {info.name for info in device.dictionary.parameters}
 
 
-def pages(wire):
+def pages(wire: Any) -> Any:
     """Questions for a page of the active parameters."""
     return sum(isinstance(message, m.GetParameters) for message in wire.messages())
 
 
-def test_what_the_fingerprint_proves_is_not_read_page_by_page():
+def test_what_the_fingerprint_proves_is_not_read_page_by_page() -> None:
     simulated, wire, device = make()
     echo = device.configure(RUN_PARAMETERS)
     assert pages(wire) == 0
@@ -306,7 +314,7 @@ def test_what_the_fingerprint_proves_is_not_read_page_by_page():
     assert FramedDevice(MemoryLink(simulated)).active_parameters() == part.values
 
 
-def test_what_the_fingerprint_does_not_prove_is_read():
+def test_what_the_fingerprint_does_not_prove_is_read() -> None:
     simulated, _, stranger = make()
     stranger.configure({**RUN_PARAMETERS, "slew_limit": 77})
     wire = Wire(MemoryLink(simulated))
@@ -318,7 +326,7 @@ def test_what_the_fingerprint_does_not_prove_is_read():
     assert echo.values == heir.active_parameters()
 
 
-def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash():
+def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash() -> None:
     simulated, wire, device = make()
     known = device.dictionary
     read = len(wire.sent)
@@ -336,7 +344,7 @@ def test_a_device_that_is_opened_again_tells_its_dictionary_by_its_hash():
     ("missing", "status", "word"),
     [("reference_count", Status.NOT_HOMED, "home"), ("verified", Status.NOT_VERIFIED, "verified")],
 )
-def test_arming_is_refused_with_the_reason(missing, status, word):
+def test_arming_is_refused_with_the_reason(missing: str, status: Any, word: str) -> None:
     _, _, device = make()
     device.configure({name: value for name, value in RUN_PARAMETERS.items() if name != missing})
     with pytest.raises(DeviceRefusedError) as caught:
@@ -346,7 +354,7 @@ def test_arming_is_refused_with_the_reason(missing, status, word):
     assert device.connection.session == 0
 
 
-def test_arming_repeats_the_fingerprint_of_the_configuration():
+def test_arming_repeats_the_fingerprint_of_the_configuration() -> None:
     simulated, _, device = make()
     device.configure(RUN_PARAMETERS)
     stranger = FramedDevice(MemoryLink(simulated))
@@ -357,7 +365,7 @@ def test_arming_repeats_the_fingerprint_of_the_configuration():
     assert caught.value.status == Status.HASH_MISMATCH
 
 
-def test_a_stale_session_is_answered_with_another_number():
+def test_a_stale_session_is_answered_with_another_number() -> None:
     """The device remembers the number of the last session, a host that was just started does not."""
     simulated, _, first = make()
     first.configure(RUN_PARAMETERS)
@@ -373,14 +381,14 @@ def test_a_stale_session_is_answered_with_another_number():
     assert simulated.connection.state is State.ARMED
 
 
-def test_a_device_that_is_not_ready_is_asked_again_until_it_is():
+def test_a_device_that_is_not_ready_is_asked_again_until_it_is() -> None:
     """Such as one that works out its excitation; in the time of its link."""
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     answers = iter([Status.NOT_READY] * 3 + [None] * 9)
     true_arm, start_ns = device._arm, wire.clock.now_ns()
 
-    def arm(session):
+    def arm(session: Any) -> None:
         if (status := next(answers)) is not None:
             raise DeviceRefusedError("not ready", status=status)
         true_arm(session)
@@ -397,12 +405,12 @@ def test_a_device_that_is_not_ready_is_asked_again_until_it_is():
     assert wire.clock.now_ns() - start_ns >= round(READY_S * 1e9)
 
 
-def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever():
+def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever() -> None:
     _, _, device = make()
     device.configure(RUN_PARAMETERS)
     asked = []
 
-    def arm(session):
+    def arm(session: Any) -> None:
         asked.append(session)
         raise DeviceRefusedError("stale", status=Status.STALE_SESSION)
 
@@ -412,7 +420,7 @@ def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever():
     assert len(set(asked)) == 2
 
 
-def test_parameters_that_a_loop_has_changed_are_ours():
+def test_parameters_that_a_loop_has_changed_are_ours() -> None:
     """A law on the device takes new walls while it runs; the next session arms with the fingerprint of them all."""
     _, wire, device = make()
     device.configure(RUN_PARAMETERS)
@@ -428,7 +436,7 @@ def test_parameters_that_a_loop_has_changed_are_ours():
     assert wire.messages()[-1].parameters_crc == 0x12345678
 
 
-def test_any_number_of_sessions_can_follow_each_other_on_one_device():
+def test_any_number_of_sessions_can_follow_each_other_on_one_device() -> None:
     """Also where the nonce comes round to the number used last."""
     _, _, device = make()
     device.configure(RUN_PARAMETERS)
@@ -442,7 +450,7 @@ def test_any_number_of_sessions_can_follow_each_other_on_one_device():
         device.disarm()
 
 
-def test_what_the_state_forbids_is_a_refusal_in_words():
+def test_what_the_state_forbids_is_a_refusal_in_words() -> None:
     _, _, device = make()
     device.identify()
     with pytest.raises(DeviceRefusedError, match="IDENTIFIED"):
@@ -451,7 +459,7 @@ def test_what_the_state_forbids_is_a_refusal_in_words():
         device.disarm()
 
 
-def test_a_fault_in_the_middle_of_configuring_is_a_refusal_in_words():
+def test_a_fault_in_the_middle_of_configuring_is_a_refusal_in_words() -> None:
     """The BEGIN is lost; before it is repeated the device says FAULT, in which it takes no BEGIN."""
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
@@ -470,7 +478,7 @@ def test_a_fault_in_the_middle_of_configuring_is_a_refusal_in_words():
 # ---------------------------------------------------------------------- taking over
 
 
-def armed(simulated, *, running):
+def armed(simulated: Any, *, running: Any) -> Any:
     first = FramedDevice(MemoryLink(simulated))
     first.configure(RUN_PARAMETERS)
     session = first.arm()
@@ -480,7 +488,7 @@ def armed(simulated, *, running):
 
 
 @pytest.mark.parametrize("left_in", [State.ARMED, State.RUNNING, State.FAULT])
-def test_a_device_that_a_dead_host_left_is_taken_over_by_configuring_it(left_in):
+def test_a_device_that_a_dead_host_left_is_taken_over_by_configuring_it(left_in: Any) -> None:
     simulated = SimulatedDevice(rotary_rig())
     first, session = armed(simulated, running=left_in is not State.ARMED)
     if left_in is State.FAULT:
@@ -494,7 +502,7 @@ def test_a_device_that_a_dead_host_left_is_taken_over_by_configuring_it(left_in)
     assert second.arm() != session
 
 
-def test_a_fault_whose_cause_is_still_there_is_not_cleared():
+def test_a_fault_whose_cause_is_still_there_is_not_cleared() -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -506,7 +514,7 @@ def test_a_fault_whose_cause_is_still_there_is_not_cleared():
     assert "emergency stop" in str(caught.value), "the fault by name, not a parameter of the same number"
 
 
-def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_again():
+def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_again() -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     simulated.inject_fault(Fault.ENCODER)
@@ -519,7 +527,7 @@ def test_a_device_that_faulted_or_restarted_between_two_trials_is_configured_aga
 
 
 @pytest.fixture
-def real(monkeypatch):
+def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones: where zero is, they learn from a person once a session."""
     original = sim_backend.device.describe
     monkeypatch.setattr(
@@ -527,23 +535,23 @@ def real(monkeypatch):
     )
 
 
-def reset(simulated, wire):
+def reset(simulated: Any, wire: Any) -> None:
     simulated.reset()
 
 
-def reset_and_met_by_another(simulated, wire):
+def reset_and_met_by_another(simulated: Any, wire: Any) -> None:
     simulated.reset()
     FramedDevice(MemoryLink(simulated)).identify()
 
 
-def reset_and_faulty(simulated, wire):
+def reset_and_faulty(simulated: Any, wire: Any) -> None:
     """A fault of the start hides BOOT; only the parameters tell then."""
     simulated.reset()
     simulated.inject_fault(Fault.ENCODER)
     wire.link.elapse(0.01)
 
 
-def reset_and_configured_by_another(simulated, wire):
+def reset_and_configured_by_another(simulated: Any, wire: Any) -> None:
     simulated.reset()
     FramedDevice(MemoryLink(simulated)).configure({**RUN_PARAMETERS, "reference_count": 77})
 
@@ -552,8 +560,8 @@ def reset_and_configured_by_another(simulated, wire):
     "restart", [reset, reset_and_met_by_another, reset_and_faulty, reset_and_configured_by_another]
 )
 def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_with_the_old_zero(
-    restart, real
-):
+    restart: Any, real: None
+) -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -570,7 +578,7 @@ def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_wi
     )  # a session of its own begins with its own zero
 
 
-def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real):
+def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real: None) -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     simulated.inject_fault(Fault.ENCODER)
@@ -582,7 +590,7 @@ def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zer
     assert heir.cleared_fault.code == Fault.ENCODER
 
 
-def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real):
+def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real: None) -> None:
     simulated, _, device = make()
     device.count()
     simulated.reset()
@@ -590,7 +598,7 @@ def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real)
         device.configure(RUN_PARAMETERS)
 
 
-def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
+def test_a_real_device_is_configured_again_as_often_as_one_likes(real: None) -> None:
     """After trials, faults, and refused parameters: none of these is a restart."""
     simulated, wire, device = make()
     for stiffness in (100.0, 200.0):
@@ -607,7 +615,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real):
     device.arm()
 
 
-def test_a_lost_answer_to_the_parameters_is_no_restart(real):
+def test_a_lost_answer_to_the_parameters_is_no_restart(real: None) -> None:
     """They may be active or not: nothing can be told from them then, and nothing is refused."""
     other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
     _, wire, device = make(faults=Faults())
@@ -628,7 +636,7 @@ def test_a_lost_answer_to_the_parameters_is_no_restart(real):
 # ---------------------------------------------------------------------- ending
 
 
-def test_stop_sends_zero_several_times_and_needs_no_answer():
+def test_stop_sends_zero_several_times_and_needs_no_answer() -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -646,12 +654,12 @@ def test_stop_sends_zero_several_times_and_needs_no_answer():
 class Broken:
     """A far end whose simulation has a bug."""
 
-    def receive(self, *_, **__):
+    def receive(self, *_: Any, **__: Any) -> None:
         raise ZeroDivisionError("a bug")
 
 
 @pytest.mark.parametrize("break_it", ["closed", "unplugged", "disarmed", "bug"])
-def test_stop_and_close_never_raise(break_it):
+def test_stop_and_close_never_raise(break_it: str) -> None:
     simulated, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -668,7 +676,7 @@ def test_stop_and_close_never_raise(break_it):
     device.close()
 
 
-def test_closing_disarms_and_leaves_zero():
+def test_closing_disarms_and_leaves_zero() -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -680,7 +688,7 @@ def test_closing_disarms_and_leaves_zero():
         wire.link.write(b"x")
 
 
-def test_the_streams_go_on_where_the_loop_left_them():
+def test_the_streams_go_on_where_the_loop_left_them() -> None:
     _, _, device = make()
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -689,7 +697,7 @@ def test_the_streams_go_on_where_the_loop_left_them():
     assert device.connection.state is State.RUNNING
 
 
-def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping():
+def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping() -> None:
     """A loop hands over the state byte of the newest STATE, whatever the device wrote there."""
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
@@ -705,7 +713,7 @@ def test_a_state_that_nobody_knows_does_not_keep_the_host_from_stopping():
 # ---------------------------------------------------------------------- asking
 
 
-def test_the_clock_is_exact_in_virtual_time():
+def test_the_clock_is_exact_in_virtual_time() -> None:
     """Both clocks run at one rate; the device was switched on before the host."""
     simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
     for _ in range(2345):
@@ -724,7 +732,7 @@ def test_the_clock_is_exact_in_virtual_time():
     assert spread.offset_ns == pytest.approx(-2_345_000_000, abs=100)
 
 
-def test_exchanges_lie_at_odd_distances():
+def test_exchanges_lie_at_odd_distances() -> None:
     """Even ones would beat with the ticks of the device."""
     _, wire, device = make()
     stamps = device.exchange_clock(20, over_s=1.0)
@@ -738,7 +746,7 @@ def test_exchanges_lie_at_odd_distances():
     assert asked == stamps["host_sent"].tolist()
 
 
-def test_answers_that_waited_do_not_count():
+def test_answers_that_waited_do_not_count() -> None:
     """Answers that wait on the way make a round trip long; the offset then comes from those that did not wait."""
     _, wire, device = make(faults=Faults())
     assert device.dictionary.simulated
@@ -757,7 +765,7 @@ def test_answers_that_waited_do_not_count():
     assert fit.asymmetry_bound_ns == 0
 
 
-def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on():
+def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on() -> None:
     """The answer may be to either: its round trip is counted long, and so weighs nothing."""
     _, wire, device = make(faults=Faults())
     assert device.dictionary.simulated
@@ -772,7 +780,7 @@ def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on():
     assert (np.diff(stamps["device_received"]) >= 0).all()
 
 
-def test_the_fault_report_pages_through_the_whole_ring_of_ticks():
+def test_the_fault_report_pages_through_the_whole_ring_of_ticks() -> None:
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
     wire.link.elapse(0.5)
@@ -789,7 +797,7 @@ def test_the_fault_report_pages_through_the_whole_ring_of_ticks():
     assert report.device_time_ns == pytest.approx(simulated.time_ns, abs=2_000_000)
 
 
-def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever():
+def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever() -> None:
     """Every answer comes at the last moment: what came in time is the report, its oldest ticks first."""
     simulated, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
@@ -808,23 +816,23 @@ def test_a_slow_device_is_not_asked_for_its_ring_of_ticks_for_ever():
 class Slow(Wire):
     """A link on which every write takes a while."""
 
-    def __init__(self, link, takes_s):
+    def __init__(self, link: Any, takes_s: Any) -> None:
         super().__init__(link)
         self._takes_ns = round(takes_s * 1e9)
 
-    def write(self, data):
+    def write(self, data: Any) -> None:
         self.clock.sleep_until(self.clock.now_ns() + self._takes_ns)
         super().write(data)
 
 
-def test_a_report_without_a_fault_says_so():
+def test_a_report_without_a_fault_says_so() -> None:
     _, _, device = make()
     device.identify()
     report = device.fault_report()
     assert (report.code, report.text) == (0, "no fault")
 
 
-def test_a_fault_that_neither_side_knows_is_still_told():
+def test_a_fault_that_neither_side_knows_is_still_told() -> None:
     _, _, device = make()
     report = device.explain_fault(4711)
     assert "4711" in report.name

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import stat
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -22,7 +24,7 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 
 @settings(deadline=None)
 @given(said=st.lists(st.tuples(FLOATS, FLOATS), max_size=5))
-def test_what_is_said_last_is_read(said, tmp_path_factory):
+def test_what_is_said_last_is_read(said: list[str], tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("hand") / "hand"
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
         assert looker.read() == Wish(0, 0.0, 0.0), "nobody has said anything"
@@ -31,7 +33,7 @@ def test_what_is_said_last_is_read(said, tmp_path_factory):
             assert looker.read() == Wish(number, position, press)
 
 
-def test_a_writer_that_comes_back_goes_on(tmp_path):
+def test_a_writer_that_comes_back_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "hand"
     with SharedHand.create(path) as first:
         first.move(0.1, 2.0)
@@ -41,7 +43,7 @@ def test_a_writer_that_comes_back_goes_on(tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_what_is_half_written_is_not_read(tmp_path):
+def test_what_is_half_written_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "hand"
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
         mover.move(0.1, 2.0)
@@ -56,14 +58,14 @@ def test_what_is_half_written_is_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("wish", [(math.nan, 0.0), (0.0, math.inf)])
-def test_what_is_no_number_is_refused(wish, tmp_path):
+def test_what_is_no_number_is_refused(wish: Any, tmp_path: Path) -> None:
     with SharedHand.create(tmp_path / "hand") as mover:
         with pytest.raises(ConfigError, match="finite"):
             mover.move(*wish)
         assert mover.read() == Wish(0, 0.0, 0.0)
 
 
-def test_nothing_else_is_overwritten(tmp_path):
+def test_nothing_else_is_overwritten(tmp_path: Path) -> None:
     other = tmp_path / "notes.txt"
     other.write_text("x" * SIZE)
     os.mkfifo(tmp_path / "pipe")
@@ -80,7 +82,7 @@ def test_nothing_else_is_overwritten(tmp_path):
     assert other.read_text() == "x" * SIZE
 
 
-def test_where_nobody_can_lead_that_is_said(tmp_path):
+def test_where_nobody_can_lead_that_is_said(tmp_path: Path) -> None:
     SharedHand.create(tmp_path / "hand").close()
     url = f"sim://?hand={tmp_path / 'hand'}"
     with pytest.raises(ConfigError, match="nobody can lead a hand in virtual time"):

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import pty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,13 +20,22 @@ from rig.devices.port_facts import PortFacts, port_facts
 class Tree:
     """A directory with ``sys`` and ``dev``; ports are plugged in one by one."""
 
-    def __init__(self, root):
+    def __init__(self, root: Any) -> None:
         self.root = root
         (root / "dev").mkdir()
 
     def plug(
-        self, name, *, driver, vendor=None, product="6001", serial=None, title=None, latency=None, by_id=None
-    ):
+        self,
+        name: Any,
+        *,
+        driver: Any,
+        vendor: Any = None,
+        product: str = "6001",
+        serial: Any = None,
+        title: Any = None,
+        latency: Any = None,
+        by_id: Any = None,
+    ) -> Any:
         """Make what the kernel makes for a port."""
         sysfs = self.root / "sys"
         if vendor is None:
@@ -61,16 +73,16 @@ class Tree:
             (names / "usb-another-device").symlink_to("../../ttyS9")
         return str(port)
 
-    def facts(self, port, descriptor=None):
+    def facts(self, port: Any, descriptor: Any = None) -> Any:
         return port_facts(port, descriptor, root=self.root)
 
 
 @pytest.fixture
-def tree(tmp_path):
+def tree(tmp_path: Path) -> Any:
     return Tree(tmp_path)
 
 
-def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree):
+def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree: Tree) -> None:
     port = tree.plug(
         "ttyUSB0",
         driver="ftdi_sio",
@@ -95,19 +107,21 @@ def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree):
     assert tree.facts(facts.by_id[0]).vid_pid == "0403:6001", "the name that stays leads to the same port"
 
 
-def test_an_ftdi_adapter_at_one_millisecond_is_no_problem(tree):
+def test_an_ftdi_adapter_at_one_millisecond_is_no_problem(tree: Tree) -> None:
     facts = tree.facts(tree.plug("ttyUSB1", driver="ftdi_sio", vendor="0403", latency=1))
     assert facts.latency_timer_ms == 1
     assert facts.problems() == []
 
 
-def test_a_timer_that_makes_no_sense_is_unknown(tree):
+def test_a_timer_that_makes_no_sense_is_unknown(tree: Tree) -> None:
     facts = tree.facts(tree.plug("ttyUSB1", driver="ftdi_sio", vendor="0403", latency="soon"))
     assert facts.latency_timer_ms is None
     assert facts.ftdi
 
 
-def test_a_board_that_is_a_usb_device_itself_has_no_latency_mode(tree, monkeypatch):
+def test_a_board_that_is_a_usb_device_itself_has_no_latency_mode(
+    tree: Tree, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tty, "low_latency", lambda descriptor: False)
     port = tree.plug("ttyACM0", driver="cdc_acm", vendor="2e8a", product="000a", serial="E66038B713")
     master, slave = pty.openpty()
@@ -121,24 +135,24 @@ def test_a_board_that_is_a_usb_device_itself_has_no_latency_mode(tree, monkeypat
     assert facts.latency_timer_ms is None
 
 
-def test_a_uart_of_the_machine_belongs_to_no_usb_device(tree):
+def test_a_uart_of_the_machine_belongs_to_no_usb_device(tree: Tree) -> None:
     facts = tree.facts(tree.plug("ttyS0", driver="serial8250"))
     assert (facts.driver, facts.vid_pid, facts.serial_number, facts.by_id) == ("serial8250", None, None, ())
 
 
-def test_a_port_that_is_not_there_and_a_pseudo_terminal_are_unknown_and_no_problem(tree):
+def test_a_port_that_is_not_there_and_a_pseudo_terminal_are_unknown_and_no_problem(tree: Tree) -> None:
     for port in (str(tree.root / "dev/ttyUSB7"), "/dev/pts/0"):
         facts = tree.facts(port)
         assert facts == PortFacts(port=port, device=port)
         assert facts.problems() == []
 
 
-def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree):
+def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree: Tree) -> None:
     tree.plug("0", driver="ftdi_sio", vendor="0403")
     assert tree.facts("/dev/pts/0").driver is None
 
 
-def test_facts_become_json(tree):
+def test_facts_become_json(tree: Tree) -> None:
     facts = tree.facts(tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16, by_id="usb-x"))
     told = json.loads(json.dumps(plain(facts)))
     assert told["latency_timer_ms"] == 16
@@ -158,7 +172,7 @@ def test_facts_become_json(tree):
         ({"low_latency": None, "exclusive": None, "dtr": None}, None),
     ],
 )
-def test_a_problem_is_what_one_command_removes(changed, command):
+def test_a_problem_is_what_one_command_removes(changed: Any, command: str | None) -> None:
     problems = PortFacts(port="/dev/ttyS0", device="/dev/ttyS0", **changed).problems()
     assert len(problems) == (command is not None)
     assert all(command in problem.remedy for problem in problems)
@@ -168,21 +182,21 @@ def test_a_problem_is_what_one_command_removes(changed, command):
 
 
 @pytest.fixture
-def slave():
+def slave() -> Iterator[Any]:
     master, slave = pty.openpty()
     yield slave
     os.close(slave)
     os.close(master)
 
 
-def test_what_a_pseudo_terminal_does_not_know_is_none(slave):
+def test_what_a_pseudo_terminal_does_not_know_is_none(slave: Any) -> None:
     assert tty.low_latency(slave) is None
     assert tty.set_low_latency(slave) is None
     assert tty.dtr(slave) is None
     assert tty.set_dtr_rts(slave, False) is None
 
 
-def test_settings_are_read_back_as_they_were_set(slave):
+def test_settings_are_read_back_as_they_were_set(slave: Any) -> None:
     tty.configure(slave)
     assert tty.blocks_for_a_byte(slave)
     assert tty.hangs_up(slave) is False
@@ -192,14 +206,14 @@ def test_settings_are_read_back_as_they_were_set(slave):
         assert tty.is_exclusive(slave) is wanted
 
 
-def test_what_is_no_terminal_answers_nothing(tmp_path):
+def test_what_is_no_terminal_answers_nothing(tmp_path: Path) -> None:
     with open(tmp_path / "file", "w") as file:
         assert tty.is_exclusive(file.fileno()) is None
         assert tty.low_latency(file.fileno()) is None
         assert tty.dtr(file.fileno()) is None
 
 
-def test_looking_a_port_up_opens_nothing(tree, monkeypatch):
+def test_looking_a_port_up_opens_nothing(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     """Opening a port moves its modem lines, and may reset a board that is running."""
     port = tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16)
     opened = []

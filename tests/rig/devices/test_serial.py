@@ -12,6 +12,9 @@ import struct
 import termios
 import time
 import tty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -48,14 +51,14 @@ class Line:
 
 
 @pytest.fixture
-def line():
+def line() -> Iterator[Any]:
     made = Line()
     yield made
     made.unplug()
 
 
 @pytest.fixture
-def link(line):
+def link(line: Any) -> Iterator[Any]:
     made = opened(line.path)
     yield made
     made.close()
@@ -64,7 +67,7 @@ def link(line):
 # ---------------------------------------------------------------------- opening
 
 
-def test_bytes_pass_both_ways_unchanged(line, link):
+def test_bytes_pass_both_ways_unchanged(line: Any, link: Any) -> None:
     every = bytes(range(256))
     link.write(every)
     assert os.read(line.device, 1000) == every
@@ -72,7 +75,7 @@ def test_bytes_pass_both_ways_unchanged(line, link):
     assert link.read(1.0) == every
 
 
-def test_a_missing_port_is_named_with_the_ports_that_are_there(monkeypatch):
+def test_a_missing_port_is_named_with_the_ports_that_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ports, "available_ports", lambda: [("/dev/ttyACM3", "board")])
     with pytest.raises(DeviceNotFoundError, match="there is no port /dev/nothere") as caught:
         opened("/dev/nothere")
@@ -80,14 +83,14 @@ def test_a_missing_port_is_named_with_the_ports_that_are_there(monkeypatch):
     assert caught.value.exit_code == 3
 
 
-def test_what_is_no_serial_port_is_refused(tmp_path):
+def test_what_is_no_serial_port_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     for path in ("/dev/null", str(tmp_path / "file"), str(tmp_path)):
         with pytest.raises(DeviceNotFoundError, match=path):
             opened(path)
 
 
-def test_a_busy_port_is_refused_and_opens_when_it_is_free_again(line):
+def test_a_busy_port_is_refused_and_opens_when_it_is_free_again(line: Any) -> None:
     first = opened(line.path)
     with pytest.raises(DeviceNotFoundError, match="in use by another program") as caught:
         opened(line.path)
@@ -108,7 +111,9 @@ def test_a_busy_port_is_refused_and_opens_when_it_is_free_again(line):
         (OSError(errno.ENXIO, "no such device"), "is not a serial port"),
     ],
 )
-def test_whatever_the_system_says_becomes_one_typed_error(error, message, line, monkeypatch):
+def test_whatever_the_system_says_becomes_one_typed_error(
+    error: Any, message: str, line: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise error
 
@@ -118,19 +123,19 @@ def test_whatever_the_system_says_becomes_one_typed_error(error, message, line, 
 
 
 @pytest.mark.parametrize("baud", ["fast", "", "-9600", "299", "20000001", "1e6", "²", "9600.0"])
-def test_a_rate_that_is_none_is_refused(baud, line):
+def test_a_rate_that_is_none_is_refused(baud: str, line: Any) -> None:
     with pytest.raises(ConfigError, match="baud"):
         opened(line.path, baud=baud)
 
 
-def test_unknown_options_and_no_port_are_refused(line):
+def test_unknown_options_and_no_port_are_refused(line: Any) -> None:
     with pytest.raises(ConfigError, match="parity"):
         opened(line.path, parity="even")
     with pytest.raises(ConfigError, match="no port"):
         opened("")
 
 
-def test_a_refused_port_stays_free(line, monkeypatch):
+def test_a_refused_port_stays_free(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A port that vanishes between opening and setting up leaves no descriptor behind."""
 
     def vanish(descriptor: int) -> None:
@@ -148,7 +153,7 @@ def test_a_refused_port_stays_free(line, monkeypatch):
 # ---------------------------------------------------------------------- settings of the line
 
 
-def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line):
+def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line: Any) -> None:
     """VMIN 1: a read of zero bytes can only mean hang-up. Without HUPCL closing drops no DTR and resets no board."""
     link = opened(line.path, baud=115200)
     settings = termios.tcgetattr(link.port().handle)
@@ -165,13 +170,13 @@ def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line
     os.close(after)
 
 
-def test_the_rate_of_the_project_unless_named(line):
+def test_the_rate_of_the_project_unless_named(line: Any) -> None:
     link = opened(line.path)
     assert termios.tcgetattr(link.port().handle)[4] == getattr(termios, f"B{DEFAULT_BAUD}")
     link.close()
 
 
-def test_what_was_said_to_nobody_before_is_thrown_away(line):
+def test_what_was_said_to_nobody_before_is_thrown_away(line: Any) -> None:
     """Bytes in the driver from before opening belong to another conversation."""
     keep = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
     os.write(line.device, b"old news")
@@ -191,18 +196,22 @@ def test_what_was_said_to_nobody_before_is_thrown_away(line):
         ("ttyACM12", 921_600, None),
     ],
 )
-def test_the_rate_limits_a_uart_and_nothing_else(name, baud, capacity, tmp_path):
+def test_the_rate_limits_a_uart_and_nothing_else(
+    name: str, baud: int, capacity: float | None, tmp_path: Path
+) -> None:
     assert ports._capacity(f"/dev/{name}", baud) == capacity
     alias = tmp_path / "by-id"
     alias.symlink_to(f"/dev/{name}")
     assert ports._capacity(str(alias), baud) == capacity, "the port counts, not its alias"
 
 
-def test_a_pseudo_terminal_has_no_capacity_limit(link):
+def test_a_pseudo_terminal_has_no_capacity_limit(link: Any) -> None:
     assert link.bytes_per_second is None
 
 
-def test_a_line_that_does_not_keep_its_settings_is_refused_and_let_go(line, monkeypatch):
+def test_a_line_that_does_not_keep_its_settings_is_refused_and_let_go(
+    line: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patched:
         patched.setattr(ports.tty, "configure", lambda descriptor: None)
@@ -211,11 +220,11 @@ def test_a_line_that_does_not_keep_its_settings_is_refused_and_let_go(line, monk
     assert set(os.listdir("/proc/self/fd")) == before
 
 
-def test_no_call_on_the_descriptor_blocks(line, link):
+def test_no_call_on_the_descriptor_blocks(line: Any, link: Any) -> None:
     assert not os.get_blocking(link.port().handle)
 
 
-def test_a_symbolic_link_is_as_good_as_the_port(line, tmp_path):
+def test_a_symbolic_link_is_as_good_as_the_port(line: Any, tmp_path: Path) -> None:
     """Names in /dev/serial/by-id are such links."""
     alias = tmp_path / "usb-Raspberry_Pi_Pico_E660-if00"
     alias.symlink_to(line.path)
@@ -228,7 +237,7 @@ def test_a_symbolic_link_is_as_good_as_the_port(line, tmp_path):
     link.close()
 
 
-def test_descriptors_beyond_1023_wait_read_and_write(line):
+def test_descriptors_beyond_1023_wait_read_and_write(line: Any) -> None:
     """select(2) knows 1024 of them; a process with many files open has more."""
     high = 1500
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -255,7 +264,9 @@ def test_descriptors_beyond_1023_wait_read_and_write(line):
 # ---------------------------------------------------------------------- modem lines, low latency, exclusion
 
 
-def test_a_pseudo_terminal_knows_no_modem_lines_no_latency_and_is_not_kept_from_others_beyond_the_lock(link):
+def test_a_pseudo_terminal_knows_no_modem_lines_no_latency_and_is_not_kept_from_others_beyond_the_lock(
+    link: Any,
+) -> None:
     assert link.facts.low_latency is None
     assert link.facts.dtr is None
     assert link.facts.exclusive is False, (
@@ -266,13 +277,13 @@ def test_a_pseudo_terminal_knows_no_modem_lines_no_latency_and_is_not_kept_from_
 
 
 @pytest.mark.parametrize("dtr", ["yes", "", "1", "ON"])
-def test_dtr_is_on_or_off(dtr, line):
+def test_dtr_is_on_or_off(dtr: str, line: Any) -> None:
     with pytest.raises(ConfigError, match="dtr"):
         opened(line.path, dtr=dtr)
 
 
 @pytest.fixture
-def real_port(monkeypatch):
+def real_port(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Let a pseudo-terminal pass for a real port with modem lines and a driver; what was asked of it, in order."""
     monkeypatch.setattr(ports, "is_pseudo", lambda device: False)
     return ModemLine(monkeypatch)
@@ -281,7 +292,7 @@ def real_port(monkeypatch):
 class ModemLine:
     """ioctls of a line with DTR, RTS and a driver that may keep the low-latency flag."""
 
-    def __init__(self, monkeypatch, *, keeps_flag=True):
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, keeps_flag: bool = True) -> None:
         self.lines = termios.TIOCM_DTR | termios.TIOCM_RTS
         self.flags = 0
         self.keeps_flag = keeps_flag
@@ -289,7 +300,7 @@ class ModemLine:
         self._real = fcntl.ioctl
         monkeypatch.setattr(tty_settings.fcntl, "ioctl", self.ioctl)
 
-    def ioctl(self, descriptor, request, argument=0, *more):
+    def ioctl(self, descriptor: Any, request: Any, argument: int = 0, *more: Any) -> Any:
         if request in (termios.TIOCMBIS, termios.TIOCMBIC):
             (bits,) = struct.unpack("i", argument)
             self.asked.append((request, bits))
@@ -307,7 +318,7 @@ class ModemLine:
         return 0
 
 
-def test_dtr_is_asserted_and_never_moves_again(line, real_port):
+def test_dtr_is_asserted_and_never_moves_again(line: Any, real_port: Any) -> None:
     link = opened(line.path)
     assert link.facts.dtr is True
     link.write(b"x")
@@ -317,7 +328,7 @@ def test_dtr_is_asserted_and_never_moves_again(line, real_port):
     assert real_port.lines & termios.TIOCM_DTR
 
 
-def test_dtr_off_takes_dtr_and_rts_back_in_one_step(line, real_port):
+def test_dtr_off_takes_dtr_and_rts_back_in_one_step(line: Any, real_port: Any) -> None:
     """A board whose reset hangs on the pair is held by either alone."""
     link = opened(line.path, dtr="off")
     assert link.facts.dtr is False
@@ -327,7 +338,7 @@ def test_dtr_off_takes_dtr_and_rts_back_in_one_step(line, real_port):
     link.close()
 
 
-def test_low_latency_is_set_and_read_back(line, real_port):
+def test_low_latency_is_set_and_read_back(line: Any, real_port: Any) -> None:
     link = opened(line.path)
     assert real_port.flags == tty_settings.ASYNC_LOW_LATENCY
     assert link.facts.low_latency is True
@@ -336,15 +347,15 @@ def test_low_latency_is_set_and_read_back(line, real_port):
 
 @pytest.mark.parametrize("keeps_flag", [False, None])
 def test_a_driver_that_refuses_low_latency_is_found_out_whether_it_says_so_or_not(
-    keeps_flag, line, real_port
-):
+    keeps_flag: bool | None, line: Any, real_port: Any
+) -> None:
     real_port.keeps_flag = keeps_flag
     link = opened(line.path)
     assert link.facts.low_latency is False
     link.close()
 
 
-def test_a_real_port_is_refused_to_others_while_it_is_open(line, real_port):
+def test_a_real_port_is_refused_to_others_while_it_is_open(line: Any, real_port: Any) -> None:
     link = opened(line.path)
     assert link.facts.exclusive is True
     link.close()
@@ -353,7 +364,9 @@ def test_a_real_port_is_refused_to_others_while_it_is_open(line, real_port):
     os.close(after)
 
 
-def test_what_was_not_obtained_is_told_with_its_remedy(line, monkeypatch, real_port):
+def test_what_was_not_obtained_is_told_with_its_remedy(
+    line: Any, monkeypatch: pytest.MonkeyPatch, real_port: Any
+) -> None:
     monkeypatch.setattr(tty_settings, "set_exclusive", lambda descriptor, wanted: False)
     monkeypatch.setattr(tty_settings, "is_exclusive", lambda descriptor: False)
     monkeypatch.setattr(tty_settings, "set_dtr_rts", lambda descriptor, asserted: not asserted)
@@ -368,21 +381,21 @@ def test_what_was_not_obtained_is_told_with_its_remedy(line, monkeypatch, real_p
 # ---------------------------------------------------------------------- bounded in time
 
 
-def test_reading_waits_no_longer_than_asked(link):
+def test_reading_waits_no_longer_than_asked(link: Any) -> None:
     for timeout_s in (0.0, 0.03, -1.0):
         before = time.monotonic()
         assert link.read(timeout_s) == b""
         assert max(0.0, timeout_s) - 0.002 <= time.monotonic() - before <= timeout_s + SLACK_S
 
 
-def test_a_line_that_nobody_reads_is_given_up_in_bounded_time(line, link):
+def test_a_line_that_nobody_reads_is_given_up_in_bounded_time(line: Any, link: Any) -> None:
     before = time.monotonic()
     with pytest.raises(LinkLostError, match="takes no more bytes"):
         link.write(b"x" * 4_000_000)
     assert WRITE_TIMEOUT_S <= time.monotonic() - before <= WRITE_TIMEOUT_S + SLACK_S
 
 
-def test_a_line_that_is_read_late_takes_everything(line, link):
+def test_a_line_that_is_read_late_takes_everything(line: Any, link: Any) -> None:
     """A write larger than the driver's buffer waits for the reader and sends every byte once, in order."""
     import threading  # noqa: PLC0415
 
@@ -403,7 +416,7 @@ def test_a_line_that_is_read_late_takes_everything(line, link):
 # ---------------------------------------------------------------------- a pulled plug
 
 
-def test_a_pulled_plug_is_a_lost_link_in_both_directions(line, link):
+def test_a_pulled_plug_is_a_lost_link_in_both_directions(line: Any, link: Any) -> None:
     line.unplug()
     with pytest.raises(LinkLostError, match=f"{line.path} is gone") as caught:
         link.read(1.0)
@@ -412,7 +425,7 @@ def test_a_pulled_plug_is_a_lost_link_in_both_directions(line, link):
         link.write(b"x")
 
 
-def test_a_plug_pulled_while_reading_is_noticed_at_once(line, link):
+def test_a_plug_pulled_while_reading_is_noticed_at_once(line: Any, link: Any) -> None:
     import threading  # noqa: PLC0415
 
     threading.Timer(0.05, line.unplug).start()
@@ -422,7 +435,7 @@ def test_a_plug_pulled_while_reading_is_noticed_at_once(line, link):
     assert time.monotonic() - before < SLACK_S
 
 
-def test_what_came_before_the_plug_was_pulled_is_read_first(line, link):
+def test_what_came_before_the_plug_was_pulled_is_read_first(line: Any, link: Any) -> None:
     os.write(line.device, b"last words")
     line.unplug()
     said = b""
@@ -432,7 +445,7 @@ def test_what_came_before_the_plug_was_pulled_is_read_first(line, link):
     assert said in (b"last words", b""), "Linux may throw it away, but nothing else comes"
 
 
-def test_a_closed_link_is_lost_and_closes_twice(link):
+def test_a_closed_link_is_lost_and_closes_twice(link: Any) -> None:
     link.close()
     link.close()
     for use in (lambda: link.read(0.0), lambda: link.write(b"x")):

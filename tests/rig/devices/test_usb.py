@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import usb.core
@@ -36,7 +38,16 @@ class Device:
 
     backend = None
 
-    def __init__(self, *interfaces, vendor=0x1209, product=1, serial="A", port=1, fails=None, driver=False):
+    def __init__(
+        self,
+        *interfaces: Any,
+        vendor: int = 0x1209,
+        product: int = 1,
+        serial: str = "A",
+        port: int = 1,
+        fails: Any = None,
+        driver: bool = False,
+    ) -> None:
         self.idVendor, self.idProduct, self.serial_number = vendor, product, serial
         self.bDeviceClass, self.bNumConfigurations, self.bus, self.address = 0, 1, 1, 7
         self.port_numbers = (port,)
@@ -81,7 +92,7 @@ def hub() -> Device:
 
 
 @pytest.fixture
-def bus(monkeypatch, tmp_path):
+def bus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """A bus whose devices a test chooses; `closed` counts how often it was given back."""
 
     class Bus:
@@ -108,7 +119,7 @@ def error(number: int) -> usb.core.USBError:
     return usb.core.USBError("as libusb says it", errno=number)
 
 
-def refused(bus, kind, *devices, url="usb://1209:0001"):
+def refused(bus: Any, kind: Any, *devices: Any, url: str = "usb://1209:0001") -> Any:
     bus.devices = list(devices)
     with pytest.raises(kind) as caught:
         open_link(url)
@@ -119,16 +130,16 @@ def refused(bus, kind, *devices, url="usb://1209:0001"):
 @pytest.mark.parametrize(
     "place", ["", "1209", "1209:", ":1", "12345:1", "xyz:1", "1209-0001", "1209:-1", "1209:0001:2", "+1:1"]
 )
-def test_a_place_that_names_no_device_is_refused(bus, place):
+def test_a_place_that_names_no_device_is_refused(bus: Any, place: str) -> None:
     assert "usb://1209:0001/SERIAL" in refused(bus, ConfigError, url=f"usb://{place}").remedy
 
 
-def test_options_are_known_ones(bus):
+def test_options_are_known_ones(bus: Any) -> None:
     assert "transfers" in refused(bus, ConfigError, url="usb://1209:0001?speed=high").remedy
     assert "queued, plain" in refused(bus, ConfigError, url="usb://1209:0001?transfers=fast").remedy
 
 
-def test_no_such_device_lists_what_is_there(bus):
+def test_no_such_device_lists_what_is_there(bus: Any) -> None:
     other = Device(vendor=0x2E8A, product=0x000A, serial="E66")
     caught = refused(bus, DeviceNotFoundError, other, hub(), Device(Interface(endpoint(IN)), vendor=1))
     assert "1209:0001" in caught.message
@@ -137,7 +148,7 @@ def test_no_such_device_lists_what_is_there(bus):
     assert "No USB device here looks like a rig" in refused(bus, DeviceNotFoundError, hub()).remedy
 
 
-def test_two_devices_are_told_apart_by_their_serial_numbers(bus):
+def test_two_devices_are_told_apart_by_their_serial_numbers(bus: Any) -> None:
     pair = (Device(serial="A"), Device(serial="B", port=2))
     caught = refused(bus, DeviceNotFoundError, *pair)
     assert "usb://1209:0001/A, usb://1209:0001/B" in caught.remedy
@@ -147,7 +158,7 @@ def test_two_devices_are_told_apart_by_their_serial_numbers(bus):
     assert "claim" in pair[1].calls
 
 
-def test_a_serial_number_is_read_where_the_kernel_keeps_it(bus, tmp_path):
+def test_a_serial_number_is_read_where_the_kernel_keeps_it(bus: Any, tmp_path: Path) -> None:
     """Nobody needs a permission for that, and no device is opened."""
     (tmp_path / "1-4").mkdir()
     (tmp_path / "1-4" / "serial").write_text("KERNEL\n")
@@ -167,12 +178,12 @@ def test_a_serial_number_is_read_where_the_kernel_keeps_it(bus, tmp_path):
         [Interface()],
     ],
 )
-def test_a_device_without_a_pair_of_bulk_pipes_is_no_rig(bus, interfaces):
+def test_a_device_without_a_pair_of_bulk_pipes_is_no_rig(bus: Any, interfaces: Any) -> None:
     assert "not a haptic rig" in refused(bus, IncompatibleDeviceError, Device(*interfaces)).message
     assert [device.is_rig for device in links.available_devices()] == [False]
 
 
-def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus):
+def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus: Any) -> None:
     composite = Device(
         Interface(endpoint(0x83, INTERRUPT), kind=2),
         Interface(endpoint(0x85, INTERRUPT), endpoint(0x84, size=512), endpoint(0x02, size=512), number=3),
@@ -180,7 +191,7 @@ def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus):
     assert links._pipes(composite) == links._Pipes(3, 0x84, 0x02, 512)
 
 
-def test_no_permission_gives_the_command_that_installs_the_rules(bus):
+def test_no_permission_gives_the_command_that_installs_the_rules(bus: Any) -> None:
     caught = refused(
         bus, DeviceNotFoundError, Device(fails={"get_active_configuration": error(errno.EACCES)})
     )
@@ -188,19 +199,21 @@ def test_no_permission_gives_the_command_that_installs_the_rules(bus):
     assert RULES_COMMAND in caught.remedy
 
 
-def test_busy_names_the_node_that_fuser_wants(bus):
+def test_busy_names_the_node_that_fuser_wants(bus: Any) -> None:
     caught = refused(bus, DeviceNotFoundError, Device(fails={"claim": error(errno.EBUSY)}))
     assert "in use" in caught.message
     assert "/dev/bus/usb/001/007" in caught.remedy
 
 
 @pytest.mark.parametrize("fails", [error(errno.ENODEV), error(errno.EIO), NotImplementedError("no")])
-def test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back(bus, fails):
+def test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back(
+    bus: Any, fails: Any
+) -> None:
     refused(bus, DeviceNotFoundError, Device(fails={"claim": fails}))
     assert bus.closed == 1
 
 
-def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(bus):
+def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(bus: Any) -> None:
     device = Device(driver=True, fails={"clear_halt 0x1": error(errno.EPIPE)})
     bus.devices = [device]
     open_link("usb://1209:0001").close()
@@ -217,15 +230,15 @@ def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(b
     assert bus.closed == 1
 
 
-def test_a_device_that_nobody_configured_is_configured(bus):
+def test_a_device_that_nobody_configured_is_configured(bus: Any) -> None:
     device = Device(fails={"get_active_configuration": usb.core.USBError("Configuration not set")})
     bus.devices = [device]
     open_link("usb://1209:0001").close()
     assert "set_configuration" in device.calls
 
 
-def test_without_libusb_the_package_is_named(monkeypatch):
-    def nothing(**options):
+def test_without_libusb_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(**options: Any) -> None:
         raise usb.core.NoBackendError("No backend available")
 
     monkeypatch.setattr(usb_handle, "_own_backend", lambda: None)
@@ -236,7 +249,7 @@ def test_without_libusb_the_package_is_named(monkeypatch):
     assert links.available_devices() == []
 
 
-def test_what_is_not_as_tested_is_said_and_not_touched(monkeypatch):
+def test_what_is_not_as_tested_is_said_and_not_touched(monkeypatch: pytest.MonkeyPatch) -> None:
     device = SimpleNamespace(backend=SimpleNamespace(lib=SimpleNamespace(), ctx=None))
     assert "backend is not libusb 1.0" in usb_handle._strange(device)
     monkeypatch.setattr(usb_handle, "_version", lambda: (1, 9))
@@ -246,7 +259,7 @@ def test_what_is_not_as_tested_is_said_and_not_touched(monkeypatch):
     assert "64-bit Linux" in usb_handle.unsuitable(device)
 
 
-def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads():
+def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads() -> None:
     from rig.devices import usb_transfers as compiled  # noqa: PLC0415
 
     assert usb_handle.Transfer.status.offset == compiled.STATUS_AT
@@ -269,13 +282,13 @@ def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads():
         (-1, errno.EIO),
     ],
 )
-def test_libusbs_statuses_are_error_numbers(status, number):
+def test_libusbs_statuses_are_error_numbers(status: int, number: Any) -> None:
     from rig.devices.usb_transfers import errno_of_status  # noqa: PLC0415
 
     assert errno_of_status(status) == number
 
 
-def test_libusbs_codes_are_those_that_pyusb_knows():
+def test_libusbs_codes_are_those_that_pyusb_knows() -> None:
     """An independent table: pyusb's own."""
     from usb.backend.libusb1 import _libusb_errno  # noqa: PLC0415
 

@@ -4,6 +4,8 @@ import importlib
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,14 +39,14 @@ from tests.conformance.rigs import rotary_rig
 SHORT = {"trial.duration_s": 0.2, "verdict.tail_s": 0.05}
 
 
-def short(name: str):
+def short(name: str) -> Any:
     return config.override(presets.load(name), SHORT)
 
 
 # --- the numbers of one impact ----------------------------------------------------------------------------
 
 
-def swing(decay_s: float, *, rest: float = 10.0, first: float = 40.0, period_s: float = 0.02):
+def swing(decay_s: float, *, rest: float = 10.0, first: float = 40.0, period_s: float = 0.02) -> Any:
     """A swing about the rest that begins at the surface, in whole counts."""
     time_s = np.arange(8000) / 20_000
     phase = 2 * math.pi * time_s / period_s
@@ -54,7 +56,7 @@ def swing(decay_s: float, *, rest: float = 10.0, first: float = 40.0, period_s: 
     return time_s[first:] - time_s[first], counts[first:]
 
 
-def test_a_decaying_swing_gives_its_peaks_its_rest_and_its_decay():
+def test_a_decaying_swing_gives_its_peaks_its_rest_and_its_decay() -> None:
     time_s, counts = swing(0.05)
     n = measure(time_s, counts, 1.0)
     assert (n.peak, n.rest) == (37.0, pytest.approx(10.0, abs=0.1))
@@ -63,13 +65,13 @@ def test_a_decaying_swing_gives_its_peaks_its_rest_and_its_decay():
     assert n.settling_s == pytest.approx(0.05 * math.log(40.0 / 2.8), abs=0.01)
 
 
-def test_leaving_the_wall_and_coming_back_is_a_bounce():
+def test_leaving_the_wall_and_coming_back_is_a_bounce() -> None:
     time_s, counts = swing(0.03)
     below = np.minimum.reduceat(counts, np.arange(0, 2000, 400))  # one minimum a period
     assert measure(time_s, counts, 1.0).bounces == np.count_nonzero(below < 0.5)
 
 
-def test_a_toggling_count_is_no_second_peak_and_an_endless_swing_never_settles():
+def test_a_toggling_count_is_no_second_peak_and_an_endless_swing_never_settles() -> None:
     time_s = np.arange(4000) / 20_000
     toggling = np.minimum(np.arange(4000) + 1.0, 30.0) + (np.arange(4000) % 2)
     n = measure(time_s, toggling, 1.0)
@@ -81,7 +83,9 @@ def test_a_toggling_count_is_no_second_peak_and_an_endless_swing_never_settles()
 
 
 @given(counts=st.lists(st.integers(-50, 50), min_size=4, max_size=80), least=st.floats(2.0, 20.0))
-def test_a_second_peak_is_never_above_the_first_and_lies_beyond_a_dip(counts, least):
+def test_a_second_peak_is_never_above_the_first_and_lies_beyond_a_dip(
+    counts: list[int], least: float
+) -> None:
     depth = np.array(counts, dtype=np.float64)
     second = second_peak(depth, least)
     if second is not None:
@@ -90,7 +94,7 @@ def test_a_second_peak_is_never_above_the_first_and_lies_beyond_a_dip(counts, le
         assert after.min() <= min(depth.max(), second) - least
 
 
-def test_a_mean_has_a_settling_time_only_if_all_settled():
+def test_a_mean_has_a_settling_time_only_if_all_settled() -> None:
     settled, endless = (measure(*swing(decay_s), 1.0) for decay_s in (0.03, 1e3))
     assert endless.settling_s is None
     assert mean([settled, settled]) == settled
@@ -102,7 +106,7 @@ def test_a_mean_has_a_settling_time_only_if_all_settled():
 
 
 @pytest.mark.parametrize("name", presets.names())
-def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name):
+def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name: Any) -> None:
     """Also with other estimators: no homing, whose servo would feel the estimate."""
     experiment = short(name)
     rate = experiment.controller.position_rate
@@ -122,7 +126,7 @@ def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name):
 
 
 @pytest.mark.parametrize("name", presets.names())
-def test_the_traces_are_those_of_the_law_that_ran(name):
+def test_the_traces_are_those_of_the_law_that_ran(name: Any) -> None:
     """The rows are computed once more over the counts; the currents prove that they are the same."""
     experiment = default_entries(short(name))[2].applied(short(name))
     law, plant, trace = simulate(experiment, Start.of(experiment), 0.7)
@@ -131,7 +135,7 @@ def test_the_traces_are_those_of_the_law_that_ran(name):
     np.testing.assert_array_equal(rows["flags"], trace.flags)
 
 
-def test_the_handle_is_at_the_start_at_the_first_sample():
+def test_the_handle_is_at_the_start_at_the_first_sample() -> None:
     """The trial without bytes begins a tick earlier: the rig coasts there from where it was."""
     for rate in (20_000, 10_000, 2000):
         experiment = koul_entries(rate)[0].applied(koul_experiment())
@@ -141,7 +145,7 @@ def test_the_handle_is_at_the_start_at_the_first_sample():
         assert velocity == pytest.approx(START.velocity, abs=1e-4)
 
 
-def test_an_external_effort_pushes_the_rig_and_a_small_one_does_not_overcome_friction():
+def test_an_external_effort_pushes_the_rig_and_a_small_one_does_not_overcome_friction() -> None:
     experiment = config.override(presets.load("koul-rigid"), SHORT)
     far = Start(position=-0.1, external_effort=0.019)
     _, plant, trace = simulate(experiment, far, 0.5)
@@ -159,7 +163,7 @@ def test_an_external_effort_pushes_the_rig_and_a_small_one_does_not_overcome_fri
     assert free.states[-1, 1] == pytest.approx(0.2 + 0.01 / 1e-3 * 1000 * 5e-5)
 
 
-def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own():
+def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own() -> None:
     experiment = short("koul-compliant")
     first, second = (compare(experiment, offsets=(0.2, 0.6)) for _ in range(2))
     assert plain(first) == plain(second)
@@ -175,7 +179,7 @@ def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own():
         first["triple"]
 
 
-def test_damping_holds_the_handle_back_and_its_traces_begin_inside_the_wall():
+def test_damping_holds_the_handle_back_and_its_traces_begin_inside_the_wall() -> None:
     comparison = compare(short("koul-compliant"))
     none, dual = comparison["none"], comparison["dual"]
     assert dual.numbers.peak < 0.8 * none.numbers.peak
@@ -190,7 +194,7 @@ def test_damping_holds_the_handle_back_and_its_traces_begin_inside_the_wall():
         assert np.abs(impact.penetration - impact.penetration_true).max() < 2 * give + resolution
 
 
-def test_a_wall_on_the_other_side_gives_the_same_depths():
+def test_a_wall_on_the_other_side_gives_the_same_depths() -> None:
     experiment = short("koul-rigid")
     mirrored = config.override(
         experiment, {"wall.side": -1, "trial.start": 0.015, "trial.effort": -0.15, "rig.encoder.sign": -1}
@@ -203,7 +207,9 @@ def test_a_wall_on_the_other_side_gives_the_same_depths():
 @pytest.mark.parametrize(
     ("name", "rates"), [("koul-rigid", (20_000, 20_000, 2000)), ("chawda-linear", (1000, 1000, 500))]
 )
-def test_the_usual_entries_keep_the_position_rate_and_the_experiments_dual_rate(name, rates):
+def test_the_usual_entries_keep_the_position_rate_and_the_experiments_dual_rate(
+    name: str, rates: tuple[int, ...]
+) -> None:
     experiment = presets.load(name)
     none, uniform, dual = default_entries(experiment)
     assert (none.damping, uniform.damping, dual.damping) == (0.0, None, None)
@@ -226,15 +232,15 @@ def test_the_usual_entries_keep_the_position_rate_and_the_experiments_dual_rate(
     ],
 )
 def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_and_not_from_a_dual_rate_one(
-    state_bits, ratio, expected
-):
+    state_bits: int, ratio: int, expected: dict[int, tuple[float, ...]]
+) -> None:
     """Uniform at cut-off fs/ratio against 200 Hz at 2 kHz: 14 bits, rounding to zero."""
     panels = koul_figure_7(state_bits=state_bits, uniform_share=1 / ratio)
     fixed = {panel.position_rate: panel.peaks for panel in panels if panel.arithmetic == FIXED}
     assert fixed == {rate: pytest.approx(peaks, abs=0.5) for rate, peaks in expected.items()}
 
 
-def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one():
+def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one() -> None:
     """What figure 7 shows is not in the method, but in the word length."""
     for panel in koul_figure_7():
         none, uniform, dual = panel.peaks
@@ -251,7 +257,7 @@ def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_o
         assert panel.comparison["dual"].numbers.bounces == 0.0
 
 
-def test_between_damped_and_undamped_the_place_of_the_encoders_edges_decides():
+def test_between_damped_and_undamped_the_place_of_the_encoders_edges_decides() -> None:
     """4 bits at 10 kHz: a mean over four offsets is good to a few counts; the other peaks do not depend on it."""
     offsets = [(k + 0.5) / 10 for k in range(10)]
     panels = koul_figure_7(position_rates=(10_000,), offsets=offsets)
@@ -264,7 +270,7 @@ def test_between_damped_and_undamped_the_place_of_the_encoders_edges_decides():
         assert most - least <= 1.0
 
 
-def test_two_word_lengths_and_cut_offs_give_figure_7_and_no_others():
+def test_two_word_lengths_and_cut_offs_give_figure_7_and_no_others() -> None:
     table = word_lengths((0, 1, 2, 3, 4, 5, 6, 16))
     found = {(row.state_bits, round(1 / row.uniform_share)) for row in table if row.as_in_the_paper}
     assert found == {(4, 20), (2, 10)}
@@ -275,7 +281,7 @@ def test_two_word_lengths_and_cut_offs_give_figure_7_and_no_others():
 # --- figure 8 ---------------------------------------------------------------------------------------------
 
 
-def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed_point():
+def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed_point() -> None:
     profiles = koul_figure_8()
     slow, fast = profiles[2000, FLOAT], profiles[20_000, FLOAT]
     assert 5.0 < fast.noise_late / slow.noise_late < 10.0
@@ -289,7 +295,7 @@ def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed
     assert 0.8 < dual.reading_late < 1.0
 
 
-def test_the_delays_are_those_of_the_filters():
+def test_the_delays_are_those_of_the_filters() -> None:
     """√2·T/(2·tan(π·fc·T)) and half a period of the difference: 1.338 ms, and 0.249 ms at 20 kHz."""
     profiles = koul_figure_8()
     for (rate, cutoff_hz), share in {(2000, 200.0): 0.03, (20_000, 1000.0): 0.05}.items():
@@ -299,7 +305,7 @@ def test_the_delays_are_those_of_the_filters():
         assert profile.delay_s == pytest.approx(expected, rel=share)
 
 
-def test_early_and_late_follow_each_other_and_the_handle_is_slower_late():
+def test_early_and_late_follow_each_other_and_the_handle_is_slower_late() -> None:
     profiles = koul_figure_8(uniform_share=1 / 10, state_bits=2)
     assert profiles.early_s[1] == profiles.late_s[0]
     assert profiles.speed_late < 0.3 * profiles.speed_early
@@ -311,7 +317,7 @@ def test_early_and_late_follow_each_other_and_the_handle_is_slower_late():
 # --- what cannot be meant ---------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_compared_is_refused_with_a_remedy(monkeypatch):
+def test_what_cannot_be_compared_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = short("koul-rigid")
     with pytest.raises(ConfigError, match=r"never reached the wall.*push harder"):
         compare(experiment, start=Start(position=-0.1))
@@ -326,8 +332,8 @@ def test_what_cannot_be_compared_is_refused_with_a_remedy(monkeypatch):
         compare(held)
 
 
-def test_without_the_simulation_there_is_a_clear_error(monkeypatch):
-    def missing(name):
+def test_without_the_simulation_there_is_a_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: Any) -> Any:
         if name.startswith("sim_backend"):
             raise ModuleNotFoundError(f"No module named {name!r}")
         return importlib.import_module(name)
@@ -340,7 +346,7 @@ def test_without_the_simulation_there_is_a_clear_error(monkeypatch):
 # --- pictures ---------------------------------------------------------------------------------------------
 
 
-def test_pictures_are_drawn_and_are_the_same_again(tmp_path):
+def test_pictures_are_drawn_and_are_the_same_again(tmp_path: Path) -> None:
     comparison = compare(short("koul-rigid"), offsets=(0.5,))
     pictures = [draw_comparison(comparison, tmp_path / f"{n}.png") for n in "ab"]
     assert pictures[0].read_bytes() == pictures[1].read_bytes()

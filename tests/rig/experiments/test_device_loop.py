@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ EXCITED = config.excited(
 )
 
 
-def device(**ranges):
+def device(**ranges: Any) -> Any:
     """The dictionary of a device whose law parameters have these ranges."""
     return dictionary.build(
         device="board",
@@ -53,7 +54,7 @@ def device(**ranges):
     )
 
 
-def test_the_example_for_a_board_is_fixed_point_at_20_khz():
+def test_the_example_for_a_board_is_fixed_point_at_20_khz() -> None:
     x = config.load_experiment(EXAMPLE)
     assert (x.controller.loop, device_law.arithmetic_of(x.controller)) == ("device", "fixed")
     plan = make_plan(x)
@@ -71,7 +72,9 @@ def test_the_example_for_a_board_is_fixed_point_at_20_khz():
         ("levant", "float32", "float32"),
     ],
 )
-def test_arithmetic_follows_the_estimator_unless_it_is_said(estimator, arithmetic, expected):
+def test_arithmetic_follows_the_estimator_unless_it_is_said(
+    estimator: str, arithmetic: str, expected: str
+) -> None:
     x = config.override(RIGID, {"controller.estimator": estimator, "controller.arithmetic": arithmetic})
     assert device_law.arithmetic_of(x.controller) == expected
 
@@ -79,15 +82,15 @@ def test_arithmetic_follows_the_estimator_unless_it_is_said(estimator, arithmeti
 @pytest.mark.parametrize(
     ("key", "value", "instead"), [("pacing", "host", "device"), ("overrun", "stop", "skip")]
 )
-def test_a_beat_of_the_host_is_refused(key, value, instead):
+def test_a_beat_of_the_host_is_refused(key: str, value: str, instead: str) -> None:
     with pytest.raises(ConfigError, match=rf'host.{key} = "{value}": must be "{instead}"'):
         config.override(ON_DEVICE, {f"host.{key}": value})
 
 
-def test_what_one_tick_would_have_to_make_up_is_bounded():
+def test_what_one_tick_would_have_to_make_up_is_bounded() -> None:
     """At 20k/2k a handle sampled ten times as rarely asks ten filter steps of one tick; five are taken."""
 
-    def told(slow_velocity_rate):
+    def told(slow_velocity_rate: Any) -> Any:
         x = config.override(
             ON_DEVICE,
             {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1},
@@ -103,7 +106,7 @@ def test_what_one_tick_would_have_to_make_up_is_bounded():
 # ---------------------------------------------------------------------- real time
 
 
-def test_real_time_makes_nothing_gentler_where_the_device_runs_the_law():
+def test_real_time_makes_nothing_gentler_where_the_device_runs_the_law() -> None:
     with_host = replace(RIGID, realtime={**RIGID.realtime, "host.heartbeat_s": 1.0})
     x = config.with_realtime(with_host, {"controller.loop": "device"})
     assert x.controller.position_rate == 20_000
@@ -113,7 +116,7 @@ def test_real_time_makes_nothing_gentler_where_the_device_runs_the_law():
 
 
 @pytest.mark.parametrize(("loop", "rate"), [("host", 1500), ("device", 20_000)])
-def test_a_rate_of_the_device_is_the_hosts_only(loop, rate):
+def test_a_rate_of_the_device_is_the_hosts_only(loop: str, rate: int) -> None:
     board = SimpleNamespace(
         link=SimpleNamespace(clock=SimpleNamespace(virtual=False)),
         dictionary=SimpleNamespace(position_rate_default=1500),
@@ -125,7 +128,7 @@ def test_a_rate_of_the_device_is_the_hosts_only(loop, rate):
 # ---------------------------------------------------------------------- what a device can do
 
 
-def test_a_device_without_a_law_is_refused_with_what_to_do():
+def test_a_device_without_a_law_is_refused_with_what_to_do() -> None:
     (check,) = device_checks(prepared(ON_DEVICE), device(law=(0, 0)))
     assert check.outcome is Outcome.REFUSED
     assert "board (1) runs no law of its own" in check.text
@@ -135,7 +138,7 @@ def test_a_device_without_a_law_is_refused_with_what_to_do():
     assert device_checks(prepared(RIGID), device(law=(0, 0))) == []
 
 
-def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lacks():
+def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lacks() -> None:
     (good,) = device_checks(prepared(ON_DEVICE), device())
     assert (good.outcome, good.text) == (Outcome.OK, "board runs it in float32")
     (integers,) = device_checks(prepared(ON_DEVICE), device(law=(0, 1)))
@@ -147,7 +150,7 @@ def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lac
     assert "excitation_period = 2000 (it takes 2 to 1000)" in short.text
 
 
-def test_the_link_must_carry_every_tick():
+def test_the_link_must_carry_every_tick() -> None:
     fast = config.override(ON_DEVICE, {"controller.position_rate": 50_000, "controller.velocity_rate": 5000})
     for x, baud, outcome in ((ON_DEVICE, 3e6, "ok"), (fast, 3e6, "refused"), (ON_DEVICE, 921_600, "refused")):
         rate, capacity = link_checks(x, 50_000, baud / 10)
@@ -160,7 +163,7 @@ def test_the_link_must_carry_every_tick():
     assert link_checks(fast, 20_000, None)[0].outcome == "refused"
 
 
-def test_a_simulated_rig_that_runs_the_law_is_the_firmware():
+def test_a_simulated_rig_that_runs_the_law_is_the_firmware() -> None:
     assert devices.url_for("sim://", "device") == "sim://?firmware=1"
     assert devices.url_for("sim://koul-rigid?seed=3", "device") == "sim://koul-rigid?seed=3&firmware=1"
     for url, loop in (
@@ -174,7 +177,7 @@ def test_a_simulated_rig_that_runs_the_law_is_the_firmware():
 # ---------------------------------------------------------------------- the gate
 
 
-def test_the_gate_judges_a_law_on_the_device_without_the_links_delay():
+def test_the_gate_judges_a_law_on_the_device_without_the_links_delay() -> None:
     """Three milliseconds there and back: 60 ticks, in which no wall of a host loop holds."""
     slow = link(3e-3)
     there, here = gate(HOLDS, slow), gate(config.override(HOLDS, {"controller.loop": "host"}), slow)
@@ -185,7 +188,7 @@ def test_the_gate_judges_a_law_on_the_device_without_the_links_delay():
     assert "execution" in [one.name for one in there.checks]
 
 
-def test_the_gate_asks_for_words_in_time_and_for_a_wall_that_holds():
+def test_the_gate_asks_for_words_in_time_and_for_a_wall_that_holds() -> None:
     late = gate(HOLDS, link(0.011))
     assert not late.armable
     assert "supervise_lifetime_s" in late.remedy
@@ -196,7 +199,7 @@ def test_the_gate_asks_for_words_in_time_and_for_a_wall_that_holds():
     assert "with 0 ticks of delay" in found.text
 
 
-def test_rates_of_a_law_on_the_device_are_not_the_links():
+def test_rates_of_a_law_on_the_device_are_not_the_links() -> None:
     slow = link(3e-3, capacity=92_160.0)
     assert [rate.hertz for rate in candidate_rates(ON_DEVICE, slow, 50_000)] == [20_000, 50_000]
     assert max(rate.hertz for rate in candidate_rates(RIGID, slow, 50_000)) < 2000
@@ -205,7 +208,7 @@ def test_rates_of_a_law_on_the_device_are_not_the_links():
 # ---------------------------------------------------------------------- changes and motions
 
 
-def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted():
+def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted() -> None:
     info = {"experiment": config.as_mapping(ON_DEVICE), "current_quantum_a": 0.001}
     ring = SimpleNamespace(info_and_word=lambda: (info, 0), get=lambda word: 0, replace=lambda *_: 7)
     assert live._post(ring, {"wall.stiffness": 250.0})[0] == 7
@@ -215,7 +218,7 @@ def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted()
     assert live._post(ring, {"wall.pull": "allow"})[0] == 7
 
 
-def test_an_identification_is_the_hosts():
+def test_an_identification_is_the_hosts() -> None:
     with pytest.raises(PlanError, match="motions of an identification") as refused:
         plan_of(ON_DEVICE, IdentifyRequest(experiment=ON_DEVICE))
     assert "controller.loop=host" in refused.value.remedy
@@ -225,7 +228,7 @@ def test_an_identification_is_the_hosts():
 
 
 @pytest.mark.parametrize("kind", ["random", "schroeder"])
-def test_the_host_plays_the_table_that_the_device_makes(kind):
+def test_the_host_plays_the_table_that_the_device_makes(kind: str) -> None:
     x = config.override(EXCITED, {"excitation.kind": kind, "excitation.realisations": 1})
     law, quantum = (
         excitation_run.excited_law(x, current_quantum_a=0.002),
@@ -242,7 +245,7 @@ def test_the_host_plays_the_table_that_the_device_makes(kind):
     assert values["bilateral"] == 1
 
 
-def test_what_excites_the_rig_is_what_was_asked_for():
+def test_what_excites_the_rig_is_what_was_asked_for() -> None:
     wanted = config.excitation_size(EXCITED)["rms"]
     multisine = excitation_run.multisine_of(EXCITED)
     assert multisine.rms == pytest.approx(wanted, rel=1e-4)
@@ -259,7 +262,7 @@ def test_what_excites_the_rig_is_what_was_asked_for():
     assert excitation_run.excited_law(on_host).device == {}
 
 
-def test_an_excitation_that_no_table_holds_is_refused():
+def test_an_excitation_that_no_table_holds_is_refused() -> None:
     long = config.override(EXCITED, {"excitation.period_s": 10.0})
     with pytest.raises(ConfigError, match="period"):
         excitation_run.multisine_of(long)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +35,7 @@ from rig.recording.data import Recording
 FINE, COARSE = 1e-6, 2e-5
 
 
-def hit(rate_hz: float = 2000, resolution: float = FINE):
+def hit(rate_hz: float = 2000, resolution: float = FINE) -> Any:
     return signal_case(SIGNALS["wall-bounce"], rate_hz, resolution)
 
 
@@ -41,13 +43,13 @@ def hit(rate_hz: float = 2000, resolution: float = FINE):
 
 
 @pytest.mark.parametrize("rate", [1000, 2000, 20_000])
-def test_a_finite_difference_is_half_a_period_late(rate):
+def test_a_finite_difference_is_half_a_period_late(rate: int) -> None:
     found = score(hit(rate), Variant("fdm"))
     assert found.delay_s == pytest.approx(0.5 / rate, abs=3e-6)
 
 
 @pytest.mark.parametrize(("rate", "cutoff_hz"), [(2000, 200.0), (20_000, 200.0), (20_000, 1000.0)])
-def test_a_butterworth_filter_adds_its_delay_to_that(rate, cutoff_hz):
+def test_a_butterworth_filter_adds_its_delay_to_that(rate: int, cutoff_hz: float) -> None:
     """PHYSICS 2i (A) 4: √2·T/(2·tan(π·fc·T)) at zero frequency, 1.088 ms for 200 Hz at 2 kHz."""
     slow = signal_case(sine(amplitude=0.05, frequency_hz=2.0), rate, FINE)
     found = score(slow, Variant("fdm-butterworth", {"cutoff_hz": cutoff_hz}))
@@ -55,7 +57,7 @@ def test_a_butterworth_filter_adds_its_delay_to_that(rate, cutoff_hz):
     assert found.delay_s == pytest.approx(closed, rel=2e-3, abs=2e-6)
 
 
-def test_a_known_shift_is_found_to_microseconds():
+def test_a_known_shift_is_found_to_microseconds() -> None:
     case = hit(20_000)
     for shift in (-1.2345e-3, 0.0, 0.1e-3, 3.21e-3, 17.7e-3):
         rms, delay_s, left = errors(case, case.truth(case.time_s - shift))
@@ -64,7 +66,7 @@ def test_a_known_shift_is_found_to_microseconds():
         assert rms >= left - 1e-6 * case.speed_rms
 
 
-def test_a_delay_that_cannot_be_told_is_none():
+def test_a_delay_that_cannot_be_told_is_none() -> None:
     steady = signal_case(SIGNALS["ramp"], 2000, FINE)
     rms, delay_s, left = errors(steady, estimates(steady, Variant("fdm")))
     assert math.isnan(delay_s)
@@ -73,7 +75,7 @@ def test_a_delay_that_cannot_be_told_is_none():
     assert math.isnan(score(slow, Variant("fdm")).delay_s), "noise of a hundred times the speed"
 
 
-def test_the_reference_hit_gives_the_errors_of_the_reference_study():
+def test_the_reference_hit_gives_the_errors_of_the_reference_study() -> None:
     """PHYSICS 2i (C): true rms errors in m/s of the finite difference, with and without the filter."""
     for resolution, rate, fdm, filtered in (
         (1e-6, 1000, 0.0024, 0.0233),
@@ -88,7 +90,7 @@ def test_the_reference_hit_gives_the_errors_of_the_reference_study():
         )
 
 
-def test_at_rest_a_resting_count_is_silent_and_a_toggling_one_is_not():
+def test_at_rest_a_resting_count_is_silent_and_a_toggling_one_is_not() -> None:
     """Two equally likely neighbours give a difference the rms of Δ/(√2·T)."""
     rest, toggling = rest_noise(Variant("fdm"), 1e-4, FINE)
     assert rest == 0.0
@@ -98,7 +100,7 @@ def test_at_rest_a_resting_count_is_silent_and_a_toggling_one_is_not():
     assert filtered < 0.1 * toggling
 
 
-def test_an_estimator_that_knows_edge_times_gets_the_true_ones():
+def test_an_estimator_that_knows_edge_times_gets_the_true_ones() -> None:
     case = hit()
     moving = np.diff(case.counts, prepend=case.counts[0]) != 0
     age = case.arrays[1]
@@ -106,7 +108,7 @@ def test_an_estimator_that_knows_edge_times_gets_the_true_ones():
     assert np.ptp(age[moving]) > 0.5 * case.dt, "not all at the sample"
 
 
-def test_every_estimator_is_scored_on_every_case_in_order():
+def test_every_estimator_is_scored_on_every_case_in_order() -> None:
     cases = [signal_case(s, 2000, COARSE) for s in SIGNALS.values()]
     found = compare(cases, default_variants(), timed=False)
     expected = [(case.name, name) for case in cases for name in estimators.names()]
@@ -121,7 +123,7 @@ def test_every_estimator_is_scored_on_every_case_in_order():
     assert plain(found)["cases"][0]["reference"] == "closed form"
 
 
-def test_settings_that_a_rate_does_not_allow_are_reported_not_raised():
+def test_settings_that_a_rate_does_not_allow_are_reported_not_raised() -> None:
     (found,) = compare([hit(1000)], [Variant("fdm-butterworth", {"cutoff_hz": 700.0})]).scores
     assert "Nyquist" in found.refused
     assert math.isnan(found.rms)
@@ -129,7 +131,7 @@ def test_settings_that_a_rate_does_not_allow_are_reported_not_raised():
         compare([hit(1000)], [Variant("fmd")])
 
 
-def test_a_timed_comparison_says_what_a_sample_costs():
+def test_a_timed_comparison_says_what_a_sample_costs() -> None:
     (found,) = compare([hit()], [Variant("fdm")], timed=True).scores
     assert 0.0 < found.ns_per_sample < 1e5
 
@@ -142,7 +144,7 @@ RATE = EXPERIMENT.controller.position_rate
 TRUE_ROW = np.dtype([*ROW.descr, ("position_true", "<f8"), ("velocity_true", "<f8")])
 
 
-def recorded(signal=SIGNALS["sine"], *, keep=slice(None), truth=True) -> Recording:
+def recorded(signal: Any = SIGNALS["sine"], *, keep: Any = slice(None), truth: bool = True) -> Recording:
     """A signal (in rad) as the experiment's rig would have recorded it; the first 0.1 s precede the trial."""
     delta, times = controller.resolution(EXPERIMENT), np.arange(round(signal.end_s * RATE)) / RATE
     rows = np.zeros(len(times), TRUE_ROW if truth else ROW)
@@ -157,7 +159,7 @@ def recorded(signal=SIGNALS["sine"], *, keep=slice(None), truth=True) -> Recordi
     return Recording(header, rows[keep])
 
 
-def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth():
+def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth() -> None:
     case = recording_case(recorded(SWING), 2000)
     assert (case.reference, case.motion) == ("the simulation's truth", "rotary")
     assert case.dt == pytest.approx(1 / 2000)
@@ -167,7 +169,7 @@ def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth():
     assert found.rms_without_delay < 0.05 * case.speed_rms
 
 
-def test_a_recording_gives_the_estimates_of_the_signal_it_came_from():
+def test_a_recording_gives_the_estimates_of_the_signal_it_came_from() -> None:
     signal, delta = SIGNALS["sine"], controller.resolution(EXPERIMENT)
     direct = signal_case(signal, 2000, delta)
     case = recording_case(recorded(), 2000)
@@ -178,7 +180,7 @@ def test_a_recording_gives_the_estimates_of_the_signal_it_came_from():
         assert ours == pytest.approx(expected, abs=0.02 * case.speed_rms), name  # edge ages are whole ns
 
 
-def test_a_real_recording_is_judged_against_a_zero_phase_reference_and_says_so():
+def test_a_real_recording_is_judged_against_a_zero_phase_reference_and_says_so() -> None:
     case = recording_case(recorded(SWING, truth=False), 2000)
     assert case.reference == "zero-phase Butterworth of order 4 at 200 Hz"
     assert case.judged_time_s[-1] < 0.58, "the ends of the reference are guesses"
@@ -186,7 +188,7 @@ def test_a_real_recording_is_judged_against_a_zero_phase_reference_and_says_so()
     assert score(case, Variant("fdm-butterworth")).delay_s == pytest.approx(0.00134, rel=0.05)
 
 
-def test_lost_samples_become_elapsed_periods():
+def test_lost_samples_become_elapsed_periods() -> None:
     keep = np.ones(round(SIGNALS["sine"].end_s * RATE), dtype=bool)
     keep[6005:6047] = False
     case = recording_case(recorded(keep=keep), RATE // 10)
@@ -197,11 +199,11 @@ def test_lost_samples_become_elapsed_periods():
     assert np.abs(velocity - case.truth(case.time_s))[1:].max() < 1.1 * abs(case.resolution) / case.dt
 
 
-def test_without_a_rate_it_is_the_recordings_own():
+def test_without_a_rate_it_is_the_recordings_own() -> None:
     assert recording_case(recorded()).rate_hz == EXPERIMENT.controller.velocity_rate
 
 
-def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_does():
+def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_does() -> None:
     with pytest.raises(ConfigError, match=rf"3000 Hz is not a whole fraction.*{RATE} Hz.*choose"):
         recording_case(recorded(), 3000)
     with pytest.raises(ConfigError, match="no samples"):
@@ -212,7 +214,7 @@ def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_doe
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-def test_the_optimum_is_what_a_fine_scan_finds(objective):
+def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
     case = hit(5000, COARSE)
     found = tune("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
     scan = np.geomspace(20.0, 2400.0, 150)
@@ -230,7 +232,7 @@ def test_the_optimum_is_what_a_fine_scan_finds(objective):
     assert not within.open_above
 
 
-def test_tuning_reaches_the_best_filters_of_the_reference_study():
+def test_tuning_reaches_the_best_filters_of_the_reference_study() -> None:
     """PHYSICS 2i (C), "BW best": rms errors in m/s."""
     for resolution, rate, best in ((1e-6, 2000, 0.0014), (1e-6, 20_000, 0.0012), (2e-5, 20_000, 0.0053)):
         found = tune("fdm-butterworth", hit(rate, resolution))
@@ -238,31 +240,31 @@ def test_tuning_reaches_the_best_filters_of_the_reference_study():
         assert found.after.rms <= found.before.rms
 
 
-def test_tuning_is_repeatable_to_the_bit():
+def test_tuning_is_repeatable_to_the_bit() -> None:
     one, two = (tune("fdm-butterworth", hit()) for _ in range(2))
     assert one.settings == two.settings
     assert one.objective_best == two.objective_best
 
 
-def test_whole_numbers_are_tuned_as_whole_numbers():
+def test_whole_numbers_are_tuned_as_whole_numbers() -> None:
     found = tune("fdm-butterworth", hit(resolution=COARSE), free=["order"])
     assert found.settings["order"] == round(found.settings["order"]) != 2.0
 
 
-def test_a_setting_that_makes_no_difference_stays_where_it_was():
+def test_a_setting_that_makes_no_difference_stays_where_it_was() -> None:
     """A long chord bends before it leaves a band of one count: then the window limit alone decides."""
     found = tune("foaw-end", hit(20_000, COARSE))
     assert list(found.settings) == ["window_limit"]
     assert {r.setting: (r.value, r.open_above) for r in found.ranges}["band"] == (1.0, True)
 
 
-def test_given_settings_are_kept_and_only_free_ones_move():
+def test_given_settings_are_kept_and_only_free_ones_move() -> None:
     found = tune("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
     assert found.settings["order"] == 1.0
     assert [r.setting for r in found.ranges] == ["cutoff_hz"]
 
 
-def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path):
+def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: Path) -> None:
     found = tune("fdm-butterworth", hit(), objective="delay-corrected-rms")
     assert tomllib.loads(found.toml())["controller"]["estimator"] == "fdm-butterworth"
     file = tmp_path / "tuned.toml"
@@ -282,12 +284,12 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path):
         ("fdm-butterworth", {"settings": {"cutoff_hz": 5000.0}}, "Nyquist"),
     ],
 )
-def test_what_cannot_be_tuned_is_refused(name, changes, text):
+def test_what_cannot_be_tuned_is_refused(name: str, changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         tune(name, hit(), **changes)
 
 
-def test_ranges_say_when_the_search_ended_before_they_did():
+def test_ranges_say_when_the_search_ended_before_they_did() -> None:
     base = Range("x", "Hz", 2.0, 1.0, 4.0, open_below=False, open_above=False)
     assert shown_range(base) == "1 to 4 Hz"
     assert shown_range(replace(base, open_above=True)) == "1 to 4 or more Hz"
@@ -296,7 +298,7 @@ def test_ranges_say_when_the_search_ended_before_they_did():
 
 
 @pytest.mark.parametrize("name", estimators.names())
-def test_every_setting_of_the_family_says_what_it_is(name):
+def test_every_setting_of_the_family_says_what_it_is(name: Any) -> None:
     for setting in estimators.get(name).settings:
         assert setting.meaning
         if isinstance(setting, Choice):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numba
 import numpy as np
 import pytest
@@ -34,19 +37,19 @@ from sim_backend.trial import run_trial
 CHAWDA, RIGID, COMPLIANT = (presets.load(name) for name in ("chawda-linear", "koul-rigid", "koul-compliant"))
 
 
-def identified(experiment, directory, **options):
+def identified(experiment: Any, directory: Any, **options: Any) -> Any:
     given = {"realisations": 3, "seed": 1, **options}
     return identify(IdentifyRequest(experiment=experiment, output=directory, **given))
 
 
 @pytest.fixture(scope="module")
-def chawda(tmp_path_factory):
+def chawda(tmp_path_factory: pytest.TempPathFactory) -> Any:
     changes = {"rig.encoder.offset": 0.13, "rig.amplifier.current_noise_a": 0.002}
     return identified(CHAWDA, tmp_path_factory.mktemp("chawda"), changes=changes)
 
 
 @pytest.fixture(scope="module")
-def compliant(tmp_path_factory):
+def compliant(tmp_path_factory: pytest.TempPathFactory) -> Any:
     changes = {"controller.position_rate": 6000}
     return identified(COMPLIANT, tmp_path_factory.mktemp("compliant"), period_s=0.25, changes=changes)
 
@@ -54,7 +57,7 @@ def compliant(tmp_path_factory):
 # ---------------------------------------------------------------------- parameters
 
 
-def test_chawda_linear_comes_out_within_a_per_cent(chawda):
+def test_chawda_linear_comes_out_within_a_per_cent(chawda: Any) -> None:
     assert chawda.signs.sign == 1
     assert chawda.dynamics.inertia.value == pytest.approx(0.52, rel=0.002)
     assert chawda.sliding.damping.value == pytest.approx(13.2, rel=0.005)
@@ -65,7 +68,7 @@ def test_chawda_linear_comes_out_within_a_per_cent(chawda):
     assert np.median(chawda.dynamics.coherence) > 0.999
 
 
-def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant):
+def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any) -> None:
     """The free handle, without the end mass: 587 Hz."""
     mode = compliant.dynamics.mode
     assert mode is not None
@@ -79,7 +82,7 @@ def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant):
     assert compliant.dynamics.delay_s.value == pytest.approx(1e-4, rel=0.05)
 
 
-def test_koul_rigid_with_a_tick_of_delay(tmp_path):
+def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     found = identified(
         RIGID,
         tmp_path,
@@ -94,7 +97,7 @@ def test_koul_rigid_with_a_tick_of_delay(tmp_path):
     assert found.dynamics.mode is None
 
 
-def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path):
+def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: Path) -> None:
     found = identified(RIGID, tmp_path, url="sim://koul-rigid", changes={"controller.position_rate": 2000})
     assert found.dynamics.inertia.value == pytest.approx(3.2e-4 + 0.07 * 0.1**2, rel=0.02)
     mechanics = found.experiment.rig.mechanics
@@ -106,7 +109,9 @@ def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["chawda", "compliant"])
-def test_the_file_is_the_identified_experiment_with_its_sources(name, request, tmp_path):
+def test_the_file_is_the_identified_experiment_with_its_sources(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
     found = request.getfixturevalue(name)
     path = tmp_path / "rig.toml"
     path.write_text(file_text(found))
@@ -120,7 +125,7 @@ def test_the_file_is_the_identified_experiment_with_its_sources(name, request, t
     assert "up" in coulomb
 
 
-def test_what_one_sensor_cannot_split_keeps_the_described_proportion(compliant):
+def test_what_one_sensor_cannot_split_keeps_the_described_proportion(compliant: Any) -> None:
     before, after = COMPLIANT.rig.mechanics, compliant.experiment.rig.mechanics
     assert after.motor_coulomb / after.link_coulomb == pytest.approx(
         before.motor_coulomb / before.link_coulomb
@@ -132,7 +137,7 @@ def test_what_one_sensor_cannot_split_keeps_the_described_proportion(compliant):
     assert after.end_mass == before.end_mass
 
 
-def test_every_motion_is_a_recording_that_says_what_it_is(chawda):
+def test_every_motion_is_a_recording_that_says_what_it_is(chawda: Any) -> None:
     assert {name: len(paths) for name, paths in chawda.recordings.items()} == {
         "signs": 1, "sliding": 1, "dynamics": 3,
     }  # fmt: skip
@@ -149,7 +154,9 @@ def test_every_motion_is_a_recording_that_says_what_it_is(chawda):
 
 
 @pytest.mark.parametrize("experiment", [CHAWDA, RIGID, COMPLIANT], ids=lambda x: x.rig.name)
-def test_motions_stay_far_within_effort_speed_and_window(experiment, request):
+def test_motions_stay_far_within_effort_speed_and_window(
+    experiment: Any, request: pytest.FixtureRequest
+) -> None:
     """Each law on the plant without bytes, with ten times less friction and damping than described."""
     described = config.override(experiment, {"rig.mechanics.end_mass": 0.0})
     limits = described.rig.limits
@@ -181,7 +188,7 @@ def test_motions_stay_far_within_effort_speed_and_window(experiment, request):
 
 
 @pytest.mark.parametrize("experiment", [CHAWDA, RIGID, COMPLIANT], ids=lambda x: x.rig.name)
-def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(experiment):
+def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(experiment: Any) -> None:
     for offset in np.linspace(0.0, 0.95, 8):
         x = config.override(experiment, {"rig.mechanics.end_mass": 0.0, "rig.encoder.offset": float(offset)})
         motion = motions.pushes_motion(x, 0.0)
@@ -205,7 +212,7 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
         assert 0.9 < found.scale < 1.8
 
 
-def test_pushes_of_a_wrong_sign_move_as_little(tmp_path, monkeypatch):
+def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motor or encoder the other way round: a few hundred counts at most, then a refusal with a remedy."""
     believed = config.rig_model(CHAWDA)
     device = SimulatedDevice(believed)  # as it was built for this rig, whose encoder is wired the other way
@@ -222,7 +229,9 @@ def test_pushes_of_a_wrong_sign_move_as_little(tmp_path, monkeypatch):
     assert 30 <= np.abs(rows["count"]).max() < 300
 
 
-def test_a_rig_of_another_scale_is_refused_before_it_is_excited(tmp_path, monkeypatch):
+def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=5.2)
     heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
     monkeypatch.setattr(
@@ -235,7 +244,7 @@ def test_a_rig_of_another_scale_is_refused_before_it_is_excited(tmp_path, monkey
     assert len(list(tmp_path.glob("*.parquet"))) == 1
 
 
-def test_the_plan_lists_and_checks_before_anything_moves():
+def test_the_plan_lists_and_checks_before_anything_moves() -> None:
     request = IdentifyRequest(experiment=RIGID)
     plan = identifying.plan_of(identifying.without_end_mass(request), request)
     assert [step.name for step in plan.steps] == ["pushes", "strokes", "excitation"]
@@ -246,7 +255,7 @@ def test_the_plan_lists_and_checks_before_anything_moves():
     assert checks["excitation over friction"].outcome == Outcome.WARNING
 
 
-def test_a_plan_that_is_refused_moves_nothing(tmp_path):
+def test_a_plan_that_is_refused_moves_nothing(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="device rate"):
         identified(CHAWDA, tmp_path, changes={"controller.position_rate": 100_000})
     assert not list(tmp_path.iterdir())
@@ -263,12 +272,12 @@ def test_a_plan_that_is_refused_moves_nothing(tmp_path):
         ({"url": "sim://koul-rigid"}, "the device simulates koul-rigid"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_meant_is_refused(options, message, tmp_path):
+def test_what_cannot_be_meant_is_refused(options: Any, message: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=message):
         identified(CHAWDA, tmp_path, **options)
 
 
-def test_a_recording_with_a_gap_is_refused(chawda):
+def test_a_recording_with_a_gap_is_refused(chawda: Any) -> None:
     recording = open_recording(chawda.recordings["dynamics"][0])
     with_gap = np.delete(recording.rows, len(recording.rows) // 2)
     with pytest.raises(IdentificationError, match="samples are missing"):
@@ -278,14 +287,14 @@ def test_a_recording_with_a_gap_is_refused(chawda):
 # ---------------------------------------------------------------------- the laws
 
 
-def test_a_traced_path_is_followed_and_its_last_point_held():
+def test_a_traced_path_is_followed_and_its_last_point_held() -> None:
     law = tracing(
         [(0.0, 0.1), (1.0, 0.2), (1.5, 0.0)], stiffness=10.0, damping=2.0, limit=100.0, rate_hz=1000.0
     )
     for side in (1, -1):
         prepared = law.prepare({"side": side, "position": 0.05})
 
-        def reaction(position, velocity, ticks, p=prepared, s=side):
+        def reaction(position: Any, velocity: Any, ticks: Any, p: Any = prepared, s: Any = side) -> Any:
             return -s * p.law.function(s * (position - 0.05), s * velocity, ticks, p.state, p.parameters)
 
         assert reaction(0.1, 0.1, 1) == pytest.approx(0.0), "on the path, at its speed"
@@ -295,13 +304,13 @@ def test_a_traced_path_is_followed_and_its_last_point_held():
         assert reaction(-100.0, 0.0, 1) == pytest.approx(100.0), "clipped"
 
 
-def test_a_push_ends_when_the_handle_moves_and_brakes_by_where_it_went():
+def test_a_push_ends_when_the_handle_moves_and_brakes_by_where_it_went() -> None:
     law = nudging(
         effort_per_s=1.0, most_effort=0.5, moved=1.0, rest_s=0.1, brake=0.01, pulses=3, rate_hz=1000.0
     )
     p = law.prepare({"side": 1})
 
-    def drive(position, velocity=0.0, ticks=1):
+    def drive(position: Any, velocity: float = 0.0, ticks: int = 1) -> Any:
         return -p.law.function(position, velocity, ticks, p.state, p.parameters)
 
     assert drive(5.0) == pytest.approx(0.001)

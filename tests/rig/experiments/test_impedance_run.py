@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -48,13 +50,13 @@ LINEAR = {
 FAST = {"excitation.settle_periods": 1, "excitation.periods": 2, "excitation.realisations": 2}
 
 
-def linear(scheme, **changes):
+def linear(scheme: Any, **changes: Any) -> Any:
     """The rig of Chawda et al. as linear theory sees it."""
     experiment = config.override(CHAWDA, LINEAR | changes)
     return Scheme.parse(scheme).applied(experiment)
 
 
-def off(measured, exact):
+def off(measured: Any, exact: Any) -> Any:
     """Largest deviation over the lines: of the magnitude (%), and of the phase (degrees)."""
     ratio = measured / exact
     return 100.0 * np.abs(np.abs(ratio) - 1.0).max(), np.degrees(np.abs(np.angle(ratio))).max()
@@ -74,7 +76,7 @@ def off(measured, exact):
         ("dual:4k/2k,estimator=fdm,prediction=extrapolate", [(20e3, 50.0)]),
     ],
 )
-def test_the_measured_impedance_is_the_closed_form(scheme, walls):
+def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tuple[float, ...]]) -> None:
     """Within 0.3 % and 0.1° at every line up to 400 Hz, wall and hold and estimator and images."""
     x = linear(scheme)
     bench = ExcitedRig(x)
@@ -88,7 +90,7 @@ def test_the_measured_impedance_is_the_closed_form(scheme, walls):
 
 
 @pytest.mark.parametrize("delay", [0, 1])
-def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_handle(delay):
+def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_handle(delay: int) -> None:
     fine = {
         "rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.link_coulomb": 0.0,
         "rig.encoder.counts_per_revolution": 10_000_000, "rig.encoder.ratio": 100.0,
@@ -108,7 +110,9 @@ def test_so_it_is_with_lag_delay_and_two_masses_where_the_encoder_is_and_at_the_
 
 
 @pytest.mark.parametrize(("wall", "agree"), [((0.0, 0.0), 0.02), ((10e3, 30.0), 0.4)])
-def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(wall, agree):
+def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
+    wall: tuple[float, ...], agree: float
+) -> None:
     """And exactly what its own closed form says; the images of the hold tell the two apart, by less than 0.4 %."""
     scheme = (
         "uniform:1k,estimator=fdm-butterworth,cutoff_hz=100"
@@ -125,7 +129,7 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(w
     assert off(own.z, other.z)[0] < agree
 
 
-def test_lag_and_delay_of_the_own_motor_are_taken_out():
+def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
     """F acts where the mass is, so the bare rig is m·s + b whatever lies between command and effort."""
     late = {
         "rig.amplifier.lag_s": 2e-4,
@@ -139,14 +143,14 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out():
     assert phase < 0.05
 
 
-def test_counts_and_truth_agree_where_the_encoder_is_fine():
+def test_counts_and_truth_agree_where_the_encoder_is_fine() -> None:
     x = linear("uniform:1k,estimator=fdm")
     counted, true = (ExcitedRig(x, signal=signal).excite(5e3, 10.0).record for signal in ("count", "truth"))
     assert counted.position == pytest.approx(true.position, abs=1e-12)
     assert (counted.excitation == true.excitation).all()
 
 
-def test_samples_at_the_ticks_show_a_free_mass_too_little_motion():
+def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
     """cos x/(sin x/x)³ of a free mass, x = π·f·T: 3 % at a quarter of the rate."""
     x = linear("uniform:1k,estimator=fdm", **{"rig.mechanics.motor_damping": 0.0})
     f = np.array([1.0, 100.0, 250.0, 400.0])
@@ -159,7 +163,7 @@ def test_samples_at_the_ticks_show_a_free_mass_too_little_motion():
 # ---------------------------------------------------------------------- friction
 
 
-def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bare_rig():
+def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bare_rig() -> None:
     """√(2/π)·f_c/σ_v for a Gaussian velocity, which many random phases give; m stays."""
     x = config.override(
         CHAWDA, {"excitation.realisations": 8, "excitation.rms": 6.0, "excitation.low_hz": 2.0}
@@ -176,7 +180,7 @@ def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bar
     assert mass == pytest.approx(0.52, rel=0.02)
 
 
-def test_frictions_distortion_is_frozen_noise_which_only_realisations_show():
+def test_frictions_distortion_is_frozen_noise_which_only_realisations_show() -> None:
     """Periods of one realisation agree far better with each other than realisations do."""
     bench = ExcitedRig(config.override(CHAWDA, {"excitation.periods": 6}))
     records = [bench.excite(10e3, 40.0, n).record for n in range(6)]
@@ -185,7 +189,9 @@ def test_frictions_distortion_is_frozen_noise_which_only_realisations_show():
     assert over_realisations > 5.0 * over_periods
 
 
-def test_the_default_excitation_is_large_against_friction_and_moves_a_stiff_wall_by_tens_of_micrometres():
+def test_the_default_excitation_is_large_against_friction_and_moves_a_stiff_wall_by_tens_of_micrometres() -> (
+    None
+):
     run = ExcitedRig(CHAWDA).excite(20e3, 60.0)
     assert multisine_of(CHAWDA).rms / CHAWDA.rig.mechanics.motor_coulomb > 10.0
     assert 20e-6 < run.record.position.std() < 100e-6
@@ -195,7 +201,7 @@ def test_the_default_excitation_is_large_against_friction_and_moves_a_stiff_wall
 # ---------------------------------------------------------------------- results
 
 
-def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path):
+def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path: Path) -> None:
     schemes = [Scheme.parse("uniform:1k,estimator=fdm"), Scheme.parse("uniform:1k,estimator=kalman")]
     told = []
     results = measure_impedance(
@@ -227,14 +233,14 @@ def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path):
     assert read.schema.field("real").metadata[b"unit"] == "N·s/m".encode()
 
 
-def test_the_same_measurement_gives_the_same_bits_and_another_seed_others():
+def test_the_same_measurement_gives_the_same_bits_and_another_seed_others() -> None:
     one, again = (measure_impedance(CHAWDA, walls=[(5e3, 20.0)])[0].impedance.z for _ in range(2))
     seeded = replace(CHAWDA.excitation, seed=1)
     other = measure_impedance(CHAWDA, walls=[(5e3, 20.0)], excitation=seeded)[0].impedance.z
     assert one.tobytes() == again.tobytes() != other.tobytes()
 
 
-def test_welch_is_at_hand_and_agrees_roughly():
+def test_welch_is_at_hand_and_agrees_roughly() -> None:
     given = config.override(CHAWDA, {"excitation.periods": 16, "excitation.realisations": 2})
     lines, spectra = (
         measure_impedance(given, walls=[(0.0, 0.0)], method=method)[0].impedance
@@ -246,7 +252,7 @@ def test_welch_is_at_hand_and_agrees_roughly():
     assert np.median(np.abs(at / inside.magnitude - 1.0)) < 0.05
 
 
-def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error():
+def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error() -> None:
     far = config.override(CHAWDA, {"rig.limits.speed": 0.2})
     stable, unstable = measure_impedance(
         far, walls=[(10e3, 40.0), (200e3, 0.0)], schemes=[Scheme.parse("uniform:1k,estimator=fdm")]
@@ -263,7 +269,7 @@ def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error():
 
 
 @pytest.fixture(scope="module")
-def on_device(tmp_path_factory):
+def on_device(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """One wall measured over the byte link in virtual time, with an estimator that forgets its rest."""
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST})
     x = Scheme.parse("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200").applied(x)
@@ -272,7 +278,7 @@ def on_device(tmp_path_factory):
     return x, result
 
 
-def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device):
+def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: Any) -> None:
     x, result = on_device
     assert len(result.recordings) == 2
     excited = config.excited(x)
@@ -293,7 +299,7 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device):
         assert rows["effort_wanted"] == pytest.approx(played - reaction, abs=1e-9)
 
 
-def test_and_the_impedance_is_that_of_the_run_without_bytes(on_device):
+def test_and_the_impedance_is_that_of_the_run_without_bytes(on_device: Any) -> None:
     """Which sees the motion between the ticks as well; the record has it put right."""
     x, result = on_device
     (other,) = measure_impedance(x, walls=[(10e3, 10.0)])
@@ -304,7 +310,7 @@ def test_and_the_impedance_is_that_of_the_run_without_bytes(on_device):
     assert result.fidelity.rms == pytest.approx(other.fidelity.rms, rel=0.02)
 
 
-def test_a_recording_of_it_is_replayed_and_measured_again(on_device):
+def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> None:
     _, result = on_device
     recording = open_recording(result.recordings[0])
     record = record_of(recording, experiment_of(recording))
@@ -316,7 +322,7 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device):
         record_of(broken, experiment_of(broken))
 
 
-def test_a_trial_where_nothing_excites_has_no_record(on_device):
+def test_a_trial_where_nothing_excites_has_no_record(on_device: Any) -> None:
     _, result = on_device
     recording = open_recording(result.recordings[0])
     header = json.loads(json.dumps(recording.header))
@@ -325,14 +331,14 @@ def test_a_trial_where_nothing_excites_has_no_record(on_device):
         record_of(replace(recording, header=header), experiment_of(recording))
 
 
-def test_the_delay_between_command_and_current_is_read_off_the_recording():
+def test_the_delay_between_command_and_current_is_read_off_the_recording() -> None:
     sent = np.random.default_rng(1).integers(-99, 99, 500)
     for late in range(4):
         applied = np.concatenate([np.zeros(1 + late, np.int64), sent])[:500]
         assert late_ticks(sent, applied) == late
 
 
-def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_path):
+def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_path: Path) -> None:
     x = config.override(CHAWDA, {"excitation.channel": "motor", "rig.limits.speed": 0.2, **FAST})
     x = Scheme.parse("uniform:1k,estimator=fdm").applied(x)
     (result,) = measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(200e3, 0.0)])
@@ -342,11 +348,13 @@ def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_pat
     assert result.recordings[0].exists()
 
 
-def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_stay(tmp_path, monkeypatch):
+def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
     failures = iter([RecordingError("not whole", remedy="again")])
 
-    def holed(recording, experiment):
+    def holed(recording: Any, experiment: Any) -> Any:
         for failure in failures:
             raise failure
         return record_of(recording, experiment)
@@ -356,7 +364,7 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
     assert result.impedance is not None
     assert len(result.recordings) == len(set(result.recordings)) == 2
 
-    def always(recording, experiment):
+    def always(recording: Any, experiment: Any) -> None:
         raise RecordingError("not whole", remedy="again")
 
     monkeypatch.setattr(measuring, "record_of", always)
@@ -365,13 +373,13 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
     assert told.value.recording.exists()
 
 
-def test_what_ends_a_run_but_is_no_fault_of_the_wall_is_an_error(tmp_path):
+def test_what_ends_a_run_but_is_no_fault_of_the_wall_is_an_error(tmp_path: Path) -> None:
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "homing.timeout_s": 0.05})
     with pytest.raises(GuardError, match="start was not reached"):
         list(measure_on_device(x, OnDevice(url="sim://", recordings=tmp_path), walls=[(10e3, 10.0)]))
 
 
-def test_a_person_may_decline_and_keeps_what_was_measured(tmp_path):
+def test_a_person_may_decline_and_keeps_what_was_measured(tmp_path: Path) -> None:
     x = config.override(CHAWDA, {"excitation.channel": "motor", **FAST, "excitation.realisations": 1})
     answers = iter([True, False])
     device = OnDevice(url="sim://", recordings=tmp_path)
@@ -380,7 +388,7 @@ def test_a_person_may_decline_and_keeps_what_was_measured(tmp_path):
     assert [r.wall for r in results] == [(10e3, 10.0)]
 
 
-def test_a_device_has_no_second_actuator(tmp_path):
+def test_a_device_has_no_second_actuator(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="second actuator"):
         list(measure_on_device(CHAWDA, OnDevice(url="sim://", recordings=tmp_path)))
 
@@ -388,11 +396,11 @@ def test_a_device_has_no_second_actuator(tmp_path):
 # ---------------------------------------------------------------------- what is refused, and the plan
 
 
-def checks_of(experiment):
+def checks_of(experiment: Any) -> Any:
     return {check.name: check for check in make_plan(experiment).checks}
 
 
-def test_the_plan_predicts_peaks_by_the_closed_form():
+def test_the_plan_predicts_peaks_by_the_closed_form() -> None:
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 10e3, "wall.damping": 10.0})
     plan = make_plan(x)
     assert plan.ok
@@ -416,14 +424,14 @@ def test_the_plan_predicts_peaks_by_the_closed_form():
         ({"rig.limits.speed": 0.051, "homing.speed": 0.05, "excitation.rms": 8.0}, "peak speed"),
     ],
 )
-def test_an_excitation_beyond_a_limit_is_refused_before_anything_moves(changes, name):
+def test_an_excitation_beyond_a_limit_is_refused_before_anything_moves(changes: Any, name: str) -> None:
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.damping": 40.0, **changes})
     assert checks_of(x)[name].outcome is Outcome.REFUSED
     with pytest.raises(PlanError, match=name):
         measure_impedance(x)
 
 
-def test_a_wall_whose_effort_will_be_clipped_is_warned_of_and_measured():
+def test_a_wall_whose_effort_will_be_clipped_is_warned_of_and_measured() -> None:
     x = config.override(
         CHAWDA, {"rig.limits.effort": 10.0, "rig.limits.nominal_effort": 10.0, "excitation.rms": 9.0}
     )
@@ -433,7 +441,7 @@ def test_a_wall_whose_effort_will_be_clipped_is_warned_of_and_measured():
     assert result.saturated > 0.0
 
 
-def test_what_the_closed_form_says_of_an_unstable_wall_refuses_nothing():
+def test_what_the_closed_form_says_of_an_unstable_wall_refuses_nothing() -> None:
     """It may be stable by friction; a steady motion that linear theory computes for it does not exist."""
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 26.6e3, "wall.damping": 0.0})
     x = Scheme.parse("uniform:1k,estimator=fdm").applied(config.override(x, {"rig.limits.speed": 0.0501}))
@@ -442,7 +450,7 @@ def test_what_the_closed_form_says_of_an_unstable_wall_refuses_nothing():
     assert checks["peak speed"].outcome is Outcome.WARNING
 
 
-def test_an_unstable_wall_is_warned_of_and_not_refused():
+def test_an_unstable_wall_is_warned_of_and_not_refused() -> None:
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.damping": 0.0, "wall.stiffness": 40e3})
     assert checks_of(x)["stability"].outcome is Outcome.WARNING
     stable = config.override(x, {"wall.stiffness": 20e3})
@@ -450,14 +458,14 @@ def test_an_unstable_wall_is_warned_of_and_not_refused():
 
 
 @pytest.mark.parametrize("estimator", ["levant", "foaw-best"])
-def test_an_estimator_that_is_not_linear_has_a_plan_but_no_closed_form(estimator):
+def test_an_estimator_that_is_not_linear_has_a_plan_but_no_closed_form(estimator: str) -> None:
     x = Scheme.parse(f"uniform:1k,estimator={estimator}").applied(CHAWDA)
     x = config.excited(config.override(x, {"wall.damping": 20.0}))
     assert make_plan(x).ok
     assert measuring.expected(x, np.array([1.0, 10.0])) is None
 
 
-def test_a_wall_below_zero_is_refused():
+def test_a_wall_below_zero_is_refused() -> None:
     with pytest.raises(ConfigError, match="not negative"):
         measure_impedance(CHAWDA, walls=[(-1.0, 0.0)])
 
@@ -479,13 +487,13 @@ def test_a_wall_below_zero_is_refused():
         ({"excitation.chanel": "motor"}, "channel"),
     ],
 )  # fmt: skip
-def test_rules_of_the_section(changes, message):
+def test_rules_of_the_section(changes: Any, message: str) -> None:
     with pytest.raises(ConfigError) as told:
         config.override(CHAWDA, changes)
     assert message in str(told.value)
 
 
-def test_a_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods():
+def test_a_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_its_periods() -> None:
     x = config.excited(config.override(CHAWDA, {"wall.position": 0.002, "excitation.period_s": 0.5}))
     assert (x.trial.kind, x.trial.start, x.trial.duration_s) == ("excitation", 0.002, 3.0)
     assert config.motor_push(x) == 0.0
@@ -495,7 +503,7 @@ def test_a_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_it
     assert config.rig_model(x).operator is None
 
 
-def test_sizes_and_phases_of_the_excitation():
+def test_sizes_and_phases_of_the_excitation() -> None:
     assert config.excitation_size(CHAWDA) == {"rms": 2.0}
     assert config.excitation_size(presets.load("koul-rigid")) == {"rms": pytest.approx(0.2)}
     peaked = config.override(CHAWDA, {"excitation.peak": 3.0})
@@ -505,7 +513,7 @@ def test_sizes_and_phases_of_the_excitation():
     assert (multisine_of(CHAWDA, 0).phases != multisine_of(CHAWDA, 1).phases).any()
 
 
-def test_a_human_experiment_keeps_its_own_law():
+def test_a_human_experiment_keeps_its_own_law() -> None:
     x = config.override(CHAWDA, {"trial.kind": "human"})
     assert x.wall.law == "spring-damper"
     assert laws.get(x.wall.law).name == "spring-damper"

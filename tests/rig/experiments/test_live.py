@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numba
@@ -53,7 +54,7 @@ def taken(ring: Ring) -> tuple[int, list[float]]:
 
 
 @pytest.fixture
-def ring(monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
+def ring(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:  # type: ignore[no-untyped-def]
     """A loop's memory in this process, which is the only one that runs."""
     with Ring.allocate(1, info=info_of(), shared=True) as ring:
         path = f"/proc/self/fd/{ring.descriptor}"

@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -32,13 +34,13 @@ PLAN = MapPlan(
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def place(tmp_path_factory: pytest.TempPathFactory) -> Any:
     directory = maps.directory_for(PLAN, tmp_path_factory.mktemp("maps"), "zwidth")
     maps.map_into(PLAN, directory)
     return directory
 
 
-def test_the_table_opens_with_pandas_and_has_a_row_for_each_hit(place):
+def test_the_table_opens_with_pandas_and_has_a_row_for_each_hit(place: Any) -> None:
     table = pd.read_parquet(place / "hits.parquet")
     summary = json.loads((place / maps.SUMMARY).read_text())
     assert len(table) == summary["hits"]
@@ -47,7 +49,7 @@ def test_the_table_opens_with_pandas_and_has_a_row_for_each_hit(place):
     assert (table["peak_penetration_true"] > 0.0).all()
 
 
-def test_columns_carry_their_units(place):
+def test_columns_carry_their_units(place: Any) -> None:
     schema = pq.read_schema(place / "hits.parquet")
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
     assert units["stiffness"] == "N·m/rad"
@@ -56,19 +58,19 @@ def test_columns_carry_their_units(place):
     assert (units["contact_s"], units["kind"]) == ("s", "")
 
 
-def test_the_summary_holds_the_whole_experiment(place):
+def test_the_summary_holds_the_whole_experiment(place: Any) -> None:
     summary = json.loads((place / maps.SUMMARY).read_text())
     assert config.experiment_from_mapping(summary["experiment"], "map.json") == PLAN.experiment
 
 
-def test_a_finished_map_is_read_again_without_a_hit(place, monkeypatch):
+def test_a_finished_map_is_read_again_without_a_hit(place: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zwidth, "run_series", None)
     monkeypatch.setattr(executors, "find_work", None)
     found = maps.map_into(PLAN, place)
     assert found.hits == json.loads((place / maps.SUMMARY).read_text())["hits"]
 
 
-def test_the_place_depends_on_all_that_decides_and_on_the_device(tmp_path):
+def test_the_place_depends_on_all_that_decides_and_on_the_device(tmp_path: Path) -> None:
     first = maps.directory_for(PLAN, tmp_path, "zwidth")
     assert first == maps.directory_for(PLAN, tmp_path, "zwidth")
     assert first.name.startswith("zwidth-koul-compliant-")
@@ -82,7 +84,7 @@ def test_the_place_depends_on_all_that_decides_and_on_the_device(tmp_path):
     assert len(places) == 4
 
 
-def test_a_place_that_cannot_be_made_is_one_clear_error(tmp_path):
+def test_a_place_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "maps").write_text("in the way")
     with pytest.raises(RecordingError, match="cannot make"):
         maps.map_into(PLAN, tmp_path / "maps" / "zwidth")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,18 +26,18 @@ from sim_backend.plant import DiscretePlant
 COMPLIANT, RIGID = presets.load("koul-compliant"), presets.load("koul-rigid")
 
 
-def check(experiment, name):
+def check(experiment: Any, name: Any) -> Any:
     return {check.name: check for check in make_plan(experiment).checks}[name]
 
 
-def changed(changes, experiment=COMPLIANT):
+def changed(changes: Any, experiment: Any = COMPLIANT) -> Any:
     return config.override(experiment, changes)
 
 
 # ---------------------------------------------------------------------- predictions
 
 
-def simulated(experiment):
+def simulated(experiment: Any) -> Any:
     """Greatest speed before the wall, and depth of the first contact, of a bare hit at the sensed side."""
     law = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
@@ -53,7 +54,7 @@ def simulated(experiment):
     return speed, depth[first:last].max()
 
 
-def test_a_rigid_rig_without_friction_hits_as_predicted():
+def test_a_rigid_rig_without_friction_hits_as_predicted() -> None:
     """Energy balance, exact for one undamped mass: a few per cent are left for sampling and quantisation."""
     mechanics = {"motor_damping": 0.0, "link_damping": 0.0, "motor_coulomb": 0.0, "link_coulomb": 0.0}
     experiment = changed(
@@ -73,7 +74,7 @@ def test_a_rigid_rig_without_friction_hits_as_predicted():
 
 @pytest.mark.parametrize("name", presets.names())
 @pytest.mark.parametrize("realtime", [False, True])
-def test_the_prediction_errs_on_the_hard_side(name, realtime):
+def test_the_prediction_errs_on_the_hard_side(name: Any, realtime: bool) -> None:
     """A real hit, with damping in the rig and in the wall, arrives slower and goes less deep."""
     experiment = presets.load(name)
     if realtime:
@@ -85,7 +86,7 @@ def test_the_prediction_errs_on_the_hard_side(name, realtime):
     assert speed > 0.3 * impact.velocity, "and it is no idle bound"
 
 
-def test_the_prediction_in_closed_form():
+def test_the_prediction_in_closed_form() -> None:
     """v² = 2 F d / m; the spring stops it at x = F/K + sqrt((F/K)² + m v²/K)."""
     experiment = presets.load("chawda-linear")
     mass, push = 0.52, 8.0 - 0.19
@@ -98,7 +99,7 @@ def test_the_prediction_in_closed_form():
     assert impact.peak_penetration == pytest.approx(deepest)
 
 
-def test_a_push_from_the_other_side_is_predicted_alike():
+def test_a_push_from_the_other_side_is_predicted_alike() -> None:
     mirrored = changed(
         {"wall.side": -1, "trial.effort": -COMPLIANT.trial.effort, "trial.start": -COMPLIANT.trial.start}
     )
@@ -106,12 +107,12 @@ def test_a_push_from_the_other_side_is_predicted_alike():
     assert [c.outcome for c in make_plan(mirrored).checks] == [c.outcome for c in make_plan(COMPLIANT).checks]
 
 
-def test_friction_that_no_push_overcomes_means_no_impact():
+def test_friction_that_no_push_overcomes_means_no_impact() -> None:
     stuck = changed({"rig.mechanics.motor_coulomb": 10.0})
     assert predict_impact(stuck).velocity == 0.0
 
 
-def test_without_a_wall_the_handle_goes_anywhere():
+def test_without_a_wall_the_handle_goes_anywhere() -> None:
     free = changed({"wall.stiffness": 0.0})
     assert math.isinf(predict_impact(free).peak_penetration)
     plan = make_plan(free)
@@ -123,11 +124,11 @@ def test_without_a_wall_the_handle_goes_anywhere():
 # ---------------------------------------------------------------------- checks, both sides
 
 
-def around(value):
+def around(value: Any) -> Any:
     return value * 0.99, value * 1.01
 
 
-def test_impact_velocity_against_the_speed_limit():
+def test_impact_velocity_against_the_speed_limit() -> None:
     velocity = predict_impact(COMPLIANT).velocity
     low, high = around(velocity)
     assert check(changed({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
@@ -138,7 +139,7 @@ def test_impact_velocity_against_the_speed_limit():
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_peak_penetration_against_the_window(side):
+def test_peak_penetration_against_the_window(side: int) -> None:
     peak = predict_impact(COMPLIANT).peak_penetration
     low, high = around(peak)
     mirror = {"wall.side": side, "trial.effort": side * 0.15, "trial.start": -0.015 * side}
@@ -149,7 +150,7 @@ def test_peak_penetration_against_the_window(side):
     assert f"{peak / COMPLIANT.rig.encoder.resolution:.1f} counts" in refused.text
 
 
-def test_peak_effort_beyond_the_limit_is_a_warning():
+def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
     """A hit that saturates is poor science and no danger."""
     base = {"rig.limits.override_stall": True, "wall.stiffness": 200.0}
     low, high = around(predict_impact(changed(base)).peak_effort)
@@ -159,7 +160,7 @@ def test_peak_effort_beyond_the_limit_is_a_warning():
     assert make_plan(warned).ok
 
 
-def test_resting_penetration_against_the_least_counts():
+def test_resting_penetration_against_the_least_counts() -> None:
     counts = COMPLIANT.trial.effort / COMPLIANT.wall.stiffness / COMPLIANT.rig.encoder.resolution
     low, high = around(counts)
     name = "resting penetration"
@@ -173,7 +174,7 @@ def test_resting_penetration_against_the_least_counts():
     assert check(changed({"trial.effort": 0.03, "trial.minimum_rest_counts": 0}), name).outcome == Outcome.OK
 
 
-def test_motor_heat_over_all_repeats():
+def test_motor_heat_over_all_repeats() -> None:
     """One time constant at load L spends L² (1 − 1/e) of the budget; above the nominal effort for ever, all of it."""
     tau, nominal = COMPLIANT.rig.limits.thermal_time_constant_s, COMPLIANT.rig.limits.nominal_effort
     hot = {
@@ -195,12 +196,12 @@ def test_motor_heat_over_all_repeats():
     assert check(changed({"trial.repeats": 100_000}), "motor heat").outcome == Outcome.OK
 
 
-def test_a_limit_that_does_not_fit_the_wire_is_a_plan_error():
+def test_a_limit_that_does_not_fit_the_wire_is_a_plan_error() -> None:
     with pytest.raises(PlanError, match="speed_limit"):
         make_plan(changed({"rig.limits.speed": 1e9}))
 
 
-def test_settings_that_an_estimator_does_not_have_are_a_config_error():
+def test_settings_that_an_estimator_does_not_have_are_a_config_error() -> None:
     with pytest.raises(ConfigError):
         make_plan(changed({"controller.parameters.colour": 1.0}))
 
@@ -208,7 +209,7 @@ def test_settings_that_an_estimator_does_not_have_are_a_config_error():
 # ---------------------------------------------------------------------- steps
 
 
-def test_the_steps_tell_what_happens_in_order_with_units():
+def test_the_steps_tell_what_happens_in_order_with_units() -> None:
     plan = make_plan(COMPLIANT)
     assert [step.name for step in plan.steps] == ["configure", "home", "push", "release", "judge"]
     text = " ".join(step.text for step in plan.steps)
@@ -218,7 +219,7 @@ def test_the_steps_tell_what_happens_in_order_with_units():
     assert "uniform" in make_plan(presets.load("chawda-linear")).steps[0].text
 
 
-def test_the_duration_is_the_longest_that_it_may_take():
+def test_the_duration_is_the_longest_that_it_may_take() -> None:
     x = changed({"trial.repeats": 3})
     plan = make_plan(x)
     assert plan.duration_s == pytest.approx(3 * (x.homing.timeout_s + x.trial.duration_s + x.trial.release_s))
@@ -226,7 +227,7 @@ def test_the_duration_is_the_longest_that_it_may_take():
 
 
 @pytest.mark.parametrize("name", presets.names())
-def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name):
+def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name: Any) -> None:
     for experiment in (presets.load(name), config.with_realtime(presets.load(name))):
         plan = make_plan(experiment)
         assert plan.ok, [c for c in plan.checks if c.outcome != Outcome.OK]
@@ -237,7 +238,7 @@ def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name):
 # ---------------------------------------------------------------------- device and link
 
 
-def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose():
+def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose() -> None:
     (ok,) = link_checks(changed({"controller.position_rate": 4000}), 4000, None)
     assert ok.outcome == Outcome.OK
     (refused,) = link_checks(changed({"controller.position_rate": 6000}), 4000, None)
@@ -245,7 +246,7 @@ def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose():
     assert "--rate 4000" in refused.remedy
 
 
-def test_no_frame_is_longer_than_the_plan_counts_with():
+def test_no_frame_is_longer_than_the_plan_counts_with() -> None:
     for fill in (0, 1):
         assert len(encode_frame(pack(m.State(*[fill] * 16)))) == STATE_BYTES
         assert len(encode_frame(pack(m.Command(*[fill] * 5)))) <= STATE_BYTES
@@ -261,7 +262,7 @@ def test_no_frame_is_longer_than_the_plan_counts_with():
         (115_200, 150, Outcome.OK),  # 7.8 kB/s of 8.1
     ],
 )
-def test_a_uart_carries_what_its_rate_allows(baud, rate, outcome):
+def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any) -> None:
     capacity = baud / 10
     experiment = changed(
         {

@@ -1,5 +1,7 @@
 """Where maps begin and end when nobody says: what the push can show, what a device may hit, what theory allows."""
 
+from typing import Any
+
 import numba
 import pytest
 
@@ -23,21 +25,21 @@ DUAL = Scheme.parse("dual:20k/2k")
 
 
 @pytest.mark.parametrize("experiment", [PUSHED, HELD, presets.load("chawda-linear")])
-def test_the_push_rests_the_least_number_of_counts_deep_in_the_stiffest_wall(experiment):
+def test_the_push_rests_the_least_number_of_counts_deep_in_the_stiffest_wall(experiment: Any) -> None:
     stiffest = ranges.highest_stiffness(experiment)
     walled = replace(experiment, wall=replace(experiment.wall, stiffness=stiffest))
     counts = push_at_rest(walled) / stiffest / experiment.rig.encoder.resolution
     assert counts == pytest.approx(experiment.trial.minimum_rest_counts, rel=1e-6)
 
 
-def test_without_a_least_depth_one_count_is_asked_for():
+def test_without_a_least_depth_one_count_is_asked_for() -> None:
     free = config.override(PUSHED, {"trial.minimum_rest_counts": 0.0})
     assert ranges.highest_stiffness(free) == pytest.approx(
         2.0 * ranges.highest_stiffness(PUSHED), rel=1e-6
     )  # 2 counts in the preset
 
 
-def test_bounds_that_are_given_are_kept():
+def test_bounds_that_are_given_are_kept() -> None:
     search = ranges.search_for(PUSHED, "grid", ratio=1.5, lowest=20.0, highest=200.0)
     assert (search.way, search.lowest, search.highest, search.ratio) == ("grid", 20.0, 200.0, 1.5)
 
@@ -52,15 +54,15 @@ def test_bounds_that_are_given_are_kept():
         ({"ratio": 1.0}, r"ratio of 1 .*1\.0001 to 1e6.*--ratio"),
     ],
 )
-def test_bounds_without_sense_are_refused_with_their_numbers(bounds, text):
+def test_bounds_without_sense_are_refused_with_their_numbers(bounds: dict[str, float], text: str) -> None:
     with pytest.raises(PlanError, match=text):
         ranges.search_for(PUSHED, **bounds)
 
 
-def test_on_a_device_the_search_begins_with_the_softest_wall_that_may_be_hit():
+def test_on_a_device_the_search_begins_with_the_softest_wall_that_may_be_hit() -> None:
     narrow = config.override(PUSHED, {"rig.limits.position_maximum": 0.01})
 
-    def refused(stiffness):
+    def refused(stiffness: Any) -> Any:
         walled = replace(narrow, wall=replace(narrow.wall, stiffness=stiffness))
         return any(check.outcome is Outcome.REFUSED for check in make_plan(walled).checks)
 
@@ -70,13 +72,13 @@ def test_on_a_device_the_search_begins_with_the_softest_wall_that_may_be_hit():
     assert refused(0.99 * lowest)
 
 
-def test_dampings_go_a_little_beyond_the_widest_scheme():
+def test_dampings_go_a_little_beyond_the_widest_scheme() -> None:
     uniform = Scheme.parse("uniform:20k")
     dampings = ranges.dampings_for(HELD, (uniform, DUAL), columns=5)
     assert (dampings[0], len(dampings)) == (0.0, 5)
     assert dampings[-1] == pytest.approx(ranges.BEYOND * theory.b_max(HELD, DUAL).damping)
 
 
-def test_an_estimator_without_a_linear_theory_gets_the_range_of_a_linear_one():
+def test_an_estimator_without_a_linear_theory_gets_the_range_of_a_linear_one() -> None:
     levant = Scheme.parse("dual:20k/2k,estimator=levant")
     assert ranges.dampings_for(HELD, (levant,), columns=3)[-1] > 0.0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -40,11 +42,19 @@ SHORT = config.override(
 )
 
 
-def new_link(experiment=SHORT, faults=None):
+def new_link(experiment: Any = SHORT, faults: Any = None) -> Any:
     return MemoryLink(SimulatedDevice(config.rig_model(experiment), initial_position=START), faults)
 
 
-def recorded(directory, experiment=SHORT, *, faults=None, law=None, error=None, link=None):
+def recorded(
+    directory: Any,
+    experiment: Any = SHORT,
+    *,
+    faults: Any = None,
+    law: Any = None,
+    error: Any = None,
+    link: Any = None,
+) -> Any:
     """Run one trial in virtual time and return what it recorded."""
     link = link or new_link(experiment, faults)
     path = directory / "trial.rigcap"
@@ -62,12 +72,12 @@ def recorded(directory, experiment=SHORT, *, faults=None, law=None, error=None, 
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return recorded(tmp_path_factory.mktemp("finished"))
 
 
 @pytest.fixture(scope="module")
-def armed(tmp_path_factory):
+def armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Frames that a host who knows the device has received when the loop begins."""
     recorded(tmp_path_factory.mktemp("first"))  # reads the dictionary: all others know it
     counted, link = [], new_link(faults=Faults())
@@ -81,7 +91,7 @@ def armed(tmp_path_factory):
             sealed=False,
         )
 
-        def arm(original=device.arm):
+        def arm(original: Any = device.arm) -> Any:
             session = original()
             counted.append(link.line.frames[Direction.TO_HOST])
             return session
@@ -91,7 +101,7 @@ def armed(tmp_path_factory):
     return counted[0]
 
 
-def assert_exact(result):
+def assert_exact(result: Any) -> None:
     for name in (*COMPUTED, "flags"):
         assert result.rows[name].tobytes() == result.recorded[name].tobytes(), name
     assert result.exact
@@ -103,7 +113,7 @@ def assert_exact(result):
 # ---------------------------------------------------------------------- the same law
 
 
-def test_a_finished_run_replays_exactly(finished):
+def test_a_finished_run_replays_exactly(finished: Any) -> None:
     result = replay(finished)
     assert_exact(result)
     assert len(result.rows) == len(finished)
@@ -112,7 +122,7 @@ def test_a_finished_run_replays_exactly(finished):
 
 
 @pytest.mark.parametrize("name", presets.names())
-def test_every_preset_replays_exactly(name, tmp_path):
+def test_every_preset_replays_exactly(name: Any, tmp_path: Path) -> None:
     experiment = config.override(
         presets.load(name),
         {"trial.duration_s": 0.1, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.05},
@@ -120,7 +130,7 @@ def test_every_preset_replays_exactly(name, tmp_path):
     assert_exact(replay(recorded(tmp_path, experiment)))
 
 
-def test_an_encoder_that_counts_down_replays_exactly(tmp_path):
+def test_an_encoder_that_counts_down_replays_exactly(tmp_path: Path) -> None:
     down = config.override(SHORT, {"rig.encoder.sign": -1})
     recording = recorded(tmp_path, down)
     assert recording.rows["count"].max() > 0
@@ -136,7 +146,7 @@ def test_an_encoder_that_counts_down_replays_exactly(tmp_path):
         (Kind.DELAY, "skipped"),
     ],
 )
-def test_gaps_replay_exactly(kind, counter, armed, tmp_path):
+def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path) -> None:
     """Every seventh sample of the push is struck: the gaps are inputs of the law and stand in the rows."""
     faults = tuple(
         FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=3)
@@ -149,7 +159,7 @@ def test_gaps_replay_exactly(kind, counter, armed, tmp_path):
     assert_exact(replay(recording))
 
 
-def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path):
+def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path: Path) -> None:
     recording = recorded(
         tmp_path, faults=Faults(device=(DeviceFault(120, Fault.ENCODER),)), error=DeviceFaultError
     )
@@ -158,7 +168,7 @@ def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path):
     assert_exact(replay(recording))
 
 
-def test_a_fault_state_without_a_code_counts_as_an_end_too(finished):
+def test_a_fault_state_without_a_code_counts_as_an_end_too(finished: Any) -> None:
     """The loop ends on either; a device may say FAULT before it says why."""
     half = finished.rows[: len(finished) // 2].copy()
     assert half["current_sent"][-1] != 0
@@ -168,7 +178,7 @@ def test_a_fault_state_without_a_code_counts_as_an_end_too(finished):
     assert_exact(replay(replace(finished, rows=half)))
 
 
-def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_exactly(tmp_path):
+def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_exactly(tmp_path: Path) -> None:
     """The loop cuts to zero in the last tick, where the guard alone would still be on its way down."""
     slow = config.override(SHORT, {"homing.slew": 4.0, "trial.duration_s": 0.02, "verdict.tail_s": 0.01})
     recording = recorded(tmp_path, slow)
@@ -178,7 +188,7 @@ def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_ex
     assert_exact(replay(recording))
 
 
-def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed, tmp_path):
+def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed: Any, tmp_path: Path) -> None:
     for kind in (Kind.SILENCE, Kind.UNPLUG):
         place = tmp_path / kind.name
         place.mkdir()
@@ -187,13 +197,13 @@ def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed, tmp_path):
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.nan if state[1] > 15.0 else 0.01 * state[1]
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def raises(penetration, velocity, elapsed_ticks, state, parameters):
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > parameters[0]:
         raise ValueError("too deep for me")
@@ -205,19 +215,19 @@ RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [15.0])
 ALWAYS_RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [-1.0])
 
 
-def test_a_run_that_a_law_without_a_finite_value_ended_replays_exactly(tmp_path):
+def test_a_run_that_a_law_without_a_finite_value_ended_replays_exactly(tmp_path: Path) -> None:
     recording = recorded(tmp_path, law=NAN_LAW, error=LawError)
     assert np.isnan(recording.rows["effort_wanted"][-1])
     assert_exact(replay(recording, law=NAN_LAW))
 
 
-def test_a_run_that_a_raising_law_ended_replays_exactly_up_to_there(tmp_path):
+def test_a_run_that_a_raising_law_ended_replays_exactly_up_to_there(tmp_path: Path) -> None:
     recording = recorded(tmp_path, law=RAISING_LAW, error=LawError)
     assert len(recording) > 15
     assert_exact(replay(recording, law=RAISING_LAW))
 
 
-def test_a_law_that_raises_in_a_replay_is_a_law_error(finished):
+def test_a_law_that_raises_in_a_replay_is_a_law_error(finished: Any) -> None:
     with pytest.raises(LawError, match="too deep for me"):
         replay(finished, {"wall.stiffness": 10.0}, law=ALWAYS_RAISING_LAW)
 
@@ -225,7 +235,7 @@ def test_a_law_that_raises_in_a_replay_is_a_law_error(finished):
 # ---------------------------------------------------------------------- what is left of a recording
 
 
-def test_what_a_killed_writer_left_replays_exactly(tmp_path):
+def test_what_a_killed_writer_left_replays_exactly(tmp_path: Path) -> None:
     """Cut in the middle of the last block: the rows of the blocks before it are all good."""
     long = config.override(
         presets.load("koul-compliant"),
@@ -244,7 +254,7 @@ def test_what_a_killed_writer_left_replays_exactly(tmp_path):
     assert result.recorded.tobytes() == replay(whole).recorded[: len(recording)].tobytes()
 
 
-def test_an_empty_recording_replays_to_nothing(finished):
+def test_an_empty_recording_replays_to_nothing(finished: Any) -> None:
     result = replay(replace(finished, rows=finished.rows[:0]))
     assert len(result.rows) == 0
     assert result.exact
@@ -252,14 +262,14 @@ def test_an_empty_recording_replays_to_nothing(finished):
     json.dumps(plain(result), allow_nan=False)
 
 
-def test_a_lost_beginning_or_middle_is_refused(finished):
+def test_a_lost_beginning_or_middle_is_refused(finished: Any) -> None:
     with pytest.raises(RecordingError, match="begins at tick 5"):
         replay(replace(finished, rows=finished.rows[5:]))
     with pytest.raises(RecordingError, match="missing in the middle"):
         replay(replace(finished, rows=np.delete(finished.rows, 20)))
 
 
-def test_the_law_of_the_recording_must_be_installed(tmp_path):
+def test_the_law_of_the_recording_must_be_installed(tmp_path: Path) -> None:
     recording = recorded(tmp_path, law=NAN_LAW, error=LawError)
     with pytest.raises(ConfigError, match="no law 'nan'"):
         replay(recording)
@@ -268,7 +278,7 @@ def test_the_law_of_the_recording_must_be_installed(tmp_path):
 # ---------------------------------------------------------------------- another law
 
 
-def test_another_estimator_sees_the_same_motion(finished):
+def test_another_estimator_sees_the_same_motion(finished: Any) -> None:
     result = replay(finished, {"controller.estimator": "fdm"})
     assert result.estimator == "fdm"
     assert not result.exact
@@ -281,7 +291,7 @@ def test_another_estimator_sees_the_same_motion(finished):
     assert result.velocity_difference == pytest.approx(np.sqrt(np.mean(difference**2)))
 
 
-def test_another_stiffness_changes_the_wall_alone(finished):
+def test_another_stiffness_changes_the_wall_alone(finished: Any) -> None:
     result = replay(finished, {"wall.stiffness": 30.0, "wall.damping": 0.0})
     np.testing.assert_array_equal(result.rows["velocity"], finished.rows["velocity"])
     assert result.velocity_difference == 0.0
@@ -291,18 +301,18 @@ def test_another_stiffness_changes_the_wall_alone(finished):
     assert result.effort_difference > 0.0
 
 
-def test_changes_that_change_nothing_are_exact(finished):
+def test_changes_that_change_nothing_are_exact(finished: Any) -> None:
     """The controller is then built from the experiment, not from the bits in the header: both are one."""
     assert_exact(replay(finished, {"wall.stiffness": SHORT.wall.stiffness}))
 
 
-def test_the_recording_is_not_touched(finished):
+def test_the_recording_is_not_touched(finished: Any) -> None:
     before = finished.rows.tobytes()
     replay(finished, {"wall.stiffness": 1.0, "controller.estimator": "fdm"})
     assert finished.rows.tobytes() == before
 
 
-def test_changes_that_cannot_be_meant_are_refused(finished):
+def test_changes_that_cannot_be_meant_are_refused(finished: Any) -> None:
     with pytest.raises(ConfigError, match="stifness"):
         replay(finished, {"wall.stifness": 1.0})
     with pytest.raises(ConfigError):
@@ -312,7 +322,9 @@ def test_changes_that_cannot_be_meant_are_refused(finished):
 # ---------------------------------------------------------------------- parameters that changed on the way
 
 
-def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_tick(tmp_path, monkeypatch):
+def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_tick(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two sets while the handle approaches: the loop takes each between two ticks, and the trailer keeps them."""
     rings = []
     allocate = Ring.allocate
@@ -321,7 +333,7 @@ def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_ti
     )
     base = controller.for_experiment(SHORT, current_quantum_a=0.001)
 
-    def posting(share):
+    def posting(share: Any) -> Any:
         values = np.concatenate([[0.0], base.law.parameters])
         values[1] *= share
         return lambda device: rings[0].post(values)

@@ -1,6 +1,7 @@
 """The three ways through the rungs, against walls whose limits are known."""
 
 import itertools
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from rig.experiments.searches import Search, limit_of
 RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 
 
-def walked(search, passes):
+def walked(search: Any, passes: Any) -> Any:
     """What a search tries on walls that pass, fail or say nothing by `passes(stiffness)[criterion]`."""
     tried = {}
     criteria = list(passes(1.0))
@@ -26,17 +27,17 @@ def walked(search, passes):
         return tried
 
 
-def limit(search, passes, criterion="felt"):
+def limit(search: Any, passes: Any, criterion: str = "felt") -> Any:
     return limit_of({k: outcome[criterion] for k, outcome in walked(search, passes).items()})
 
 
-def below(bound):
+def below(bound: Any) -> Any:
     return lambda stiffness: {"felt": stiffness < bound}
 
 
 @pytest.mark.parametrize("way", ["ladder", "bisection", "grid"])
 @given(bound=st.floats(1.0, 2000.0))
-def test_every_way_finds_the_last_rung_below_a_single_limit(way, bound):
+def test_every_way_finds_the_last_rung_below_a_single_limit(way: str, bound: float) -> None:
     search = Search(way=way, **RANGE)
     found = limit(search, below(bound))
     expected = max((k for k in search.rungs if k < bound), default=0.0)
@@ -45,21 +46,21 @@ def test_every_way_finds_the_last_rung_below_a_single_limit(way, bound):
     assert found.islands == ()
 
 
-def test_rungs_keep_their_ratio_and_stay_in_the_range():
+def test_rungs_keep_their_ratio_and_stay_in_the_range() -> None:
     rungs = Search(**RANGE).rungs
     assert rungs[0] == 10.0
     assert rungs[-1] <= 1000.0 < rungs[-1] * 1.06
     assert all(b / a == pytest.approx(1.06) for a, b in itertools.pairwise(rungs))
 
 
-def test_a_bisection_of_a_hundred_rungs_needs_few_trials():
+def test_a_bisection_of_a_hundred_rungs_needs_few_trials() -> None:
     search = Search(way="bisection", lowest=1.0, highest=1000.0, ratio=1.06)
     assert len(search.rungs) > 100
     assert len(walked(search, below(77.0))) <= 9
 
 
-def test_the_ladder_ends_when_every_criterion_has_failed_and_the_grid_never():
-    def passes(k):
+def test_the_ladder_ends_when_every_criterion_has_failed_and_the_grid_never() -> None:
+    def passes(k: Any) -> Any:
         return {"felt": k < 100.0, "heard": k < 300.0}
 
     ladder = Search(**RANGE)
@@ -68,8 +69,8 @@ def test_the_ladder_ends_when_every_criterion_has_failed_and_the_grid_never():
     assert list(walked(grid, passes)) == grid.rungs
 
 
-def test_an_island_is_shown_by_the_grid_and_unseen_by_the_ladder():
-    def passes(k):
+def test_an_island_is_shown_by_the_grid_and_unseen_by_the_ladder() -> None:
+    def passes(k: Any) -> Any:
         return {"felt": k < 50.0 or 200.0 < k < 400.0}
 
     grid = limit(Search(way="grid", **RANGE), passes)
@@ -81,8 +82,8 @@ def test_an_island_is_shown_by_the_grid_and_unseen_by_the_ladder():
     assert ladder.islands == ()
 
 
-def test_bisection_with_two_criteria_gives_each_its_own_limit():
-    def passes(k):
+def test_bisection_with_two_criteria_gives_each_its_own_limit() -> None:
+    def passes(k: Any) -> Any:
         return {"felt": k < 100.0, "heard": k < 600.0}
 
     search = Search(way="bisection", **RANGE)
@@ -91,7 +92,7 @@ def test_bisection_with_two_criteria_gives_each_its_own_limit():
 
 
 @given(st.dictionaries(st.floats(1.0, 1e4), st.sampled_from([True, False, None]), max_size=30))
-def test_a_limit_lies_below_every_failure_and_counts_what_said_nothing(tried):
+def test_a_limit_lies_below_every_failure_and_counts_what_said_nothing(tried: Any) -> None:
     found = limit_of(tried)
     failures = [k for k, passes in tried.items() if passes is False]
     assert found.failed_at == min(failures, default=None)
@@ -107,11 +108,11 @@ def test_a_limit_lies_below_every_failure_and_counts_what_said_nothing(tried):
 @pytest.mark.parametrize(
     "wrong", [{"lowest": 0.0}, {"highest": 5.0}, {"ratio": 1.0}, {"highest": float("inf")}]
 )
-def test_a_range_that_is_none_is_refused(wrong):
+def test_a_range_that_is_none_is_refused(wrong: Any) -> None:
     with pytest.raises(ValueError, match=r"range|ratio"):
         Search(**{**RANGE, **wrong})
 
 
-def test_hits_that_all_say_nothing_make_neither_a_limit_nor_a_cap():
+def test_hits_that_all_say_nothing_make_neither_a_limit_nor_a_cap() -> None:
     found = limit_of(dict.fromkeys([10.0, 20.0, 40.0]))
     assert (found.stiffness, found.failed_at, found.capped, found.unknown) == (0.0, None, False, 3)

@@ -16,6 +16,7 @@ import threading
 import time
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -36,25 +37,25 @@ SINES, MARKS, RAISES = f"{HERE}:sines", f"{HERE}:leave_a_mark", f"{HERE}:raise_w
 ROOT = Path(__file__).parents[3]
 
 
-def sines(number, **payload):
+def sines(number: Any, **payload: Any) -> Any:
     return [Task(f"seed {seed}", {"seed": seed, **payload}) for seed in range(number)]
 
 
-def marks(number, log, **payload):
+def marks(number: Any, log: Any, **payload: Any) -> Any:
     return [Task(f"{name}", {"name": f"{name}", "log": str(log), **payload}) for name in range(number)]
 
 
-def text(results):
+def text(results: Any) -> Any:
     """Bits and types of results, NaN included."""
     return [as_json(result) for result in results]
 
 
-def lines_of(data):
+def lines_of(data: Any) -> Any:
     """Lines with their newline; the last one may lack it. Not bytes.splitlines, which knows other ends as well."""
     return re.findall(rb"[^\n]*\n|[^\n]+$", data)
 
 
-def keys_in(journal):
+def keys_in(journal: Any) -> Any:
     """Keys of the whole lines of a journal, in its order."""
     whole = [line for line in lines_of(journal.read_bytes()) if line.endswith(b"\n")]
     return [json.loads(line.partition(b" ")[2])["key"] for line in whole[1:]]
@@ -65,7 +66,9 @@ def keys_in(journal):
 
 @pytest.mark.parametrize("workers", [1, 2, 4])
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
-def test_results_are_those_of_a_plain_loop_in_the_order_of_the_tasks(workers, kept, tmp_path):
+def test_results_are_those_of_a_plain_loop_in_the_order_of_the_tasks(
+    workers: int, kept: str, tmp_path: Path
+) -> None:
     tasks = sines(40, wait_s=0.004)
     journal = tmp_path / "j" if kept == "in a journal" else None
     results = sweep.run(SINES, tasks, workers=workers, journal=journal)
@@ -74,7 +77,7 @@ def test_results_are_those_of_a_plain_loop_in_the_order_of_the_tasks(workers, ke
     assert [len(results), text(results[7:9]), results[-1]] == [40, text(results)[7:9], list(results)[-1]]
 
 
-def test_whatever_json_cannot_hold_comes_back_in_one_form_from_memory_and_journal(tmp_path):
+def test_whatever_json_cannot_hold_comes_back_in_one_form_from_memory_and_journal(tmp_path: Path) -> None:
     tasks = [Task("odd", {"pair": (1, 2.5), "none": None, "sorted": {"b": 1, "a": math.inf}})]
     (fresh,) = sweep.run(f"{HERE}:odd_values", tasks)
     (kept,) = sweep.run(f"{HERE}:odd_values", tasks, journal=tmp_path / "j")
@@ -88,11 +91,11 @@ def test_whatever_json_cannot_hold_comes_back_in_one_form_from_memory_and_journa
 
 
 @given(st.lists(st.floats(), max_size=20))
-def test_floats_keep_every_bit_through_json(values):
+def test_floats_keep_every_bit_through_json(values: list[float]) -> None:
     assert [value.hex() for value in json.loads(as_json(values))] == [value.hex() for value in values]
 
 
-def test_heavy_tasks_go_first_and_the_order_of_results_stays(tmp_path):
+def test_heavy_tasks_go_first_and_the_order_of_results_stays(tmp_path: Path) -> None:
     log = tmp_path / "log"
     tasks = [
         Task(name, {"name": name, "log": str(log)}, weight) for name, weight in [("a", 1), ("b", 9), ("c", 3)]
@@ -101,7 +104,7 @@ def test_heavy_tasks_go_first_and_the_order_of_results_stays(tmp_path):
     assert log.read_text().split() == ["b", "c", "a"]
 
 
-def test_two_threads_run_two_tasks_at_the_same_time():
+def test_two_threads_run_two_tasks_at_the_same_time() -> None:
     # Each can end only when the other has begun.
     tasks = [Task(a, {"opens": f"pair {a}", "waits_for": f"pair {b}"}) for a, b in ["xy", "yx"]]
     assert list(sweep.run(f"{HERE}:open_one_and_wait_for_another", tasks, workers=2)) == ["pair x", "pair y"]
@@ -109,11 +112,11 @@ def test_two_threads_run_two_tasks_at_the_same_time():
 
 @pytest.mark.parametrize("longest_s", [0.0, 1.0])
 def test_tasks_that_travel_together_and_a_batch_that_gives_back_what_it_had_no_time_for(
-    longest_s, monkeypatch
-):
+    longest_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     batches, submit = [], executors.Threads.submit
 
-    def counted(self, batch):
+    def counted(self: Any, batch: Any) -> Any:
         batches.append(len(batch))
         return submit(self, batch)
 
@@ -130,7 +133,7 @@ def test_tasks_that_travel_together_and_a_batch_that_gives_back_what_it_had_no_t
         assert max(batches) > 10
 
 
-def test_a_sweep_of_nothing_and_one_outside_the_main_thread():
+def test_a_sweep_of_nothing_and_one_outside_the_main_thread() -> None:
     assert list(sweep.run(SINES, [])) == []
     found = []
     thread = threading.Thread(target=lambda: found.append(sweep.run(SINES, sines(3))))
@@ -142,7 +145,7 @@ def test_a_sweep_of_nothing_and_one_outside_the_main_thread():
 # The journal -----------------------------------------------------------------------------------------
 
 
-def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path):
+def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path: Path) -> None:
     journal, log, workers = tmp_path / "j", tmp_path / "log", 2
     program = (
         "from pathlib import Path; from rig.experiments import sweep\n"
@@ -170,7 +173,7 @@ FEW = sines(6)
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Bytes of the journal of `FEW`, and its results."""
     path = tmp_path_factory.mktemp("sweep") / "j"
     return path, text(sweep.run(SINES, FEW, journal=path)), path.read_bytes()
@@ -178,7 +181,9 @@ def finished(tmp_path_factory):
 
 @settings(max_examples=150)
 @given(data=st.data())
-def test_a_journal_cut_off_or_with_flipped_bytes_is_completed_or_refused_and_never_believed(finished, data):
+def test_a_journal_cut_off_or_with_flipped_bytes_is_completed_or_refused_and_never_believed(
+    finished: Any, data: st.DataObject
+) -> None:
     path, results, whole = finished
     path = path.with_name("damaged")
     damaged = bytearray(whole[: data.draw(st.integers(0, len(whole)), label="cut at")])
@@ -202,7 +207,7 @@ def test_a_journal_cut_off_or_with_flipped_bytes_is_completed_or_refused_and_nev
     assert len(lines) == len(FEW) + 1 + seen[-1].damaged
 
 
-def test_a_finished_journal_needs_neither_work_nor_cluster(finished):
+def test_a_finished_journal_needs_neither_work_nor_cluster(finished: Any) -> None:
     path, results, whole = finished
     seen = []
     again = sweep.run(SINES, FEW, journal=path, scheduler="tcp://127.0.0.1:1", watch=seen.append)
@@ -225,7 +230,9 @@ def test_a_finished_journal_needs_neither_work_nor_cluster(finished):
         (SINES, [Task("first", {"seed": 0}), *FEW[1:]], 'first.key: "seed 0" there, "first" here'),
     ],
 )
-def test_the_journal_of_another_plan_is_refused_with_what_differs(finished, work, tasks, said):
+def test_the_journal_of_another_plan_is_refused_with_what_differs(
+    finished: Any, work: Any, tasks: Any, said: list[str]
+) -> None:
     path, _, whole = finished
     with pytest.raises(ConfigError) as caught:
         sweep.run(work, tasks, journal=path)
@@ -233,13 +240,15 @@ def test_the_journal_of_another_plan_is_refused_with_what_differs(finished, work
     assert path.read_bytes() == whole
 
 
-def test_a_journal_of_other_code_is_refused_with_both_versions(finished, monkeypatch):
+def test_a_journal_of_other_code_is_refused_with_both_versions(
+    finished: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("rig.experiments.sweep.tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError, match=r'version: "0\.\d.*" there, "9\.9\.9\+0123456789ab" here'):
         sweep.run(SINES, FEW, journal=finished[0])
 
 
-def test_somebody_elses_file_is_refused_and_left_alone(tmp_path):
+def test_somebody_elses_file_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "experiment.toml"
     path.write_text("[wall]\nstiffness = 300.0\n")
     with pytest.raises(RecordingError, match="not the journal of a sweep"):
@@ -247,7 +256,7 @@ def test_somebody_elses_file_is_refused_and_left_alone(tmp_path):
     assert path.read_text() == "[wall]\nstiffness = 300.0\n"
 
 
-def test_one_process_at_a_time(tmp_path):
+def test_one_process_at_a_time(tmp_path: Path) -> None:
     path = tmp_path / "j"
     sweep.run(SINES, FEW, journal=path)
     header = json.loads(path.read_bytes().splitlines()[0].partition(b" ")[2])
@@ -258,13 +267,15 @@ def test_one_process_at_a_time(tmp_path):
     assert len(sweep.run(SINES, FEW, journal=path)) == 6
 
 
-def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(tmp_path, monkeypatch):
+def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "j"
 
     class Full(io.FileIO):
         room = 900
 
-        def write(self, data):
+        def write(self, data: Any) -> Any:
             if self.room <= 0:
                 raise OSError(errno.ENOSPC, "")
             written = super().write(data[: min(len(data), self.room, 100)])  # in pieces, the last one torn
@@ -283,12 +294,14 @@ def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(tmp_path,
     assert 0 < seen[-1].kept < 20
 
 
-def test_no_directory_for_the_journal_is_said_plainly(tmp_path):
+def test_no_directory_for_the_journal_is_said_plainly(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="make the directory first"):
         sweep.run(SINES, FEW, journal=tmp_path / "none" / "j")
 
 
-def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(tmp_path, monkeypatch):
+def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     synced, fsync = [], os.fsync
     monkeypatch.setattr(
         lines.os, "fsync", lambda descriptor: (synced.append(time.monotonic()), fsync(descriptor))
@@ -298,8 +311,8 @@ def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(tmp_path, monkey
     assert 3 <= len(synced) <= 4 + (time.monotonic() - started) / lines.SYNC_S
 
 
-def test_memory_does_not_grow_with_the_results(tmp_path):
-    def peak(number):
+def test_memory_does_not_grow_with_the_results(tmp_path: Path) -> None:
+    def peak(number: Any) -> Any:
         tasks = [Task(str(i), {"letters": 20_000}) for i in range(number)]
         tracemalloc.start()
         results = sweep.run(f"{HERE}:large", tasks, journal=tmp_path / f"j{number}", workers=2)
@@ -315,11 +328,11 @@ def test_memory_does_not_grow_with_the_results(tmp_path):
 # Ctrl-C ----------------------------------------------------------------------------------------------
 
 
-def interrupt_at(done):
+def interrupt_at(done: Any) -> Any:
     """A watch that presses Ctrl-C once so many tasks are done."""
     pressed = []
 
-    def watch(progress: Progress):
+    def watch(progress: Progress) -> None:
         if progress.done >= done and not pressed:
             pressed.append(progress)
             os.kill(os.getpid(), signal.SIGINT)
@@ -329,7 +342,9 @@ def interrupt_at(done):
 
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
 @pytest.mark.signals
-def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes_on(kept, tmp_path):
+def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes_on(
+    kept: str, tmp_path: Path
+) -> None:
     journal, log = tmp_path / "j" if kept == "in a journal" else None, tmp_path / "log"
     tasks = marks(60, log, wait_s=0.01)
     with pytest.raises(SweepStoppedError) as caught:
@@ -347,11 +362,11 @@ def test_ctrl_c_keeps_what_is_done_and_what_is_running_and_the_same_command_goes
         assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)  # none twice
 
 
-def test_ctrl_c_after_the_last_task_is_told_like_one_before_it(tmp_path):
+def test_ctrl_c_after_the_last_task_is_told_like_one_before_it(tmp_path: Path) -> None:
     """However quick the tasks were: the last thing that a watcher sees is that all is done."""
     tasks, journal = sines(3), tmp_path / "journal"
 
-    def watch(progress):
+    def watch(progress: Any) -> None:
         if progress.done == progress.total:
             raise KeyboardInterrupt
 
@@ -360,10 +375,10 @@ def test_ctrl_c_after_the_last_task_is_told_like_one_before_it(tmp_path):
     assert len(sweep.run(SINES, tasks, journal=journal)) == 3
 
 
-def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
+def test_a_second_ctrl_c_does_not_wait_for_what_is_running() -> None:
     tasks = [Task("slow", {"opens": "slow begun", "waits_for": "slow may end"})]
 
-    def watch(progress):
+    def watch(progress: Any) -> None:
         if progress.running:
             raise KeyboardInterrupt
 
@@ -376,7 +391,7 @@ def test_a_second_ctrl_c_does_not_wait_for_what_is_running():
 # Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.signals
-def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
+def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path: Path) -> None:
     journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
     main = threading.main_thread().ident
     rounds = 0
@@ -400,8 +415,8 @@ def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path):
     assert len(ran) - len(tasks) <= 4 * rounds
 
 
-def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path):
-    def watch(progress):
+def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path: Path) -> None:
+    def watch(progress: Any) -> None:
         if progress.done >= 3:
             raise BrokenPipeError
 
@@ -422,7 +437,9 @@ def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path
         ("not JSON", "JSON cannot hold a object", ""),
     ],
 )
-def test_a_task_that_raises_is_named_and_the_others_are_kept(raises, said, remedy, tmp_path):
+def test_a_task_that_raises_is_named_and_the_others_are_kept(
+    raises: str, said: str, remedy: str, tmp_path: Path
+) -> None:
     tasks = [Task(f"number {i}", {"number": i}) for i in range(20)]
     tasks[7] = Task("number 7", {"number": 7, "raises": raises})
     with pytest.raises(TaskError, match=f"task number 7 failed: .*{said}") as caught:
@@ -435,14 +452,14 @@ def test_a_task_that_raises_is_named_and_the_others_are_kept(raises, said, remed
     assert "sweep_work.py" in error.__notes__[0] or raises == "not JSON"
 
 
-def test_what_runs_beside_a_failing_task_is_kept():
+def test_what_runs_beside_a_failing_task_is_kept() -> None:
     tasks = [Task("bad", {"number": 0, "raises": "theirs"}), Task("slow", {"number": 1, "wait_s": 0.2})]
     with pytest.raises(TaskError, match="1 of 2 tasks are done") as caught:
         sweep.run(RAISES, tasks, workers=2)
     assert list(caught.value.results) == [1]
 
 
-def test_of_two_failures_the_first_in_order_is_told():
+def test_of_two_failures_the_first_in_order_is_told() -> None:
     # The later one fails at once, the earlier one while it is being waited for.
     tasks = [
         Task("slow", {"number": 0, "wait_s": 0.2, "raises": "ours"}),
@@ -453,12 +470,12 @@ def test_of_two_failures_the_first_in_order_is_told():
 
 
 @pytest.mark.parametrize("work", ["nowhere:work", f"{HERE}:nothing", "no colon", ""])
-def test_work_that_cannot_be_imported_is_refused(work):
+def test_work_that_cannot_be_imported_is_refused(work: Any) -> None:
     with pytest.raises(ConfigError, match="cannot be imported"):
         sweep.run(work, FEW)
 
 
-def test_arguments_that_cannot_be_meant():
+def test_arguments_that_cannot_be_meant() -> None:
     with pytest.raises(ConfigError, match="give 1 or more"):
         sweep.run(SINES, FEW, workers=0)
     with pytest.raises(ConfigError, match="a scheduler decides"):
@@ -474,7 +491,7 @@ def test_arguments_that_cannot_be_meant():
 # Progress --------------------------------------------------------------------------------------------
 
 
-def test_progress_counts_tasks_weights_and_units(tmp_path):
+def test_progress_counts_tasks_weights_and_units(tmp_path: Path) -> None:
     tasks = [Task(f"{i}", {"seed": i, "wait_s": 0.05}, weight=1.0 + i) for i in range(12)]
     with pytest.raises(SweepStoppedError) as caught:
         sweep.run(SINES, tasks, journal=tmp_path / "j", workers=2, watch=interrupt_at(3))
@@ -494,7 +511,7 @@ def test_progress_counts_tasks_weights_and_units(tmp_path):
     assert last.tasks_per_s == pytest.approx((12 - kept) / last.elapsed_s)
 
 
-def test_time_left_is_by_weight_and_only_from_this_run():
+def test_time_left_is_by_weight_and_only_from_this_run() -> None:
     common = {"total": 10, "weight_total": 100.0, "kept": 2, "weight_kept": 40.0}
     nothing_yet = Progress(**common, done=2, weight_done=40.0, elapsed_s=3.0)
     assert nothing_yet.seconds_left is None
@@ -504,7 +521,7 @@ def test_time_left_is_by_weight_and_only_from_this_run():
 
 
 class Terminal(io.StringIO):
-    def isatty(self):
+    def isatty(self) -> Any:
         return True
 
 
@@ -514,7 +531,7 @@ UNDERWAY = Progress(
 )
 
 
-def test_the_bar_says_how_much_how_fast_and_how_long(monkeypatch):
+def test_the_bar_says_how_much_how_fast_and_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("COLUMNS", "120")
@@ -524,7 +541,9 @@ def test_the_bar_says_how_much_how_fast_and_how_long(monkeypatch):
     assert "120 of 510 tasks, 1,240 trials/s, 6 s left" in terminal.getvalue()
 
 
-def test_without_a_terminal_or_for_json_there_is_a_line_now_and_then(monkeypatch, capsys):
+def test_without_a_terminal_or_for_json_there_is_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     for plain, stream in ((False, None), (True, Terminal())):
         with monkeypatch.context() as patch:
             if stream is not None:
@@ -538,7 +557,7 @@ def test_without_a_terminal_or_for_json_there_is_a_line_now_and_then(monkeypatch
         assert said == 2 * "Z-width: 120 of 510 tasks, 1,240 trials/s, 6 s left\n"
 
 
-def test_the_bar_tells_of_a_stop_of_missing_workers_and_of_damage(capsys):
+def test_the_bar_tells_of_a_stop_of_missing_workers_and_of_damage(capsys: pytest.CaptureFixture[str]) -> None:
     bar = SweepBar("map", plain=True)
     stopping = Progress(total=9, weight_total=9.0, running=2, workers=2, stopping=True)
     assert bar.text(stopping) == "0 of 9 tasks, stopping: waiting for 2 more"
@@ -548,7 +567,7 @@ def test_the_bar_tells_of_a_stop_of_missing_workers_and_of_damage(capsys):
     assert capsys.readouterr().err == "rig: 3 damaged lines in the journal: their tasks run again\n"
 
 
-def test_a_count_is_shown_by_the_same_bar(monkeypatch):
+def test_a_count_is_shown_by_the_same_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     for plain in (False, True):
         terminal = Terminal()
         with monkeypatch.context() as patch:

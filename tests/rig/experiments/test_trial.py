@@ -8,7 +8,10 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from queue import Queue
+from typing import Any
 
 import numba
 import numpy as np
@@ -68,37 +71,37 @@ LONG = config.override(SHORT, {"trial.duration_s": 600.0})
 class Bench:
     """A simulated device, open, and trials on it."""
 
-    def __init__(self, directory, faults=None):
+    def __init__(self, directory: Any, faults: Any = None) -> None:
         self.simulated = SimulatedDevice(config.rig_model(SHORT), initial_position=START)
         self.link = MemoryLink(self.simulated, faults)
         self.device = FramedDevice(self.link)
         self.directory = directory
 
-    def run(self, experiment=SHORT, name="trial", **options):
+    def run(self, experiment: Any = SHORT, name: str = "trial", **options: Any) -> Any:
         given = {"verified": True, "seed": 0, **options}
         return trial_on(
             self.device, experiment=experiment, recording=self.directory / f"{name}.rigcap", **given
         )
 
-    def at_rest(self):
+    def at_rest(self) -> Any:
         return self.simulated.current == 0 and self.simulated.connection.state not in (
             State.ARMED,
             State.RUNNING,
         )
 
 
-def files(directory):
+def files(directory: Any) -> Any:
     return sorted(path.name for path in directory.iterdir())
 
 
-def judged(recording):
+def judged(recording: Any) -> Any:
     return judge(recording, experiment_of(recording))
 
 
 # ---------------------------------------------------------------------- refused before anything moves
 
 
-def test_a_device_that_does_not_arm_leaves_no_recording(tmp_path):
+def test_a_device_that_does_not_arm_leaves_no_recording(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     with pytest.raises(DeviceRefusedError, match="verified"):
         bench.run(verified=False)
@@ -107,10 +110,12 @@ def test_a_device_that_does_not_arm_leaves_no_recording(tmp_path):
     assert bench.run().reason == EndReason.FINISHED, "and the device is as good as before"
 
 
-def test_an_exception_while_arming_leaves_no_recording(tmp_path, monkeypatch):
+def test_an_exception_while_arming_leaves_no_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bench = Bench(tmp_path)
 
-    def bug():
+    def bug() -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr(bench.device, "arm", bug)
@@ -119,7 +124,7 @@ def test_an_exception_while_arming_leaves_no_recording(tmp_path, monkeypatch):
     assert files(tmp_path) == []
 
 
-def test_a_recording_that_cannot_be_made_is_refused_before_arming(tmp_path):
+def test_a_recording_that_cannot_be_made_is_refused_before_arming(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "nowhere")
     with pytest.raises(RecordingError, match="nowhere"):
         bench.run()
@@ -131,7 +136,7 @@ def test_a_recording_that_cannot_be_made_is_refused_before_arming(tmp_path):
     assert bench.simulated.connection.state is State.CONFIGURED
 
 
-def test_a_limit_that_does_not_fit_the_wire_touches_nothing(tmp_path):
+def test_a_limit_that_does_not_fit_the_wire_touches_nothing(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     with pytest.raises(PlanError):
         bench.run(config.override(SHORT, {"rig.limits.speed": 1e9}))
@@ -141,7 +146,7 @@ def test_a_limit_that_does_not_fit_the_wire_touches_nothing(tmp_path):
 # ---------------------------------------------------------------------- finished
 
 
-def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path):
+def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     end = bench.run(judge=judged, extra={"study": "seven"})
     assert end.recording == tmp_path / "trial.parquet"
@@ -162,7 +167,7 @@ def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path):
     assert bench.at_rest()
 
 
-def test_trials_follow_each_other_on_one_device(tmp_path):
+def test_trials_follow_each_other_on_one_device(tmp_path: Path) -> None:
     """The handle rests in the wall after the first; the second homes it again. Session and memory start anew."""
     bench = Bench(tmp_path)
     recordings = [open_recording(bench.run(name=f"trial-{n}").recording) for n in range(3)]
@@ -174,7 +179,7 @@ def test_trials_follow_each_other_on_one_device(tmp_path):
     assert recordings[1].rows["sample_index"][0] > recordings[0].rows["sample_index"][-1]
 
 
-def test_a_trial_after_one_that_failed_runs(tmp_path):
+def test_a_trial_after_one_that_failed_runs(tmp_path: Path) -> None:
     bench = Bench(tmp_path, Faults(device=(DeviceFault(40, Fault.ENCODER),)))
     with pytest.raises(DeviceFaultError):
         bench.run(name="first")
@@ -186,7 +191,7 @@ def test_a_trial_after_one_that_failed_runs(tmp_path):
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def raises(penetration, velocity, elapsed_ticks, state, parameters):
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 10.0:
         raise ValueError("too deep for me")
@@ -196,18 +201,18 @@ def raises(penetration, velocity, elapsed_ticks, state, parameters):
 RAISING = Law("raising", "for this test", raises, 2, lambda wall: [])
 
 
-def frame_fault(kind, frame, direction=Direction.TO_HOST):
+def frame_fault(kind: Any, frame: Any, direction: Any = Direction.TO_HOST) -> Any:
     return Faults(frames=(FrameFault(kind=kind, direction=direction, frame=frame),))
 
 
 @pytest.fixture(scope="module")
-def frames_until_armed(tmp_path_factory):
+def frames_until_armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Frames that the host has received when the loop begins."""
     counted = []
     Bench(tmp_path_factory.mktemp("first"), Faults()).run()  # reads the dictionary: all others know it
     bench = Bench(tmp_path_factory.mktemp("counted"), Faults())
 
-    def arm(original=bench.device.arm):
+    def arm(original: Any = bench.device.arm) -> Any:
         session = original()
         counted.append(bench.link.line.frames[Direction.TO_HOST])
         return session
@@ -229,8 +234,8 @@ def frames_until_armed(tmp_path_factory):
     ids=["law", "fault", "fault at once", "silence", "unplug"],
 )
 def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
-    faults, options, error, reason, tmp_path, frames_until_armed
-):
+    faults: Any, options: Any, error: Any, reason: str, tmp_path: Path, frames_until_armed: Any
+) -> None:
     if isinstance(faults, Kind):
         faults = frame_fault(faults, frames_until_armed + 40)
     bench = Bench(tmp_path, faults)
@@ -246,7 +251,9 @@ def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
     assert bench.at_rest()
 
 
-def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(tmp_path, frames_until_armed):
+def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(
+    tmp_path: Path, frames_until_armed: Any
+) -> None:
     bench = Bench(tmp_path, frame_fault(Kind.SILENCE, frames_until_armed))
     with pytest.raises(LinkLostError) as caught:
         bench.run(judge=judged)
@@ -256,12 +263,14 @@ def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(tmp_
     assert len(caught.value.rows) == 0
 
 
-def test_a_bug_of_the_simulation_is_the_cause_of_a_lost_link(tmp_path, monkeypatch):
+def test_a_bug_of_the_simulation_is_the_cause_of_a_lost_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whatever breaks at the far end, the recording is closed and sealed and the cause is named."""
     bench = Bench(tmp_path)
     ticks = []
 
-    def tick(original=bench.simulated.tick):
+    def tick(original: Any = bench.simulated.tick) -> Any:
         ticks.append(1)
         if len(ticks) > 60:
             raise ZeroDivisionError("a bug")
@@ -274,8 +283,10 @@ def test_a_bug_of_the_simulation_is_the_cause_of_a_lost_link(tmp_path, monkeypat
     assert open_recording(caught.value.recording).trailer["reason"] == "link_closed"
 
 
-def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(tmp_path, monkeypatch):
-    def full(*_, **__):
+def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
         raise RecordingError("no space left", remedy="free some space")
 
     monkeypatch.setattr(trials, "seal", full)
@@ -289,7 +300,7 @@ def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(tmp_path, monke
         bench.run(name="fine")
 
 
-def test_an_early_end_says_what_the_run_was_not_granted(tmp_path):
+def test_an_early_end_says_what_the_run_was_not_granted(tmp_path: Path) -> None:
     """That is often why it ended."""
     bench = Bench(tmp_path)
     bench.link.messages = ["the port waits 16 ms. To mend it: ..."]
@@ -298,8 +309,8 @@ def test_an_early_end_says_what_the_run_was_not_granted(tmp_path):
     assert caught.value.messages == tuple(bench.link.messages)
 
 
-def test_a_judge_that_fails_leaves_the_capture(tmp_path):
-    def wrong(recording):
+def test_a_judge_that_fails_leaves_the_capture(tmp_path: Path) -> None:
+    def wrong(recording: Any) -> None:
         raise ConfigError("cannot be judged")
 
     bench = Bench(tmp_path)
@@ -309,7 +320,7 @@ def test_a_judge_that_fails_leaves_the_capture(tmp_path):
     assert bench.at_rest()
 
 
-def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path):
+def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     with pytest.raises(ZeroDivisionError) as caught, bench.device:
         bench.run(LONG, progress=lambda ticks, phase: 1 // (ticks == 0), judge=judged)
@@ -321,16 +332,18 @@ def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path):
     assert trailer["verdict"]["kind"] == "invalid"
 
 
-def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(tmp_path, monkeypatch):
+def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The watch is called once more while the loop ends by itself."""
     bench = Bench(tmp_path)
     wait = LoopThread.wait
 
-    def late(loop, progress=None):
+    def late(loop: Any, progress: Any = None) -> None:
         wait(loop)
         progress(1, Phase.DONE)
 
-    def broken(ticks, phase):
+    def broken(ticks: Any, phase: Any) -> None:
         if ticks:
             raise RigError("the console broke")
 
@@ -344,11 +357,11 @@ def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(tmp_path,
 # ---------------------------------------------------------------------- interrupted
 
 
-def interrupting(numbers, after=50):
+def interrupting(numbers: Any, after: int = 50) -> Any:
     """A progress that sends signals to this process, once."""
     sent = []
 
-    def progress(ticks, phase):
+    def progress(ticks: Any, phase: Any) -> None:
         if ticks > after and not sent:
             sent.append(ticks)
             for number in numbers:
@@ -357,7 +370,7 @@ def interrupting(numbers, after=50):
     return progress
 
 
-def assert_stopped(bench, caught):
+def assert_stopped(bench: Any, caught: Any) -> None:
     assert caught.value.exit_code == 130
     recording = open_recording(caught.value.recording)
     assert recording.complete
@@ -376,7 +389,9 @@ def assert_stopped(bench, caught):
     ids=["once", "twice", "term", "impatient"],
 )
 @pytest.mark.signals
-def test_ctrl_c_however_often_ends_with_a_whole_recording(numbers, tmp_path, handlers):
+def test_ctrl_c_however_often_ends_with_a_whole_recording(
+    numbers: Any, tmp_path: Path, handlers: None
+) -> None:
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError) as caught:
         bench.run(LONG, progress=interrupting(numbers))
@@ -384,10 +399,10 @@ def test_ctrl_c_however_often_ends_with_a_whole_recording(numbers, tmp_path, han
 
 
 @pytest.fixture
-def handlers():
+def handlers() -> Iterator[Any]:
     """SIGTERM as the command line has it; and whatever a trial does to the handlers, it undoes."""
 
-    def interrupt(number, frame):
+    def interrupt(number: Any, frame: Any) -> None:
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, interrupt)
@@ -402,11 +417,13 @@ def handlers():
 
 @pytest.mark.parametrize("place", ["finish", "end", "handover"])
 @pytest.mark.signals
-def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(place, tmp_path, monkeypatch, handlers):
+def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handlers: None
+) -> None:
     bench = Bench(tmp_path)
     original = getattr(LoopThread, place)
 
-    def impatient(self):
+    def impatient(self: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
         return original(self)
 
@@ -417,10 +434,10 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(place, tmp_path
 
 
 @pytest.mark.signals
-def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path, handlers):
+def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path: Path, handlers: None) -> None:
     """It comes while the recording is sealed: that ends well, and then nothing more begins."""
 
-    def judge_slowly(recording):
+    def judge_slowly(recording: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
         return judged(recording)
 
@@ -434,11 +451,13 @@ def test_ctrl_c_after_the_trial_is_not_forgotten(tmp_path, handlers):
 
 
 @pytest.mark.signals
-def test_ctrl_c_while_arming_moves_nothing(tmp_path, monkeypatch, handlers):
+def test_ctrl_c_while_arming_moves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handlers: None
+) -> None:
     bench = Bench(tmp_path)
     original = bench.device.arm
 
-    def interrupted():
+    def interrupted() -> Any:
         signal.raise_signal(signal.SIGINT)
         return original()
 
@@ -450,7 +469,7 @@ def test_ctrl_c_while_arming_moves_nothing(tmp_path, monkeypatch, handlers):
 
 
 @pytest.mark.signals
-def test_an_ignored_interrupt_stays_ignored(tmp_path):
+def test_an_ignored_interrupt_stays_ignored(tmp_path: Path) -> None:
     """As under nohup, and in the background of a shell without job control."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
@@ -463,7 +482,7 @@ def test_an_ignored_interrupt_stays_ignored(tmp_path):
         signal.signal(signal.SIGINT, before)
 
 
-def test_a_trial_runs_in_any_thread(tmp_path):
+def test_a_trial_runs_in_any_thread(tmp_path: Path) -> None:
     ends = []
     bench = Bench(tmp_path)
     worker = threading.Thread(target=lambda: ends.append(bench.run()))
@@ -475,17 +494,17 @@ def test_a_trial_runs_in_any_thread(tmp_path):
 # ---------------------------------------------------------------------- nothing left behind
 
 
-def threads():
+def threads() -> Any:
     return {thread.name for thread in threading.enumerate()}
 
 
-def descriptors():
+def descriptors() -> Any:
     return set(os.listdir("/proc/self/fd"))
 
 
 @pytest.mark.parametrize("ending", ["finished", "law", "fault", "unplug", "refused", "interrupted"])
 @pytest.mark.signals
-def test_no_thread_and_no_descriptor_is_left(ending, tmp_path, frames_until_armed):
+def test_no_thread_and_no_descriptor_is_left(ending: str, tmp_path: Path, frames_until_armed: Any) -> None:
     Bench(tmp_path).run(name="warm")  # imports and caches
     before = threads(), descriptors()
     faults = {
@@ -515,7 +534,7 @@ def test_no_thread_and_no_descriptor_is_left(ending, tmp_path, frames_until_arme
 
 
 @pytest.mark.parametrize("reason", [reason for reason in EndReason if reason != EndReason.FINISHED])
-def test_every_ending_is_an_error_with_words_and_a_remedy(reason):
+def test_every_ending_is_an_error_with_words_and_a_remedy(reason: Any) -> None:
     counters = {**dict.fromkeys(COUNTERS, 0), "errno": errno.EIO}
     end = LoopEnd(reason, ValueError("{odd} braces"), counters)
     rows = np.zeros(3, ROW)
@@ -543,12 +562,12 @@ def test_every_ending_is_an_error_with_words_and_a_remedy(reason):
         assert words in text
 
 
-def test_a_finished_run_is_no_error():
+def test_a_finished_run_is_no_error() -> None:
     end = LoopEnd(EndReason.FINISHED, None, dict.fromkeys(COUNTERS, 0))
     assert error_of(end, "sim://", None, np.zeros(0, ROW)) is None
 
 
-def test_a_window_left_is_a_guard_error(tmp_path):
+def test_a_window_left_is_a_guard_error(tmp_path: Path) -> None:
     narrow = config.override(
         SHORT,
         {"rig.limits.position_maximum": 0.0001, "rig.limits.position_minimum": -0.2, "trial.duration_s": 0.3},
@@ -562,14 +581,14 @@ def test_a_window_left_is_a_guard_error(tmp_path):
 # ---------------------------------------------------------------------- hit
 
 
-def requested(directory, **options):
+def requested(directory: Any, **options: Any) -> Any:
     return HitRequest(**{"experiment": SHORT, "output": directory / "recordings", **options})
 
 
-def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path):
+def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
     seen = []
 
-    def watch(repeat, experiment):
+    def watch(repeat: Any, experiment: Any) -> None:
         seen.append(repeat)
 
     virtual = config.override(SHORT, {"trial.repeats": 2})
@@ -585,7 +604,7 @@ def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path):
         assert open_recording(result.recording).trailer["verdict"]["kind"] == result.verdict.kind
 
 
-def test_what_must_not_run_is_refused_before_a_directory_is_made(tmp_path):
+def test_what_must_not_run_is_refused_before_a_directory_is_made(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="peak penetration"):
         list(hit(requested(tmp_path, changes={"rig.limits.position_maximum": 0.0001})))
     with pytest.raises(PlanError, match="device rate"):
@@ -594,7 +613,7 @@ def test_what_must_not_run_is_refused_before_a_directory_is_made(tmp_path):
     assert files(tmp_path) == []
 
 
-def test_an_output_that_is_no_directory_is_a_recording_error(tmp_path):
+def test_an_output_that_is_no_directory_is_a_recording_error(tmp_path: Path) -> None:
     (tmp_path / "recordings").write_text("in the way")
     with pytest.raises(RecordingError, match="recordings") as caught:
         list(hit(requested(tmp_path)))
@@ -603,11 +622,13 @@ def test_an_output_that_is_no_directory_is_a_recording_error(tmp_path):
         list(hit(requested(tmp_path, output=tmp_path / "recordings" / "deeper")))
 
 
-def test_a_consumer_that_stops_early_closes_the_device(tmp_path, monkeypatch):
+def test_a_consumer_that_stops_early_closes_the_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened = []
     original = rig.devices.open_device
 
-    def remember(*arguments):
+    def remember(*arguments: Any) -> Any:
         opened.append(original(*arguments))
         return opened[-1]
 
@@ -621,7 +642,7 @@ def test_a_consumer_that_stops_early_closes_the_device(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def real(monkeypatch):
+def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
     original = sim_backend.device.describe
     monkeypatch.setattr(
@@ -631,7 +652,7 @@ def real(monkeypatch):
     )
 
 
-def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path, real):
+def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
     with pytest.raises(ConfigError, match="is not verified") as caught:
         list(hit(requested(tmp_path)))
     assert "--verified" in caught.value.remedy
@@ -640,7 +661,7 @@ def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path, real):
     assert open_recording(result.recording).header["identity"]["simulated"] is False
 
 
-def test_names_of_recordings_are_free(tmp_path):
+def test_names_of_recordings_are_free(tmp_path: Path) -> None:
     first = hits.free_name(tmp_path, "x")
     assert first == tmp_path / "x.rigcap"
     for number, ending in enumerate(("rigcap", "parquet", "png"), start=2):
@@ -652,11 +673,11 @@ def test_names_of_recordings_are_free(tmp_path):
 
 
 @pytest.fixture
-def port():
+def port() -> Iterator[Any]:
     """A simulated rig behind a pseudo-terminal that says it runs at 800 Hz."""
     announced, stop = Queue(), threading.Event()
 
-    def serve():
+    def serve() -> None:
         pty.serve(config.rig_model(SHORT), rate=800, announce=announced.put, stop_event=stop)
 
     thread = threading.Thread(target=serve, daemon=True)
@@ -666,7 +687,7 @@ def port():
     thread.join(WAIT_S)
 
 
-def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port):
+def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port: Any) -> None:
     preset = presets.load("koul-compliant")
     with rig.devices.open_device(port) as device:
         chosen = in_effect(preset, device, {})
@@ -679,7 +700,7 @@ def test_in_real_time_the_device_names_the_rate_unless_the_user_does(port):
         assert chosen.wall.stiffness == 77.0
 
 
-def test_a_hit_over_a_port_ends_well_or_says_why(port, tmp_path):
+def test_a_hit_over_a_port_ends_well_or_says_why(port: Any, tmp_path: Path) -> None:
     """In real time on whatever machine this is: what is asserted is that nothing is left half done."""
     changes = {
         "trial.duration_s": 0.1,

@@ -2,6 +2,8 @@
 
 import json
 import math
+from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -41,7 +43,7 @@ LINEAR = {
 }
 
 
-def planned(**changes):
+def planned(**changes: Any) -> Any:
     given = {
         "experiment": config.override(presets.load("koul-compliant"), SHORT),
         "schemes": (DUAL, UNIFORM),
@@ -52,24 +54,26 @@ def planned(**changes):
     return MapPlan(**{**given, **changes})
 
 
-def hits_of(found):
+def hits_of(found: Any) -> Any:
     return json.dumps([*found.series])
 
 
 @pytest.fixture(scope="module")
-def small():
+def small() -> Any:
     return zwidth(planned(), workers=1)
 
 
 # --- the same bits ------------------------------------------------------------------------------------------
 
 
-def test_two_workers_give_the_bits_of_one(small):
+def test_two_workers_give_the_bits_of_one(small: Any) -> None:
     assert hits_of(zwidth(planned(), workers=2)) == hits_of(small)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7])
-def test_a_map_whose_journal_was_torn_anywhere_goes_on_to_the_same_bits(small, tmp_path, share):
+def test_a_map_whose_journal_was_torn_anywhere_goes_on_to_the_same_bits(
+    small: Any, tmp_path: Path, share: float
+) -> None:
     journal = tmp_path / "journal"
     zwidth(planned(), journal=journal, workers=2)
     whole = journal.read_bytes()
@@ -79,11 +83,11 @@ def test_a_map_whose_journal_was_torn_anywhere_goes_on_to_the_same_bits(small, t
     assert again.as_mapping() == small.as_mapping() or _equal_but_for_nan(again, small)
 
 
-def _equal_but_for_nan(one, other):
+def _equal_but_for_nan(one: Any, other: Any) -> Any:
     return json.dumps(one.as_mapping()) == json.dumps(other.as_mapping())
 
 
-def test_repeats_differ_and_offsets_differ(small):
+def test_repeats_differ_and_offsets_differ(small: Any) -> None:
     of = {tuple(row[k] for k in ("scheme", "damping", "offset", "repeat")): row for row in small.table()}
     impacts = [
         of["dual:20k/2k", 0.5, offset, repeat]["contact_s"] for offset in (0.1, 0.6) for repeat in (0, 1)
@@ -91,7 +95,7 @@ def test_repeats_differ_and_offsets_differ(small):
     assert len(set(impacts)) > 1
 
 
-def test_a_map_of_a_map_file_is_its_experiment(small):
+def test_a_map_of_a_map_file_is_its_experiment(small: Any) -> None:
     facts = json.loads(json.dumps(small.as_mapping()))
     again = config.experiment_from_mapping(facts["experiment"], "map.json")
     assert again == small.plan.experiment
@@ -111,7 +115,9 @@ def test_a_map_of_a_map_file_is_its_experiment(small):
         ("uniform:20k", 0.1),
     ],
 )
-def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(scheme, damping):
+def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(
+    scheme: str, damping: float
+) -> None:
     # Below the limit the ringing dies out more slowly the nearer it is: after three seconds a rung or two are lost.
     experiment, of = config.override(presets.load("koul-compliant"), LINEAR), Scheme.parse(scheme)
     expected = theory.k_max(experiment, of, damping).stiffness
@@ -129,7 +135,7 @@ def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(sch
     assert limit.stiffness == pytest.approx(expected, rel=0.04)
 
 
-def test_without_damping_no_estimator_matters():
+def test_without_damping_no_estimator_matters() -> None:
     schemes = [f"uniform:20k,estimator={name}" for name in ("fdm", "kalman", "levant", "foaw-best")]
     found = zwidth(planned(schemes=tuple(map(Scheme.parse, schemes)), dampings=(0.0,), repeats=1))
     first = [row | {"scheme": ""} for row in found.table() if row["scheme"] == schemes[0]]
@@ -141,7 +147,7 @@ def test_without_damping_no_estimator_matters():
 # --- what a map says of itself ----------------------------------------------------------------------------------
 
 
-def rows_of(outcomes, **numbers):
+def rows_of(outcomes: Any, **numbers: Any) -> Any:
     """Rows of one series as `run_series` gives them; `outcomes` by stiffness."""
     measured = (
         dict.fromkeys(maps.NUMBERS.names, 0.0) | {"tail_begins_s": 0.1, "inside_ticks_in_tail": 1} | numbers
@@ -154,11 +160,11 @@ def rows_of(outcomes, **numbers):
     ]
 
 
-def one_scheme(dampings):
+def one_scheme(dampings: Any) -> Any:
     return planned(schemes=(DUAL,), dampings=dampings, offsets=(0.1,), repeats=1)
 
 
-def test_caps_islands_and_the_end_of_the_range_are_told():
+def test_caps_islands_and_the_end_of_the_range_are_told() -> None:
     found = ZWidth.of(
         one_scheme((0.0, 1.0, 2.0)),
         [
@@ -177,13 +183,13 @@ def test_caps_islands_and_the_end_of_the_range_are_told():
     assert width.area == pytest.approx(15.0)
 
 
-def test_a_range_that_reaches_the_last_column_is_only_a_bound():
+def test_a_range_that_reaches_the_last_column_is_only_a_bound() -> None:
     found = ZWidth.of(one_scheme((0.0, 1.0)), [rows_of({10.0: True, 20.0: False})] * 2)
     width = found.width(0, "any")
     assert (width.damping_range, width.range_capped, width.capped) == (1.0, True, False)
 
 
-def test_invalid_hits_are_counted_by_their_reason():
+def test_invalid_hits_are_counted_by_their_reason() -> None:
     found = ZWidth.of(
         one_scheme((0.0, 1.0)),
         [
@@ -212,12 +218,12 @@ def test_invalid_hits_are_counted_by_their_reason():
         ({"repeats": 0}, r"0 repeats"),
     ],
 )
-def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes, text):
+def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: Any, text: str) -> None:
     with pytest.raises(PlanError, match=text):
         planned(**changes)
 
 
-def test_a_handle_that_never_comes_home_says_nothing_and_is_told():
+def test_a_handle_that_never_comes_home_says_nothing_and_is_told() -> None:
     """Gravity on the end mass drags it off its start for ever: there is no trial to judge."""
     changes = {"rig.mechanics.gravity": 9.81, "trial.duration_s": 0.5, "verdict.tail_s": 0.2}
     simulator = HitSimulator(config.override(presets.load("koul-compliant"), changes))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -52,7 +54,7 @@ FDM, FILTERED = "uniform:1k,estimator=fdm", "uniform:1k,estimator=fdm-butterwort
 KALMAN = "uniform:1k,estimator=kalman,q=25000,variance=paper"
 
 
-def plan(experiment, schemes, stiffnesses, dampings, **others):
+def plan(experiment: Any, schemes: Any, stiffnesses: Any, dampings: Any, **others: Any) -> Any:
     parsed = [Scheme.parse(text) for text in schemes]
     return frequency_plan(experiment, parsed, stiffnesses=stiffnesses, dampings=dampings, **others)
 
@@ -61,12 +63,12 @@ def plan(experiment, schemes, stiffnesses, dampings, **others):
 
 
 @pytest.fixture(scope="module")
-def undamped():
+def undamped() -> Any:
     """Three linear estimators at B = 0, which none of them has a part in."""
     return zwidth(plan(LINEAR, [FDM, FILTERED, KALMAN], [0.0, *range(20_000, 33_000, 2000)], [0.0]))
 
 
-def test_without_damping_every_estimator_ends_at_2b_over_t(undamped):
+def test_without_damping_every_estimator_ends_at_2b_over_t(undamped: Any) -> None:
     """26.4 kN/m at 1 kHz, within a step of the grid."""
     for row in table_one(undamped).rows:
         width = row.widths.together
@@ -75,7 +77,7 @@ def test_without_damping_every_estimator_ends_at_2b_over_t(undamped):
         assert not width.stiffness_capped
 
 
-def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped):
+def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped: Any) -> None:
     """√mean(b² + (2πmf)²) over the lines, the same for every estimator."""
     f = np.arange(1.0, 251.0)
     exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f) ** 2))
@@ -87,7 +89,7 @@ def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped):
     assert part.band_hz == (1.0, 250.0)
 
 
-def test_with_damping_the_edge_is_that_of_the_closed_form():
+def test_with_damping_the_edge_is_that_of_the_closed_form() -> None:
     """At B = 40 and 80 an unfiltered difference holds some 32 kN/m up to 250 Hz; stable it would be far beyond."""
     asked = plan(LINEAR, [FDM], np.arange(26e3, 40e3, 2e3), [40.0, 80.0])
     found = zwidth(asked)
@@ -98,7 +100,7 @@ def test_with_damping_the_edge_is_that_of_the_closed_form():
     assert min(stable) > 2.0 * max(passive)
 
 
-def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory():
+def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory() -> None:
     """From B = 40 on, both of what is stable and of what is passive (REPRODUCTION: "AKF > FDM in K")."""
     asked = plan(
         CHAWDA, [FILTERED, KALMAN, "uniform:1k,estimator=foaw-best"], [1e3], [0.0, 40.0, 100.0, 200.0]
@@ -116,13 +118,13 @@ def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory():
 
 
 @pytest.fixture(scope="module")
-def rough():
+def rough() -> Any:
     """The rig as it is: friction, 1 µm; four estimators, a coarse grid."""
     schemes = [scheme.text for scheme in default_schemes(CHAWDA)]
     return zwidth(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
 
 
-def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough):
+def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough: Any) -> None:
     """Its describing function damps: a difference holds 40 kN/m, where linear theory ends at 32. Sticking stiffens."""
     _, _, passive = linear_curves(rough.plan, 2)[0]
     assert max(passive) < 35e3
@@ -132,7 +134,7 @@ def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough):
     assert 101.0 < soft["stiffness_percent"] < 120.0
 
 
-def test_levant_with_the_printed_gains_holds_least(rough):
+def test_levant_with_the_printed_gains_holds_least(rough: Any) -> None:
     cells = connected(rough.passive[:, -1]).sum(axis=(1, 2))
     assert cells[3] < cells[:3].min()
     table = table_one(rough)
@@ -141,7 +143,7 @@ def test_levant_with_the_printed_gains_holds_least(rough):
     assert math.isnan(table.rows[3].widths.together.damping)
 
 
-def test_table_one_stands_beside_the_papers(rough):
+def test_table_one_stands_beside_the_papers(rough: Any) -> None:
     table = table_one(rough)
     assert [row.estimator for row in table.rows] == list(PAPERS_ESTIMATORS)
     assert (
@@ -159,7 +161,7 @@ def test_table_one_stands_beside_the_papers(rough):
     json.dumps(plain(table), allow_nan=False)
 
 
-def test_a_wall_that_throws_the_handle_out_says_so():
+def test_a_wall_that_throws_the_handle_out_says_so() -> None:
     tight = config.override(SHORT, {"rig.limits.speed": 0.3, "excitation.realisations": 1})
     found = zwidth(plan(tight, [FDM], [5e3, 2e6], [100.0]))
     soft, _, hard, _ = found.columns[0]
@@ -171,7 +173,7 @@ def test_a_wall_that_throws_the_handle_out_says_so():
     assert not found.passive[0, -1, 0, 1]
 
 
-def test_dual_rate_goes_through_the_same_plan():
+def test_dual_rate_goes_through_the_same_plan() -> None:
     """On a two-mass rig the handle's own motion is measured: the encoder is on the other mass."""
     koul = config.override(
         presets.load("koul-compliant"),
@@ -199,14 +201,14 @@ def test_dual_rate_goes_through_the_same_plan():
 # ---------------------------------------------------------------------- the same bytes, files, refusals
 
 
-def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path):
+def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path: Path) -> None:
     asked = plan(SHORT, [FILTERED, "uniform:1k,estimator=foaw-best"], [5e3, 50e3], [0.0, 60.0])
     one = zwidth(asked, workers=1)
     two = zwidth(asked, workers=2)
     journal = tmp_path / "journal"
     tasks = asked.tasks()
 
-    def stop(progress):
+    def stop(progress: Any) -> None:
         if progress.done:
             raise KeyboardInterrupt
 
@@ -219,7 +221,7 @@ def test_the_same_bytes_from_one_worker_two_and_after_a_stop(tmp_path):
     assert sum(row["runs"] for rows in one.columns for row in rows) == 16
 
 
-def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path):
+def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path: Path) -> None:
     asked = plan(SHORT, [FILTERED], [5e3, 10e3], [60.0])
     place = maps.directory_for(asked, tmp_path, "zwidth-frequency")
     first = maps.map_into(asked, place)
@@ -253,19 +255,19 @@ def test_files_hold_units_and_every_wall_and_a_finished_map_is_read(tmp_path):
         ({"schemes": [FDM, FDM]}, "is given twice"),
     ],
 )
-def test_an_impossible_map_is_refused(changes, message):
+def test_an_impossible_map_is_refused(changes: Any, message: str) -> None:
     given_ = {"schemes": [FDM], "stiffnesses": [1e3], "dampings": [0.0]} | changes
     with pytest.raises(PlanError, match=message):
         plan(CHAWDA, **given_)
 
 
-def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs():
+def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs() -> None:
     loud = config.override(SHORT, {"excitation.rms": 60.0})
     with pytest.raises(PlanError, match="peak position"):
         zwidth(plan(loud, [FDM], [1e3], [0.0]))
 
 
-def test_pictures_of_any_number_of_schemes(tmp_path, rough):
+def test_pictures_of_any_number_of_schemes(tmp_path: Path, rough: Any) -> None:
     curves = linear_curves(rough.plan, 4)
     path = draw_frequency_map(rough, tmp_path / "four.png", theory=curves)
     assert path.read_bytes()[:4] == b"\x89PNG"
@@ -278,7 +280,7 @@ def test_pictures_of_any_number_of_schemes(tmp_path, rough):
     assert draw_frequency_map(nothing, tmp_path / "none.png", realisation=0).exists()
 
 
-def test_tuned_numbers_are_counted_as_in_the_paper():
+def test_tuned_numbers_are_counted_as_in_the_paper() -> None:
     assert tuned_numbers("kalman", {"q": 2.5e4, "variance": "paper"}) == ("q",)
     assert tuned_numbers("levant", {"lipschitz": 6.0}) == ("alpha", "lambda")
     assert tuned_numbers("levant", {}) == ()
@@ -288,12 +290,12 @@ def test_tuned_numbers_are_counted_as_in_the_paper():
 # ---------------------------------------------------------------------- widths of made-up regions
 
 
-def region(text):
+def region(text: Any) -> Any:
     """Rows of a drawing are dampings, # is passive, stiffness rises to the right."""
     return np.array([[mark == "#" for mark in row] for row in text.split()])
 
 
-def test_widths_count_what_is_connected_and_list_the_rest():
+def test_widths_count_what_is_connected_and_list_the_rest() -> None:
     passive = region("##..#. .###.. ###### ...#.. ##.#.#")
     fidelity = np.arange(30.0).reshape(5, 6)
     k, b = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [0.0, 10.0, 20.0, 30.0, 40.0]
@@ -309,7 +311,7 @@ def test_widths_count_what_is_connected_and_list_the_rest():
     ]  # fmt: skip
 
 
-def test_a_map_without_a_passive_wall_has_no_widths():
+def test_a_map_without_a_passive_wall_has_no_widths() -> None:
     width = FrequencyWidth.of(
         region("..#. ...."), np.full((2, 4), math.nan), [1.0, 2.0, 3.0, 4.0], [5.0, 6.0]
     )
@@ -321,7 +323,7 @@ def test_a_map_without_a_passive_wall_has_no_widths():
     assert not width.damping_capped
 
 
-def test_spread_leaves_out_what_is_no_number():
+def test_spread_leaves_out_what_is_no_number() -> None:
     spread = Spread.of([1.0, math.nan, 3.0])
     assert (spread.mean, spread.lowest, spread.highest, spread.count) == (2.0, 1.0, 3.0, 2)
     assert spread.deviation == pytest.approx(math.sqrt(2.0))
@@ -339,7 +341,7 @@ EDGES = st.integers(1, 12).flatmap(
 
 
 @given(EDGES)
-def test_where_each_damping_has_one_edge_the_search_finds_it(case):
+def test_where_each_damping_has_one_edge_the_search_finds_it(case: Any) -> None:
     """And tests each wall at most once: some way up, and for each damping a few steps along the edge."""
     stiffnesses, heights = case
     heights[0] = max(1, heights[0])
@@ -358,7 +360,7 @@ def test_where_each_damping_has_one_edge_the_search_finds_it(case):
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=5, max_size=5), min_size=1, max_size=8), st.booleans())
-def test_on_any_region_it_ends_and_asks_no_wall_twice(rows, looks):
+def test_on_any_region_it_ends_and_asks_no_wall_twice(rows: Any, looks: bool) -> None:
     passive = np.array(rows)
     found = trace_grid(passive, looks=looks)
     path = found.path
@@ -369,7 +371,7 @@ def test_on_any_region_it_ends_and_asks_no_wall_twice(rows, looks):
     assert all(0 <= b < len(rows) for b, _ in path)
 
 
-def test_it_moves_up_the_speckle():
+def test_it_moves_up_the_speckle() -> None:
     """From the first edge at 2 it meets an island above the next edge, and stays up there."""
     passive = region("###..... ##.###.. ##..##.. ##......")
     found = trace_grid(passive)
@@ -379,7 +381,7 @@ def test_it_moves_up_the_speckle():
     assert found.highest == 5
 
 
-def test_a_bad_start_ends_it_unless_it_may_look_for_another():
+def test_a_bad_start_ends_it_unless_it_may_look_for_another() -> None:
     passive = region(".### .##. ###. ##..")
     blind = trace_grid(passive, looks=False)
     assert (len(blind.path), blind.ending, blind.highest) == (1, "start not passive", -1)
@@ -390,13 +392,13 @@ def test_a_bad_start_ends_it_unless_it_may_look_for_another():
     assert trace_grid(region("... ...")).ending == "start not passive"
 
 
-def test_it_dies_where_a_whole_column_fails_and_never_sees_what_lies_beyond():
+def test_it_dies_where_a_whole_column_fails_and_never_sees_what_lies_beyond() -> None:
     found = trace_grid(region("###. .... ####"))
     assert found.ending == "no stiffness left"
     assert found.unseen == 1
 
 
-def test_of_the_papers_size_it_takes_a_tenth_of_the_tests():
+def test_of_the_papers_size_it_takes_a_tenth_of_the_tests() -> None:
     """REPRODUCTION: some 70 tests in place of 960."""
     b = np.arange(16)
     heights = np.rint(22 + 14 * np.sin(np.pi * b / 15)).astype(int)
@@ -405,10 +407,10 @@ def test_of_the_papers_size_it_takes_a_tenth_of_the_tests():
     assert len(found.path) < 96
 
 
-def test_it_asks_for_one_wall_at_a_time():
+def test_it_asks_for_one_wall_at_a_time() -> None:
     asked = []
 
-    def passive(wall):
+    def passive(wall: Any) -> Any:
         asked.append(wall)
         return wall[1] <= 1
 

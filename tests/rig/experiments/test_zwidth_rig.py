@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -26,7 +28,7 @@ SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02
 OFFSET = 0.25
 
 
-def planned(changes=None, **others):
+def planned(changes: Any = None, **others: Any) -> Any:
     experiment = config.override(presets.load("koul-compliant"), {**SHORT, **(changes or {})})
     given = {
         "schemes": (Scheme.parse("dual:5k/1k"),),
@@ -41,11 +43,11 @@ def planned(changes=None, **others):
 class Person:
     """Agrees so many times, and remembers what was asked, told and waited for."""
 
-    def __init__(self, patience=10_000):
+    def __init__(self, patience: int = 10_000) -> None:
         self.patience = patience
         self.asked, self.told, self.waited_s = [], [], []
 
-    def session(self, directory, url="sim://", **others):
+    def session(self, directory: Any, url: str = "sim://", **others: Any) -> Any:
         return Session(
             where=OnDevice(url=url, recordings=directory / "hits", **others),
             agrees=self._agrees,
@@ -53,19 +55,19 @@ class Person:
             pause=self.waited_s.append,
         )
 
-    def _agrees(self, asked):
+    def _agrees(self, asked: Any) -> Any:
         self.asked.append(asked)
         return len(self.asked) <= self.patience
 
 
-def kinds(found, suffix=""):
+def kinds(found: Any, suffix: str = "") -> Any:
     return [(row["damping"], row["stiffness"], row[f"kind{suffix}"]) for row in found.table()]
 
 
 # --- the same map ---------------------------------------------------------------------------------------------
 
 
-def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path):
+def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Path) -> None:
     # Within homing's tolerance a hit without bytes starts where its seed says; the device starts where it is.
     plan = planned(search=Search(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
     person = Person()
@@ -83,7 +85,7 @@ def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path):
     )
 
 
-def test_a_hand_pushes_there_too(tmp_path):
+def test_a_hand_pushes_there_too(tmp_path: Path) -> None:
     changes = {"trial.kind": "human", "operator.begin_s": 0.0, "operator.reach_s": 0.2}
     found = zwidth_on_rig(planned(changes, dampings=(0.2,)), Person().session(tmp_path))
     assert found.hits == len(list((tmp_path / "hits").glob("*.parquet"))) > 1
@@ -93,7 +95,7 @@ def test_a_hand_pushes_there_too(tmp_path):
 # --- a person ---------------------------------------------------------------------------------------------------
 
 
-def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path):
+def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path: Path) -> None:
     person = Person()
     zwidth_on_rig(planned(), person.session(tmp_path))
     first, second = person.asked[:2]
@@ -103,7 +105,7 @@ def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path):
     assert {asked.damping for asked in person.asked} == {0.1, 0.4}
 
 
-def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path):
+def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     whole = Person()
     uninterrupted = zwidth_on_rig(planned(), whole.session(tmp_path / "a"))
@@ -122,8 +124,8 @@ def test_who_declines_ends_the_session_and_the_same_plan_goes_on(tmp_path):
     assert kinds(found) == kinds(uninterrupted)
 
 
-def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path):
-    def interrupted(asked):
+def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path: Path) -> None:
+    def interrupted(asked: Any) -> None:
         raise KeyboardInterrupt
 
     session = replace(Person().session(tmp_path), agrees=interrupted)
@@ -134,7 +136,7 @@ def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path):
 # --- hits that end otherwise ----------------------------------------------------------------------------------------
 
 
-def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_path):
+def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_path: Path) -> None:
     narrow = {"rig.limits.position_minimum": -0.02, "rig.limits.position_maximum": 0.05, "trial.effort": 0.3}
     rungs = Search(lowest=38.0, highest=80.0, ratio=1.9)
     plan = planned(narrow, schemes=(Scheme.parse("uniform:1k"),), dampings=(0.0, 0.01), search=rungs)
@@ -148,8 +150,10 @@ def test_a_wall_that_throws_the_handle_out_fails_and_the_session_goes_on(tmp_pat
     assert kinds(found) == kinds(zwidth(plan))
 
 
-def test_a_guard_that_trips_before_the_wall_ends_the_session(tmp_path, monkeypatch):
-    def tripped(request):
+def test_a_guard_that_trips_before_the_wall_ends_the_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tripped(request: Any) -> None:
         raise GuardError("the start was not reached in time")
 
     monkeypatch.setattr(on_device, "hit", tripped)
@@ -157,8 +161,8 @@ def test_a_guard_that_trips_before_the_wall_ends_the_session(tmp_path, monkeypat
         zwidth_on_rig(planned(), Person().session(tmp_path))
 
 
-def test_a_lost_link_ends_the_session(tmp_path, monkeypatch):
-    def lost(request):
+def test_a_lost_link_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(request: Any) -> None:
         raise LinkLostError("gone")
 
     monkeypatch.setattr(on_device, "hit", lost)
@@ -166,7 +170,7 @@ def test_a_lost_link_ends_the_session(tmp_path, monkeypatch):
         zwidth_on_rig(planned(), Person().session(tmp_path))
 
 
-def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tmp_path):
+def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tmp_path: Path) -> None:
     # A slew limit that binds in every hit makes another wall of it.
     person = Person()
     rungs = Search(lowest=400.0, highest=420.0, ratio=1.5)
@@ -185,13 +189,15 @@ def test_a_hit_that_says_nothing_three_times_ends_the_session_with_the_reason(tm
     ("rms", "nominal", "duration", "rest"),
     [(0.3, 0.1, 1.0, 8.0), (0.2, 0.1, 2.0, 6.0), (0.1, 0.1, 1.0, 0.0), (0.05, 0.1, 1.0, 0.0)],
 )
-def test_the_mean_heat_over_push_and_rest_is_that_of_the_nominal_effort(rms, nominal, duration, rest):
+def test_the_mean_heat_over_push_and_rest_is_that_of_the_nominal_effort(
+    rms: float, nominal: float, duration: float, rest: float
+) -> None:
     assert cooling_s(rms, nominal, duration) == pytest.approx(rest)
     if rest:
         assert rms**2 * duration / (duration + rest) == pytest.approx(nominal**2)
 
 
-def test_nobody_hits_again_before_the_rig_is_calm(tmp_path):
+def test_nobody_hits_again_before_the_rig_is_calm(tmp_path: Path) -> None:
     person = Person()
     zwidth_on_rig(planned(dampings=(0.4,)), person.session(tmp_path))
     assert len(person.waited_s) == len(person.told)
@@ -202,12 +208,12 @@ def test_nobody_hits_again_before_the_rig_is_calm(tmp_path):
 
 
 @pytest.fixture
-def real_devices(monkeypatch):
+def real_devices(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Devices that do not say that they are simulated, in virtual time: all that were opened."""
     open_simulated = devices.open_device
     opened = []
 
-    def open_device(url, model=None):
+    def open_device(url: Any, model: Any = None) -> Any:
         device = open_simulated("sim://?initial_position=-0.004", model)
         device._dictionary = replace(device.dictionary, simulated=False)
         opened.append(device)
@@ -217,7 +223,7 @@ def real_devices(monkeypatch):
     return opened
 
 
-def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path, real_devices):
+def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path: Path, real_devices: Any) -> None:
     found = zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig", verified=True))
     assert len(real_devices) == 1
     recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
@@ -230,7 +236,7 @@ def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path, real_devic
     )
 
 
-def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path, real_devices):
+def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_devices: Any) -> None:
     with pytest.raises(ConfigError, match="is not verified"):
         zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig"))
     assert not (tmp_path / "hits").exists()
@@ -254,7 +260,9 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path, real_device
         ),
     ],
 )
-def test_what_a_device_cannot_do_is_refused_before_the_first_question(tmp_path, plan, text):
+def test_what_a_device_cannot_do_is_refused_before_the_first_question(
+    tmp_path: Path, plan: Any, text: str
+) -> None:
     person = Person()
     url = "sim://?position_rate_maximum=8000&position_rate_default=1000"
     with pytest.raises(PlanError, match=text):
@@ -263,7 +271,7 @@ def test_what_a_device_cannot_do_is_refused_before_the_first_question(tmp_path, 
     assert not (tmp_path / "hits").exists()
 
 
-def test_a_journal_of_one_device_is_not_gone_on_with_on_another(tmp_path):
+def test_a_journal_of_one_device_is_not_gone_on_with_on_another(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     plan = planned(dampings=(0.4,))
     zwidth_on_rig(plan, Person().session(tmp_path), journal=journal)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -36,14 +37,14 @@ def frame_bytes(x: config.Experiment, samples: int) -> int:
 @pytest.mark.parametrize(
     ("rate", "layout", "samples"), [(1_000, batch.WIDE, 5), (5_000, batch.FULL, 25), (20_000, batch.FULL, 45)]
 )
-def test_layout_and_samples_follow_rate_and_speed(rate, layout, samples):
+def test_layout_and_samples_follow_rate_and_speed(rate: int, layout: Any, samples: int) -> None:
     """At 10 rad/s and 1.57e-4 rad a count passes 63,662 counts a second."""
     assert batch.batch_layout(at(rate)) == layout
     assert batch.batch_samples(at(rate)) == samples
 
 
 @given(st.integers(1000, 50_000), st.booleans(), st.floats(0.5, 500.0))
-def test_no_frame_is_late_too_long_or_out_of_range(rate, measured, speed):
+def test_no_frame_is_late_too_long_or_out_of_range(rate: int, measured: bool, speed: float) -> None:
     x = at(rate, **{"controller.measured_current": measured, "rig.limits.speed": speed})
     samples = batch.batch_samples(x)
     assert SAMPLES.accepts(samples)
@@ -56,13 +57,13 @@ def test_no_frame_is_late_too_long_or_out_of_range(rate, measured, speed):
         assert batch.MARGIN * batch.counts_in_a_tick(x) < 127
 
 
-def test_a_handle_too_fast_for_any_layout_is_refused():
+def test_a_handle_too_fast_for_any_layout_is_refused() -> None:
     with pytest.raises(PlanError, match=r"rig.limits.speed = 500.*may pass 127325 counts") as refused:
         batch.batch_layout(at(50, **{"rig.limits.speed": 500.0}))
     assert "position_rate" in refused.value.remedy
 
 
-def test_twenty_kilohertz_fit_three_megabaud_and_fifty_full_speed_usb():
+def test_twenty_kilohertz_fit_three_megabaud_and_fifty_full_speed_usb() -> None:
     assert batch.bytes_per_second(at(20_000)) < 0.7 * 300_000
     assert batch.bytes_per_second(at(50_000)) > 0.7 * 300_000
     assert batch.bytes_per_second(at(50_000, **{"controller.measured_current": False})) < 0.7 * 300_000

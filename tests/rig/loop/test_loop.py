@@ -11,6 +11,8 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import numba
 import numpy as np
@@ -115,7 +117,7 @@ class Receiver:
         return int(self.buffers.state[STATE.count])
 
 
-def test_of_several_frames_the_newest_is_kept_and_the_others_are_passed():
+def test_of_several_frames_the_newest_is_kept_and_the_others_are_passed() -> None:
     receiver = Receiver()
     assert receiver.feed(b"".join(state_frame(i, count=10 * i) for i in (5, 6, 7, 8))) == 4
     assert (receiver.sample_index, receiver.count) == (8, 80)
@@ -123,7 +125,7 @@ def test_of_several_frames_the_newest_is_kept_and_the_others_are_passed():
     assert receiver.feed(state_frame(9, count=90)) == 1
 
 
-def test_every_frame_that_is_no_news_has_its_counter():
+def test_every_frame_that_is_no_news_has_its_counter() -> None:
     receiver = Receiver()
     receiver.feed(state_frame(5, count=50))
     damaged = bytearray(state_frame(6))
@@ -146,13 +148,13 @@ def test_every_frame_that_is_no_news_has_its_counter():
     assert receiver.feed(state_frame(7)) == 2, "what was lost or damaged is passed too"
 
 
-def test_delimiters_alone_are_no_frames():
+def test_delimiters_alone_are_no_frames() -> None:
     receiver = Receiver()
     assert receiver.feed(b"\0\0\0" + state_frame(1) + b"\0\0") == 1
     assert receiver.counters["bad_frames"] == 0
 
 
-def test_the_sample_index_and_the_devices_clock_go_on_when_their_32_bits_are_full():
+def test_the_sample_index_and_the_devices_clock_go_on_when_their_32_bits_are_full() -> None:
     receiver = Receiver()
     start = WRAP - 2
     receiver.feed(state_frame(start))
@@ -165,7 +167,7 @@ def test_the_sample_index_and_the_devices_clock_go_on_when_their_32_bits_are_ful
     assert receiver.counters["reordered"] == 1
 
 
-def test_the_devices_clock_wraps_within_a_run_of_five_minutes():
+def test_the_devices_clock_wraps_within_a_run_of_five_minutes() -> None:
     """32 bits of 1/16 µs are 268 s."""
     receiver = Receiver()
     for index in range(0, 600_000, 5_000):
@@ -173,7 +175,7 @@ def test_the_devices_clock_wraps_within_a_run_of_five_minutes():
     assert int(receiver.buffers.progress[0]["device_time"]) == 595_000 * 16_000
 
 
-def test_noise_without_a_delimiter_is_bounded_and_the_next_frame_is_heard():
+def test_noise_without_a_delimiter_is_bounded_and_the_next_frame_is_heard() -> None:
     receiver = Receiver()
     noise = b"\x55" * 700
     for _ in range(20):
@@ -198,7 +200,7 @@ PIECES = st.lists(
 
 
 @given(pieces=PIECES, cuts=st.lists(st.integers(1, 60), min_size=1, max_size=50))
-def test_frames_may_be_cut_anywhere(pieces, cuts):
+def test_frames_may_be_cut_anywhere(pieces: Any, cuts: list[int]) -> None:
     """Whole, byte by byte or in any pieces: the same samples, the same counters."""
     stream = b"".join(pieces)
     whole, chunked, single = Receiver(), Receiver(), Receiver()
@@ -220,7 +222,7 @@ def test_frames_may_be_cut_anywhere(pieces, cuts):
 
 
 @given(indices=st.lists(st.integers(0, 30), min_size=1, max_size=40))
-def test_one_at_a_time_exactly_the_rising_indices_are_taken(indices):
+def test_one_at_a_time_exactly_the_rising_indices_are_taken(indices: list[int]) -> None:
     receiver = Receiver()
     newest = None
     for index in indices:
@@ -251,7 +253,7 @@ def lateness(
     return late
 
 
-def test_on_the_grid_nothing_is_late_and_one_late_receipt_does_not_move_the_grid():
+def test_on_the_grid_nothing_is_late_and_one_late_receipt_does_not_move_the_grid() -> None:
     on_grid = [1_000 + PERIOD_NS * k for k in range(100)]
     assert lateness(on_grid) == [0] * 100
     late = list(on_grid)
@@ -261,7 +263,7 @@ def test_on_the_grid_nothing_is_late_and_one_late_receipt_does_not_move_the_grid
     assert result[51:] == [0] * 49
 
 
-def test_an_earlier_receipt_makes_the_grid_earlier():
+def test_an_earlier_receipt_makes_the_grid_earlier() -> None:
     """The first receipt may itself be late: from the first better one on, lateness counts from there."""
     receipts = [300_000 + PERIOD_NS * k for k in range(5)] + [PERIOD_NS * k for k in range(5, 8)]
     receipts.append(8 * PERIOD_NS + 100_000)
@@ -270,13 +272,13 @@ def test_an_earlier_receipt_makes_the_grid_earlier():
     assert 99_000 <= result[8] <= 100_000
 
 
-def test_gaps_are_not_lateness():
+def test_gaps_are_not_lateness() -> None:
     indices = [0, 1, 2, 30, 31]
     assert lateness([PERIOD_NS * i for i in indices], indices) == [0] * 5
 
 
 @pytest.mark.parametrize(("ppm", "late"), [(50, False), (90, False), (-90, False), (1000, True)])
-def test_two_ordinary_crystals_may_differ_and_a_slow_host_may_not(ppm, late):
+def test_two_ordinary_crystals_may_differ_and_a_slow_host_may_not(ppm: int, late: bool) -> None:
     """100 s at 1 kHz; the host's clock runs fast or slow against the device's by some parts in a million."""
     assert DRIFT_PPM == 100
     result = lateness([round(PERIOD_NS * k * (1 + ppm * 1e-6)) for k in range(100_000)])
@@ -285,7 +287,7 @@ def test_two_ordinary_crystals_may_differ_and_a_slow_host_may_not(ppm, late):
 
 
 @given(st.lists(st.integers(0, 3_000_000), min_size=1, max_size=50))
-def test_lateness_is_never_negative_nor_more_than_the_delay(delays):
+def test_lateness_is_never_negative_nor_more_than_the_delay(delays: list[int]) -> None:
     result = lateness([PERIOD_NS * k + delay for k, delay in enumerate(delays)])
     assert all(0 <= late <= delay for late, delay in zip(result, delays, strict=True))
 
@@ -299,7 +301,7 @@ class Script:
     `script` has (time in ns, what): bytes to hear, a negative errno, or a function to call.
     """
 
-    def __init__(self, *script):
+    def __init__(self, *script: Any) -> None:
         self.clock = VirtualClock(0)
         self.events = sorted(script, key=lambda event: event[0])
         self.arrived = b""
@@ -308,7 +310,7 @@ class Script:
         self.write_error = 0
         self.room = 1 << 30  # bytes that a write takes
 
-    def _wait(self, handle, deadline_ns):
+    def _wait(self, handle: Any, deadline_ns: Any) -> Any:
         if self.error or self.arrived:
             return self.error or 1
         if not self.events or self.events[0][0] > deadline_ns:
@@ -325,22 +327,22 @@ class Script:
         self.arrived += what
         return 1
 
-    def _read(self, handle, address, size):
+    def _read(self, handle: Any, address: Any, size: Any) -> Any:
         data, self.arrived = self.arrived[:size], self.arrived[size:]
         ctypes.memmove(address, data, len(data))
         return len(data)
 
-    def _write(self, handle, address, size):
+    def _write(self, handle: Any, address: Any, size: Any) -> Any:
         assert size > 0
         if self.write_error:
             return self.write_error
         self.heard.append((self.clock.now_ns(), ctypes.string_at(address, size)))
         return min(size, self.room)
 
-    def port(self):
+    def port(self) -> Any:
         transfer, wait = (ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * n) for n in (3, 2))
 
-        def native(kind, function, signature):
+        def native(kind: Any, function: Any, signature: Any) -> Any:
             callback = kind(function)
             return NativeFunction(ctypes.cast(callback, ctypes.c_void_p).value, signature, keep=callback)
 
@@ -352,15 +354,15 @@ class Script:
             handle=0,
         )
 
-    def failure(self):
+    def failure(self) -> None:
         return None
 
-    def commands(self):
+    def commands(self) -> Any:
         """What was heard: (header, message)."""
         return [unpack(decode_frame(frame[:-1])) for _, frame in self.heard]
 
 
-def at_rest(law=None, **control):
+def at_rest(law: Any = None, **control: Any) -> Any:
     """A controller that homes where the handle is, and pushes for ever unless told otherwise."""
     made = controller.for_experiment(COMPLIANT, current_quantum_a=0.001, law=law)
     wanted = {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40, "release_ticks": 1, **control}
@@ -369,7 +371,7 @@ def at_rest(law=None, **control):
     return made
 
 
-def settings(**changes):
+def settings(**changes: Any) -> Any:
     values = {
         "period_ns": PERIOD_NS,
         "session": SESSION,
@@ -382,7 +384,7 @@ def settings(**changes):
     return LoopSettings(**{**values, **changes})
 
 
-def ran(link, bundle=None, *, memory=None, **changes):
+def ran(link: Any, bundle: Any = None, *, memory: Any = None, **changes: Any) -> Any:
     """Run the loop to its end."""
     memory = memory or Ring.allocate(4096)
     run.prepare()
@@ -393,11 +395,11 @@ def ran(link, bundle=None, *, memory=None, **changes):
     return thread, thread.end()
 
 
-def ticks(first, last, **fields):
+def ticks(first: Any, last: Any, **fields: Any) -> Any:
     return [(PERIOD_NS * k, state_frame(k, **fields)) for k in range(first, last)]
 
 
-def assert_ends_with_stops(link):
+def assert_ends_with_stops(link: Any) -> None:
     """The last commands that the device hears are STOPs with zero current."""
     last = link.commands()[-STOP_FRAMES:]
     assert len(last) == STOP_FRAMES
@@ -406,7 +408,7 @@ def assert_ends_with_stops(link):
         assert header.session == SESSION
 
 
-def test_each_fresh_state_is_answered_once_by_a_command_that_names_it():
+def test_each_fresh_state_is_answered_once_by_a_command_that_names_it() -> None:
     link = Script(*ticks(1, 30))
     thread, end = ran(link)
     assert end.reason == EndReason.LINK_SILENT
@@ -423,7 +425,7 @@ def test_each_fresh_state_is_answered_once_by_a_command_that_names_it():
     assert_ends_with_stops(link)
 
 
-def test_a_silent_link_ends_the_run_after_the_agreed_time():
+def test_a_silent_link_ends_the_run_after_the_agreed_time() -> None:
     link = Script(*ticks(1, 10))
     _, end = ran(link, lost_after_ns=20 * PERIOD_NS)
     assert end.reason == EndReason.LINK_SILENT
@@ -431,7 +433,7 @@ def test_a_silent_link_ends_the_run_after_the_agreed_time():
     assert_ends_with_stops(link)
 
 
-def test_a_device_that_never_says_anything_is_silent_too():
+def test_a_device_that_never_says_anything_is_silent_too() -> None:
     link = Script()
     thread, end = ran(link)
     assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_SILENT, 0)
@@ -439,7 +441,7 @@ def test_a_device_that_never_says_anything_is_silent_too():
     assert_ends_with_stops(link)
 
 
-def test_noise_and_strangers_do_not_keep_a_silent_device_alive():
+def test_noise_and_strangers_do_not_keep_a_silent_device_alive() -> None:
     noise = [(PERIOD_NS * k, bytes([k % 255 + 1]) * 300) for k in range(10, 500)]
     strangers = [(PERIOD_NS * k, state_frame(k, session=3)) for k in range(10, 500)]
     link = Script(*ticks(1, 10), *noise, *strangers)
@@ -448,20 +450,20 @@ def test_noise_and_strangers_do_not_keep_a_silent_device_alive():
     assert link.clock.now_ns() <= 32 * PERIOD_NS
 
 
-def test_a_broken_link_ends_the_run_with_its_error_number():
+def test_a_broken_link_ends_the_run_with_its_error_number() -> None:
     link = Script(*ticks(1, 10), (10 * PERIOD_NS, -errno.EIO))
     _, end = ran(link)
     assert (end.reason, end.counters["errno"]) == (EndReason.LINK_CLOSED, errno.EIO)
     assert end.counters["ticks"] == 9
 
 
-def test_a_link_that_only_reads_badly_still_carries_the_stop():
+def test_a_link_that_only_reads_badly_still_carries_the_stop() -> None:
     link = Script(*ticks(1, 10), (10 * PERIOD_NS, -errno.EIO))
     ran(link)
     assert_ends_with_stops(link)
 
 
-def test_a_link_that_does_not_take_the_command_is_closed():
+def test_a_link_that_does_not_take_the_command_is_closed() -> None:
     link = Script(*ticks(1, 10))
     link.write_error = -errno.EPIPE
     thread, end = ran(link)
@@ -474,7 +476,7 @@ def test_a_link_that_does_not_take_the_command_is_closed():
     assert thread.ring.get(ring.HEAD) == 1, "the tick is recorded all the same"
 
 
-def test_a_full_line_is_counted_and_survived():
+def test_a_full_line_is_counted_and_survived() -> None:
     link = Script(*ticks(1, 10))
     link.room = 5
     _, end = ran(link)
@@ -482,7 +484,7 @@ def test_a_full_line_is_counted_and_survived():
     assert (end.counters["unsent"], end.counters["commands"]) == (9, 0)
 
 
-def test_a_command_that_does_not_fit_the_wire_is_not_sent():
+def test_a_command_that_does_not_fit_the_wire_is_not_sent() -> None:
     """Whatever the settings say, no byte beyond a frame leaves (`Script._write` would object)."""
     link = Script(*ticks(1, 5))
     _, end = ran(link, lifetime_us=1 << 40)
@@ -490,7 +492,7 @@ def test_a_command_that_does_not_fit_the_wire_is_not_sent():
     assert link.heard == []
 
 
-def test_the_last_state_before_the_link_broke_is_still_answered():
+def test_the_last_state_before_the_link_broke_is_still_answered() -> None:
     link = Script(*ticks(1, 10))
     link.events.append((10 * PERIOD_NS, lambda: None))
     link.events.append((10 * PERIOD_NS, state_frame(10)))
@@ -499,7 +501,7 @@ def test_the_last_state_before_the_link_broke_is_still_answered():
     assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_CLOSED, 10)
 
 
-def test_the_stop_word_stops_within_one_period():
+def test_the_stop_word_stops_within_one_period() -> None:
     memory = Ring.allocate(4096)
     link = Script(*ticks(1, 100), (20 * PERIOD_NS + 1, lambda: memory.put(ring.STOP, 1)))
     _, end = ran(link, memory=memory)
@@ -508,7 +510,7 @@ def test_the_stop_word_stops_within_one_period():
     assert_ends_with_stops(link)
 
 
-def test_a_stop_before_the_start_steps_no_law():
+def test_a_stop_before_the_start_steps_no_law() -> None:
     memory = Ring.allocate(4096)
     memory.put(ring.STOP, 1)
     link = Script(*ticks(1, 100))
@@ -517,7 +519,7 @@ def test_a_stop_before_the_start_steps_no_law():
     assert_ends_with_stops(link)
 
 
-def test_a_supervisor_that_falls_silent_ends_the_run():
+def test_a_supervisor_that_falls_silent_ends_the_run() -> None:
     memory = Ring.allocate(4096)
     memory.put(ring.HEARTBEAT, 10 * PERIOD_NS)
     alive = [
@@ -532,7 +534,7 @@ def test_a_supervisor_that_falls_silent_ends_the_run():
 
 
 @pytest.mark.parametrize("fields", [{"fault": int(Fault.ENCODER)}, {"state": int(State.FAULT)}])
-def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_tells_it(fields):
+def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_tells_it(fields: Any) -> None:
     link = Script(*ticks(1, 10), *ticks(10, 20, **fields))
     thread, end = ran(link)
     assert (end.reason, end.counters["ticks"]) == (EndReason.DEVICE_FAULT, 10)
@@ -541,7 +543,7 @@ def test_a_fault_of_the_device_ends_the_run_in_the_tick_that_tells_it(fields):
     assert_ends_with_stops(link)
 
 
-def test_the_end_of_the_trial_is_the_end_of_the_run():
+def test_the_end_of_the_trial_is_the_end_of_the_run() -> None:
     link = Script(*ticks(1, 100))
     thread, end = ran(link, at_rest(trial_ticks=10, release_ticks=3))
     assert end.reason == EndReason.FINISHED
@@ -551,7 +553,7 @@ def test_the_end_of_the_trial_is_the_end_of_the_run():
     assert_ends_with_stops(link)
 
 
-def test_leaving_the_window_or_an_unreachable_start_end_with_zero():
+def test_leaving_the_window_or_an_unreachable_start_end_with_zero() -> None:
     link = Script(*ticks(1, 10), *ticks(10, 20, count=1_000_000))
     _, end = ran(link)
     assert (end.reason, end.counters["ticks"]) == (EndReason.OUT_OF_WINDOW, 10)
@@ -564,20 +566,20 @@ def test_leaving_the_window_or_an_unreachable_start_end_with_zero():
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def gives_nan(penetration, velocity, elapsed_ticks, state, parameters):
+def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.nan if state[1] > 3.0 else 0.0
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def raises(penetration, velocity, elapsed_ticks, state, parameters):
+def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 3.0:
         raise ValueError("too deep for me")
     return 0.0
 
 
-def test_a_law_that_is_not_finite_ends_with_zero():
+def test_a_law_that_is_not_finite_ends_with_zero() -> None:
     link = Script(*ticks(1, 100))
     thread, end = ran(link, at_rest(Law("nan", "for this test", gives_nan, 2, lambda wall: [])))
     assert end.reason == EndReason.NONFINITE
@@ -587,7 +589,7 @@ def test_a_law_that_is_not_finite_ends_with_zero():
     assert_ends_with_stops(link)
 
 
-def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over():
+def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over() -> None:
     link = Script(*ticks(1, 100))
     thread, end = ran(link, at_rest(Law("raises", "for this test", raises, 2, lambda wall: [])))
     assert end.reason == EndReason.LAW_RAISED
@@ -601,7 +603,7 @@ def test_an_exception_in_a_law_is_told_and_the_streams_can_be_taken_over():
 # ---------------------------------------------------------------------- gaps and the ring
 
 
-def test_what_was_skipped_is_one_gap_that_the_law_is_told():
+def test_what_was_skipped_is_one_gap_that_the_law_is_told() -> None:
     frames = [state_frame(k) for k in range(1, 8)]
     link = Script((PERIOD_NS, frames[0]), (7 * PERIOD_NS, b"".join(frames[1:])), *ticks(8, 12))
     thread, end = ran(link)
@@ -613,7 +615,7 @@ def test_what_was_skipped_is_one_gap_that_the_law_is_told():
     assert thread._controller.memory[0]["index"] == 10
 
 
-def test_samples_that_never_came_are_told_from_those_that_came_too_late():
+def test_samples_that_never_came_are_told_from_those_that_came_too_late() -> None:
     """Of 3 … 7 the law sees the last; 3 and 5 were lost on the way, 4 and 6 waited in the line behind 7."""
     late = b"".join(state_frame(k) for k in (4, 6, 7))
     link = Script(*ticks(1, 3), (7 * PERIOD_NS, late), *ticks(8, 10))
@@ -622,14 +624,14 @@ def test_samples_that_never_came_are_told_from_those_that_came_too_late():
     assert (end.counters["skipped"], end.counters["lost"]) == (2, 2)
 
 
-def test_what_was_said_before_the_loop_began_is_no_gap():
+def test_what_was_said_before_the_loop_began_is_no_gap() -> None:
     link = Script((PERIOD_NS, b"".join(state_frame(k) for k in range(1, 6))), *ticks(6, 9))
     thread, end = ran(link)
     assert thread.ring.rows["elapsed_ticks"][:4].tolist() == [1, 1, 1, 1]
     assert end.counters["lost"] == 0
 
 
-def test_lateness_beyond_a_period_is_flagged_and_counted():
+def test_lateness_beyond_a_period_is_flagged_and_counted() -> None:
     events = ticks(1, 40)
     events[20] = (events[20][0] + 1_500_000, events[20][1])
     events[21] = (events[21][0] + 500_001, events[21][1])
@@ -641,7 +643,7 @@ def test_lateness_beyond_a_period_is_flagged_and_counted():
     assert end.counters["late"] == 1
 
 
-def test_in_real_time_a_full_ring_drops_rows_and_counts_them():
+def test_in_real_time_a_full_ring_drops_rows_and_counts_them() -> None:
     memory = Ring.allocate(8)
     link = Script(*ticks(1, 30))
     _, end = ran(link, memory=memory)
@@ -650,11 +652,11 @@ def test_in_real_time_a_full_ring_drops_rows_and_counts_them():
     assert memory.rows["tick"].tolist() == list(range(8))
 
 
-def test_in_virtual_time_the_loop_waits_for_the_recorder():
+def test_in_virtual_time_the_loop_waits_for_the_recorder() -> None:
     memory = Ring.allocate(8)
     seen = []
 
-    def recorder():
+    def recorder() -> None:
         tail = 0
         deadline = time.monotonic() + WAIT_S
         while not memory.get(ring.LOOP_DONE) and time.monotonic() < deadline:
@@ -674,7 +676,7 @@ def test_in_virtual_time_the_loop_waits_for_the_recorder():
     assert seen == list(range(99))
 
 
-def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for():
+def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for() -> None:
     memory = Ring.allocate(8)
     memory.put(ring.RECORDER_ERROR, errno.ENOSPC)
     _, end = ran(Script(*ticks(1, 30)), memory=memory, wait_for_room=True)
@@ -684,7 +686,7 @@ def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for():
 # ---------------------------------------------------------------------- the host's own beat
 
 
-def test_a_host_paced_loop_wakes_on_its_own_grid_and_takes_the_newest_sample():
+def test_a_host_paced_loop_wakes_on_its_own_grid_and_takes_the_newest_sample() -> None:
     """Samples come 0.3 ms after the grid: each tick sees the one before it, 0.7 ms old."""
     link = Script(*((at + 300_000, frame) for at, frame in ticks(0, 30)))
     thread, end = ran(link, host_paced=True)
@@ -698,7 +700,7 @@ def test_a_host_paced_loop_wakes_on_its_own_grid_and_takes_the_newest_sample():
     assert_ends_with_stops(link)
 
 
-def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing():
+def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing() -> None:
     slow = [(2 * PERIOD_NS * k + 1, state_frame(k)) for k in range(10)]
     link = Script(*slow)
     thread, end = ran(link, host_paced=True, lost_after_ns=5 * PERIOD_NS)
@@ -707,12 +709,12 @@ def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing():
     assert thread.ring.rows["elapsed_ticks"][:10].tolist() == [1] * 10
 
 
-def busy(link, duration_ns):
+def busy(link: Any, duration_ns: Any) -> Any:
     """The host does something else meanwhile."""
     return lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns)
 
 
-def delayed(duration_ns):
+def delayed(duration_ns: Any) -> Any:
     """Thirty samples; the host is away for a while after the tenth tick."""
     link = Script()
     link.events = sorted(
@@ -723,7 +725,7 @@ def delayed(duration_ns):
     return link
 
 
-def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for():
+def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for() -> None:
     link = delayed(4_500_000)
     thread, end = ran(link, host_paced=True)
     seen = thread.ring.rows[: end.counters["ticks"]]
@@ -735,7 +737,7 @@ def test_grid_points_that_passed_are_skipped_and_counted_and_never_made_up_for()
 
 
 @pytest.mark.parametrize("host_paced", [False, True])
-def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_paced):
+def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_paced: bool) -> None:
     late = Script(*ticks(1, 20), (22 * PERIOD_NS, state_frame(20)), *ticks(22, 40))
     link = delayed(2_500_000) if host_paced else late
     thread, end = ran(link, host_paced=host_paced, stop_when_late=True)
@@ -747,7 +749,7 @@ def test_where_a_late_tick_is_not_to_be_survived_the_run_ends_with_zero(host_pac
     assert_ends_with_stops(link)
 
 
-def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_not():
+def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_not() -> None:
     """It comes back to two samples: the older one waited for 1.5 periods and is never answered."""
     both = (11 * PERIOD_NS + PERIOD_NS // 2, state_frame(10) + state_frame(11))
     link = Script(*ticks(1, 10), both, *ticks(12, 20))
@@ -758,7 +760,7 @@ def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_n
     assert_ends_with_stops(link)
 
 
-def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire):
+def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_of_a_wait(wire: Any) -> None:
     memory = Ring.allocate(4096)
     changes = {"host_paced": True, "spin_ns": 100_000, "lost_after_ns": 5_000_000_000}
     thread = LoopThread(wire, at_rest(), settings(**changes), memory)
@@ -779,7 +781,7 @@ def test_a_host_paced_loop_in_real_time_keeps_its_grid_and_may_spin_at_the_end_o
 # ---------------------------------------------------------------------- signals
 
 
-def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire):
+def test_a_signal_stops_the_loop_within_a_tick_though_python_never_runs(wire: Any) -> None:
     """The interpreter's C handler writes the number of a signal to a descriptor; nobody needs the GIL."""
     reader, writer = os.pipe2(os.O_NONBLOCK)
     memory = Ring.allocate(4096)
@@ -811,7 +813,7 @@ class Answering(Script):
     offset_units = 1_000_000
     delay_ns = 200_000
 
-    def _write(self, handle, address, size):
+    def _write(self, handle: Any, address: Any, size: Any) -> Any:
         taken = super()._write(handle, address, size)
         header, message = unpack(decode_frame(self.heard[-1][1][:-1]))
         if isinstance(message, m.GetTime):
@@ -823,7 +825,7 @@ class Answering(Script):
         return taken
 
 
-def test_clocks_are_compared_on_the_way_with_four_stamps():
+def test_clocks_are_compared_on_the_way_with_four_stamps() -> None:
     link = Answering(*((at + 500_000, frame) for at, frame in ticks(1, 100)))
     thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
     exchanges = thread.exchanges()
@@ -838,7 +840,7 @@ def test_clocks_are_compared_on_the_way_with_four_stamps():
     assert end.counters["other_frames"] == 0
 
 
-def test_an_answer_that_comes_too_late_or_twice_is_no_exchange():
+def test_an_answer_that_comes_too_late_or_twice_is_no_exchange() -> None:
     link = Answering(*ticks(1, 60))
     link.delay_ns = 15 * PERIOD_NS
     thread, end = ran(link, exchange_every_ns=10 * PERIOD_NS)
@@ -850,17 +852,17 @@ def test_an_answer_that_comes_too_late_or_twice_is_no_exchange():
 # ---------------------------------------------------------------------- parameters on the way
 
 
-def rows_of(thread):
+def rows_of(thread: Any) -> Any:
     return thread.ring.rows[: thread.ring.get(ring.TICKS)]
 
 
-def new_wall(bundle, *, position, stiffness):
+def new_wall(bundle: Any, *, position: Any, stiffness: Any) -> Any:
     values = np.concatenate([[position], bundle.law.parameters])
     values[1] = stiffness
     return values
 
 
-def test_parameters_become_active_between_two_ticks_and_only_in_free_space():
+def test_parameters_become_active_between_two_ticks_and_only_in_free_space() -> None:
     """Pressed into the wall until tick 20: the new wall waits, and the newest of two is taken."""
     bundle = at_rest()
     memory = Ring.allocate(4096)
@@ -883,7 +885,7 @@ def test_parameters_become_active_between_two_ticks_and_only_in_free_space():
     assert kept["parameters"] == hard[1:].tolist()
 
 
-def test_a_wall_never_appears_around_the_handle():
+def test_a_wall_never_appears_around_the_handle() -> None:
     """The handle rests at −3 counts: a wall that would begin below it waits, whatever its stiffness."""
     bundle = at_rest()
     memory = Ring.allocate(4096)
@@ -904,13 +906,13 @@ def test_a_wall_never_appears_around_the_handle():
 class Socket:
     """A link over a descriptor in real time."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         ours, theirs = socket.socketpair()
         ours.setblocking(False)
         self.ours, self.theirs = ours, theirs
         self.clock = MonotonicClock()
 
-    def port(self):
+    def port(self) -> Any:
         return LoopPort.on(
             self.clock,
             read=system.descriptor_read,
@@ -919,29 +921,29 @@ class Socket:
             handle=self.ours.fileno(),
         )
 
-    def failure(self):
+    def failure(self) -> None:
         return None
 
-    def close(self):
+    def close(self) -> None:
         self.ours.close()
         self.theirs.close()
 
 
 @pytest.fixture
-def wire():
+def wire() -> Iterator[Any]:
     made = Socket()
     yield made
     made.close()
 
 
-def until(condition):
+def until(condition: Any) -> None:
     deadline = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.001)
 
 
-def heard(wire):
+def heard(wire: Any) -> Any:
     wire.theirs.setblocking(False)
     data = b""
     try:
@@ -952,7 +954,7 @@ def heard(wire):
     return [unpack(decode_frame(frame)) for frame in data.split(b"\0") if frame]
 
 
-def test_virtual_and_real_time_run_the_same_machine_code(wire):
+def test_virtual_and_real_time_run_the_same_machine_code(wire: Any) -> None:
     """The loop object is compiled once, against the types of its plugs, whatever is plugged in."""
     run.prepare()
     before = list(run.signatures)
@@ -970,7 +972,7 @@ def test_virtual_and_real_time_run_the_same_machine_code(wire):
     assert len(run.overloads) == 1
 
 
-def test_the_loop_needs_no_python_while_it_runs(wire):
+def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
     """One thread holds the GIL without letting go (a C call through PyDLL); the loop answers every sample."""
     memory = Ring.allocate(4096)
     thread = LoopThread(wire, at_rest(), settings(lost_after_ns=10_000_000_000), memory)
@@ -991,7 +993,7 @@ def test_the_loop_needs_no_python_while_it_runs(wire):
     assert thread.end().reason == EndReason.STOPPED
 
 
-def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire):
+def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire: Any) -> None:
     memory = Ring.allocate(4096)
     thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), memory)
     seen = []
@@ -1007,7 +1009,7 @@ def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire):
     assert not thread._thread.is_alive() or not thread._thread.join(WAIT_S)
 
 
-def test_a_hang_up_in_real_time_is_a_closed_link(wire):
+def test_a_hang_up_in_real_time_is_a_closed_link(wire: Any) -> None:
     thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
     thread.start()
     wire.theirs.send(state_frame(1))
@@ -1019,7 +1021,7 @@ def test_a_hang_up_in_real_time_is_a_closed_link(wire):
     assert end.counters["errno"] in (errno.EPIPE, errno.ECONNRESET, errno.EIO)
 
 
-def test_a_loop_that_was_never_started_finishes_at_once():
+def test_a_loop_that_was_never_started_finishes_at_once() -> None:
     thread = LoopThread(Script(), at_rest(), settings(), Ring.allocate(8))
     before = time.monotonic()
     thread.finish()
@@ -1028,7 +1030,7 @@ def test_a_loop_that_was_never_started_finishes_at_once():
     assert thread.handover() is None
 
 
-def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wire):
+def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wire: Any) -> None:
     thread = LoopThread(wire, at_rest(), settings(lost_after_ns=60_000_000_000), Ring.allocate(4096))
     thread.start()
     with pytest.raises(ZeroDivisionError):
@@ -1037,7 +1039,7 @@ def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wi
     assert thread.end().reason == EndReason.STOPPED
 
 
-def test_settings_and_buffers_have_the_fields_that_the_loop_reads():
+def test_settings_and_buffers_have_the_fields_that_the_loop_reads() -> None:
     assert {field.name for field in dataclasses.fields(LoopSettings)} == set(SETTINGS.names)
     buffers = Buffers.allocate()
     assert len(buffers.state) == len(STATE)
@@ -1050,7 +1052,7 @@ def test_settings_and_buffers_have_the_fields_that_the_loop_reads():
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def waits_for_a_word(penetration, velocity, elapsed_ticks, state, parameters):
+def waits_for_a_word(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     entered, freed = np.int64(parameters[0]), np.int64(parameters[1])
     store_word(entered, 1)
     while load_word(freed) == 0:
@@ -1058,7 +1060,9 @@ def waits_for_a_word(penetration, velocity, elapsed_ticks, state, parameters):
     return 0.0
 
 
-def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(wire, monkeypatch):
+def test_a_law_that_never_returns_keeps_nobody_from_ending_the_run(
+    wire: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("rig.loop.run.JOIN_S", 0.2)
     words = np.zeros(2, np.int64)
     entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))

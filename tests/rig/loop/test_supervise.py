@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Sequence
+from typing import Any
 
 import numba
 import numpy as np
@@ -45,7 +46,7 @@ COMPLIANT = presets.load("koul-compliant")
 TIMING = int(RowFlag.GAP | RowFlag.LATE)
 
 
-def controlled(law: Law | None = None, **control: float):
+def controlled(law: Law | None = None, **control: float) -> Any:
     """Homes where the handle is, and pushes for ever unless told otherwise."""
     made = controller.for_experiment(COMPLIANT, current_quantum_a=0.001, law=law)
     wanted = {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40, "release_ticks": 1, **control}
@@ -54,7 +55,7 @@ def controlled(law: Law | None = None, **control: float):
     return made
 
 
-def loop_settings(**changes) -> LoopSettings:
+def loop_settings(**changes: Any) -> LoopSettings:
     values = {
         "period_ns": PERIOD_NS,
         "session": SESSION,
@@ -70,7 +71,9 @@ def loop_settings(**changes) -> LoopSettings:
     return LoopSettings(**{**values, **changes})
 
 
-def ran(device: BatchDevice, bundle=None, *, memory: Ring | None = None, live=None, **changes):
+def ran(
+    device: BatchDevice, bundle: Any = None, *, memory: Ring | None = None, live: Any = None, **changes: Any
+) -> Any:
     """Run the loop to its end."""
     memory = memory or Ring.allocate(8192)
     supervise.run.prepare()
@@ -91,7 +94,7 @@ def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
     return (np.rint(depth * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
 
 
-def by_the_host(counts: Sequence[int], bundle) -> np.ndarray:
+def by_the_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
     """Rows of the loop on the host for the same samples."""
     memory = Ring.allocate(8192)
     link = Script(*((PERIOD_NS * (k + 1), state_frame(100 + k, count=c)) for k, c in enumerate(counts)))
@@ -102,7 +105,7 @@ def by_the_host(counts: Sequence[int], bundle) -> np.ndarray:
     return rows_of(thread)
 
 
-def replayed(rows: np.ndarray, bundle) -> np.ndarray:
+def replayed(rows: np.ndarray, bundle: Any) -> np.ndarray:
     """`rig.control.step` over the samples of rows again."""
     again = rows.copy()
     bundle.memory[0] = new_memory()[0]
@@ -110,7 +113,7 @@ def replayed(rows: np.ndarray, bundle) -> np.ndarray:
     return again
 
 
-def assert_replays(rows: np.ndarray, bundle) -> None:
+def assert_replays(rows: np.ndarray, bundle: Any) -> None:
     """Every computed column to the last bit; of the last row as the loop ended it."""
     again = replayed(rows.copy(), bundle)
     for name in (*COMPUTED, "flags"):
@@ -127,7 +130,7 @@ def assert_ends_with_stops(device: BatchDevice) -> None:
 
 
 @pytest.mark.parametrize("layout", [0, 1, 2])
-def test_the_rows_are_those_of_a_loop_on_the_host(layout):
+def test_the_rows_are_those_of_a_loop_on_the_host(layout: int) -> None:
     counts = taps(400)
     bundle = controlled()
     expected = by_the_host(counts, controlled())
@@ -150,7 +153,7 @@ def test_the_rows_are_those_of_a_loop_on_the_host(layout):
     assert_ends_with_stops(device)
 
 
-def test_the_device_hears_of_the_host_in_time_and_clocks_are_compared():
+def test_the_device_hears_of_the_host_in_time_and_clocks_are_compared() -> None:
     device = BatchDevice(taps(300))
     device.at[300] = lambda: setattr(device, "silent", True)
     thread, end = ran(device, exchange_every_ns=20 * PERIOD_NS)
@@ -162,7 +165,7 @@ def test_the_device_hears_of_the_host_in_time_and_clocks_are_compared():
     assert thread.handover()["nonce"] == sum(isinstance(c, m.GetTime) for _, c in device.heard)
 
 
-def test_what_a_batch_does_not_say_comes_from_the_newest_state_before_the_sample():
+def test_what_a_batch_does_not_say_comes_from_the_newest_state_before_the_sample() -> None:
     """STATEs at 100, 105, …; each batch of five begins there."""
     device = BatchDevice([0] * 60, states_every=5)
     device.at[12] = lambda: setattr(device, "limits", int(LimitFlag.SPEED))  # told by the STATE of sample 115
@@ -199,7 +202,9 @@ MANGLED = {
 
 @pytest.mark.parametrize("kind", [*MANGLED, "reorder"])
 @pytest.mark.parametrize("struck", [(3,), (0,), (5, 6, 20), (0, 1, 2)])
-def test_a_frame_that_suffers_is_a_gap_that_is_counted_and_never_a_wrong_row(kind, struck):
+def test_a_frame_that_suffers_is_a_gap_that_is_counted_and_never_a_wrong_row(
+    kind: Any, struck: tuple[int, ...]
+) -> None:
     counts = taps(200, seed=4)
     held: list[bytes] = []
 
@@ -238,7 +243,9 @@ def test_a_frame_that_suffers_is_a_gap_that_is_counted_and_never_a_wrong_row(kin
     st.integers(1, 45),
     st.integers(0, 2**32 - 1),
 )
-def test_whatever_happens_to_frames_each_row_is_its_own_samples(struck, samples, first_index):
+def test_whatever_happens_to_frames_each_row_is_its_own_samples(
+    struck: Any, samples: int, first_index: int
+) -> None:
     counts = taps(400, seed=2)
 
     def mangle(number: int, frame: bytes) -> list[bytes]:
@@ -258,7 +265,7 @@ def test_whatever_happens_to_frames_each_row_is_its_own_samples(struck, samples,
         assert_replays(rows, controlled())
 
 
-def test_ticks_that_the_device_missed_are_gaps_too():
+def test_ticks_that_the_device_missed_are_gaps_too() -> None:
     counts = taps(100)
     device = BatchDevice(counts, missing=[20, 21, 22, 50])
     device.at[100] = lambda: setattr(device, "silent", True)
@@ -272,7 +279,7 @@ def test_ticks_that_the_device_missed_are_gaps_too():
 
 
 @pytest.mark.parametrize("first_index", [2**32 - 7, 2**32 - 1, 0])
-def test_index_and_time_go_on_when_their_32_bits_are_full(first_index):
+def test_index_and_time_go_on_when_their_32_bits_are_full(first_index: Any) -> None:
     device = BatchDevice(taps(50), first_index=first_index)
     device._next_ns = 268_435_456_000 - 9 * PERIOD_NS  # nine ticks before the clock wraps
     device.at[50] = lambda: setattr(device, "silent", True)
@@ -283,7 +290,7 @@ def test_index_and_time_go_on_when_their_32_bits_are_full(first_index):
     assert (np.diff(rows["device_time"]) == PERIOD_NS).all()
 
 
-def test_the_period_need_not_be_a_whole_number_of_the_devices_units():
+def test_the_period_need_not_be_a_whole_number_of_the_devices_units() -> None:
     device = BatchDevice([0] * 90, period_ns=333_333, samples=15)
     device.at[90] = lambda: setattr(device, "silent", True)
     thread, _ = ran(device, period_ns=333_333, batch_samples=15)
@@ -294,7 +301,7 @@ def test_the_period_need_not_be_a_whole_number_of_the_devices_units():
 # ---------------------------------------------------------------------- endings
 
 
-def test_the_run_ends_when_its_own_law_is_done():
+def test_the_run_ends_when_its_own_law_is_done() -> None:
     device = BatchDevice([0] * 200)
     thread, end = ran(device, controlled(trial_ticks=30, release_ticks=5))
     assert end.reason == EndReason.FINISHED
@@ -305,7 +312,7 @@ def test_the_run_ends_when_its_own_law_is_done():
     assert_ends_with_stops(device)
 
 
-def test_leaving_the_window_or_an_unreachable_start_end_the_run():
+def test_leaving_the_window_or_an_unreachable_start_end_the_run() -> None:
     device = BatchDevice([*[0] * 20, *range(0, 100_000, 100)])
     _, end = ran(device)
     assert end.reason == EndReason.OUT_OF_WINDOW
@@ -316,7 +323,7 @@ def test_leaving_the_window_or_an_unreachable_start_end_the_run():
 
 
 @pytest.mark.parametrize("tick", [0, 3, 4, 17])
-def test_a_fault_of_the_device_ends_the_run_with_every_sample_up_to_it(tick):
+def test_a_fault_of_the_device_ends_the_run_with_every_sample_up_to_it(tick: int) -> None:
     device = BatchDevice([0] * 100)
     device.faults_at[tick] = int(Fault.ENCODER)
     thread, end = ran(device)
@@ -330,7 +337,7 @@ def test_a_fault_of_the_device_ends_the_run_with_every_sample_up_to_it(tick):
     assert thread.handover()["state"] == State.FAULT
 
 
-def test_the_stop_word_stops_and_what_was_on_the_way_is_kept():
+def test_the_stop_word_stops_and_what_was_on_the_way_is_kept() -> None:
     memory = Ring.allocate(8192)
     device = BatchDevice(taps(300))
     device.at[42] = lambda: memory.put(ring.STOP, 1)
@@ -345,7 +352,7 @@ def test_the_stop_word_stops_and_what_was_on_the_way_is_kept():
     assert_ends_with_stops(device)
 
 
-def test_a_stop_before_the_start_supervises_nothing():
+def test_a_stop_before_the_start_supervises_nothing() -> None:
     memory = Ring.allocate(64)
     memory.put(ring.STOP, 1)
     device = BatchDevice([0] * 10)
@@ -354,7 +361,7 @@ def test_a_stop_before_the_start_supervises_nothing():
     assert_ends_with_stops(device)
 
 
-def test_a_supervisor_that_falls_silent_ends_the_run():
+def test_a_supervisor_that_falls_silent_ends_the_run() -> None:
     memory = Ring.allocate(8192)
     memory.put(ring.HEARTBEAT, 20 * PERIOD_NS)
     device = BatchDevice([0] * 300)
@@ -364,7 +371,7 @@ def test_a_supervisor_that_falls_silent_ends_the_run():
     assert_ends_with_stops(device)
 
 
-def test_a_device_that_never_says_anything_is_silent():
+def test_a_device_that_never_says_anything_is_silent() -> None:
     device = BatchDevice([0] * 10)
     device.silent = True
     thread, end = ran(device)
@@ -379,14 +386,14 @@ def test_a_device_that_never_says_anything_is_silent():
     }
 
 
-def test_a_device_without_a_law_of_its_own_is_silent_though_its_states_come():
+def test_a_device_without_a_law_of_its_own_is_silent_though_its_states_come() -> None:
     device = BatchDevice([0] * 300)
     device.mangle = lambda number, frame: []
     _, end = ran(device)
     assert end.reason == EndReason.LINK_SILENT
 
 
-def test_a_broken_link_ends_the_run_with_its_error_number_and_all_that_came():
+def test_a_broken_link_ends_the_run_with_its_error_number_and_all_that_came() -> None:
     device = BatchDevice([0] * 100)
     device.at[41] = lambda: setattr(device, "error", -errno.EIO)
     thread, end = ran(device)
@@ -395,7 +402,7 @@ def test_a_broken_link_ends_the_run_with_its_error_number_and_all_that_came():
     assert_ends_with_stops(device)
 
 
-def test_a_link_that_takes_no_command_is_closed():
+def test_a_link_that_takes_no_command_is_closed() -> None:
     device = BatchDevice([0] * 100)
     device.write_error = -errno.EPIPE
     thread, end = ran(device)
@@ -414,7 +421,7 @@ def test_a_link_that_takes_no_command_is_closed():
         ({"trial_ticks": 60, "release_ticks": 1000}, EndReason.FINISHED),
     ],
 )
-def test_a_device_whose_law_ended_is_not_followed_for_ever(control, reason):
+def test_a_device_whose_law_ended_is_not_followed_for_ever(control: Any, reason: Any) -> None:
     device = BatchDevice([0] * 500)
     device.at[100] = lambda: setattr(device, "phase", int(Phase.DONE))
     thread, end = ran(device, controlled(**control))
@@ -426,7 +433,7 @@ def test_a_device_whose_law_ended_is_not_followed_for_ever(control, reason):
 # ---------------------------------------------------------------------- does the device follow the law
 
 
-def apart(changes: dict[int, int], **options) -> SupervisedThread:
+def apart(changes: dict[int, int], **options: Any) -> SupervisedThread:
     """A run whose device differs from the host's law by so much in these ticks."""
     counts = taps(400)
     currents = by_the_host(counts, controlled())["current_sent"]
@@ -439,19 +446,19 @@ def apart(changes: dict[int, int], **options) -> SupervisedThread:
     return ran(device)[0]
 
 
-def test_a_device_that_rounds_otherwise_agrees_and_the_difference_is_told():
+def test_a_device_that_rounds_otherwise_agrees_and_the_difference_is_told() -> None:
     found = apart(dict.fromkeys(range(0, 380, 3), 1)).agreement()
     assert (found.greatest_quanta, found.beyond, found.holds) == (1, 0, True)
     assert 120 <= found.differing <= 127
 
 
-def test_a_device_that_does_something_else_is_found_out():
+def test_a_device_that_does_something_else_is_found_out() -> None:
     found = apart(dict.fromkeys(range(100, 120), -40)).agreement()
     assert (found.greatest_quanta, found.beyond, found.holds) == (40, 20, False)
     assert plain(found)["bound_quanta"] == 1
 
 
-def test_where_a_limit_acts_the_device_is_right_to_differ():
+def test_where_a_limit_acts_the_device_is_right_to_differ() -> None:
     counts = taps(400)
     currents = by_the_host(counts, controlled())["current_sent"]
     currents[200:220] = 0
@@ -465,7 +472,7 @@ def test_where_a_limit_acts_the_device_is_right_to_differ():
     assert found.compared + found.excluded == 399
 
 
-def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it():
+def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it() -> None:
     """The device saw what the host did not: for a while their velocities are apart."""
     counts = taps(2000)
     currents = by_the_host(counts, controlled())["current_sent"].tolist()
@@ -482,7 +489,7 @@ def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it(
 # ---------------------------------------------------------------------- a new wall on the way
 
 
-def wall_values(bundle, *, position: float, stiffness: float) -> list[float]:
+def wall_values(bundle: Any, *, position: float, stiffness: float) -> list[float]:
     values = [position, *bundle.law.parameters.tolist()]
     values[1] = stiffness
     return values
@@ -501,7 +508,7 @@ class Changing:
     """A run with a wall that is changed at a tick."""
 
     def __init__(
-        self, counts: Sequence[int], *sets: tuple[int, float], position: float = 0.0, **options
+        self, counts: Sequence[int], *sets: tuple[int, float], position: float = 0.0, **options: Any
     ) -> None:
         self.bundle = controlled()
         self.memory = Ring.allocate(16384)
@@ -515,7 +522,7 @@ class Changing:
         self.memory.post(wall_values(self.bundle, position=self.position, stiffness=stiffness))
         self.thread._attend()
 
-    def run(self, **changes):
+    def run(self, **changes: Any) -> Any:
         self.thread = SupervisedThread(
             self.device, self.bundle, loop_settings(**changes), self.memory, live=as_device_parameters
         )
@@ -539,7 +546,7 @@ class Changing:
 TAP = [*[-3] * 60, *[4] * 60, *[-3] * 60]
 
 
-def test_a_new_wall_becomes_active_on_both_sides_at_the_same_sample():
+def test_a_new_wall_becomes_active_on_both_sides_at_the_same_sample() -> None:
     run = Changing(TAP, (22, 1.0), (30, 2.5))
     run.run()
     (first, block), (second, _) = run.device.commits
@@ -558,7 +565,7 @@ def test_a_new_wall_becomes_active_on_both_sides_at_the_same_sample():
     assert run.thread.handover()["parameters_crc"] > 0
 
 
-def test_the_wall_waits_until_the_handle_is_outside_and_the_newest_one_is_taken():
+def test_the_wall_waits_until_the_handle_is_outside_and_the_newest_one_is_taken() -> None:
     run = Changing(TAP, (70, 1.0), (80, 2.0))
     run.run()
     ((index, block),) = run.device.commits
@@ -567,7 +574,7 @@ def test_the_wall_waits_until_the_handle_is_outside_and_the_newest_one_is_taken(
     assert [one["number"] for one in run.thread.parameter_sets()] == [2]
 
 
-def test_a_device_that_finds_the_handle_inside_is_asked_again():
+def test_a_device_that_finds_the_handle_inside_is_asked_again() -> None:
     run = Changing(TAP, (20, 1.0))
     refused = iter([Status.INSIDE_WALL] * 3)
     run.device.commit = lambda: next(refused, Status.OK)
@@ -578,7 +585,7 @@ def test_a_device_that_finds_the_handle_inside_is_asked_again():
     assert len(nonces) == 4, "each time a new conversation"
 
 
-def test_a_wall_that_the_device_refuses_is_told_and_leaves_the_old_one():
+def test_a_wall_that_the_device_refuses_is_told_and_leaves_the_old_one() -> None:
     run = Changing(TAP, (20, 1.0))
     run.device.commit = lambda: Status.INCONSISTENT
     run.run()
@@ -589,8 +596,8 @@ def test_a_wall_that_the_device_refuses_is_told_and_leaves_the_old_one():
     assert Status.INCONSISTENT.text in told
 
 
-def test_a_wall_that_cannot_be_computed_is_told():
-    def refuses(values):
+def test_a_wall_that_cannot_be_computed_is_told() -> None:
+    def refuses(values: Any) -> None:
         raise PlanError("stiffness does not fit", remedy="choose less")
 
     bundle, memory = controlled(), Ring.allocate(8192)
@@ -603,7 +610,7 @@ def test_a_wall_that_cannot_be_computed_is_told():
 
 @pytest.mark.parametrize("lost", ["ack", "request"])
 @pytest.mark.parametrize("kind", [m.SetBegin, m.SetChunk, m.SetCommit])
-def test_what_gets_lost_is_said_again_and_the_sample_stays_exact(lost, kind):
+def test_what_gets_lost_is_said_again_and_the_sample_stays_exact(lost: str, kind: Any) -> None:
     """A commit whose answer is lost is active on the device: samples wait here until that is known."""
     run = Changing([*TAP, *TAP], (20, 1.0))
     device = run.device
@@ -611,7 +618,7 @@ def test_what_gets_lost_is_said_again_and_the_sample_stays_exact(lost, kind):
 
     answer = device._answer
 
-    def once(message):
+    def once(message: Any) -> None:
         if isinstance(message, kind) and not struck:
             struck.append(message)
             if lost == "ack":
@@ -631,7 +638,7 @@ def test_what_gets_lost_is_said_again_and_the_sample_stays_exact(lost, kind):
     assert all(again[name].tobytes() == run.rows[name].tobytes() for name in COMPUTED)
 
 
-def test_a_device_that_never_answers_a_commit_does_not_hold_up_the_rows_for_ever():
+def test_a_device_that_never_answers_a_commit_does_not_hold_up_the_rows_for_ever() -> None:
     run = Changing([*TAP * 60], (20, 1.0))
     answer = run.device._answer
     run.device._answer = lambda message: None if isinstance(message, m.SetCommit) else answer(message)
@@ -642,7 +649,7 @@ def test_a_device_that_never_answers_a_commit_does_not_hold_up_the_rows_for_ever
     assert run.thread.parameter_sets() == []
 
 
-def test_too_many_parameters_for_an_update_are_refused():
+def test_too_many_parameters_for_an_update_are_refused() -> None:
     with pytest.raises(ConfigError, match="do not fit"):
         update_of(1, bytes(102), [0.0])
     with pytest.raises(ConfigError, match="do not fit"):

@@ -12,21 +12,21 @@ from rig.realtime.clock import MonotonicClock, VirtualClock
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="reads a word by its address")
 
 
-def test_virtual_time_moves_only_when_told_to():
+def test_virtual_time_moves_only_when_told_to() -> None:
     clock = VirtualClock(5)
     assert clock.now_ns() == clock.now_ns() == 5
     clock.sleep_until(60_000_000_000)  # a minute costs nothing
     assert clock.now_ns() == 60_000_000_000
 
 
-def test_virtual_time_never_runs_backwards():
+def test_virtual_time_never_runs_backwards() -> None:
     clock = VirtualClock(100)
     clock.sleep_until(40)
     assert clock.now_ns() == 100
 
 
 @compiled
-def test_compiled_code_reads_the_same_virtual_time():
+def test_compiled_code_reads_the_same_virtual_time() -> None:
     clock = VirtualClock(7)
     assert clock.now_plug(clock.handle) == 7
     clock.sleep_until(1 << 40)
@@ -34,25 +34,25 @@ def test_compiled_code_reads_the_same_virtual_time():
 
 
 @compiled
-def test_two_virtual_clocks_do_not_share_their_time():
+def test_two_virtual_clocks_do_not_share_their_time() -> None:
     one, two = VirtualClock(), VirtualClock()
     one.sleep_until(9)
     assert two.now_plug(two.handle) == 0
 
 
-def test_monotonic_time_never_wakes_before_the_deadline():
+def test_monotonic_time_never_wakes_before_the_deadline() -> None:
     clock = MonotonicClock()
     deadline = clock.now_ns() + 3_000_000
     clock.sleep_until(deadline)
     assert clock.now_ns() >= deadline
 
 
-def test_a_deadline_in_the_past_returns():
+def test_a_deadline_in_the_past_returns() -> None:
     MonotonicClock().sleep_until(0)
 
 
 @compiled
-def test_compiled_and_python_read_one_and_the_same_monotonic_clock():
+def test_compiled_and_python_read_one_and_the_same_monotonic_clock() -> None:
     """Stamps of both are compared and recorded side by side, so they must interleave."""
     clock = MonotonicClock()
     stamps = []
@@ -61,6 +61,6 @@ def test_compiled_and_python_read_one_and_the_same_monotonic_clock():
     assert stamps == sorted(stamps)
 
 
-def test_which_clock_is_virtual_is_said():
+def test_which_clock_is_virtual_is_said() -> None:
     assert VirtualClock.virtual
     assert not MonotonicClock.virtual

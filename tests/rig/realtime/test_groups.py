@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -51,20 +52,20 @@ class Plugged(NamedTuple):
 
 
 @kernel(types.float64(type_of(Wanted), type_of(Measured)), cache=False)
-def error(wanted, measured):
+def error(wanted: Any, measured: Any) -> Any:
     """Difference of two values."""
     return wanted.values[wanted.place] - measured.values[measured.place]
 
 
 @kernel(LAW_SIGNATURE, cache=False)
-def counting(penetration, velocity, elapsed_ticks, state, parameters):
+def counting(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     """Count calls."""
     state[0] += 1.0
     return state[0] if penetration >= 0.0 else 1.0 / 0.0
 
 
 @kernel(types.float64(type_of(Plugged), types.int64), cache=False)
-def repeated(plugged, times):
+def repeated(plugged: Any, times: Any) -> Any:
     """Call the law again and again."""
     last = 0.0
     for _ in range(times):
@@ -72,15 +73,15 @@ def repeated(plugged, times):
     return last + plugged.address
 
 
-def wanted(**members):
+def wanted(**members: Any) -> Any:
     return Wanted(**{"values": np.array([3.0, 5.0]), "place": 1, **members})
 
 
-def measured(**members):
+def measured(**members: Any) -> Any:
     return Measured(**{"values": np.array([1.0, 2.0]), "place": 0, **members})
 
 
-def test_a_kernel_takes_groups_and_their_arrays_are_the_callers():
+def test_a_kernel_takes_groups_and_their_arrays_are_the_callers() -> None:
     assert error(wanted(), measured()) == 4.0
     plugged = Plugged(law=counting, state=np.zeros(1), address=(1 << 63) + 4096)
     assert repeated(plugged, 3) == 3.0 + (1 << 63) + 4096
@@ -90,14 +91,14 @@ def test_a_kernel_takes_groups_and_their_arrays_are_the_callers():
 @pytest.mark.parametrize(
     "shaken", [(measured, wanted), (wanted, wanted), (lambda: tuple(wanted()), measured)]
 )
-def test_two_groups_in_each_others_place_are_refused(shaken):
+def test_two_groups_in_each_others_place_are_refused(shaken: Any) -> None:
     """Also after a call that was right, though all members have the same types."""
     assert error(wanted(), measured()) == 4.0
     with pytest.raises(TypeError, match="No matching definition"):
         error(*(make() for make in shaken))
 
 
-def test_two_arguments_of_the_loop_in_each_others_place_are_refused():
+def test_two_arguments_of_the_loop_in_each_others_place_are_refused() -> None:
     """A controller where the port belongs, buffers where the ring belongs."""
     link = MemoryLink(SimulatedDevice(rotary_rig()))
     law = controller.for_experiment(presets.load("koul-compliant"), current_quantum_a=0.001).arguments()
@@ -121,12 +122,12 @@ def test_two_arguments_of_the_loop_in_each_others_place_are_refused():
         {"place": None},
     ],
 )
-def test_a_member_of_another_type_is_refused(members):
+def test_a_member_of_another_type_is_refused(members: Any) -> None:
     with pytest.raises(TypeError, match="No matching definition"):
         error(wanted(**members), measured())
 
 
-def test_a_plug_that_does_not_fit_and_an_address_below_zero_are_refused():
+def test_a_plug_that_does_not_fit_and_an_address_below_zero_are_refused() -> None:
     state = np.zeros(1)
     for law in (error, None, 3.0):
         with pytest.raises((NotImplementedError, numba.core.errors.TypingError)):
@@ -135,7 +136,7 @@ def test_a_plug_that_does_not_fit_and_an_address_below_zero_are_refused():
         repeated(Plugged(law=counting, state=state, address=-1), 1)
 
 
-def test_a_group_is_made_by_keyword_alone_and_whole():
+def test_a_group_is_made_by_keyword_alone_and_whole() -> None:
     with pytest.raises(TypeError, match="positional"):
         Wanted(np.zeros(1), 0)
     with pytest.raises(TypeError, match="place"):
@@ -148,7 +149,7 @@ def test_a_group_is_made_by_keyword_alone_and_whole():
 MOST = 12  # parameters of a kernel
 
 
-def kernels():
+def kernels() -> Iterator[Any]:
     """Every function with the decorator: its name, its parameters, and its lines."""
     for module, path in source_files().items():
         text = path.read_text(encoding="utf-8")
@@ -166,7 +167,7 @@ def kernels():
                 )
 
 
-def test_no_kernel_has_more_than_a_dozen_parameters_or_a_wall_of_them():
+def test_no_kernel_has_more_than_a_dozen_parameters_or_a_wall_of_them() -> None:
     """A wall is what the formatter was told to leave alone: a signature or a call."""
     found = list(kernels())
     assert len(found) > 100

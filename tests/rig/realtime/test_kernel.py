@@ -94,7 +94,7 @@ class Project:
 
 
 @pytest.fixture
-def project(tmp_path) -> Project:
+def project(tmp_path: Path) -> Project:
     root = tmp_path / "project"
     (root / "rig" / "realtime").mkdir(parents=True)
     for package in ("rig", "rig/realtime"):
@@ -109,7 +109,7 @@ def project(tmp_path) -> Project:
 
 
 @compiled
-def test_the_second_process_loads_what_the_first_compiled(project):
+def test_the_second_process_loads_what_the_first_compiled(project: Project) -> None:
     """Whoever listens is told of the one and not of the other; helpers are compiled within what calls them."""
     first, second = project.run(), project.run()
     assert (first["hits"], first["misses"], first["compiled"]) == (0, 1, [True, False])
@@ -120,7 +120,7 @@ def test_the_second_process_loads_what_the_first_compiled(project):
 
 
 @compiled
-def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(project):
+def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(project: Project) -> None:
     before = project.run()
     project.write(gain=5.0)
     after = project.run()
@@ -133,7 +133,7 @@ def test_an_edited_constant_of_a_file_that_only_a_helper_imports_is_seen(project
 
 
 @compiled
-def test_without_the_key_the_edit_would_not_be_seen(project):
+def test_without_the_key_the_edit_would_not_be_seen(project: Project) -> None:
     """The control of the test above: numba alone keeps the caller's old machine code."""
     before = "kernel.numba.config.CACHE_DIR = " + repr(project.cache + "-fixed")
     first = project.run(before=before)
@@ -142,7 +142,9 @@ def test_without_the_key_the_edit_would_not_be_seen(project):
 
 
 @compiled
-def test_a_cache_that_cannot_be_written_costs_time_but_never_the_run(project, tmp_path):
+def test_a_cache_that_cannot_be_written_costs_time_but_never_the_run(
+    project: Project, tmp_path: Path
+) -> None:
     """A file where the directory should be stops every user, root too."""
     (tmp_path / "cache").touch()
     report = project.run(after="import shutil; shutil.rmtree(kernel.CACHE_DIRECTORY)")
@@ -151,7 +153,7 @@ def test_a_cache_that_cannot_be_written_costs_time_but_never_the_run(project, tm
 
 
 @compiled
-def test_directories_that_nobody_used_for_a_month_are_removed(project):
+def test_directories_that_nobody_used_for_a_month_are_removed(project: Project) -> None:
     root = Path(project.cache)
     for name, days in (("kernels-old", 40), ("kernels-recent", 20), ("something-else", 40)):
         (root / name).mkdir(parents=True)
@@ -164,7 +166,7 @@ def test_directories_that_nobody_used_for_a_month_are_removed(project):
 
 
 @compiled
-def test_an_edit_of_a_file_that_no_kernel_depends_on_compiles_nothing(project):
+def test_an_edit_of_a_file_that_no_kernel_depends_on_compiles_nothing(project: Project) -> None:
     first = project.run()
     (project.root / "rig" / "command.py").write_text("from rig.law import law\n")
     second = project.run()
@@ -182,7 +184,9 @@ def test_an_edit_of_a_file_that_no_kernel_depends_on_compiles_nothing(project):
         ("rig/session/conduct.py", "def ", "def x_", False),
     ],
 )
-def test_the_key_follows_what_kernels_depend_on_and_nothing_else(tmp_path, file, old, new, recompiles):
+def test_the_key_follows_what_kernels_depend_on_and_nothing_else(
+    tmp_path: Path, file: str, old: str, new: str, recompiles: bool
+) -> None:
     packages = {name: Path(module.__file__).parents[2] / name for name in sources.PACKAGES}
     for name, path in packages.items():
         shutil.copytree(path, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "firmware"))
@@ -207,7 +211,7 @@ def key_of(root: Path) -> str:
     return done.stdout
 
 
-def test_compiled_code_lies_in_its_rooms():
+def test_compiled_code_lies_in_its_rooms() -> None:
     """Control, realtime, loop, devices, recording, bench and the simulation; nowhere else."""
     rooms = {".".join(name.split(".")[:2]) for name, path in source_files().items() if is_compiled(path)}
     simulation = {room for room in rooms if room.startswith("sim_backend.")}
@@ -219,14 +223,14 @@ def is_compiled(path: Path) -> bool:
     return "@kernel(" in path.read_text() and path != Path(sources.__file__)
 
 
-def test_the_key_covers_kernels_and_what_they_import():
+def test_the_key_covers_kernels_and_what_they_import() -> None:
     names = {f"{path.parent.name}/{path.name}" for path in compiled_files()}
     assert names >= {"realtime/kernel.py", "control/step.py", "estimators/fdm.py", "sim_backend/plant.py"}
     assert names >= {"core/sample.py", "firmware_protocol/messages.py", "firmware_protocol/wire.py"}
     assert source_files(["no_such_package"]) == {}
 
 
-def test_any_change_of_names_or_contents_changes_the_key(tmp_path):
+def test_any_change_of_names_or_contents_changes_the_key(tmp_path: Path) -> None:
     def key(**contents: str) -> str:
         for old in tmp_path.iterdir():
             old.unlink()
@@ -240,7 +244,7 @@ def test_any_change_of_names_or_contents_changes_the_key(tmp_path):
     assert all(len(k) == 16 and int(k, 16) >= 0 for k in keys)
 
 
-def test_the_key_covers_the_versions_of_the_compiler(monkeypatch):
+def test_the_key_covers_the_versions_of_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     before = cache_key([])
     monkeypatch.setattr(module.numba, "__version__", "0.0.1")
     assert cache_key([]) != before
@@ -253,12 +257,12 @@ def quotient(a: float, b: float) -> float:
 
 
 @kernel(["f8(f8)", "f4(f4)"], cache=False, inline=True)
-def twice(x):
+def twice(x: Any) -> Any:
     return x + x
 
 
 @compiled
-def test_a_kernel_raises_nothing_and_holds_no_gil():
+def test_a_kernel_raises_nothing_and_holds_no_gil() -> None:
     assert quotient(1.0, 0.0) == np.inf
     assert np.isnan(quotient(0.0, 0.0))
     assert quotient.targetoptions["nogil"] is True
@@ -266,29 +270,29 @@ def test_a_kernel_raises_nothing_and_holds_no_gil():
 
 
 @compiled
-def test_a_kernel_is_compiled_for_its_signatures_and_no_others():
+def test_a_kernel_is_compiled_for_its_signatures_and_no_others() -> None:
     twice.prepare()
     assert [str(s) for s in twice.nopython_signatures] == ["(float64,) -> float64", "(float32,) -> float32"]
     with pytest.raises(TypeError, match="No matching definition"):
         twice("ab")
 
 
-def test_a_kernel_keeps_its_name_and_documentation():
+def test_a_kernel_keeps_its_name_and_documentation() -> None:
     assert quotient.__name__ == "quotient"
     assert "error model" in quotient.__doc__
 
 
-def test_importing_the_protocol_does_not_load_the_compiler():
+def test_importing_the_protocol_does_not_load_the_compiler() -> None:
     script = "import sys, firmware_protocol, rig; assert not {'numba', 'scipy'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
 @compiled
-def test_a_kernel_without_reference_counts_writes_into_its_arrays_and_cannot_make_one():
+def test_a_kernel_without_reference_counts_writes_into_its_arrays_and_cannot_make_one() -> None:
     """No references are counted: the arrays stay the caller's, and an allocation is refused by the compiler."""
 
     @kernel("f8(f8[::1])", cache=False, no_refcount=True)
-    def double_first(values):
+    def double_first(values: Any) -> Any:
         values[0] *= 2.0
         return values[0]
 
@@ -298,7 +302,7 @@ def test_a_kernel_without_reference_counts_writes_into_its_arrays_and_cannot_mak
     assert values[0] == 6.0
     assert sys.getrefcount(values) == holders
 
-    def allocate(size):
+    def allocate(size: Any) -> Any:
         return np.zeros(size)[0]
 
     with pytest.raises(numba.core.errors.NumbaError):
@@ -306,17 +310,17 @@ def test_a_kernel_without_reference_counts_writes_into_its_arrays_and_cannot_mak
 
 
 @compiled
-def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it():
+def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it() -> None:
     @kernel("f8(f8)", cache=False)
-    def half(x):
+    def half(x: Any) -> Any:
         return 0.5 * x
 
     @kernel("f8(f8)", cache=False)
-    def quarter(x):
+    def quarter(x: Any) -> Any:
         return half(half(x))
 
     @kernel(types.float64(types.FunctionType(types.float64(types.float64)), types.float64), cache=False)
-    def applied(function, x):
+    def applied(function: Any, x: Any) -> Any:
         return function(x)
 
     assert [half.prepared, quarter.prepared, applied.prepared] == [False, False, False]
@@ -324,7 +328,7 @@ def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it():
     assert (half.prepared, quarter.prepared, half.signatures) == (True, True, [(types.float64,)])
 
     @kernel("f8(f8)", cache=False)
-    def third(x):
+    def third(x: Any) -> Any:
         return x / 3.0
 
     assert applied(third, 6.0) == 2.0
@@ -332,9 +336,9 @@ def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it():
 
 
 @compiled
-def test_the_first_call_refuses_what_later_calls_refuse():
+def test_the_first_call_refuses_what_later_calls_refuse() -> None:
     @kernel("f8(f8[::1])", cache=False)
-    def first(values):
+    def first(values: Any) -> Any:
         return values[0]
 
     for _ in range(2):
@@ -343,9 +347,9 @@ def test_the_first_call_refuses_what_later_calls_refuse():
 
 
 @compiled
-def test_many_threads_prepare_a_kernel_once():
+def test_many_threads_prepare_a_kernel_once() -> None:
     @kernel("f8(f8)", cache=False)
-    def square(x):
+    def square(x: Any) -> Any:
         return x * x
 
     with ThreadPoolExecutor(8) as threads:

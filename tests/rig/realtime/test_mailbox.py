@@ -5,7 +5,8 @@ from __future__ import annotations
 import fcntl
 import itertools
 import threading
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -236,7 +237,7 @@ def test_every_interleaving_of_four_posts_and_four_takes_with_writers_killed_any
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64), cache=False)
-def swap(address, seen, after):  # type: ignore[no-untyped-def]
+def swap(address: Any, seen: Any, after: Any) -> Any:  # type: ignore[no-untyped-def]
     """`compare_exchange_word` for Python."""
     return compare_exchange_word(address, seen, after)
 
@@ -249,7 +250,7 @@ def test_a_word_is_exchanged_only_for_what_it_was() -> None:
     assert word[0] == -9
 
 
-def writer_of(box: Box, count: int):  # type: ignore[no-untyped-def]
+def writer_of(box: Box, count: int) -> Iterator[Any]:  # type: ignore[no-untyped-def]
     """One post, a step for each word written and for each access to the state."""
     seen = read_word(box.address)
     number = (seen >> NUMBER) + 1
@@ -267,7 +268,7 @@ def writer_of(box: Box, count: int):  # type: ignore[no-untyped-def]
     raise AssertionError("the writer failed twice in one post")
 
 
-def reader_of(box: Box, room: int):  # type: ignore[no-untyped-def]
+def reader_of(box: Box, room: int) -> Iterator[Any]:  # type: ignore[no-untyped-def]
     """One take; the last word copied ends it."""
     for _ in range(mailbox.ATTEMPTS):
         seen = read_word(box.address)
@@ -355,7 +356,7 @@ def test_interleaved_steps_of_the_machine_code(actions: list[str], count: int) -
 
 
 @kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64, types.uintp), cache=False)
-def read_until(address, message, into, newest, found):  # type: ignore[no-untyped-def]
+def read_until(address: Any, message: Any, into: Any, newest: Any, found: Any) -> Any:  # type: ignore[no-untyped-def]
     """A loop that takes until it has the newest; counts sets, torn ones and old ones in the three words at `found`."""
     last, deadline = 0, monotonic_now(0) + PATIENCE_NS
     sets = torn = old = 0
@@ -375,7 +376,7 @@ def read_until(address, message, into, newest, found):  # type: ignore[no-untype
 
 
 @kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64), cache=False)
-def write_many(address, message, values, times):  # type: ignore[no-untyped-def]
+def write_many(address: Any, message: Any, values: Any, times: Any) -> Any:  # type: ignore[no-untyped-def]
     """A writer without mercy; returns the number of the last set."""
     number = 0
     for n in range(times):

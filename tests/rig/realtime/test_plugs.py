@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+from typing import Any
 
 import numba
 import numpy as np
@@ -18,55 +19,59 @@ pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="function
 
 
 @kernel(types.float64(plugs.LAW, types.float64, types.float64[::1], types.float64[::1]), cache=False)
-def ask_law(law, penetration, state, parameters):
+def ask_law(law: Any, penetration: Any, state: Any, parameters: Any) -> Any:
     return law(penetration, 0.0, 1, state, parameters)
 
 
 @kernel(types.int64(plugs.NOW, types.int64), cache=False)
-def ask_clock(now, handle):
+def ask_clock(now: Any, handle: Any) -> Any:
     return now(handle)
 
 
 @kernel(plugs.LAW_SIGNATURE, cache=False)
-def magnet(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+def magnet(
+    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
+) -> Any:
     return -parameters[0] * penetration
 
 
 @kernel(plugs.LAW_SIGNATURE, cache=False)
-def raising(penetration, penetration_velocity, elapsed_ticks, state, parameters):
+def raising(
+    penetration: Any, penetration_velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any
+) -> Any:
     if penetration > 1.0:
         raise ValueError("deeper than the wall is thick")
     return 0.0
 
 
 @pytest.mark.parametrize("name", estimators.names())
-def test_every_estimator_has_the_signature_of_its_plug(name):
+def test_every_estimator_has_the_signature_of_its_plug(name: Any) -> None:
     assert estimators.get(name).update.declared == (plugs.ESTIMATOR_SIGNATURE,)
 
 
 @pytest.mark.parametrize("name", laws.names())
-def test_every_law_has_the_signature_of_its_plug(name):
+def test_every_law_has_the_signature_of_its_plug(name: Any) -> None:
     assert laws.get(name).function.declared == (plugs.LAW_SIGNATURE,)
 
 
-def test_a_third_partys_law_runs_in_a_caller_compiled_before_it_was_known():
+def test_a_third_partys_law_runs_in_a_caller_compiled_before_it_was_known() -> None:
     state, parameters = np.zeros(1), np.array([100.0, 0.0, 0.0, 0.0])
     assert ask_law(magnet, 0.5, state, parameters) == -50.0
     assert ask_law(laws.get("spring-damper").function, 0.5, state, parameters) == 50.0
     assert len(ask_law.signatures) == 1
 
 
-def test_an_exception_in_a_law_reaches_the_caller_as_itself():
+def test_an_exception_in_a_law_reaches_the_caller_as_itself() -> None:
     with pytest.raises(ValueError, match="deeper than the wall is thick"):
         ask_law(raising, 2.0, np.zeros(1), np.zeros(1))
     assert ask_law(raising, 0.5, np.zeros(1), np.zeros(1)) == 0.0
 
 
-def test_a_python_callback_plugs_in_by_its_address():
+def test_a_python_callback_plugs_in_by_its_address() -> None:
     seen = []
 
     @ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
-    def now(handle):
+    def now(handle: Any) -> Any:
         seen.append(handle)
         return 1000 + handle
 
@@ -75,15 +80,15 @@ def test_a_python_callback_plugs_in_by_its_address():
     assert seen == [7]
 
 
-def test_a_c_librarys_function_plugs_in_by_its_address():
+def test_a_c_librarys_function_plugs_in_by_its_address() -> None:
     labs = ctypes.CDLL(ctypes.util.find_library("c")).labs
     plug = plugs.NativeFunction(ctypes.cast(labs, ctypes.c_void_p).value, plugs.NOW_SIGNATURE, keep=labs)
     assert ask_clock(plug, -(1 << 40)) == 1 << 40
 
 
-def test_a_plug_keeps_its_callback_alive():
+def test_a_plug_keeps_its_callback_alive() -> None:
     @ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
-    def now(handle):
+    def now(handle: Any) -> Any:
         return handle + 1
 
     plug = plugs.NativeFunction(ctypes.cast(now, ctypes.c_void_p).value, plugs.NOW_SIGNATURE, keep=now)

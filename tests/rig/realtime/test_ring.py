@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -34,7 +35,7 @@ JOIN_S = 30.0
 
 
 @kernel(types.int64(types.uintp, ROWS, types.int64), cache=False)
-def produce(control, rows, count):
+def produce(control: Any, rows: Any, count: Any) -> Any:
     """A loop's writer: rows in order, waiting for room; returns how often the ring was full."""
     full, deadline = 0, monotonic_now(0) + PATIENCE_NS
     for n in range(count):
@@ -53,7 +54,7 @@ def produce(control, rows, count):
 
 
 @kernel(types.int64(types.uintp), cache=False)
-def spin_until_stopped(control):
+def spin_until_stopped(control: Any) -> Any:
     """A loop that does nothing but look at the stop word."""
     deadline = monotonic_now(0) + PATIENCE_NS
     turns = 0
@@ -65,14 +66,14 @@ def spin_until_stopped(control):
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64), cache=False)
-def trade(mailbox, token, times):
+def trade(mailbox: Any, token: Any, times: Any) -> Any:
     """Swap the token in hand with the one in the mailbox, again and again."""
     for _ in range(times):
         token = exchange_word(mailbox, token)
     return token
 
 
-def in_thread(function, *arguments):
+def in_thread(function: Any, *arguments: Any) -> Any:
     prepare(function)
     results = []
     thread = threading.Thread(target=lambda: results.append(function(*arguments)), daemon=True)
@@ -80,7 +81,7 @@ def in_thread(function, *arguments):
     return thread, results
 
 
-def descriptors_of_rings():
+def descriptors_of_rings() -> Any:
     """How many of this process's descriptors are the memory of a ring."""
     found = 0
     for name in os.listdir("/proc/self/fd"):
@@ -89,16 +90,16 @@ def descriptors_of_rings():
     return found
 
 
-def path_of(ring):
+def path_of(ring: Any) -> Any:
     return f"/proc/self/fd/{ring.descriptor}"
 
 
-def mappings_of_rings():
+def mappings_of_rings() -> Any:
     return Path("/proc/self/maps").read_text().count(f"memfd:{words.NAME}")
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_a_new_ring_is_empty_and_says_its_layout(shared):
+def test_a_new_ring_is_empty_and_says_its_layout(shared: bool) -> None:
     with Ring.allocate(10, shared=shared) as ring:
         assert ring.get(words.VERSION) == words.LAYOUT_VERSION
         assert ring.get(words.ROW_BYTES) == ROW.itemsize
@@ -112,7 +113,7 @@ def test_a_new_ring_is_empty_and_says_its_layout(shared):
         assert ring.buffer.ctypes.data % 64 == ring.mailbox % 64 == ring.rows.ctypes.data % 64 == 0
 
 
-def test_the_ring_is_one_block_so_that_it_can_be_shared_memory():
+def test_the_ring_is_one_block_so_that_it_can_be_shared_memory() -> None:
     ring = Ring.allocate(4, info={"url": "sim://"})
     assert ring.buffer.nbytes == WORDS * 8 + 2 * words.INFO_BYTES + words.MAILBOX_BYTES + 4 * ROW.itemsize
     assert MAILBOX_BYTES <= words.MAILBOX_BYTES
@@ -124,7 +125,7 @@ def test_the_ring_is_one_block_so_that_it_can_be_shared_memory():
     assert again.info == {"url": "sim://"}
 
 
-def test_every_control_word_has_a_place_of_its_own():
+def test_every_control_word_has_a_place_of_its_own() -> None:
     source = Path(words.__file__).read_text().partition("# word ")[2].partition("\n_INFO_AT")[0]
     places = {
         line.partition(" = ")[0]: int(line.split()[2]) for line in source.splitlines() if line[:1].isupper()
@@ -135,7 +136,7 @@ def test_every_control_word_has_a_place_of_its_own():
     assert [places[name] for name in ("VERSION", "HEAD", "TAIL", "STOP")] == [0, 1, 2, 3]  # in all versions
 
 
-def test_another_opening_of_shared_memory_sees_the_same_words_rows_and_info():
+def test_another_opening_of_shared_memory_sees_the_same_words_rows_and_info() -> None:
     info = {"url": "serial:///dev/ttyACM0", "experiment": {"wall": {"stiffness": 560.0}}, "name": "Prüfstand"}
     with Ring.allocate(100, info=info, shared=True) as ring:
         ring.rows["tick"][99] = 5
@@ -150,7 +151,7 @@ def test_another_opening_of_shared_memory_sees_the_same_words_rows_and_info():
         assert other.get(words.STOP) == 3  # what it was when that side closed
 
 
-def test_shared_memory_is_gone_with_its_last_user():
+def test_shared_memory_is_gone_with_its_last_user() -> None:
     before = descriptors_of_rings(), mappings_of_rings()
     ring = Ring.allocate(1000, shared=True)
     rows = ring.rows
@@ -163,7 +164,7 @@ def test_shared_memory_is_gone_with_its_last_user():
     assert (descriptors_of_rings(), mappings_of_rings()) == before
 
 
-def test_a_ring_that_nobody_closed_leaves_nothing_either():
+def test_a_ring_that_nobody_closed_leaves_nothing_either() -> None:
     before = descriptors_of_rings(), mappings_of_rings()
     Ring.allocate(10, shared=True)
     gc.collect()
@@ -171,7 +172,7 @@ def test_a_ring_that_nobody_closed_leaves_nothing_either():
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_a_closed_ring_answers_but_reaches_nobody(shared):
+def test_a_closed_ring_answers_but_reaches_nobody(shared: bool) -> None:
     ring = Ring.allocate(4, info={"a": 1}, shared=shared)
     ring.put(words.HEAD, 3)
     ring.close()
@@ -182,12 +183,12 @@ def test_a_closed_ring_answers_but_reaches_nobody(shared):
         ring.post([1.0])
 
 
-def test_too_much_info_is_one_clear_line():
+def test_too_much_info_is_one_clear_line() -> None:
     with pytest.raises(RigError, match=r"65\d+ bytes .* where 65536 fit"):
         Ring.allocate(1, info={"a": "x" * 65536})
 
 
-def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path):
+def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path: Path) -> None:
     before = descriptors_of_rings()
     plain = os.memfd_create("something-else", os.MFD_CLOEXEC)
     small = os.memfd_create(words.NAME, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
@@ -214,7 +215,7 @@ def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path):
     assert descriptors_of_rings() == before
 
 
-def test_damaged_info_is_no_info():
+def test_damaged_info_is_no_info() -> None:
     ring = Ring.allocate(1, info={"a": 1})
     half = ring.get(words.INFO) & 1 << 20
     place = WORDS * 8 + (words.INFO_BYTES if half else 0)
@@ -226,7 +227,7 @@ def test_damaged_info_is_no_info():
     assert ring.info == {}
 
 
-def test_info_changes_with_its_parameters_and_only_for_who_saw_the_last_change():
+def test_info_changes_with_its_parameters_and_only_for_who_saw_the_last_change() -> None:
     with Ring.allocate(1, info={"n": 0}, shared=True) as ring, Ring.attach(path_of(ring)) as other:
         for n in range(1, 5):
             (seen, word), (_, stale) = ring.info_and_word(), other.info_and_word()
@@ -237,12 +238,12 @@ def test_info_changes_with_its_parameters_and_only_for_who_saw_the_last_change()
             assert other.info == {"n": n}
 
 
-def test_info_is_never_seen_half_written():
+def test_info_is_never_seen_half_written() -> None:
     """A writer changes it as fast as it can; every reading is one whole mapping, and none is older than the last."""
     ring = Ring.allocate(1, info={"n": 0, "text": ""})
     done = threading.Event()
 
-    def write():
+    def write() -> None:
         n = 0
         while not done.is_set():
             n += 1
@@ -265,7 +266,7 @@ def test_info_is_never_seen_half_written():
     assert seen > 0
 
 
-def test_stopping_needs_no_compiled_code():
+def test_stopping_needs_no_compiled_code() -> None:
     """A command that stops a person's rig must not wait for a compiler first."""
     program = """
 import sys
@@ -287,14 +288,14 @@ with Ring.attach(sys.argv[1]) as ring:
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 2**63 - 1, -(2**63)])
-def test_a_word_holds_any_64_bit_value(value):
+def test_a_word_holds_any_64_bit_value(value: Any) -> None:
     word = np.zeros(3, np.int64)
     write_word(word.ctypes.data + 8, value)
     assert read_word(word.ctypes.data + 8) == value
     assert word.tolist() == [0, value, 0]
 
 
-def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes():
+def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes() -> None:
     """Two hundred thousand rows through a ring of 64: it wraps thousands of times under both threads."""
     ring, count = Ring.allocate(64), 200_000
     thread, full = in_thread(produce, ring.words.ctypes.data, ring.rows, count)
@@ -320,7 +321,7 @@ def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes():
     assert full[0] > 0  # the producer did run against a full ring: the test tested what it says
 
 
-def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil():
+def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil() -> None:
     """A plain load could be hoisted out of the loop, which then never stopped."""
     ring = Ring.allocate(1)
     thread, result = in_thread(spin_until_stopped, ring.words.ctypes.data)
@@ -331,7 +332,7 @@ def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil():
     assert result == [5]
 
 
-def test_exchanged_words_are_neither_lost_nor_doubled():
+def test_exchanged_words_are_neither_lost_nor_doubled() -> None:
     mailbox, times = np.array([100], np.int64), 200_000
     traders = [in_thread(trade, mailbox.ctypes.data, token, times) for token in (1, 2, 3)]
     for thread, _ in traders:
@@ -351,7 +352,9 @@ def test_exchanged_words_are_neither_lost_nor_doubled():
         (11, 0, []),
     ],
 )
-def test_the_last_rows_come_oldest_first_and_never_more_than_the_ring_holds(written, asked, expected):
+def test_the_last_rows_come_oldest_first_and_never_more_than_the_ring_holds(
+    written: int, asked: int, expected: Any
+) -> None:
     ring = Ring.allocate(8)
     for n in range(written):
         ring.rows["tick"][n % 8] = n
@@ -359,7 +362,7 @@ def test_the_last_rows_come_oldest_first_and_never_more_than_the_ring_holds(writ
     assert ring.last_rows(asked)["tick"].tolist() == expected
 
 
-def test_the_last_rows_are_a_copy_that_an_error_may_keep():
+def test_the_last_rows_are_a_copy_that_an_error_may_keep() -> None:
     ring = Ring.allocate(4)
     ring.put(words.HEAD, 1)
     kept = ring.last_rows(1)

@@ -15,9 +15,11 @@ import sys
 import textwrap
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,7 +79,7 @@ def state() -> tuple[object, ...]:
     return locked(), latency_requests(), ThreadState.here(), os.sched_getaffinity(os.getpid())
 
 
-def is_as(before: object, now) -> bool:
+def is_as(before: object, now: Any) -> bool:
     """Wait until it is; a thread that was joined is still in /proc for a moment."""
     deadline = time.monotonic() + PATIENCE_S
     while now() != before and time.monotonic() < deadline:
@@ -85,7 +87,7 @@ def is_as(before: object, now) -> bool:
     return now() == before
 
 
-def in_thread(function):
+def in_thread(function: Any) -> Any:
     """Call it in a fresh thread and return what it returned."""
     results = []
     thread = threading.Thread(target=lambda: results.append(function()), daemon=True)
@@ -95,7 +97,7 @@ def in_thread(function):
 
 
 @pytest.fixture
-def granted():
+def granted() -> None:
     """A machine that grants everything to this process."""
     with obtained(Asked()) as realtime:
         refused = realtime.refusals
@@ -104,7 +106,7 @@ def granted():
 
 
 @pytest.fixture(autouse=True)
-def as_before():
+def as_before() -> Iterator[Any]:
     before = state()
     yield
     assert state() == before
@@ -114,7 +116,7 @@ def as_before():
 
 
 @pytest.mark.usefixtures("granted")
-def test_the_process_holds_its_memory_and_its_processors_awake_as_long_as_the_context_lasts():
+def test_the_process_holds_its_memory_and_its_processors_awake_as_long_as_the_context_lasts() -> None:
     with obtained(Asked("enforce")) as realtime:
         assert realtime.messages == []
         assert locked() > 0
@@ -123,7 +125,7 @@ def test_the_process_holds_its_memory_and_its_processors_awake_as_long_as_the_co
 
 
 @pytest.mark.usefixtures("granted")
-def test_the_loop_s_thread_gets_policy_priority_and_processor_and_its_children_do_not():
+def test_the_loop_s_thread_gets_policy_priority_and_processor_and_its_children_do_not() -> None:
     cpu = max(os.sched_getaffinity(0))
     with obtained(Asked("enforce", priority=42, cpu=cpu)) as realtime:
 
@@ -137,7 +139,7 @@ def test_the_loop_s_thread_gets_policy_priority_and_processor_and_its_children_d
 
 
 @pytest.mark.usefixtures("granted")
-def test_a_thread_that_lives_on_gets_back_what_it_had():
+def test_a_thread_that_lives_on_gets_back_what_it_had() -> None:
     def body() -> tuple[ThreadState, ThreadState | None, ThreadState]:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
         calls.set_timer_slack(12_345)
@@ -154,7 +156,7 @@ def test_a_thread_that_lives_on_gets_back_what_it_had():
 
 
 @pytest.mark.usefixtures("granted")
-def test_contexts_within_each_other_give_back_in_turn():
+def test_contexts_within_each_other_give_back_in_turn() -> None:
     def body() -> list[tuple[str, int]]:
         seen = []
         with obtained(Asked(priority=30)) as outer, obtained(Asked(priority=40)) as inner:
@@ -169,7 +171,7 @@ def test_contexts_within_each_other_give_back_in_turn():
 
 
 @pytest.mark.usefixtures("granted")
-def test_leaving_twice_or_elsewhere_changes_nothing():
+def test_leaving_twice_or_elsewhere_changes_nothing() -> None:
     with obtained(Asked()) as realtime:
         realtime.leave_thread()
         entered, left = threading.Event(), threading.Event()
@@ -191,7 +193,7 @@ def test_leaving_twice_or_elsewhere_changes_nothing():
 
 
 @pytest.mark.usefixtures("granted")
-def test_an_exception_and_a_refusal_undo_everything():
+def test_an_exception_and_a_refusal_undo_everything() -> None:
     before = state()
     with pytest.raises(ZeroDivisionError), obtained(Asked("enforce")):
         raise ZeroDivisionError
@@ -204,7 +206,7 @@ def test_an_exception_and_a_refusal_undo_everything():
 @pytest.mark.usefixtures("granted")
 @given(st.lists(st.booleans(), min_size=1, max_size=12))
 @settings(max_examples=20, deadline=None)
-def test_contexts_in_any_order_hold_until_the_last_one_ends(opens):
+def test_contexts_in_any_order_hold_until_the_last_one_ends(opens: list[bool]) -> None:
     held: list[ExitStack] = []
     per_context = 1 if Path("/dev/cpu_dma_latency").exists() else 0
     try:
@@ -224,7 +226,7 @@ def test_contexts_in_any_order_hold_until_the_last_one_ends(opens):
 
 
 @pytest.mark.usefixtures("granted")
-def test_contexts_of_several_threads_do_not_undo_each_other():
+def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
     together = threading.Barrier(4)
 
     def body() -> bool:
@@ -246,7 +248,7 @@ def test_contexts_of_several_threads_do_not_undo_each_other():
 
 
 @pytest.mark.usefixtures("granted")
-def test_pages_that_somebody_else_had_locked_stay_locked():
+def test_pages_that_somebody_else_had_locked_stay_locked() -> None:
     with mmap.mmap(-1, 4 * mmap.PAGESIZE) as region:
         word = np.frombuffer(region, np.uint8)
         address = word.ctypes.data
@@ -261,7 +263,7 @@ def test_pages_that_somebody_else_had_locked_stay_locked():
 
 
 @pytest.mark.usefixtures("granted")
-def test_a_program_that_had_locked_everything_keeps_it():
+def test_a_program_that_had_locked_everything_keeps_it() -> None:
     try:
         assert calls.lock_all() == 0
         with obtained(Asked()) as realtime:
@@ -273,7 +275,7 @@ def test_a_program_that_had_locked_everything_keeps_it():
 
 
 @pytest.mark.usefixtures("granted")
-def test_a_thread_that_comes_after_the_end_stays_as_it_is():
+def test_a_thread_that_comes_after_the_end_stays_as_it_is() -> None:
     with obtained(Asked()) as realtime:
         pass
     assert not in_thread(realtime.enter_thread).is_fifo
@@ -284,7 +286,9 @@ def test_a_thread_that_comes_after_the_end_stays_as_it_is():
 
 @pytest.mark.parametrize("kernel", ["this", "before 5.14"])
 @pytest.mark.parametrize("order", ["whole", "reversed", "column"])
-def test_a_prefaulted_buffer_has_all_its_pages_and_its_content(monkeypatch, kernel, order):
+def test_a_prefaulted_buffer_has_all_its_pages_and_its_content(
+    monkeypatch: pytest.MonkeyPatch, kernel: str, order: str
+) -> None:
     if kernel != "this":
         monkeypatch.setattr(calls, "MADV_POPULATE_WRITE", 9999)
     pages = 256
@@ -302,7 +306,7 @@ def test_a_prefaulted_buffer_has_all_its_pages_and_its_content(monkeypatch, kern
         del whole, table, view
 
 
-def test_the_stack_of_an_entered_thread_is_there():
+def test_the_stack_of_an_entered_thread_is_there() -> None:
     def body() -> int:
         with obtained(Asked()) as realtime:
             realtime.enter_thread()
@@ -328,7 +332,7 @@ def test_the_stack_of_an_entered_thread_is_there():
 @pytest.mark.parametrize(
     ("asked", "virtual"), [("off", False), ("enforce", True), ("try", True), ("off", True)]
 )
-def test_off_and_virtual_time_touch_nothing(asked, virtual):
+def test_off_and_virtual_time_touch_nothing(asked: str, virtual: bool) -> None:
     before, threads = state(), all_threads()
     with obtained(Asked(asked, priority=99, cpu=4095), virtual=virtual) as realtime:
         realtime.enter_thread()
@@ -343,7 +347,7 @@ def test_off_and_virtual_time_touch_nothing(asked, virtual):
 
 
 @pytest.mark.parametrize("asked", ["try", "off"])
-def test_the_report_is_json_and_says_asked_obtained_refused_and_what_the_kernel_is(asked):
+def test_the_report_is_json_and_says_asked_obtained_refused_and_what_the_kernel_is(asked: str) -> None:
     with obtained(Asked(asked, priority=33)) as realtime:
         report = json.loads(json.dumps(realtime.report))
     assert report["asked"] == {"realtime": asked, "priority": 33, "cpu": None}
@@ -430,7 +434,7 @@ except RealtimeError as error:
 """
 
 
-def test_an_ordinary_user_runs_as_well_as_granted_and_hears_all_that_is_refused():
+def test_an_ordinary_user_runs_as_well_as_granted_and_hears_all_that_is_refused() -> None:
     found = child(TRY)
     assert found["entered"]["policy"] == "SCHED_OTHER"
     assert found["entered"]["timer_slack_ns"] == 1
@@ -446,7 +450,7 @@ def test_an_ordinary_user_runs_as_well_as_granted_and_hears_all_that_is_refused(
     assert found["report"]["obtained"]["policy"] == "SCHED_OTHER"
 
 
-def test_enforce_names_all_that_is_missing_and_changes_nothing():
+def test_enforce_names_all_that_is_missing_and_changes_nothing() -> None:
     found = child(ENFORCE)
     for text in ("SCHED_FIFO 70", "memory is not locked", "limits.d", 'host.realtime = "try"'):
         assert text in found["error"]
@@ -454,7 +458,7 @@ def test_enforce_names_all_that_is_missing_and_changes_nothing():
     assert found["as before"]
 
 
-def test_limits_are_enough_without_root():
+def test_limits_are_enough_without_root() -> None:
     """A user with a limit of real-time priorities gets FIFO, and the thread is an ordinary one again afterwards."""
     found = child(
         """
@@ -472,7 +476,7 @@ def test_limits_are_enough_without_root():
     assert (found["after"]["policy"], found["after"]["priority"]) == ("SCHED_OTHER", 0)
 
 
-def test_rights_that_went_meanwhile_leave_an_ordinary_thread():
+def test_rights_that_went_meanwhile_leave_an_ordinary_thread() -> None:
     """Without them the kernel keeps "children do not inherit", which an ordinary thread does not notice."""
     found = child(
         """
@@ -492,7 +496,9 @@ def test_rights_that_went_meanwhile_leave_an_ordinary_thread():
     assert (found["after"]["policy"], found["after"]["priority"]) == ("SCHED_OTHER", 0)
 
 
-def test_memory_is_not_locked_when_its_limit_leaves_no_room_for_the_run(monkeypatch):
+def test_memory_is_not_locked_when_its_limit_leaves_no_room_for_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """At its limit the kernel would refuse every further allocation, in the middle of a trial."""
     size = facts.status_kilobytes("VmSize") * KIB
     monkeypatch.setattr(Rights, "here", lambda: rights(locked_limit=size + 2**20))
@@ -502,7 +508,7 @@ def test_memory_is_not_locked_when_its_limit_leaves_no_room_for_the_run(monkeypa
     assert "memlock unlimited" in refusal.remedy
 
 
-def test_off_is_silent_without_rights():
+def test_off_is_silent_without_rights() -> None:
     found = child(
         """
         with obtained(Asked("off")) as realtime:
@@ -514,7 +520,7 @@ def test_off_is_silent_without_rights():
     assert found["entered"]["timer_slack_ns"] > 1
 
 
-def test_a_control_group_without_a_share_of_real_time_refuses_even_root():
+def test_a_control_group_without_a_share_of_real_time_refuses_even_root() -> None:
     parent = Path("/sys/fs/cgroup/cpu")
     if not (parent / "cpu.rt_runtime_us").exists() or not os.access(parent, os.W_OK):
         pytest.skip("this kernel has no shares of real time for control groups (RT_GROUP_SCHED, version 1)")
@@ -553,7 +559,7 @@ def tree(root: Path, **files: str) -> Path:
     return root
 
 
-def test_rights_follow_limits_and_capabilities():
+def test_rights_follow_limits_and_capabilities() -> None:
     assert rights(priority_limit=None).may_schedule(98)
     assert rights(priority_limit=98).may_schedule(98)
     assert not rights(priority_limit=97).may_schedule(98)
@@ -562,26 +568,26 @@ def test_rights_follow_limits_and_capabilities():
     assert not rights().may_lock(2**20)
 
 
-def test_a_limit_below_the_priority_is_named():
+def test_a_limit_below_the_priority_is_named() -> None:
     refusal = refusals.of_policy(80, rights(priority_limit=79), errno.EPERM)
     assert "the limit of real-time priorities is 79" in str(refusal)
     assert refusal.remedy.endswith(f": {refusals.LIMITS_COMMAND}")
 
 
-def test_a_refusal_that_no_limit_explains_points_at_containers_and_groups(tmp_path):
+def test_a_refusal_that_no_limit_explains_points_at_containers_and_groups(tmp_path: Path) -> None:
     refusal = refusals.of_policy(80, rights(priority_limit=98), errno.EPERM, tmp_path)
     assert "Operation not permitted" in str(refusal)
     assert "--cap-add=SYS_NICE" in str(refusal)
 
 
-def test_idle_states_are_missed_only_where_there_are_any(tmp_path):
+def test_idle_states_are_missed_only_where_there_are_any(tmp_path: Path) -> None:
     assert refusals.of_idle(errno.ENOENT, tmp_path) is None
     tree(tmp_path, sys__devices__system__cpu__cpuidle__current_driver="intel_idle")
     assert refusals.of_idle(errno.ENOENT, tmp_path) is not None
     assert "--print-udev" in str(refusals.of_idle(errno.EACCES, tmp_path))
 
 
-def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path):
+def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path: Path) -> None:
     tree(tmp_path, sys__devices__system__cpu__online="0-1,4")
     assert "this machine has 0, 1, 4" in str(refusals.of_processor(2, errno.EINVAL, tmp_path))
     assert "Invalid argument" in str(refusals.of_processor(4, errno.EINVAL, tmp_path))
@@ -603,12 +609,12 @@ def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path):
         ("#1 SMP", {}, "none"),
     ],
 )
-def test_kinds_of_preemption(tmp_path, version, extra, kind):
+def test_kinds_of_preemption(tmp_path: Path, version: str, extra: Any, kind: str) -> None:
     assert facts.preemption(tree(tmp_path, proc__sys__kernel__version=version, **extra)) == kind
 
 
 @given(st.sets(st.integers(0, 300)))
-def test_processor_lists_are_read_as_the_kernel_writes_them(cpus):
+def test_processor_lists_are_read_as_the_kernel_writes_them(cpus: Any) -> None:
     runs: list[list[int]] = []
     for cpu in sorted(cpus):
         if runs and cpu == runs[-1][-1] + 1:
@@ -620,11 +626,11 @@ def test_processor_lists_are_read_as_the_kernel_writes_them(cpus):
 
 
 @given(st.text())
-def test_any_text_is_some_list_of_processors(text):
+def test_any_text_is_some_list_of_processors(text: str) -> None:
     assert all(isinstance(cpu, int) for cpu in facts.cpu_list(text[:20].replace("-", "")))
 
 
-def test_facts_of_a_machine(tmp_path):
+def test_facts_of_a_machine(tmp_path: Path) -> None:
     tree(
         tmp_path,
         proc__sys__kernel__sched_rt_runtime_us="950000",
@@ -641,7 +647,7 @@ def test_facts_of_a_machine(tmp_path):
     assert empty["clock_source"] == ""
 
 
-def test_locked_mappings_are_read_from_smaps():
+def test_locked_mappings_are_read_from_smaps() -> None:
     smaps = textwrap.dedent(
         """\
         7f00-7f10 rw-p 00000000 00:00 0

@@ -11,6 +11,8 @@ import socket
 import threading
 import time
 import tty
+from collections.abc import Iterator
+from typing import Any
 
 import numba
 import numpy as np
@@ -24,24 +26,24 @@ from rig.realtime.system import descriptor_read, descriptor_wait, descriptor_wri
 MILLISECOND = 1_000_000
 
 
-def pipe():
+def pipe() -> Any:
     reader, writer = os.pipe()
     return reader, writer
 
 
-def sockets():
+def sockets() -> Any:
     ends = socket.socketpair()
     return tuple(end.detach() for end in ends)
 
 
-def pseudo_terminal():
+def pseudo_terminal() -> Any:
     master, slave = pty.openpty()
     tty.setraw(slave)
     return slave, master
 
 
 @pytest.fixture(params=[pipe, sockets, pseudo_terminal], ids=lambda make: make.__name__)
-def ends(request):
+def ends(request: pytest.FixtureRequest) -> Iterator[Any]:
     """Descriptors (ours, theirs), both non-blocking: they write, we read. Closed afterwards if still open."""
     ours, theirs = request.param()
     for descriptor in (ours, theirs):
@@ -67,21 +69,21 @@ def soon() -> int:
     return monotonic_now(0) + 2000 * MILLISECOND
 
 
-def test_bytes_arrive_whole(ends):
+def test_bytes_arrive_whole(ends: Any) -> None:
     ours, theirs = ends
     os.write(theirs, b"\x00\x01frame\xff\x00")
     assert descriptor_wait(ours, soon()) == 1
     assert read(ours) == b"\x00\x01frame\xff\x00"
 
 
-def test_an_empty_line_is_not_an_error(ends):
+def test_an_empty_line_is_not_an_error(ends: Any) -> None:
     """Zero means nothing there, though the other side lives; the loop goes on."""
     ours, _ = ends
     assert read(ours) == 0
     assert descriptor_wait(ours, monotonic_now(0)) == 0
 
 
-def test_no_more_is_read_than_there_is_room_for(ends):
+def test_no_more_is_read_than_there_is_room_for(ends: Any) -> None:
     ours, theirs = ends
     os.write(theirs, b"abcdef")
     assert descriptor_wait(ours, soon()) == 1
@@ -90,14 +92,14 @@ def test_no_more_is_read_than_there_is_room_for(ends):
     assert read(ours, 4) == 0
 
 
-def test_a_wait_ends_at_its_deadline_and_not_before(ends):
+def test_a_wait_ends_at_its_deadline_and_not_before(ends: Any) -> None:
     ours, _ = ends
     deadline = monotonic_now(0) + 5 * MILLISECOND
     assert descriptor_wait(ours, deadline) == 0
     assert monotonic_now(0) >= deadline
 
 
-def test_a_deadline_in_the_past_still_sees_what_is_there(ends):
+def test_a_deadline_in_the_past_still_sees_what_is_there(ends: Any) -> None:
     ours, theirs = ends
     assert descriptor_wait(ours, monotonic_now(0) - MILLISECOND) == 0
     os.write(theirs, b"x")
@@ -105,7 +107,7 @@ def test_a_deadline_in_the_past_still_sees_what_is_there(ends):
     assert descriptor_wait(ours, monotonic_now(0) - MILLISECOND) == 1
 
 
-def test_bytes_wake_a_wait_that_holds_no_gil(ends):
+def test_bytes_wake_a_wait_that_holds_no_gil(ends: Any) -> None:
     ours, theirs = ends
     answers = []
     thread = threading.Thread(target=lambda: answers.append(descriptor_wait(ours, soon())), daemon=True)
@@ -116,7 +118,7 @@ def test_bytes_wake_a_wait_that_holds_no_gil(ends):
 
 
 @pytest.mark.parametrize("make", [pipe, sockets], ids=lambda make: make.__name__)
-def test_what_was_sent_before_a_hang_up_is_still_read(make):
+def test_what_was_sent_before_a_hang_up_is_still_read(make: Any) -> None:
     """Not so on a terminal, which throws its queue away when its master goes."""
     ours, theirs = make()
     os.write(theirs, b"last words")
@@ -129,7 +131,7 @@ def test_what_was_sent_before_a_hang_up_is_still_read(make):
         os.close(ours)
 
 
-def test_a_hang_up_ends_a_wait_at_once_and_for_ever(ends):
+def test_a_hang_up_ends_a_wait_at_once_and_for_ever(ends: Any) -> None:
     """An unplugged device must not cost the loop its time-out, and must not look like an idle line."""
     ours, theirs = ends
     os.close(theirs)
@@ -138,7 +140,7 @@ def test_a_hang_up_ends_a_wait_at_once_and_for_ever(ends):
         assert answer == -errno.EIO or (answer == 1 and read(ours) in (-errno.ENODEV, -errno.EIO))
 
 
-def test_a_closed_descriptor_is_an_error_not_silence(ends):
+def test_a_closed_descriptor_is_an_error_not_silence(ends: Any) -> None:
     ours, _ = ends
     os.close(ours)
     assert descriptor_wait(ours, soon()) == -errno.EIO
@@ -147,7 +149,7 @@ def test_a_closed_descriptor_is_an_error_not_silence(ends):
 
 
 @pytest.mark.parametrize("make", [sockets, pseudo_terminal], ids=lambda make: make.__name__)
-def test_a_full_line_takes_what_fits_and_never_blocks(make):
+def test_a_full_line_takes_what_fits_and_never_blocks(make: Any) -> None:
     ours, theirs = make()
     os.set_blocking(ours, False)
     try:
@@ -164,7 +166,7 @@ def test_a_full_line_takes_what_fits_and_never_blocks(make):
 
 
 @pytest.mark.parametrize("make", [pipe, sockets], ids=lambda make: make.__name__)
-def test_writing_to_a_line_nobody_reads_any_more_is_an_error(make):
+def test_writing_to_a_line_nobody_reads_any_more_is_an_error(make: Any) -> None:
     ours, theirs = make()
     os.close(ours)
     try:
@@ -173,7 +175,7 @@ def test_writing_to_a_line_nobody_reads_any_more_is_an_error(make):
         os.close(theirs)
 
 
-def test_a_terminal_whose_master_went_away_refuses_to_be_written_to():
+def test_a_terminal_whose_master_went_away_refuses_to_be_written_to() -> None:
     slave, master = pseudo_terminal()
     os.close(master)
     try:
@@ -182,14 +184,14 @@ def test_a_terminal_whose_master_went_away_refuses_to_be_written_to():
         os.close(slave)
 
 
-def test_no_sleep_ends_before_its_deadline():
+def test_no_sleep_ends_before_its_deadline() -> None:
     deadline = monotonic_now(0) + 2 * MILLISECOND
     sleep_until(deadline)
     assert monotonic_now(0) >= deadline
     sleep_until(deadline - 1000 * MILLISECOND)
 
 
-def test_a_signal_shortens_neither_a_sleep_nor_a_wait():
+def test_a_signal_shortens_neither_a_sleep_nor_a_wait() -> None:
     """Ctrl-C or a profiler's timer interrupts the calls; both go back for the rest."""
     ours, theirs = pipe()
     caught = []

@@ -7,6 +7,7 @@ import math
 import time
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from rig.recording.timing_summary import EDGES_NS, LOWEST_NS, WORST, summarise
 PERIOD_NS = 500_000
 
 
-def clock(*, offset_ns=0, drift_ppm=0.0, reference_ns=0):
+def clock(*, offset_ns: int = 0, drift_ppm: float = 0.0, reference_ns: int = 0) -> Any:
     """A fit that is known exactly."""
     return ClockFit(reference_ns, offset_ns, drift_ppm, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)
 
@@ -35,7 +36,18 @@ class Session:
     it was sent.
     """
 
-    def __init__(self, fit, *, ticks, seed=0, first_sequence=0, lost=(), eaten=(), spread=1.0, start=1000):
+    def __init__(
+        self,
+        fit: Any,
+        *,
+        ticks: Any,
+        seed: int = 0,
+        first_sequence: int = 0,
+        lost: Any = (),
+        eaten: Any = (),
+        spread: float = 1.0,
+        start: int = 1000,
+    ) -> None:
         self.fit, self.rng = fit, np.random.default_rng(seed)
         self.rows, self.sampled, self.applied = [], [], []
         active, came_at = None, 0  # active command, sample from which it is
@@ -76,13 +88,13 @@ class Session:
         self.rows = np.array(self.rows, ROW) if self.rows else np.zeros(0, ROW)
 
     @staticmethod
-    def at(k):
+    def at(k: Any) -> Any:
         return k * PERIOD_NS
 
-    def wait(self, mean_ns):
+    def wait(self, mean_ns: Any) -> Any:
         return int(self.rng.exponential(mean_ns)) + 1_000
 
-    def seen(self):
+    def seen(self) -> Any:
         """Rows whose command some later row shows active, by looking at every pair."""
         sequence, active, age = (
             self.rows[name].tolist() for name in ("command_sequence", "command_active", "command_age")
@@ -106,7 +118,9 @@ class Session:
     spread=st.sampled_from([0.1, 1.0, 5.0]),
     seed=st.integers(0, 2**32),
 )
-def test_every_time_is_the_true_one(offset_ns, drift_ppm, first_sequence, lost, eaten, spread, seed):
+def test_every_time_is_the_true_one(
+    offset_ns: int, drift_ppm: float, first_sequence: int, lost: Any, eaten: Any, spread: Any, seed: int
+) -> None:
     """Lost samples, lost commands, waits longer than a period, sequences that wrap."""
     fit = clock(offset_ns=offset_ns, drift_ppm=drift_ppm, reference_ns=1000 * PERIOD_NS)
     session = Session(
@@ -128,7 +142,7 @@ def test_every_time_is_the_true_one(offset_ns, drift_ppm, first_sequence, lost, 
         assert (lengths[known] == (getattr(found, end) - getattr(found, begin))[known]).all()
 
 
-def test_in_lock_step_a_command_is_active_at_the_sample_that_it_answers():
+def test_in_lock_step_a_command_is_active_at_the_sample_that_it_answers() -> None:
     """Virtual time: sampled, received, sent and applied are one moment; the last answer is never seen."""
     rows = np.zeros(5, ROW)
     rows["sample_index"] = np.arange(1, 6)
@@ -149,7 +163,7 @@ def test_in_lock_step_a_command_is_active_at_the_sample_that_it_answers():
 @pytest.mark.parametrize(
     ("sent_ns", "applied_ns", "within"), [(1_700, 1_700, 1), (1_000, 1_000, 0), (20_000, 1_000, 0)]
 )
-def test_no_command_is_active_before_it_was_sent(sent_ns, applied_ns, within):
+def test_no_command_is_active_before_it_was_sent(sent_ns: int, applied_ns: int, within: int) -> None:
     """It came within the tick, and the device cannot say when; sent ticks later than active, the clocks are wrong."""
     rows = np.zeros(2, ROW)
     rows["sample_index"] = [1, 2]
@@ -162,7 +176,7 @@ def test_no_command_is_active_before_it_was_sent(sent_ns, applied_ns, within):
     assert found.within_tick == within
 
 
-def test_a_command_active_that_this_run_never_sent_belongs_to_nobody():
+def test_a_command_active_that_this_run_never_sent_belongs_to_nobody() -> None:
     """More than half a round of the sequence behind, or of an earlier session."""
     rows = np.zeros(3, ROW)
     rows["sample_index"] = rows["received_at"] = rows["device_time"] = np.arange(1, 4)
@@ -172,7 +186,7 @@ def test_a_command_active_that_this_run_never_sent_belongs_to_nobody():
     assert not ledger(rows, clock(), PERIOD_NS).applied.any()
 
 
-def test_without_a_fit_only_the_host_is_known():
+def test_without_a_fit_only_the_host_is_known() -> None:
     session = Session(clock(offset_ns=10**12), ticks=20)
     found = ledger(session.rows, None, PERIOD_NS)
     assert not found.sampled.any()
@@ -188,7 +202,7 @@ def test_without_a_fit_only_the_host_is_known():
 
 
 @pytest.mark.parametrize("wraps", [0, 1, 1000])
-def test_a_device_that_has_been_up_for_long_is_put_on_its_own_scale(wraps):
+def test_a_device_that_has_been_up_for_long_is_put_on_its_own_scale(wraps: int) -> None:
     """A STATE has 32 bits of the device's clock, an exchange 64: the rows lack a multiple of 268 s."""
     fit = clock(offset_ns=5 * 10**9, drift_ppm=80.0)
     up = wraps * WRAP_NS
@@ -197,7 +211,7 @@ def test_a_device_that_has_been_up_for_long_is_put_on_its_own_scale(wraps):
     assert (device_times(times, fit, near) == times + up).all()
 
 
-def test_no_rows_are_no_error():
+def test_no_rows_are_no_error() -> None:
     found = ledger(np.zeros(0, ROW), clock(), PERIOD_NS)
     summary = summarise(found, None)
     assert (summary.ticks, summary.duration_s, summary.worst) == (0, 0.0, [])
@@ -207,7 +221,7 @@ def test_no_rows_are_no_error():
 # ---------------------------------------------------------------------- adding up
 
 
-def stage_of(values):
+def stage_of(values: Any) -> Any:
     """Summary of lateness that is these values."""
     rows = np.zeros(len(values), ROW)
     rows["lateness"] = values
@@ -216,7 +230,7 @@ def stage_of(values):
 
 
 @given(st.lists(st.integers(-(10**7), 2 * 10**10), min_size=1, max_size=300))
-def test_quantiles_and_histogram_count_what_is_there(values):
+def test_quantiles_and_histogram_count_what_is_there(values: list[int]) -> None:
     summary = stage_of(values)
     stage = summary.stages[LATENESS]
     array = np.array(values)
@@ -232,13 +246,13 @@ def test_quantiles_and_histogram_count_what_is_there(values):
     assert stage.counts == inside
 
 
-def test_edges_are_a_tenth_of_a_decade_apart_and_whole():
+def test_edges_are_a_tenth_of_a_decade_apart_and_whole() -> None:
     assert EDGES_NS[0] == LOWEST_NS
     assert EDGES_NS[-1] == 10**10
     assert np.log10(EDGES_NS[1:] / EDGES_NS[:-1]) == pytest.approx(0.1, abs=0.003)
 
 
-def test_the_worst_ticks_come_first_with_their_stages():
+def test_the_worst_ticks_come_first_with_their_stages() -> None:
     session = Session(clock(offset_ns=10**12), ticks=200, seed=3)
     found = ledger(session.rows, clock(offset_ns=10**12), PERIOD_NS)
     summary = summarise(found, None)
@@ -252,7 +266,7 @@ def test_the_worst_ticks_come_first_with_their_stages():
         assert session.rows["sample_index"][bad.tick] == bad.sample_index
 
 
-def test_what_was_counted_is_kept_apart():
+def test_what_was_counted_is_kept_apart() -> None:
     session = Session(clock(offset_ns=10**12), ticks=50)
     session.rows["flags"][[3, 7]] = int(RowFlag.LATE | RowFlag.GAP)
     session.rows["elapsed_ticks"][7] = 4
@@ -267,7 +281,7 @@ def test_what_was_counted_is_kept_apart():
     assert nobody.counts["stale"] is None
 
 
-def test_a_summary_is_json_of_plain_numbers():
+def test_a_summary_is_json_of_plain_numbers() -> None:
     session = Session(clock(offset_ns=10**12), ticks=60)
     summary = summarise(ledger(session.rows, clock(offset_ns=10**12), PERIOD_NS), {"late": 1})
     mapping = plain(summary)
@@ -275,7 +289,7 @@ def test_a_summary_is_json_of_plain_numbers():
     assert mapping["clock"]["offset_ns"] == 10**12
 
 
-def test_a_million_rows_are_quick():
+def test_a_million_rows_are_quick() -> None:
     """Well below a second on an ordinary machine; the bound is wide, because it is there to find a square law."""
     count = 1_000_000
     rows = np.zeros(count, ROW)
@@ -297,7 +311,7 @@ def test_a_million_rows_are_quick():
 # ---------------------------------------------------------------------- a law on the device
 
 
-def rows_of_batches(fit, ticks=200, samples=20):
+def rows_of_batches(fit: Any, ticks: int = 200, samples: int = 20) -> Any:
     """What a loop leaves that listens to batches: no command answers a sample."""
     rows = np.zeros(ticks, ROW)
     number = np.arange(ticks)
@@ -312,7 +326,7 @@ def rows_of_batches(fit, ticks=200, samples=20):
     return rows
 
 
-def test_where_the_law_ran_on_the_device_no_command_is_spoken_of():
+def test_where_the_law_ran_on_the_device_no_command_is_spoken_of() -> None:
     fit = clock(offset_ns=5_000_000)
     rows = rows_of_batches(fit)
     summary = summarise(ledger(rows, fit, PERIOD_NS, "device"), {"late": 0})
@@ -326,7 +340,7 @@ def test_where_the_law_ran_on_the_device_no_command_is_spoken_of():
     assert json.loads(json.dumps(plain(summary)))["loop"] == "device"
 
 
-def test_a_law_on_the_host_has_no_execution_time_of_a_device():
+def test_a_law_on_the_host_has_no_execution_time_of_a_device() -> None:
     found = summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS), None)
     assert (found.loop, found.execution_ns) == ("host", None)
     assert summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS, "device"), None).execution_ns == 0

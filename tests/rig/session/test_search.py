@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ SHARP = Observer(threshold=430.0, spread=1e-3)
 
 
 @every_rule
-def test_an_observer_without_doubt_is_found_within_a_step(rule):
+def test_an_observer_without_doubt_is_found_within_a_step(rule: Any) -> None:
     estimate = rule.estimate(run(rule, SHARP, seed=1))
     assert abs(estimate.value - 430.0) <= 25.0
     assert estimate.censored == ""
@@ -49,7 +50,7 @@ def test_an_observer_without_doubt_is_found_within_a_step(rule):
 
 
 @every_rule
-def test_the_same_answers_always_lead_to_the_same_probe(rule):
+def test_the_same_answers_always_lead_to_the_same_probe(rule: Any) -> None:
     answers = run(rule, Observer(threshold=430.0, spread=40.0, lapse_rate=0.05), seed=5)
     for length in (0, 1, 2, 7, len(answers) - 1):
         assert rule.next(answers[:length]) == answers[length].probe
@@ -59,7 +60,7 @@ def test_the_same_answers_always_lead_to_the_same_probe(rule):
 @every_rule
 @settings(max_examples=15, deadline=None)
 @given(verdicts=st.lists(st.booleans(), min_size=400, max_size=400))
-def test_whatever_is_answered_it_ends_on_its_levels(rule, verdicts):
+def test_whatever_is_answered_it_ends_on_its_levels(rule: Any, verdicts: list[bool]) -> None:
     answers: list[Answer] = []
     for verdict in verdicts:
         probe = rule.next(answers)
@@ -75,7 +76,7 @@ def test_whatever_is_answered_it_ends_on_its_levels(rule, verdicts):
 
 
 @every_rule
-def test_a_verdict_that_says_nothing_is_asked_again_and_changes_nothing(rule):
+def test_a_verdict_that_says_nothing_is_asked_again_and_changes_nothing(rule: Any) -> None:
     answers = run(rule, SHARP, seed=2)[:5]
     probe = rule.next(answers)
     empty = [*answers, Answer(probe, None)]
@@ -86,13 +87,13 @@ def test_a_verdict_that_says_nothing_is_asked_again_and_changes_nothing(rule):
 
 @every_rule
 @pytest.mark.parametrize(("threshold", "censored"), [(1e5, "above"), (1e-3, "below")])
-def test_a_limit_beyond_the_levels_is_said_to_lie_there(rule, threshold, censored):
+def test_a_limit_beyond_the_levels_is_said_to_lie_there(rule: Any, threshold: float, censored: str) -> None:
     estimate = rule.estimate(run(rule, Observer(threshold=threshold, spread=1e-4), seed=1))
     assert estimate.censored == censored
 
 
 @every_rule
-def test_beyond_the_levels_only_the_side_is_told(rule):
+def test_beyond_the_levels_only_the_side_is_told(rule: Any) -> None:
     """The end of the levels, and an open interval: how far the posterior reaches out there is the prior's doing."""
     above = rule.estimate(run(rule, Observer(threshold=1e5, spread=1e-4), seed=1))
     assert (above.value, above.high) == (LEVELS[-1], math.inf)
@@ -103,7 +104,7 @@ def test_beyond_the_levels_only_the_side_is_told(rule):
 
 
 @pytest.mark.parametrize("name", ["psi", "grid"])
-def test_a_limit_beyond_the_levels_is_said_to_lie_there_also_after_a_slip(name):
+def test_a_limit_beyond_the_levels_is_said_to_lie_there_also_after_a_slip(name: str) -> None:
     for observer, side, end in (
         (Observer(threshold=1.2 * LEVELS[-1], spread=15.0), "above", LEVELS[-1]),
         (Observer(threshold=0.1, spread=5.0), "below", LEVELS[0]),
@@ -116,7 +117,7 @@ def test_a_limit_beyond_the_levels_is_said_to_lie_there_also_after_a_slip(name):
         assert math.isinf(estimate.high) if side == "above" else estimate.low == 0.0
 
 
-def test_walls_that_all_held_tell_no_more_than_the_stiffest_of_them():
+def test_walls_that_all_held_tell_no_more_than_the_stiffest_of_them() -> None:
     """A search that was left early has not been at the end of its levels."""
     answers = [Answer(search.Probe(level), True) for level in LEVELS[:8]]
     estimate = RULES["psi"].estimate(answers)
@@ -124,7 +125,7 @@ def test_walls_that_all_held_tell_no_more_than_the_stiffest_of_them():
 
 
 @every_rule
-def test_without_an_answer_nothing_is_known(rule):
+def test_without_an_answer_nothing_is_known(rule: Any) -> None:
     estimate = rule.estimate([])
     assert math.isnan(estimate.value)
     assert estimate.hits == 0
@@ -134,7 +135,7 @@ def test_without_an_answer_nothing_is_known(rule):
 # ---------------------------------------------------------------------- each in its own way
 
 
-def test_the_ascending_rule_climbs_from_the_softest_wall_so_often():
+def test_the_ascending_rule_climbs_from_the_softest_wall_so_often() -> None:
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=2)
     answers: list[Answer] = []
     asked = []
@@ -147,10 +148,10 @@ def test_the_ascending_rule_climbs_from_the_softest_wall_so_often():
     assert (estimate.value, estimate.censored) == (15.0, "")  # limits 20 and 10
 
 
-def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other():
+def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other() -> None:
     rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=3)
 
-    def ascended(*verdicts):
+    def ascended(*verdicts: Any) -> Any:
         answers: list[Answer] = []
         for verdict in verdicts:
             probe = rule.next(answers)
@@ -170,7 +171,7 @@ def test_a_climb_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_up_down_rules_settle_where_levitt_says(n):
+def test_up_down_rules_settle_where_levitt_says(n: int) -> None:
     """Share of stable verdicts to the n-th power is a half: by counting the walls that a long track visits."""
     observer = Observer(threshold=500.0, spread=60.0)
     rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=900)
@@ -179,18 +180,18 @@ def test_up_down_rules_settle_where_levitt_says(n):
     assert visited.mean() == pytest.approx(observer.level_of(rule.share), abs=20.0)
 
 
-def test_tracks_come_from_both_ends():
+def test_tracks_come_from_both_ends() -> None:
     answers = run(Interleaved(levels=LEVELS, seed=1), SHARP, seed=1)
     first = {track: next(a.probe.level for a in answers if a.probe.track == track) for track in (0, 1)}
     assert first == {0: LEVELS[0], 1: LEVELS[-1]}
 
 
-def catching(rule, share=0.5):
+def catching(rule: Any, share: float = 0.5) -> Any:
     return search.Catching(rule=rule, levels=LEVELS, share=share, seed=1)
 
 
 @pytest.mark.parametrize("name", MAKE)
-def test_catch_trials_among_any_rule_leave_it_as_it_is(name):
+def test_catch_trials_among_any_rule_leave_it_as_it_is(name: Any) -> None:
     """The rule asks for the same walls, and finds the same limit, as if there were none."""
     rule, observer = MAKE[name](seed=1), Observer(threshold=430.0, spread=1e-3)
     alone = run(rule, observer, seed=1)
@@ -205,13 +206,13 @@ def test_catch_trials_among_any_rule_leave_it_as_it_is(name):
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
-def test_so_many_of_the_trials_are_catch_trials(share):
+def test_so_many_of_the_trials_are_catch_trials(share: float) -> None:
     long = Staircase(levels=LEVELS, turns=1000, most=3000)
     answers = run(catching(long, share), Observer(threshold=430.0, spread=15.0), seed=1, most=3000)
     assert np.mean([answer.probe.catch for answer in answers]) == pytest.approx(share, abs=0.03)
 
 
-def test_a_catch_trial_that_said_nothing_comes_again_and_so_does_any_other():
+def test_a_catch_trial_that_said_nothing_comes_again_and_so_does_any_other() -> None:
     rule = catching(MAKE["1u1d"](seed=1))
     answers = []
     while (probe := rule.next(answers)) is not None and len(answers) < 200:
@@ -221,16 +222,16 @@ def test_a_catch_trial_that_said_nothing_comes_again_and_so_does_any_other():
     assert any(answer.probe.catch for answer in answers)
 
 
-def test_no_share_of_catch_trials_is_too_large():
+def test_no_share_of_catch_trials_is_too_large() -> None:
     with pytest.raises(ConfigError, match=r"0\.9"):
         catching(MAKE["grid"](seed=1), 0.9)
 
 
-def caught_of(rule, answers):
+def caught_of(rule: Any, answers: Any) -> Any:
     return CatchTrials.of(answers, LEVELS, {rule.estimate(answers).censored})
 
 
-def test_catch_trials_show_how_often_a_person_slips():
+def test_catch_trials_show_how_often_a_person_slips() -> None:
     rule = catching(Interleaved(levels=LEVELS, turns=100, most=2000, seed=1))
     answers = run(rule, Observer(threshold=430.0, spread=15.0, lapse_rate=0.2), seed=1, most=300)
     caught = caught_of(rule, answers)
@@ -239,7 +240,9 @@ def test_catch_trials_show_how_often_a_person_slips():
 
 
 @pytest.mark.parametrize(("threshold", "counted"), [(1e5, "soft"), (1e-3, "stiff")])
-def test_catch_trials_at_an_end_beyond_which_the_limit_lies_are_not_counted(threshold, counted):
+def test_catch_trials_at_an_end_beyond_which_the_limit_lies_are_not_counted(
+    threshold: float, counted: str
+) -> None:
     """The stiffest wall of somebody whom no wall shakes is stable, and saying so is no lapse."""
     rule = catching(Interleaved(levels=LEVELS, seed=1))
     answers = run(rule, Observer(threshold=threshold, spread=1e-4), seed=1)
@@ -249,14 +252,14 @@ def test_catch_trials_at_an_end_beyond_which_the_limit_lies_are_not_counted(thre
     assert caught.count < sum(answer.probe.catch for answer in answers)
 
 
-def test_the_grid_asks_every_level_so_often_in_another_order_each_time():
+def test_the_grid_asks_every_level_so_often_in_another_order_each_time() -> None:
     asked = [answer.probe.level for answer in run(RULES["grid"], SHARP, seed=1)]
     halves = asked[: len(LEVELS)], asked[len(LEVELS) :]
     assert sorted(halves[0]) == sorted(halves[1]) == list(LEVELS)
     assert halves[0] != halves[1]
 
 
-def test_psi_stops_when_it_knows_enough():
+def test_psi_stops_when_it_knows_enough() -> None:
     sure = search.make("psi", levels=LEVELS, hits=60, enough=0.1)
     answers = run(sure, SHARP, seed=1)
     assert 10 <= len(answers) < 60
@@ -267,7 +270,7 @@ def test_psi_stops_when_it_knows_enough():
 # ---------------------------------------------------------------------- the posterior
 
 
-def test_the_posterior_is_bayes_rule_by_hand():
+def test_the_posterior_is_bayes_rule_by_hand() -> None:
     levels = (10.0, 20.0, 30.0)
     grid = psychometric.of_levels(levels)
     verdicts = [(10.0, True), (30.0, False), (20.0, True), (20.0, False)]
@@ -281,7 +284,7 @@ def test_the_posterior_is_bayes_rule_by_hand():
     np.testing.assert_allclose(grid.posterior(verdicts), expected / expected.sum(), rtol=1e-9)
 
 
-def test_quantiles_are_those_of_the_posterior_on_a_fine_grid():
+def test_quantiles_are_those_of_the_posterior_on_a_fine_grid() -> None:
     """Against the density itself, spread over each grid point's width; also where the share is no half."""
     drawn = np.random.default_rng(3)
     truth = Observer(threshold=430.0, spread=15.0)
@@ -298,12 +301,12 @@ def test_quantiles_are_those_of_the_posterior_on_a_fine_grid():
         assert grid.quantiles(posterior, share, (0.025, 0.5, 0.975)) == pytest.approx(expected, abs=0.5)
 
 
-def ratio_levels(lowest, highest, ratio):
+def ratio_levels(lowest: Any, highest: Any, ratio: Any) -> Any:
     count = math.floor(math.log(highest / lowest) / math.log(ratio) + 1e-9) + 1
     return tuple(lowest * ratio**place for place in range(count))
 
 
-def test_values_of_k50_are_spaced_like_the_levels():
+def test_values_of_k50_are_spaced_like_the_levels() -> None:
     steps = np.diff(psychometric.of_levels(LEVELS).edges)
     np.testing.assert_allclose(steps, steps[0])
     levels = ratio_levels(50.0, 3000.0, 1.1)
@@ -317,7 +320,9 @@ def test_values_of_k50_are_spaced_like_the_levels():
 
 
 @pytest.mark.parametrize(("threshold", "share"), [(80.0, 0.04), (120.0, 0.04), (80.0, 0.01), (2000.0, 0.01)])
-def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(threshold, share):
+def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(
+    threshold: float, share: float
+) -> None:
     """Where levels are close together K50 is looked for as closely, also that of somebody who is very sure."""
     make = partial(search.make, "psi", levels=ratio_levels(50.0, 3000.0, 1.1))
     observer = Observer(threshold=threshold, spread=share * threshold, lapse_rate=0.02)
@@ -328,7 +333,7 @@ def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(threshol
 
 @given(st.lists(st.tuples(st.sampled_from(LEVELS), st.booleans())), st.sampled_from([0.5, 0.71, 0.79]))
 @settings(deadline=None)
-def test_no_limit_is_told_below_zero_or_outside_its_interval(verdicts, share):
+def test_no_limit_is_told_below_zero_or_outside_its_interval(verdicts: Any, share: Any) -> None:
     found = psychometric.locate(LEVELS, verdicts, share)
     assert 0.0 <= found.low <= found.high
     if verdicts:
@@ -337,7 +342,9 @@ def test_no_limit_is_told_below_zero_or_outside_its_interval(verdicts, share):
 
 
 @given(st.floats(0.05, 0.95), st.floats(100.0, 900.0), st.floats(1.0, 200.0))
-def test_the_level_of_a_share_is_where_the_function_has_it(share, threshold, spread):
+def test_the_level_of_a_share_is_where_the_function_has_it(
+    share: float, threshold: float, spread: float
+) -> None:
     observer = Observer(threshold=threshold, spread=spread)
     level = observer.level_of(share)
     root = brentq(
@@ -346,7 +353,7 @@ def test_the_level_of_a_share_is_where_the_function_has_it(share, threshold, spr
     assert level == pytest.approx(root, abs=1e-6)
 
 
-def test_intervals_shrink_as_the_root_of_the_hits():
+def test_intervals_shrink_as_the_root_of_the_hits() -> None:
     observer = Observer(threshold=430.0, spread=40.0)
     widths = []
     for repeats in (2, 8, 32):
@@ -358,7 +365,7 @@ def test_intervals_shrink_as_the_root_of_the_hits():
     assert (ratios < 3.0).all()
 
 
-def test_any_estimate_can_be_had_from_any_rules_answers():
+def test_any_estimate_can_be_had_from_any_rules_answers() -> None:
     answers = run(RULES["ascending"], Observer(threshold=430.0, spread=15.0), seed=3)
     low, high = psychometric.interval(LEVELS, verdicts_of(answers), 0.5)
     assert low <= 430.0 <= high
@@ -384,7 +391,7 @@ def test_any_estimate_can_be_had_from_any_rules_answers():
         ("grid", {"repeats": True}),
     ],
 )
-def test_settings_that_cannot_be_meant_are_refused_with_a_remedy(name, wrong):
+def test_settings_that_cannot_be_meant_are_refused_with_a_remedy(name: str, wrong: Any) -> None:
     with pytest.raises(ConfigError) as refused:
         search.make(name, **{"levels": LEVELS, **wrong})
     assert refused.value.remedy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache, partial
+from typing import Any
 
 import pytest
 
@@ -24,22 +25,22 @@ def again(case: tuple[str, float, float], sessions: int = AGAIN) -> observers.Ro
     return observers.row_of(case, sessions)
 
 
-def test_the_table_holds_every_case():
+def test_the_table_holds_every_case() -> None:
     assert list(ROWS) == observers.cases(), f"run {observers.REGENERATE}"
 
 
-def test_the_guide_shows_the_committed_table():
+def test_the_guide_shows_the_committed_table() -> None:
     assert observers.main(["--check"]) == 0, f"run {observers.REGENERATE} --guide"
 
 
-def test_the_guide_has_every_generated_section_once():
+def test_the_guide_has_every_generated_section_once() -> None:
     text = observers.GUIDE.read_text(encoding="utf-8")
     for section in observers.SECTIONS:
         assert text.count(f"<!-- generated: {section} -->") == 1
 
 
 @pytest.mark.parametrize("rule", observers.RULES)
-def test_a_few_sessions_again_agree_with_the_table(rule):
+def test_a_few_sessions_again_agree_with_the_table(rule: Any) -> None:
     """Within what their number allows: the table is of the code that is here."""
     row, now = ROWS[rule, 0.02, 15.0], again((rule, 0.02, 15.0))
     assert abs(now["bias"] - row["bias"]) < 4.0 * row["scatter"] / math.sqrt(AGAIN)
@@ -48,7 +49,7 @@ def test_a_few_sessions_again_agree_with_the_table(rule):
     assert abs(now["covered"] - row["covered"]) < 0.15
 
 
-def test_one_slip_in_fifty_makes_the_ascending_rule_read_low_and_no_other():
+def test_one_slip_in_fifty_makes_the_ascending_rule_read_low_and_no_other() -> None:
     ascended = again(("ascending × 5", 0.02, 15.0))
     assert ascended["bias"] < -40.0
     assert ascended["bias"] < -ascended["scatter"]
@@ -59,7 +60,7 @@ def test_one_slip_in_fifty_makes_the_ascending_rule_read_low_and_no_other():
     assert again(("psi", 0.02, 15.0))["hits"] < ascended["hits"] / 2
 
 
-def test_intervals_hold_what_they_promise_except_the_ascending_rules():
+def test_intervals_hold_what_they_promise_except_the_ascending_rules() -> None:
     for (name, lapse_rate, spread), row in ROWS.items():
         if name in OTHERS:
             assert row["covered"] >= 0.93, (name, lapse_rate, spread)
@@ -78,7 +79,7 @@ def test_intervals_of_psi_hold_the_limit_of_gradual_observers_too() -> None:
             assert row["covered"] >= (0.94 if name == "psi" else 0.92), (name, lapse_rate, spread)
 
 
-def test_a_limit_beyond_the_levels_is_marked_where_it_is_and_nowhere_else():
+def test_a_limit_beyond_the_levels_is_marked_where_it_is_and_nowhere_else() -> None:
     marked = {(row["rule"], row["lapse_rate"], row["spread"]): row["marked"] for row in TABLE["beyond"]}
     assert list(marked) == observers.cases(), f"run {observers.REGENERATE}"
     for (name, lapse_rate, spread), share in marked.items():
@@ -91,7 +92,7 @@ def test_a_limit_beyond_the_levels_is_marked_where_it_is_and_nowhere_else():
     assert now["marked"] == marked["psi", 0.05, 15.0] == 1.0
 
 
-def test_more_sessions_do_not_mend_the_ascending_rule():
+def test_more_sessions_do_not_mend_the_ascending_rule() -> None:
     row = ROWS["ascending × 5", 0.02, 15.0]
     assert row["bias"] < -5.0 * row["scatter"] / math.sqrt(12)
     for name in OTHERS:
@@ -100,7 +101,7 @@ def test_more_sessions_do_not_mend_the_ascending_rule():
 
 
 @pytest.mark.parametrize("spread", observers.SPREADS)
-def test_more_slips_lower_the_ascending_rule_alone(spread):
+def test_more_slips_lower_the_ascending_rule_alone(spread: Any) -> None:
     loss = {
         name: ROWS[name, 0.02, spread]["bias"] - ROWS[name, 0.05, spread]["bias"] for name in observers.RULES
     }
@@ -108,7 +109,7 @@ def test_more_slips_lower_the_ascending_rule_alone(spread):
     assert all(abs(loss[name]) < 8.5 for name in OTHERS)
 
 
-def test_a_study_is_made_of_its_seed_and_tells_observers_apart():
+def test_a_study_is_made_of_its_seed_and_tells_observers_apart() -> None:
     make = {"psi": partial(search.make, "psi", levels=observers.LEVELS, hits=8)}
     people = [Observer(threshold=threshold, spread=15.0) for threshold in (300.0, 600.0)]
     found = study(make, people, sessions=4, seed=5, off_lattice=12.5)

@@ -7,9 +7,11 @@ import json
 import math
 import runpy
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -35,7 +37,7 @@ UNIFORM, DUAL = 400.0, 460.0
 OFFSETS = {"P01": -30.0, "P02": 35.0, "P03": 10.0, "P04": -15.0}
 
 
-def person(offset=0.0, **settings):
+def person(offset: float = 0.0, **settings: Any) -> Any:
     return Person(
         threshold=lambda condition, damping: (
             (DUAL if condition == "dual" else UNIFORM) + offset + 20.0 * damping
@@ -45,7 +47,7 @@ def person(offset=0.0, **settings):
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory):
+def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Four people, two conditions, three repeats, up-down; some hits say nothing, and some verdicts are unsure."""
     where = tmp_path_factory.mktemp("study")
     people = {code: person(offset, invalid=0.05, unsure=0.03) for code, offset in OFFSETS.items()}
@@ -54,18 +56,18 @@ def study(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def found(study):
+def found(study: Path) -> Any:
     return analyse([study])
 
 
 @pytest.fixture
-def quick():
+def quick() -> Iterator[Any]:
     """Logs without waiting for the disk."""
     with without_sync():
         yield
 
 
-def one_session(where, mapping=None, who=None, **options):
+def one_session(where: Any, mapping: Any = None, who: Any = None, **options: Any) -> Any:
     """A whole session of one person, and what is found in it."""
     code = options.get("code", "P01")
     with sitting(where / code, mapping or protocol(), who or person(), **options) as one:
@@ -76,7 +78,7 @@ def one_session(where, mapping=None, who=None, **options):
 # ---------------------------------------------------------------------- what is there is found
 
 
-def test_a_known_difference_lies_within_the_intervals(found):
+def test_a_known_difference_lies_within_the_intervals(found: Any) -> None:
     for contrast in (
         next(one for one in found.paired if one.measure == "rule"),
         next(one for one in found.mixed if one.measure == "rule").contrasts[0],
@@ -86,7 +88,7 @@ def test_a_known_difference_lies_within_the_intervals(found):
         assert contrast.p < 0.01
 
 
-def test_each_persons_limit_is_found(found):
+def test_each_persons_limit_is_found(found: Any) -> None:
     for one in found.of_participants:
         truth = {"uniform": UNIFORM, "dual": DUAL}[one.condition] + OFFSETS[one.participant]
         if one.measure != "K50 automatic":
@@ -108,7 +110,7 @@ def test_each_persons_limit_is_found(found):
     assert sum(held) >= 7
 
 
-def test_there_is_one_k50_of_a_participant(found):
+def test_there_is_one_k50_of_a_participant(found: Any) -> None:
     """That of the psychometric function is the one that K_max is made of."""
     of_limits = {
         (one.participant, one.condition, one.measure): (one.mean, one.low, one.high)
@@ -127,7 +129,7 @@ def test_there_is_one_k50_of_a_participant(found):
             assert (over.mean, over.low, over.high) == pytest.approx(k50)
 
 
-def test_differences_that_are_the_same_for_all_are_said_to_come_of_coarse_levels(found):
+def test_differences_that_are_the_same_for_all_are_said_to_come_of_coarse_levels(found: Any) -> None:
     assert not any("too coarse" in message for message in found.messages)
     same = [
         replace(one, low=math.nan, high=math.nan, p=math.nan, holm=math.nan)
@@ -168,7 +170,7 @@ def test_the_example_script_goes_from_the_tables_to_the_same_numbers(
     assert f"kappa {two.kappa:.3f}" in capsys.readouterr().out
 
 
-def test_every_trial_is_there_and_says_whether_it_counts(found):
+def test_every_trial_is_there_and_says_whether_it_counts(found: Any) -> None:
     assert len(found.trials) == sum(len(session.state.trials) for session in found.study.sessions)
     for trial in found.trials:
         assert (trial.void == "invalid") == (trial.automatic == "invalid")
@@ -184,7 +186,7 @@ def test_every_trial_is_there_and_says_whether_it_counts(found):
     assert places == list(range(1, 7))
 
 
-def test_the_rules_own_limit_is_what_the_rule_says_of_the_replayed_log(found):
+def test_the_rules_own_limit_is_what_the_rule_says_of_the_replayed_log(found: Any) -> None:
     session = found.study.sessions[0]
     runs = {run.number: run for block in session.state.blocks for run in block.runs}
     for row in found.runs:
@@ -197,7 +199,7 @@ def test_the_rules_own_limit_is_what_the_rule_says_of_the_replayed_log(found):
             assert row.limits["K50 automatic"] == half
 
 
-def test_the_same_logs_give_the_same_numbers(study, found):
+def test_the_same_logs_give_the_same_numbers(study: Path, found: Any) -> None:
     again = analyse([study / "P02", study / "P01", study / "P04" / "session.log", study / "P03"])
     assert json.dumps(again.as_mapping()) == json.dumps(found.as_mapping())
 
@@ -213,7 +215,7 @@ def test_the_same_logs_give_the_same_numbers(study, found):
         ("dual:20k/2k,estimator=of-another-package,gain=3", "dual 20/2 kHz, of-another-package, gain 3.0"),
     ],
 )
-def test_a_scheme_is_called_what_a_legend_calls_it(scheme, words):
+def test_a_scheme_is_called_what_a_legend_calls_it(scheme: str | None, words: str | None) -> None:
     experiment = presets.load(PRESET)
     if words is None:
         words = (Scheme.of(experiment) if scheme is None else Scheme.parse(scheme)).label(experiment)
@@ -231,7 +233,7 @@ def test_a_scheme_is_called_what_a_legend_calls_it(scheme, words):
         ("grid", {"repeats": 3}),
     ],
 )
-def test_every_rule_finds_the_same_half_way_point(tmp_path, rule, settings):
+def test_every_rule_finds_the_same_half_way_point(tmp_path: Path, rule: str, settings: Any) -> None:
     share = 0.0 if rule == "psi" else 0.2
     mapping = protocol(
         search={
@@ -259,7 +261,7 @@ def test_every_rule_finds_the_same_half_way_point(tmp_path, rule, settings):
 
 
 @pytest.mark.usefixtures("quick")
-def test_slips_show_on_catch_trials(tmp_path):
+def test_slips_show_on_catch_trials(tmp_path: Path) -> None:
     mapping = protocol(search={"rule": "staircase", "settings": {"most": 60}, "catch_share": 0.5})
     found = one_session(tmp_path, mapping, person(lapse_rate=0.3))
     caught, lapses = (sum(getattr(run, name) for run in found.runs) for name in ("catches", "lapses"))
@@ -267,7 +269,7 @@ def test_slips_show_on_catch_trials(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_kinds_of_slips_are_told_apart_and_a_wall_that_truly_holds_is_none(tmp_path):
+def test_kinds_of_slips_are_told_apart_and_a_wall_that_truly_holds_is_none(tmp_path: Path) -> None:
     """Somebody for whom the stiffest wall is stable says so on its catch trials too."""
     interleaved = {"rule": "interleaved", "settings": {"most": 20}, "catch_share": 0.4}
     found = one_session(tmp_path / "a", protocol(search={**interleaved, "highest": 300.0}), person())
@@ -286,12 +288,12 @@ def test_kinds_of_slips_are_told_apart_and_a_wall_that_truly_holds_is_none(tmp_p
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path):
+def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path: Path) -> None:
     """The first verdict of the session is a lapse; the series after it say where the limit is."""
     mapping = protocol(search={"rule": "ascending", "settings": {"repeats": 3}}, order={"repeats": 1})
     judged = []
 
-    def threshold(_condition, _damping):
+    def threshold(_condition: Any, _damping: Any) -> Any:
         judged.append(True)
         return 1.0 if len(judged) <= 2 else 410.0  # the automatic verdict asks too
 
@@ -308,7 +310,7 @@ def test_a_climb_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_redone_and_restarted_trials_are_flagged_and_do_not_count(tmp_path):
+def test_redone_and_restarted_trials_are_flagged_and_do_not_count(tmp_path: Path) -> None:
     mapping = protocol(practice={"stiffness": [200.0, 300.0]})
     with sitting(tmp_path / "P01", mapping, person()) as one:
         one.run(trials=6)
@@ -329,7 +331,7 @@ def test_redone_and_restarted_trials_are_flagged_and_do_not_count(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_an_amended_verdict_counts_and_the_rules_walk_is_no_longer_told(tmp_path):
+def test_an_amended_verdict_counts_and_the_rules_walk_is_no_longer_told(tmp_path: Path) -> None:
     """The walls that a staircase asked for belong to what it had heard: K50 takes the correction, its walk cannot."""
     before = one_session(tmp_path)
     judged = next(e for e in before.study.sessions[0].of_kind("judged") if e.content["trial"] == 5)
@@ -355,7 +357,7 @@ def test_an_amended_verdict_counts_and_the_rules_walk_is_no_longer_told(tmp_path
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_trial_left_out_afterwards_is_flagged_and_its_run_stays_complete(tmp_path):
+def test_a_trial_left_out_afterwards_is_flagged_and_its_run_stays_complete(tmp_path: Path) -> None:
     before = one_session(tmp_path)
     event = next(e for e in before.study.sessions[0].of_kind("trial") if e.content["trial"] == 5)
     with SessionLog(tmp_path / "P01" / "session.log") as log:
@@ -371,7 +373,7 @@ def test_a_trial_left_out_afterwards_is_flagged_and_its_run_stays_complete(tmp_p
 
 
 @pytest.mark.usefixtures("quick")
-def test_skipped_and_unfinished_runs_stay_in_their_table_and_out_of_the_limits(tmp_path):
+def test_skipped_and_unfinished_runs_stay_in_their_table_and_out_of_the_limits(tmp_path: Path) -> None:
     with sitting(tmp_path / "P01", protocol(), person()) as one:
         one.run(trials=3)
         one.record("skipped", run=1)
@@ -387,7 +389,7 @@ def test_skipped_and_unfinished_runs_stay_in_their_table_and_out_of_the_limits(t
 
 
 @pytest.mark.usefixtures("quick")
-def test_answers_are_columns_of_the_table_of_participants(tmp_path):
+def test_answers_are_columns_of_the_table_of_participants(tmp_path: Path) -> None:
     items = [
         {"name": "tired", "text": "How tired?", "when": "start"},
         {"name": "hard", "text": "How hard?", "when": "block"},
@@ -413,7 +415,9 @@ def test_answers_are_columns_of_the_table_of_participants(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_walls_that_all_hold_are_limits_beyond_the_levels(tmp_path, capsys):
+def test_walls_that_all_hold_are_limits_beyond_the_levels(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     mapping = protocol(search={"highest": 300.0})
     write_study(tmp_path, mapping, {code: person(offset) for code, offset in OFFSETS.items()})
     found = analyse([tmp_path])
@@ -445,7 +449,9 @@ def test_walls_that_all_hold_are_limits_beyond_the_levels(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("quick")
-def test_before_the_first_verdict_there_is_nothing_but_a_table_of_trials(tmp_path, capsys):
+def test_before_the_first_verdict_there_is_nothing_but_a_table_of_trials(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with sitting(tmp_path / "P01", protocol(), person(invalid=1.0)) as one:
         for _ in range(3):
             one.step()
@@ -461,7 +467,7 @@ def test_before_the_first_verdict_there_is_nothing_but_a_table_of_trials(tmp_pat
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_session_that_nobody_has_begun_to_hit_is_read(tmp_path):
+def test_a_session_that_nobody_has_begun_to_hit_is_read(tmp_path: Path) -> None:
     with sitting(tmp_path / "P01", protocol(), person()):
         pass
     found = analyse([tmp_path])
@@ -470,7 +476,7 @@ def test_a_session_that_nobody_has_begun_to_hit_is_read(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_where_the_rig_judges_there_is_no_person_to_agree_with(tmp_path):
+def test_where_the_rig_judges_there_is_no_person_to_agree_with(tmp_path: Path) -> None:
     found = one_session(tmp_path, protocol(study={"judge": "automatic"}))
     assert found.agreements == ()
     assert all(set(run.limits) == {"rule", "K50 automatic"} for run in found.runs)
@@ -482,8 +488,8 @@ def test_where_the_rig_judges_there_is_no_person_to_agree_with(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_sessions_of_different_studies_are_refused(tmp_path):
-    def begin(code, mapping, **options):
+def test_sessions_of_different_studies_are_refused(tmp_path: Path) -> None:
+    def begin(code: Any, mapping: Any, **options: Any) -> None:
         with sitting(tmp_path / code, mapping, person(), code=code, **options) as one:
             one.run(trials=1)
 
@@ -508,7 +514,7 @@ def test_sessions_of_different_studies_are_refused(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_session_without_a_trial_is_left_out_and_named(tmp_path):
+def test_a_session_without_a_trial_is_left_out_and_named(tmp_path: Path) -> None:
     with sitting(tmp_path / "P01", protocol(), person()) as one:
         one.run(trials=1)
     with sitting(tmp_path / "P02", protocol(), person(), code="P02", rehearsal={"spread": 15.0}):
@@ -519,7 +525,7 @@ def test_a_session_without_a_trial_is_left_out_and_named(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_recordings_that_are_gone_or_changed_are_said(tmp_path):
+def test_recordings_that_are_gone_or_changed_are_said(tmp_path: Path) -> None:
     with sitting(tmp_path / "P01", protocol(), person(), recorded=True) as one:
         one.run(trials=4)
     trials = tmp_path / "P01" / "trials"
@@ -539,7 +545,7 @@ def test_recordings_that_are_gone_or_changed_are_said(tmp_path):
     ]
 
 
-def test_a_damaged_log_and_an_empty_place_are_refused(tmp_path, study):
+def test_a_damaged_log_and_an_empty_place_are_refused(tmp_path: Path, study: Path) -> None:
     with pytest.raises(RecordingError, match="there is no session in"):
         read_study([tmp_path])
     copy = tmp_path / "P01" / "session.log"
@@ -555,7 +561,7 @@ def test_a_damaged_log_and_an_empty_place_are_refused(tmp_path, study):
 # ---------------------------------------------------------------------- tables and command
 
 
-def test_tables_say_their_units_and_are_alike_in_both_forms(found, tmp_path):
+def test_tables_say_their_units_and_are_alike_in_both_forms(found: Any, tmp_path: Path) -> None:
     written = write_tables(found, tmp_path)
     dictionary = json.loads((tmp_path / "tables.json").read_text())["tables"]
     assert set(written) == {f"{name}.{kind}" for name in dictionary for kind in ("csv", "parquet")} | {
@@ -586,7 +592,9 @@ def test_tables_say_their_units_and_are_alike_in_both_forms(found, tmp_path):
     assert [row["kmax_n_m_per_rad"] for row in kmax] == [one.mean for one in found.over_participants]
 
 
-def test_a_table_of_confusions_says_what_its_interval_is_over_and_who_is_in_it(found, tmp_path):
+def test_a_table_of_confusions_says_what_its_interval_is_over_and_who_is_in_it(
+    found: Any, tmp_path: Path
+) -> None:
     write_tables(found, tmp_path)
     row = next(r for r in pq.read_table(tmp_path / "agreement.parquet").to_pylist() if r["condition"] == "")
     two = found.agreements[0]
@@ -599,7 +607,7 @@ def test_a_table_of_confusions_says_what_its_interval_is_over_and_who_is_in_it(f
     assert {(row["bound"], row["beyond"]) for row in differences} == {("", 0)}
 
 
-def test_every_column_is_explained_and_named_once(found):
+def test_every_column_is_explained_and_named_once(found: Any) -> None:
     for table in tables(found):
         names = [column_name(column, found) for column in table.columns]
         assert len(set(names)) == len(names)
@@ -607,7 +615,7 @@ def test_every_column_is_explained_and_named_once(found):
         assert all(name.isascii() and name.replace("_", "").isalnum() for name in names)
 
 
-def test_the_command_writes_beside_the_sessions_and_prints_what_matters(study):
+def test_the_command_writes_beside_the_sessions_and_prints_what_matters(study: Path) -> None:
     result = CliRunner().invoke(rig, ["session", "analyse", str(study), "--no-report"])
     assert result.exit_code == 0, result.output
     for said in ("A study: 4 participants", "dual − uniform", "two classes", "Slopes along the session"):
@@ -622,7 +630,7 @@ def test_the_command_writes_beside_the_sessions_and_prints_what_matters(study):
     assert len(told["runs"]) == 24
 
 
-def test_numbers_that_are_not_known_are_null_in_json(found):
+def test_numbers_that_are_not_known_are_null_in_json(found: Any) -> None:
     told = found.as_mapping()
     censored = [run["limits"]["rule"]["censored"] for run in told["runs"]]
     assert set(censored) == {""}

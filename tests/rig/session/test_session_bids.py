@@ -7,6 +7,8 @@ import json
 import re
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -46,7 +48,7 @@ REQUIRED = {"TaskName", "SamplingFrequency"}  # of a motion file's JSON, BIDS 1.
 UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 
 
-def recorded(directory, preset, **changes):
+def recorded(directory: Any, preset: Any, **changes: Any) -> Any:
     """A hit of that rig at a low rate, sealed."""
     experiment = config.override(presets.load(preset), {**QUICK, **changes})
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
@@ -57,12 +59,12 @@ def recorded(directory, preset, **changes):
 
 
 @pytest.fixture(scope="module")
-def hit(tmp_path_factory):
+def hit(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return recorded(tmp_path_factory.mktemp("hit"), "koul-compliant")
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory, hit):
+def study(tmp_path_factory: pytest.TempPathFactory, hit: Any) -> Any:
     """Two people, a practice trial each, one redone, one amended, with a questionnaire."""
     where = tmp_path_factory.mktemp("study")
     mapping = protocol(
@@ -87,14 +89,14 @@ def study(tmp_path_factory, hit):
 
 
 @pytest.fixture(scope="module")
-def dataset(study, tmp_path_factory):
+def dataset(study: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     out = tmp_path_factory.mktemp("out") / "bids"
     found = export_bids(read_study([study]), out, Options(authors=("A. Author",), licence="CC0"))
     assert not found.left_out
     return out
 
 
-def table(path):
+def table(path: Any) -> Any:
     """Head and rows of a tab-separated file; every row is as long as the head."""
     lines = path.read_text(encoding="utf-8").split("\n")
     assert lines.pop() == ""  # it ends with a line end
@@ -103,11 +105,11 @@ def table(path):
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
-def runs_of(dataset):
+def runs_of(dataset: Any) -> Any:
     return sorted(dataset.glob("sub-*/motion/*_motion.tsv"))
 
 
-def test_the_root_says_what_it_is(dataset):
+def test_the_root_says_what_it_is(dataset: Any) -> None:
     described = json.loads((dataset / "dataset_description.json").read_text())
     assert described["Name"] == "A study"
     assert described["DatasetType"] == "raw"
@@ -122,7 +124,7 @@ def test_the_root_says_what_it_is(dataset):
     assert set(people[0]) - {"participant_id"} == set(sidecar)
 
 
-def test_names_are_those_of_the_standard(dataset):
+def test_names_are_those_of_the_standard(dataset: Any) -> None:
     name = re.compile(
         r"sub-P0[12]/motion/sub-P0[12]_task-wallhit_tracksys-rig_run-\d{4}_"
         r"(motion\.tsv|motion\.json|channels\.tsv|events\.tsv)"
@@ -138,7 +140,7 @@ def test_names_are_those_of_the_standard(dataset):
     assert all(file.count("P01") != 1 for file in files)  # directory and name agree
 
 
-def test_a_run_holds_the_recording_and_says_what_each_column_is(dataset, hit):
+def test_a_run_holds_the_recording_and_says_what_each_column_is(dataset: Any, hit: Any) -> None:
     recording = open_recording(hit)
     for path in runs_of(dataset):
         stem = path.name.removesuffix("_motion.tsv")
@@ -166,7 +168,7 @@ def test_a_run_holds_the_recording_and_says_what_each_column_is(dataset, hit):
     assert re.fullmatch(r"\d+\.\d{6}", first[0])  # seconds, as the standard writes latencies
 
 
-def test_scans_say_what_was_hit_and_what_was_said_of_it(dataset, study):
+def test_scans_say_what_was_hit_and_what_was_said_of_it(dataset: Any, study: Any) -> None:
     session = read_study([study]).sessions[0]
     rows = table(dataset / "sub-P01" / "sub-P01_scans.tsv")
     assert len(rows) == len(session.state.trials) == len(list(dataset.glob("sub-P01/motion/*_motion.tsv")))
@@ -183,7 +185,7 @@ def test_scans_say_what_was_hit_and_what_was_said_of_it(dataset, study):
     assert sidecar["stiffness"]["Units"] == "N.m/rad"
 
 
-def test_events_are_in_order_and_lie_in_the_recording(dataset, hit):
+def test_events_are_in_order_and_lie_in_the_recording(dataset: Any, hit: Any) -> None:
     length = open_recording(hit).time_s[-1]
     levels = json.loads((dataset / "task-wallhit_tracksys-rig_events.json").read_text())["trial_type"][
         "Levels"
@@ -203,7 +205,7 @@ def test_events_are_in_order_and_lie_in_the_recording(dataset, hit):
         assert float(rows[-1]["response_time"]) > 0.0
 
 
-def test_spans_are_those_of_the_rows(hit):
+def test_spans_are_those_of_the_rows(hit: Any) -> None:
     recording = open_recording(hit)
     rows = recording.rows[:12].copy()
     rows["phase"] = [Phase.HOMING] * 3 + [Phase.SETTLE] * 2 + [Phase.TRIAL] * 6 + [Phase.RELEASE]
@@ -225,7 +227,7 @@ def test_spans_are_those_of_the_rows(hit):
 
 
 @pytest.mark.parametrize("motion", ["rotary", "linear"])
-def test_channels_have_types_components_and_units_of_the_standard(motion):
+def test_channels_have_types_components_and_units_of_the_standard(motion: str) -> None:
     found = channels(motion, "foaw")
     types = {channel.type for channel in found}
     assert types == (
@@ -237,7 +239,7 @@ def test_channels_have_types_components_and_units_of_the_standard(motion):
         assert list(channel.as_row())[:5] == ["name", "component", "type", "tracked_point", "units"]
 
 
-def test_less_can_be_kept_and_dates_can_be_moved(study, tmp_path, hit):
+def test_less_can_be_kept_and_dates_can_be_moved(study: Any, tmp_path: Path, hit: Any) -> None:
     export_bids(read_study([study / "P01"]), tmp_path / "bids", Options(every=3, shift_dates=True))
     path = runs_of(tmp_path / "bids")[0]
     kept = np.loadtxt(path, delimiter="\t")
@@ -248,7 +250,7 @@ def test_less_can_be_kept_and_dates_can_be_moved(study, tmp_path, hit):
     assert all(date.startswith("1925-01-01T") for date in dates)
 
 
-def test_what_is_missing_or_was_changed_is_left_out_and_said(hit, tmp_path):
+def test_what_is_missing_or_was_changed_is_left_out_and_said(hit: Any, tmp_path: Path) -> None:
     person = Person(threshold=lambda condition, damping: 430.0)
     mapping = protocol(search={"settings": {"turns": 2, "most": 4}, "step": 100.0}, order={"repeats": 1})
     with without_sync(), sitting(tmp_path / "P01", mapping, person, recorded=hit) as one:
@@ -274,7 +276,7 @@ def test_what_is_missing_or_was_changed_is_left_out_and_said(hit, tmp_path):
     assert not [path for path in tmp_path.iterdir() if "other" in path.name]  # nothing half done
 
 
-def test_codes_that_bids_cannot_tell_apart_are_refused(tmp_path):
+def test_codes_that_bids_cannot_tell_apart_are_refused(tmp_path: Path) -> None:
     person = Person(threshold=lambda condition, damping: 430.0)
     mapping = protocol(study={"code": CODES})
     with without_sync():
@@ -287,7 +289,9 @@ def test_codes_that_bids_cannot_tell_apart_are_refused(tmp_path):
         label_of("-_")
 
 
-def test_csv_reads_back_equal_and_a_table_says_what_each_file_is(study, tmp_path, hit):
+def test_csv_reads_back_equal_and_a_table_says_what_each_file_is(
+    study: Any, tmp_path: Path, hit: Any
+) -> None:
     export_trials(read_study([study]), tmp_path / "csv", "csv")
     with open(tmp_path / "csv/trials.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -301,7 +305,7 @@ def test_csv_reads_back_equal_and_a_table_says_what_each_file_is(study, tmp_path
     assert set(rows[0]) - {"participant", "file"} == set(meanings)
 
 
-def test_the_command_says_what_it_wrote(study, tmp_path):
+def test_the_command_says_what_it_wrote(study: Any, tmp_path: Path) -> None:
     told = CliRunner().invoke(
         rig, ["session", "export", str(study / "P01"), "--bids", str(tmp_path / "bids"), "--json"]
     )

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from rig import config
 from rig.config import presets
@@ -20,11 +24,11 @@ class Opened:
     url: str
 
 
-def test_whoever_takes_the_hand_over_gets_another_device(monkeypatch):
+def test_whoever_takes_the_hand_over_gets_another_device(monkeypatch: pytest.MonkeyPatch) -> None:
     closed = []
 
     @contextmanager
-    def opened(url, model, **options):
+    def opened(url: Any, model: Any, **options: Any) -> Iterator[Any]:
         yield Opened(url)
         closed.append(url)
 

@@ -10,6 +10,8 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -36,25 +38,25 @@ SAID = [
 ]
 
 
-def written(path, said=SAID):
+def written(path: Any, said: Any = SAID) -> Any:
     with SessionLog(path, clock=lambda: 12.5) as log:
         for kind, content in said:
             log.append(kind, **content)
     return path
 
 
-def told(path):
+def told(path: Any) -> Any:
     return [(event.kind, dict(event.content)) for event in read(path)]
 
 
-def test_what_was_said_is_read_back_in_order_and_with_its_time(tmp_path):
+def test_what_was_said_is_read_back_in_order_and_with_its_time(tmp_path: Path) -> None:
     path = written(tmp_path / "log")
     assert told(path) == SAID
     assert [event.number for event in read(path)] == [0, 1, 2, 3]
     assert {event.at for event in read(path)} == {12.5}
 
 
-def test_torn_at_every_byte_it_goes_on_as_if_nothing_had_happened(tmp_path):
+def test_torn_at_every_byte_it_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
     """Whatever part of the last line reached the disk: it is there as a whole, or it never was; the end is the same."""
     whole = written(tmp_path / "whole").read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
@@ -67,7 +69,7 @@ def test_torn_at_every_byte_it_goes_on_as_if_nothing_had_happened(tmp_path):
         assert path.read_bytes() == whole
 
 
-def test_how_much_of_a_torn_line_was_dropped_is_told(tmp_path):
+def test_how_much_of_a_torn_line_was_dropped_is_told(tmp_path: Path) -> None:
     path = written(tmp_path / "log")
     whole = path.read_bytes()
     path.write_bytes(whole[:-7])
@@ -78,7 +80,7 @@ def test_how_much_of_a_torn_line_was_dropped_is_told(tmp_path):
         assert log.torn == 0
 
 
-def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path):
+def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path: Path) -> None:
     path = written(tmp_path / "log")
     whole = path.read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
@@ -97,7 +99,7 @@ def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path):
     assert kept.read_bytes() == damaged
 
 
-def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path):
+def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path: Path) -> None:
     path = written(tmp_path / "log")
     changed = path.read_bytes().replace(b"stable", b"stabel")
     path.write_bytes(changed)
@@ -108,7 +110,7 @@ def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path):
 
 
 @pytest.mark.parametrize("place", range(4))
-def test_a_line_taken_out_or_changed_is_noticed(tmp_path, place):
+def test_a_line_taken_out_or_changed_is_noticed(tmp_path: Path, place: int) -> None:
     path = written(tmp_path / "log")
     kept = path.read_bytes().splitlines(keepends=True)
     forged = lines.line_of(f'{{"n": {place}, "after": 0, "at": 1, "kind": "forged", "log": {VERSION}}}')
@@ -122,7 +124,7 @@ def test_a_line_taken_out_or_changed_is_noticed(tmp_path, place):
     _assert_refused(path, replaced, max(place + 1, 2))
 
 
-def test_a_log_of_another_format_version_is_refused(tmp_path):
+def test_a_log_of_another_format_version_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "log")
     first = lines.object_of(path.read_bytes().splitlines(keepends=True)[0])
     assert first["log"] == VERSION
@@ -132,7 +134,7 @@ def test_a_log_of_another_format_version_is_refused(tmp_path):
             reader(path)
 
 
-def _assert_refused(path, changed, number):
+def _assert_refused(path: Any, changed: Any, number: Any) -> None:
     path.write_bytes(b"".join(changed))
     for reader in (SessionLog, read):
         with pytest.raises(RecordingError, match=f"line {number}") as refused:
@@ -143,7 +145,9 @@ def _assert_refused(path, changed, number):
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_one_flipped_bit_is_never_taken_for_an_event(tmp_path_factory, data):
+def test_one_flipped_bit_is_never_taken_for_an_event(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
     path = written(tmp_path_factory.mktemp("bit") / "log")
     content = bytearray(path.read_bytes())
     at = data.draw(st.integers(0, len(content) - 1))
@@ -157,7 +161,7 @@ def test_one_flipped_bit_is_never_taken_for_an_event(tmp_path_factory, data):
     assert len(found) >= 3
 
 
-def test_two_processes_never_write_the_same_session(tmp_path):
+def test_two_processes_never_write_the_same_session(tmp_path: Path) -> None:
     with SessionLog(tmp_path / "log") as log:
         log.append("begun")
         with pytest.raises(RecordingError, match="another process") as refused:
@@ -168,11 +172,13 @@ def test_two_processes_never_write_the_same_session(tmp_path):
 
 
 @pytest.mark.parametrize("room", range(0, 240, 7))
-def test_on_a_full_disk_it_says_so_and_what_was_said_before_is_good(tmp_path, monkeypatch, room):
+def test_on_a_full_disk_it_says_so_and_what_was_said_before_is_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
     class Full(io.FileIO):
         left = room
 
-        def write(self, data):
+        def write(self, data: Any) -> Any:
             if self.left <= 0:
                 raise OSError(errno.ENOSPC, "")
             written = super().write(data[: min(len(data), self.left, 50)])
@@ -204,13 +210,13 @@ class Failing(io.FileIO):
 
     fails: set[str]
 
-    def write(self, data):
+    def write(self, data: Any) -> Any:
         if "write" not in self.fails:
             return super().write(data)
         super().write(data[: len(data) // 2])
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    def truncate(self, size=None):
+    def truncate(self, size: Any = None) -> Any:
         if "truncate" in self.fails:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return super().truncate(size)
@@ -218,11 +224,13 @@ class Failing(io.FileIO):
 
 @pytest.mark.parametrize("other", ["truncate", "nothing"])
 @pytest.mark.parametrize("first", ["write", "sync"])
-def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(tmp_path, monkeypatch, first, other):
+def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: str, other: str
+) -> None:
     """What cannot be cut off stays the last line until somebody opens the log again."""
     path, fsync = written(tmp_path / "log"), os.fsync
 
-    def sync(descriptor):
+    def sync(descriptor: Any) -> None:
         if "sync" in file.fails:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         fsync(descriptor)
@@ -250,13 +258,13 @@ def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(tmp_path, m
 
 
 @pytest.mark.parametrize("place", range(60))
-def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path, place):
+def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, place: int) -> None:
     """Ctrl-C comes between any two lines of the program; whoever then says why it stops must not damage the log."""
     path, left = written(tmp_path / "log"), place
     traced = [module.__file__ for module in (log_module, lines, files)]
     with SessionLog(path, clock=lambda: 12.5) as log:
 
-        def trace(frame, event, argument):
+        def trace(frame: Any, event: Any, argument: Any) -> Any:
             nonlocal left
             if event == "line":
                 if left == 0:
@@ -265,7 +273,7 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path, place):
                 left -= 1
             return trace
 
-        def tracing(frame, event, argument):
+        def tracing(frame: Any, event: Any, argument: Any) -> Any:
             return trace if frame.f_code.co_filename in traced else None
 
         before = sys.gettrace()
@@ -289,14 +297,14 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path, place):
         ]  # there was nothing to interrupt any more
 
 
-def _append_for_ever(path):
+def _append_for_ever(path: Any) -> None:
     die_with_parent()
     with SessionLog(path) as log:
         while True:
             log.append("tick", number=len(log.events))
 
 
-def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path):
+def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "log"
     for _ in range(5):
         before = len(read(path)) if path.exists() else 0
@@ -311,11 +319,13 @@ def test_kill_minus_nine_at_any_moment_leaves_a_log_that_goes_on(tmp_path):
         assert [event.content["number"] for event in read(path)] == list(range(len(read(path))))
 
 
-def _whole(path):
+def _whole(path: Any) -> Any:
     return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
-def test_an_event_is_on_the_disk_before_append_returns(tmp_path, monkeypatch):
+def test_an_event_is_on_the_disk_before_append_returns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     order = []
     fsync = os.fsync
     monkeypatch.setattr(lines.os, "fsync", lambda descriptor: (order.append("synced"), fsync(descriptor)))
@@ -326,7 +336,7 @@ def test_an_event_is_on_the_disk_before_append_returns(tmp_path, monkeypatch):
     assert order[:2] == ["synced", "returned"]
 
 
-def test_the_logs_own_words_are_not_the_callers(tmp_path):
+def test_the_logs_own_words_are_not_the_callers(tmp_path: Path) -> None:
     with SessionLog(tmp_path / "log") as log, pytest.raises(ValueError, match="after"):
         log.append("x", after=1)
 
@@ -334,12 +344,14 @@ def test_the_logs_own_words_are_not_the_callers(tmp_path):
 @pytest.mark.parametrize(
     ("value", "kept"), [(float("nan"), None), ((1.0, {"x": float("inf")}), [1.0, {"x": None}])]
 )
-def test_a_number_that_json_lacks_is_null_in_the_file_and_in_the_event(tmp_path, value, kept):
+def test_a_number_that_json_lacks_is_null_in_the_file_and_in_the_event(
+    tmp_path: Path, value: Any, kept: Any
+) -> None:
     with SessionLog(tmp_path / "log") as log:
         assert log.append("trial", felt=value).content == {"felt": kept}
     assert json.loads((tmp_path / "log").read_text()[9:], parse_constant=pytest.fail)["felt"] == kept
 
 
-def test_no_log_is_said_plainly(tmp_path):
+def test_no_log_is_said_plainly(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no session log"):
         read(tmp_path / "none")

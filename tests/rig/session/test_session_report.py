@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import pytest
@@ -45,7 +48,7 @@ SECTIONS = (
 )  # fmt: skip
 
 
-def person(offset=0.0, **settings):
+def person(offset: float = 0.0, **settings: Any) -> Any:
     return Person(
         threshold=lambda condition, damping: (
             (500.0 if "dual" in condition else 400.0) + offset + 100.0 * damping
@@ -54,7 +57,7 @@ def person(offset=0.0, **settings):
     )
 
 
-def mapping_of(**sections):
+def mapping_of(**sections: Any) -> Any:
     chosen = {
         "study": {"title": f"Two schemes {NASTY}", "participants": 3, "changes": {"operator.press": 2.0}},
         "search": {"step": 50.0, "settings": {"turns": 2, "most": 10}},
@@ -67,7 +70,7 @@ def mapping_of(**sections):
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory):
+def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Three people, to whom everything happens that can."""
     where = tmp_path_factory.mktemp("study")
     mapping = mapping_of()
@@ -101,21 +104,21 @@ def study(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def found(study):
+def found(study: Any) -> Any:
     return analyse([study])
 
 
 @pytest.fixture(scope="module")
-def drawn(found, tmp_path_factory):
+def drawn(found: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     return draw_session(found, tmp_path_factory.mktemp("pictures"))
 
 
 @pytest.fixture(scope="module")
-def page(found, drawn):
+def page(found: Any, drawn: Any) -> Any:
     return render(found, {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"})
 
 
-def _flat(page):
+def _flat(page: Any) -> Any:
     """The text of a page in one line."""
     return " ".join(_Page(page).text.split())
 
@@ -136,7 +139,7 @@ class _Page(HTMLParser):
         self.feed(page)
         assert not self._open
 
-    def handle_starttag(self, tag, attrs):
+    def handle_starttag(self, tag: Any, attrs: Any) -> None:
         values = dict(attrs)
         self.ids += [v] if (v := values.get("id")) else []
         self.sources += [v for name in ("src", "href") if (v := values.get(name))]
@@ -144,17 +147,17 @@ class _Page(HTMLParser):
         if tag not in self.VOID:
             self._open.append(tag)
 
-    def handle_endtag(self, tag):
+    def handle_endtag(self, tag: Any) -> None:
         assert self._open.pop() == tag
 
-    def handle_data(self, data):
+    def handle_data(self, data: Any) -> None:
         if self._open[-1:] == ["script"]:
             self.numbers += data
         elif self._open[-1:] != ["style"]:
             self.text += data
 
 
-def test_the_page_is_whole_and_needs_nothing_else(page):
+def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
     read = _Page(page)
     assert page.startswith("<!DOCTYPE html>")
     assert set(SECTIONS) <= set(read.ids)
@@ -167,7 +170,7 @@ def test_the_page_is_whole_and_needs_nothing_else(page):
         assert not re.search(rf"\b{name}\b", read.text)
 
 
-def test_texts_of_users_are_text(page):
+def test_texts_of_users_are_text(page: Any) -> None:
     read = _Page(page)
     assert read.scripts == 1  # the numbers
     assert read.text.count(NASTY) >= 3  # title, question, note
@@ -177,7 +180,7 @@ def test_texts_of_users_are_text(page):
     assert printed["notes"][0]["detail"] == NASTY
 
 
-def test_the_numbers_are_those_of_the_analysis(page, found, tmp_path):
+def test_the_numbers_are_those_of_the_analysis(page: Any, found: Any, tmp_path: Path) -> None:
     printed = json.loads(_Page(page).numbers)
     assert printed == json.loads(json.dumps(numbers(found), allow_nan=False))
     assert len(printed["runs"]) == len(found.runs)
@@ -187,7 +190,7 @@ def test_the_numbers_are_those_of_the_analysis(page, found, tmp_path):
     assert "(no picture)" in paths[0].read_text(encoding="utf-8")
 
 
-def test_every_limit_of_the_main_table_is_printed(page, found):
+def test_every_limit_of_the_main_table_is_printed(page: Any, found: Any) -> None:
     text = _Page(page).text
     for one in found.over_participants:
         assert f"{one.mean:.4g}" in text
@@ -195,7 +198,7 @@ def test_every_limit_of_the_main_table_is_printed(page, found):
         assert session.code in text
 
 
-def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found):
+def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found: Any) -> None:
     assert all("N·m/rad" in one.detail and "N·m·s/rad" in one.detail for one in invalid_trials(found.study))
     effective = numbers(found)["provenance"]["experiments"]
     assert effective["_dual $x"]["operator"]["press"] == 2.0
@@ -204,7 +207,7 @@ def test_numbers_have_units_and_the_experiment_is_the_one_in_effect(found):
     assert said == "heard 0.113 above 0.1 N·m; felt 2e-05 above 1e-05 rad/s; it moved"
 
 
-def test_every_deviation_is_listed(found, page):
+def test_every_deviation_is_listed(found: Any, page: Any) -> None:
     told = [(one.participant, one.what, one.detail) for one in deviations(found.study)]
     kinds = [(code, what) for code, what, _ in told]
     assert kinds == [
@@ -240,7 +243,7 @@ def test_every_deviation_is_listed(found, page):
         assert one.detail in text
 
 
-def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found, page):
+def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found: Any, page: Any) -> None:
     two = [one for one in found.of_participants if (one.measure, one.repeats) == ("rule", 2)]
     assert two
     assert {one.interval for one in two} == {"verdicts"}
@@ -255,7 +258,7 @@ def test_what_the_interval_of_two_repeats_is_of_is_said_beside_it(found, page):
     assert "are estimated from all verdicts of a participant together, not from the mean" in _flat(page)
 
 
-def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found):
+def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found: Any) -> None:
     told = [
         replace(one, difference=25.0, low=math.nan, high=math.nan, p=math.nan, holm=math.nan)
         for one in found.paired
@@ -266,7 +269,7 @@ def test_a_difference_that_is_the_same_for_all_is_told_without_an_interval(found
     assert "p = –" not in text
 
 
-def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_of_ours(found):
+def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_of_ours(found: Any) -> None:
     told = {paragraph.heading: paragraph.text for paragraph in methods(found)}
     study, counts = found.study, found.counts()
     x = effective(found)["uniform <i>"]
@@ -305,7 +308,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
     assert not [key for key in keys if re.search(rf"\b{re.escape(key)}\b", whole)]
 
 
-def protocol_keys():
+def protocol_keys() -> Iterator[Any]:
     """Keys of a protocol file, by section."""
     for section, values in mapping_of().items():
         for one in values if isinstance(values, list) else [values]:
@@ -338,7 +341,9 @@ def protocol_keys():
         ("grid", {"repeats": 1}, "Every level was presented 1 time, in a new random order"),
     ],
 )
-def test_each_rule_is_told_with_the_settings_in_force(rule, settings, words, tmp_path):
+def test_each_rule_is_told_with_the_settings_in_force(
+    rule: str, settings: Any, words: str, tmp_path: Path
+) -> None:
     mapping = protocol(
         search={
             "rule": rule,
@@ -359,7 +364,7 @@ def test_each_rule_is_told_with_the_settings_in_force(rule, settings, words, tmp
     assert ("each 1.1 times the one before" if rule == "psi" else "100 N·m/rad apart") in text
 
 
-def test_pictures_are_drawn_with_units_in_their_labels(found, drawn):
+def test_pictures_are_drawn_with_units_in_their_labels(found: Any, drawn: Any) -> None:
     expected = {"zwidth", "psychometric", "agreement", "effects"}
     assert {path.stem for path in drawn.values()} == expected | {tracks_name(f"P0{n}") for n in (1, 2, 3)}
     assert {path.stem for path in drawn.values() if path.suffix == ".svg"} == expected
@@ -376,8 +381,8 @@ def test_pictures_are_drawn_with_units_in_their_labels(found, drawn):
             assert "N·m/rad" in axes[0].get_ylabel() + axes[-1].get_xlabel()
 
 
-def test_the_same_study_gives_the_same_pictures(found, drawn, tmp_path):
-    def saved(suffix):
+def test_the_same_study_gives_the_same_pictures(found: Any, drawn: Any, tmp_path: Path) -> None:
+    def saved(suffix: Any) -> Any:
         return style.save(
             zwidth_figure(found, found.options.measure), tmp_path / f"again{suffix}"
         ).read_bytes()
@@ -386,7 +391,7 @@ def test_the_same_study_gives_the_same_pictures(found, drawn, tmp_path):
     assert saved(".svg") == saved(".svg")
 
 
-def test_limits_beyond_the_levels_are_marked(tmp_path):
+def test_limits_beyond_the_levels_are_marked(tmp_path: Path) -> None:
     mapping = protocol(
         search={"highest": 300.0, "settings": {"turns": 2, "most": 8}},
         condition=[{"name": "dual", "scheme": "dual:20k/2k"}],
@@ -406,7 +411,7 @@ def test_limits_beyond_the_levels_are_marked(tmp_path):
 
 
 @pytest.mark.parametrize("trials", [0, 1])
-def test_a_session_that_has_hardly_begun_has_a_page(trials, tmp_path):
+def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path) -> None:
     with without_sync(), sitting(tmp_path / "P01", mapping_of(), person()) as one:
         one.run(trials)
     found = analyse([tmp_path], Options(measure="K50 person"))
@@ -416,7 +421,7 @@ def test_a_session_that_has_hardly_begun_has_a_page(trials, tmp_path):
         draw(found).draw_without_rendering()
 
 
-def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path):
+def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> None:
     """Five people for whom every wall of one condition holds: no interval, however alike the ends of the levels are."""
     mapping = protocol(
         search={"highest": 450.0, "step": 50.0, "settings": {"turns": 2, "most": 8}}, order={"repeats": 1}
@@ -440,12 +445,12 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path):
         draw(found).draw_without_rendering()
 
 
-def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(found):
+def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(found: Any) -> None:
     """One damping beyond the levels takes the difference over all of them with it, and not those of the others."""
     rule = [one for one in found.paired if one.measure == "rule"]
     assert [one.damping for one in rule] == [0.0, 0.5, None]
 
-    def dampings(paired):
+    def dampings(paired: Any) -> Any:
         return [one.damping for one, _ in summarised(replace(found, paired=tuple(paired), mixed=()))]
 
     nothing = dict.fromkeys(("low", "high", "p", "holm"), math.nan)
@@ -462,14 +467,16 @@ def test_where_the_mean_over_dampings_is_a_bound_the_summary_tells_each_damping(
         (3, "All 2 rows were used, but not equally often (row 0: 2 participants, row 1: 1 participant)"),
     ],
 )
-def test_an_order_is_balanced_where_each_row_is_there_equally_often(people, told, tmp_path):
+def test_an_order_is_balanced_where_each_row_is_there_equally_often(
+    people: int, told: str, tmp_path: Path
+) -> None:
     sessions = {f"P0{n}": person() for n in range(1, people + 1)}
     write_study(tmp_path, protocol(order={"repeats": 1}, search={"step": 200.0}), sessions)
     texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
     assert told in texts["Order and blinding"]
 
 
-def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found):
+def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found: Any) -> None:
     functions = [
         replace(
             one,
@@ -498,11 +505,11 @@ def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_das
         (400.0, math.nan, "–"),
     ],
 )
-def test_an_interval_that_is_open_on_a_side_says_its_end(low, high, text):
+def test_an_interval_that_is_open_on_a_side_says_its_end(low: Any, high: Any, text: str) -> None:
     assert interval(low, high) == text
 
 
-def test_the_command_writes_the_page(tmp_path, monkeypatch):
+def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mapping = protocol(search={"settings": {"turns": 2, "most": 4}, "step": 100.0}, order={"repeats": 1})
     with without_sync(), sitting(tmp_path / "P01", mapping, person()) as one:
         one.run()

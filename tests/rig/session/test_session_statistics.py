@@ -7,6 +7,7 @@ import math
 import sys
 from dataclasses import replace
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,9 @@ from tests.benchmarks import null_studies
 # ---------------------------------------------------------------------- rows to work on
 
 
-def run_row(participant="P01", condition="a", damping=0.0, value=400.0, **changes):
+def run_row(
+    participant: str = "P01", condition: str = "a", damping: float = 0.0, value: float = 400.0, **changes: Any
+) -> Any:
     limit = Limit(
         value=value, low=value - 10, high=value + 10, censored=changes.pop("censored", ""), share=0.5
     )
@@ -54,16 +57,16 @@ def run_row(participant="P01", condition="a", damping=0.0, value=400.0, **change
 
 
 def runs_of_people(
-    people=8,
-    repeats=3,
-    dampings=(0.0,),
-    effect=40.0,
-    between=40.0,
-    interaction=15.0,
-    scatter=12.0,
-    seed=1,
-    **along,
-):
+    people: int = 8,
+    repeats: int = 3,
+    dampings: tuple[float, ...] = (0.0,),
+    effect: float = 40.0,
+    between: float = 40.0,
+    interaction: float = 15.0,
+    scatter: float = 12.0,
+    seed: int = 1,
+    **along: Any,
+) -> Any:
     """Runs of two conditions, the second stiffer by `effect`; order alternates, blocks are repeats."""
     drawn = np.random.default_rng(seed)
     rows = []
@@ -90,11 +93,17 @@ def runs_of_people(
     return rows
 
 
-def model_of(rows):
+def model_of(rows: Any) -> Any:
     return mixed.mixed(kmax.observed(rows, "rule", {}), "rule", "ab")
 
 
-def trial_row(participant="P01", verdict="stable", automatic="stable", passes=True, **changes):
+def trial_row(
+    participant: str = "P01",
+    verdict: str = "stable",
+    automatic: str = "stable",
+    passes: bool = True,
+    **changes: Any,
+) -> Any:
     empty = dict.fromkeys(
         ("felt", "heard", "moved", "peak_penetration", "peak_effort", "impact_velocity"), None
     ) | dict.fromkeys(("saturated_fraction", "baseline_velocity", "baseline_effort"), None)
@@ -148,7 +157,7 @@ TABLES = st.integers(2, 4).flatmap(
 )
 
 
-def test_kappa_of_a_table_by_hand():
+def test_kappa_of_a_table_by_hand() -> None:
     """70 of 100 agree; by chance 60 × 50 + 40 × 50 of 10,000 = 0.5."""
     value, deviation = agreement.kappa([[40, 20], [10, 30]])
     assert value == pytest.approx((0.70 - 0.50) / (1 - 0.50))
@@ -162,7 +171,7 @@ def test_kappa_of_a_table_by_hand():
 @given(
     counts=TABLES, weights=st.sampled_from([("none", None), ("linear", "linear"), ("quadratic", "quadratic")])
 )
-def test_kappa_is_that_of_statsmodels(counts, weights):
+def test_kappa_is_that_of_statsmodels(counts: Any, weights: Any) -> None:
     table = np.array(counts, dtype=float)
     value, deviation = agreement.kappa(table, weights[0])
     if math.isnan(value):  # nothing, or nothing that chance would not do
@@ -178,7 +187,7 @@ def test_kappa_is_that_of_statsmodels(counts, weights):
 
 
 @given(counts=TABLES)
-def test_kappa_is_one_without_confusions_and_does_not_ask_who_is_who(counts):
+def test_kappa_is_one_without_confusions_and_does_not_ask_who_is_who(counts: Any) -> None:
     table = np.array(counts, dtype=float)
     assert agreement.kappa(table) == pytest.approx(agreement.kappa(table.T), nan_ok=True)
     diagonal = np.diag(np.diag(table))
@@ -186,7 +195,7 @@ def test_kappa_is_one_without_confusions_and_does_not_ask_who_is_who(counts):
         assert agreement.kappa(diagonal, "quadratic") == pytest.approx((1.0, 0.0), abs=1e-6)
 
 
-def test_what_goes_into_which_table():
+def test_what_goes_into_which_table() -> None:
     rows = [
         trial_row(),
         trial_row(verdict="buzz", automatic="limit cycle", passes=False),
@@ -207,7 +216,7 @@ def test_what_goes_into_which_table():
     assert (four.left_out, four.over) == (0, "trials")
 
 
-def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa():
+def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa() -> None:
     assert (
         agreement.agreements([trial_row(judged_by="automatic"), trial_row(judged_by="", void="not judged")])
         == ()
@@ -218,7 +227,7 @@ def test_without_a_person_there_is_no_agreement_and_alike_verdicts_have_no_kappa
     assert "always “stable”" in two.problem
 
 
-def judged(*counts, people=1):
+def judged(*counts: Any, people: int = 1) -> Any:
     """Verdicts of each of some people: both stable, only the person, only the automatic verdict, neither."""
     cells = [(person, passes) for person in ("stable", "buzz") for passes in (True, False)]
     return [
@@ -243,21 +252,23 @@ def judged(*counts, people=1):
     ],
 )
 @pytest.mark.parametrize("people", [1, 6])
-def test_a_table_that_cannot_tell_has_no_interval_and_says_why(counts, kappa, why, people):
+def test_a_table_that_cannot_tell_has_no_interval_and_says_why(
+    counts: tuple[int, ...], kappa: float | None, why: str, people: int
+) -> None:
     two = agreement.agreements(judged(*counts, people=people))[0]
     assert two.kappa == (None if kappa is None else pytest.approx(kappa))
     assert (two.low, two.high, two.over) == (None, None, "none")
     assert why in two.problem
 
 
-def test_agreement_on_a_rare_class_stands_beside_kappa():
+def test_agreement_on_a_rare_class_stands_beside_kappa() -> None:
     """Of 100 verdicts all but four are alike, and of the five that are not stable by either one is by both."""
     two, three, *_ = agreement.agreements(judged(95, 2, 2, 1))
     assert (two.positive, two.negative) == (pytest.approx(190 / 194), pytest.approx(2 / 6))
     assert (three.positive, three.negative) == (None, None)
 
 
-def test_an_interval_of_kappa_is_over_people_where_there_are_enough():
+def test_an_interval_of_kappa_is_over_people_where_there_are_enough() -> None:
     """The jackknife of a mean of people is Student's interval; few people have none, a single one that of trials."""
     few = agreement.agreements(judged(8, 2, 1, 9, people=4))[0]
     assert (few.low, few.over) == (None, "none")
@@ -279,7 +290,7 @@ def test_an_interval_of_kappa_is_over_people_where_there_are_enough():
     assert (two.low, two.high) == pytest.approx((expected.low, expected.high))
 
 
-def test_people_who_agree_differently_widen_the_interval():
+def test_people_who_agree_differently_widen_the_interval() -> None:
     """One judges as the automatic verdict does, the next by a coin: people differ by more than trials do."""
     drawn = np.random.default_rng(2)
     rows = []
@@ -297,7 +308,7 @@ def test_people_who_agree_differently_widen_the_interval():
 # ---------------------------------------------------------------------- limits
 
 
-def test_means_intervals_and_paired_tests_are_those_of_scipy():
+def test_means_intervals_and_paired_tests_are_those_of_scipy() -> None:
     rows = runs_of_people(people=7)
     each = kmax.of_participants(rows, {})
     over = kmax.over_participants(each, "ab")
@@ -314,7 +325,7 @@ def test_means_intervals_and_paired_tests_are_those_of_scipy():
 
 
 @pytest.mark.parametrize("apart", [25.0, 0.0])
-def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart):
+def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart: float) -> None:
     """Coarse levels: each limit of one condition lies as many levels above; 0.1 is rounded where they are added."""
     values = [400.1, 425.2, 450.7]
     rows = [
@@ -333,7 +344,7 @@ def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart):
 
 
 @given(p=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6))
-def test_holm_is_what_testing_all_families_gives(p):
+def test_holm_is_what_testing_all_families_gives(p: list[float]) -> None:
     """Closed testing: a difference stands when every family that it is in does, each by Bonferroni."""
     numbers = range(len(p))
     families = [f for size in range(1, len(p) + 1) for f in itertools.combinations(numbers, size)]
@@ -342,7 +353,7 @@ def test_holm_is_what_testing_all_families_gives(p):
     assert kmax.holm([math.nan, *p])[1:] == kmax.holm(p)
 
 
-def test_a_bootstrap_of_four_values_against_all_their_samples():
+def test_a_bootstrap_of_four_values_against_all_their_samples() -> None:
     values = np.array([380.0, 395.0, 402.0, 440.0])
     low, high = kmax.bootstrap(values)
     means = np.array([np.mean(sample) for sample in itertools.product(values, repeat=4)])
@@ -363,7 +374,7 @@ def test_a_bootstrap_of_four_values_against_all_their_samples():
         (tuple(400.0 + 3.0 * n for n in range(10)), "bootstrap", None),
     ],
 )
-def test_an_interval_says_what_it_is_of(values, interval, low):
+def test_an_interval_says_what_it_is_of(values: Any, interval: str, low: float | None) -> None:
     rows = [run_row(value=value) for value in values]
     pooled = Limit(value=400.0, low=380.0, high=440.0, censored="", share=0.5)
     (one,) = kmax.of_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
@@ -380,19 +391,19 @@ def test_an_interval_says_what_it_is_of(values, interval, low):
         assert ends["Student"] != ends["bootstrap"]
 
 
-def test_a_single_series_has_no_interval_of_its_own():
+def test_a_single_series_has_no_interval_of_its_own() -> None:
     endless = Limit(value=400.0, low=0.0, high=math.inf, censored="", share=None)
     (one,) = kmax.of_participants([replace(run_row(), limits={"rule": endless})], {})
     assert (one.interval, math.isnan(one.low)) == ("none", True)
 
 
-def test_limits_beyond_the_levels_are_counted_and_what_has_not_ended_is_left_out():
+def test_limits_beyond_the_levels_are_counted_and_what_has_not_ended_is_left_out() -> None:
     rows = [run_row(), run_row(censored="above"), run_row(state="unfinished"), run_row(state="skipped")]
     (one,) = kmax.of_participants(rows, {})
     assert (one.repeats, one.limits, one.above, one.below) == (2, 2, 1, 0)
 
 
-def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts():
+def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts() -> None:
     """Two ends of the levels and a limit just below them scatter little, and say nothing of where the limit is."""
     rows = [run_row(value=780.0), *(run_row(value=800.0, censored="above") for _ in range(2))]
     pooled = Limit(value=800.0, low=790.0, high=math.inf, censored="above", share=0.5)
@@ -404,7 +415,7 @@ def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts()
     assert (one.interval, one.low, one.high) == ("run", 790.0, math.inf)
 
 
-def mostly_beyond(people=8, within=1, seed=3, spread=0.0):
+def mostly_beyond(people: int = 8, within: int = 1, seed: int = 3, spread: float = 0.0) -> Any:
     """Two conditions, of which nearly all limits of the second are the end of the levels."""
     drawn = np.random.default_rng(seed)
     return [run_row(f"P{n}", "a", value=600.0 + drawn.normal(0.0, 40.0)) for n in range(people)] + [
@@ -416,7 +427,7 @@ def mostly_beyond(people=8, within=1, seed=3, spread=0.0):
 
 
 @pytest.mark.parametrize("spread", [0.0, 3.0])
-def test_where_most_limits_are_bounds_nothing_is_tested(spread):
+def test_where_most_limits_are_bounds_nothing_is_tested(spread: float) -> None:
     """Eight ends of the levels are no eight limits: their mean is a bound, and has no interval."""
     rows = mostly_beyond(spread=spread)
     each = kmax.of_participants(rows, {})
@@ -434,7 +445,7 @@ def test_where_most_limits_are_bounds_nothing_is_tested(spread):
     assert all(slope.problem for slope in effects.slopes(rows, []) if slope.measure == "rule")
 
 
-def test_a_difference_with_some_bounds_says_on_which_side_it_is_open():
+def test_a_difference_with_some_bounds_says_on_which_side_it_is_open() -> None:
     rows = [
         run_row(f"P{n}", name, value=400.0 + 7.0 * n * n + 30.0 * (name == "b"))
         for n in range(6)
@@ -451,7 +462,7 @@ def test_a_difference_with_some_bounds_says_on_which_side_it_is_open():
     assert one.bound == ""
 
 
-def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping():
+def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping() -> None:
     rows = runs_of_people(people=7, dampings=(0.0, 1.0, 3.0), effect=8.0)
     for family in (kmax.paired(kmax.of_participants(rows, {}), "ab"), model_of(rows).contrasts):
         assert len(family) == 4
@@ -461,7 +472,7 @@ def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping():
 # ---------------------------------------------------------------------- mixed model
 
 
-def test_for_two_conditions_and_equal_repeats_the_mixed_model_is_the_paired_test():
+def test_for_two_conditions_and_equal_repeats_the_mixed_model_is_the_paired_test() -> None:
     rows = [replace(row, order=1, block=1) for row in runs_of_people(people=9, interaction=20.0)]
     model = model_of(rows)
     (paired,) = kmax.paired(kmax.of_participants(rows, {}), "ab")
@@ -473,7 +484,7 @@ def test_for_two_conditions_and_equal_repeats_the_mixed_model_is_the_paired_test
     assert contrast.p == pytest.approx(paired.p, rel=1e-2)
 
 
-def test_the_mixed_model_is_that_of_the_formula():
+def test_the_mixed_model_is_that_of_the_formula() -> None:
     """The same model of the means over repeats, as a formula for statsmodels, which makes its own columns of it."""
     rows = runs_of_people(people=9, dampings=(0.0, 3.0, 7.0), order=4.0, block=-6.0, scatter=20.0)
     drawn = np.random.default_rng(3)
@@ -505,7 +516,7 @@ def test_the_mixed_model_is_that_of_the_formula():
     )
     frame = frame.groupby(["participant", "condition", "damping"], as_index=False).mean()
 
-    def fitted(formula, **how):
+    def fitted(formula: Any, **how: Any) -> Any:
         parts = {"condition": "0 + C(condition)", "damping": "0 + C(damping)"}
         random = {"groups": "participant", "re_formula": "1", "vc_formula": parts}
         api = import_module("statsmodels.formula.api")
@@ -618,7 +629,7 @@ def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata(seed: int) 
     assert (over.high - over.low) / 2.0 == pytest.approx(half, rel=1e-3)
 
 
-def test_repeats_of_one_person_are_no_more_people():
+def test_repeats_of_one_person_are_no_more_people() -> None:
     """Each run five times over, as alike as can be: nothing is known better of what people have in common."""
     rows = [
         replace(row, order=1, block=1)
@@ -631,7 +642,7 @@ def test_repeats_of_one_person_are_no_more_people():
     assert (once.runs, often.runs) == (48, 240)
 
 
-def test_a_crossover_whose_order_is_taken_out_is_its_two_sample_test():
+def test_a_crossover_whose_order_is_taken_out_is_its_two_sample_test() -> None:
     """Each condition once, in either order: two degrees of freedom fewer than there are people."""
     rows = runs_of_people(people=8, repeats=1, scatter=20.0, order=10.0)
     (contrast,) = model_of(rows).contrasts
@@ -643,7 +654,7 @@ def test_a_crossover_whose_order_is_taken_out_is_its_two_sample_test():
     assert (contrast.low, contrast.high) == pytest.approx((expected.low / 2, expected.high / 2), rel=1e-3)
 
 
-def test_below_eight_people_there_are_no_likelihood_ratios():
+def test_below_eight_people_there_are_no_likelihood_ratios() -> None:
     few, enough = (model_of(runs_of_people(people=people, scatter=25.0)) for people in (7, 8))
     assert few.tests == ()
     assert any("likelihood ratios of factors are left out" in note for note in few.notes)
@@ -651,7 +662,7 @@ def test_below_eight_people_there_are_no_likelihood_ratios():
     assert not any("likelihood" in note for note in enough.notes)
 
 
-def test_a_known_effect_is_within_its_interval_as_often_as_it_says():
+def test_a_known_effect_is_within_its_interval_as_often_as_it_says() -> None:
     """Sixteen studies of six people; an interval that took repeats for people would hold it in a third of them."""
     held = 0
     for seed in range(16):
@@ -661,14 +672,14 @@ def test_a_known_effect_is_within_its_interval_as_often_as_it_says():
     assert held >= 13  # fewer in one of a thousand, when it is 95 %
 
 
-def test_without_differences_between_people_it_still_says_what_is_there():
+def test_without_differences_between_people_it_still_says_what_is_there() -> None:
     rows = runs_of_people(people=8, between=0.0, interaction=0.0, effect=0.0, seed=5)
     model = model_of(rows)
     assert model.problem == "" or "did not converge" in model.problem
     assert all(contrast.low <= 0.0 <= contrast.high for contrast in model.contrasts)
 
 
-def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing():
+def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing() -> None:
     """People who differ in nothing but chance: the optimiser stops somewhere near zero."""
     rows = runs_of_people(people=8, between=0.0, interaction=0.0, effect=0.0, dampings=(0.0, 3.0), seed=2)
     model = model_of(rows)
@@ -677,7 +688,7 @@ def test_a_variance_that_is_estimated_as_zero_is_said_and_printed_as_nothing():
     assert f"the variance of {' and of '.join(none)} is estimated as zero" in model.notes
 
 
-def test_the_tests_of_factors_find_the_factor_that_is_there():
+def test_the_tests_of_factors_find_the_factor_that_is_there() -> None:
     model = model_of(runs_of_people(people=10, dampings=(0.0, 3.0), effect=60.0))
     p = {test.factor: (test.degrees, test.p) for test in model.tests}
     assert p["condition, at any damping"][0] == 2
@@ -687,14 +698,14 @@ def test_the_tests_of_factors_find_the_factor_that_is_there():
     assert p["condition × damping"][1] > 0.01
 
 
-def test_an_order_that_cannot_be_separated_from_the_conditions_is_left_out():
+def test_an_order_that_cannot_be_separated_from_the_conditions_is_left_out() -> None:
     rows = [replace(row, order=1 + (row.condition == "b"), block=1) for row in runs_of_people()]
     model = model_of(rows)
     assert model.slopes == ()
     assert any("order cannot be separated from the conditions" in note for note in model.notes)
 
 
-def test_limits_beyond_the_levels_are_said():
+def test_limits_beyond_the_levels_are_said() -> None:
     rows = runs_of_people(people=8)
     limit = Limit(value=430.0, low=400.0, high=500.0, censored="above", share=0.5)
     rows[3] = replace(rows[3], limits={"rule": limit})
@@ -705,7 +716,7 @@ def test_limits_beyond_the_levels_are_said():
     assert not any("smaller than they are" in note for note in model.notes)
 
 
-def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_over_it():
+def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_over_it() -> None:
     rows = runs_of_people(people=7, dampings=(0.0, 1.0, 3.0))
     limit = Limit(value=430.0, low=400.0, high=math.inf, censored="above", share=0.5)
     stiff = [
@@ -734,13 +745,13 @@ def test_a_cell_that_is_mostly_beyond_the_levels_is_left_out_and_so_is_the_mean_
         ([run_row(f"P{n}", name) for n in range(5) for name in "ab"], "all limits are alike"),
     ],
 )
-def test_too_little_is_said_in_a_sentence(rows, why):
+def test_too_little_is_said_in_a_sentence(rows: Any, why: str) -> None:
     model = model_of(rows)
     assert why in model.problem
     assert model.contrasts == ()
 
 
-def test_without_statsmodels_it_says_how_to_get_it(monkeypatch):
+def test_without_statsmodels_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "statsmodels.regression.mixed_linear_model", None)
     assert "pip install 'haptic-rig[report]'" in model_of(runs_of_people()).problem
 
@@ -748,7 +759,7 @@ def test_without_statsmodels_it_says_how_to_get_it(monkeypatch):
 # ---------------------------------------------------------------------- order and fatigue
 
 
-def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_mean_is_scipys():
+def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_mean_is_scipys() -> None:
     drawn = np.random.default_rng(4)
     rows = [
         trial_row(
@@ -775,7 +786,7 @@ def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_m
     assert (found.low, found.high) == pytest.approx(tuple(expected.confidence_interval()))
 
 
-def test_where_each_condition_comes_once_the_slope_is_that_of_a_crossover():
+def test_where_each_condition_comes_once_the_slope_is_that_of_a_crossover() -> None:
     drawn = np.random.default_rng(5)
     people = [
         (f"P{p}", "ab" if p % 2 else "ba", drawn.normal(400.0, 30.0), drawn.normal(0.0, 5.0))
@@ -803,7 +814,7 @@ def test_where_each_condition_comes_once_the_slope_is_that_of_a_crossover():
     assert (found.low, found.high) == pytest.approx((interval.low / 2, interval.high / 2))
 
 
-def test_people_who_change_at_their_own_pace_widen_the_interval_of_a_slope():
+def test_people_who_change_at_their_own_pace_widen_the_interval_of_a_slope() -> None:
     """Slopes around zero, most of whose scatter is between people: 95 % of the intervals hold it."""
     drawn, held, studies = np.random.default_rng(7), 0, 400
     people, trials = 8, 150
@@ -824,7 +835,7 @@ def test_people_who_change_at_their_own_pace_widen_the_interval_of_a_slope():
         (3, 0.0, "all values are alike within participants"),
     ],
 )
-def test_a_slope_without_an_interval_says_why(people, pace, why):
+def test_a_slope_without_an_interval_says_why(people: int, pace: float, why: str) -> None:
     rows = [
         trial_row(f"P{person}", trial=n, response_time_s=math.exp(pace * n + person))
         for person in range(people)
@@ -836,7 +847,7 @@ def test_a_slope_without_an_interval_says_why(people, pace, why):
     assert math.isnan(found.low)
 
 
-def test_fatigue_is_found_and_what_cannot_be_told_is_said():
+def test_fatigue_is_found_and_what_cannot_be_told_is_said() -> None:
     rows = runs_of_people(people=8, scatter=5.0, block=-12.0)
     found = {slope.along: slope for slope in effects.slopes(rows, []) if slope.measure == "rule"}
     assert found["block"].low <= -12.0 <= found["block"].high < 0.0
@@ -847,7 +858,7 @@ def test_fatigue_is_found_and_what_cannot_be_told_is_said():
     assert alone["order"].problem != ""
 
 
-def test_slopes_are_corrected_within_a_quantity():
+def test_slopes_are_corrected_within_a_quantity() -> None:
     drawn = np.random.default_rng(8)
     rows = [
         replace(row, middle_trial=float(drawn.uniform(1.0, 99.0)))
@@ -866,7 +877,7 @@ def test_slopes_are_corrected_within_a_quantity():
     assert alone.holm == alone.p
 
 
-def test_blocks_count_what_happened_in_them():
+def test_blocks_count_what_happened_in_them() -> None:
     rows = [
         trial_row(response_time_s=1.0),
         trial_row(response_time_s=3.0, verdict="unsure"),
@@ -879,7 +890,7 @@ def test_blocks_count_what_happened_in_them():
     assert counts == (4, 1, 1, 1, 1, 2.0)
 
 
-def test_slower_answers_show_in_the_slope_of_their_logarithm():
+def test_slower_answers_show_in_the_slope_of_their_logarithm() -> None:
     rows = [
         trial_row(
             f"P{person}", trial=n, response_time_s=math.exp((0.01 + 0.001 * person) * n), repeat=1 + n % 3
@@ -896,7 +907,7 @@ def test_slower_answers_show_in_the_slope_of_their_logarithm():
 LEVELS = tuple(float(level) for level in range(100, 925, 25))
 
 
-def test_known_functions_lie_within_their_intervals():
+def test_known_functions_lie_within_their_intervals() -> None:
     """Verdicts along all levels, of observers with lapses: each parameter's interval holds it nearly always."""
     drawn = np.random.default_rng(6)
     held = np.zeros(3)
@@ -917,7 +928,7 @@ def test_known_functions_lie_within_their_intervals():
     assert (held >= 34).all()
 
 
-def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds():
+def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds() -> None:
     verdicts = [(200.0, True), (100.0, True), (200.0, False), (200.0, True)]
     found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
     assert (found.levels, found.verdicts, found.stable) == ((100.0, 200.0), (1, 3), (1, 2))
@@ -928,7 +939,7 @@ def test_a_function_tells_its_levels_and_whether_it_saw_both_kinds():
     assert share[1] == pytest.approx(0.5)
 
 
-def test_one_series_tells_little_and_five_tell_where_the_limit_is():
+def test_one_series_tells_little_and_five_tell_where_the_limit_is() -> None:
     """A single verdict that is not stable may be a lapse: the median stays near it, and the interval is wide."""
     series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
     one, five = half_way(LEVELS, series), half_way(LEVELS, series * 5)
@@ -941,7 +952,7 @@ def test_one_series_tells_little_and_five_tell_where_the_limit_is():
     assert half_way(LEVELS, series * 5, 0.71).value < five.value
 
 
-def test_k50_beyond_the_levels_is_their_end_also_after_slips():
+def test_k50_beyond_the_levels_is_their_end_also_after_slips() -> None:
     verdicts = [(level, level != 300.0) for level in LEVELS] * 2
     above = half_way(LEVELS, verdicts)
     assert (above.value, above.high, above.censored) == (LEVELS[-1], math.inf, "above")
@@ -951,7 +962,7 @@ def test_k50_beyond_the_levels_is_their_end_also_after_slips():
     assert (found.threshold.mean, found.above, found.below, found.bounded) == (LEVELS[-1], 1, 0, False)
 
 
-def test_k50_of_a_function_is_the_median_that_limits_are_made_of():
+def test_k50_of_a_function_is_the_median_that_limits_are_made_of() -> None:
     """After one series the mean of the posterior lies far above it."""
     series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
     found, limit = psychometric.fit("P01", "a", 0.0, "person", LEVELS, series), half_way(LEVELS, series)
@@ -962,7 +973,7 @@ def test_k50_of_a_function_is_the_median_that_limits_are_made_of():
     )
 
 
-def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them():
+def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them() -> None:
     """Verdicts of few people, however many, do not tell where others have their limit."""
     drawn = np.random.default_rng(8)
     verdicts, each = [], []

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -16,7 +19,7 @@ from rig.views.plots.timing import COLOURS, draw_timing, label
 FIT = ClockFit(0, 10**12, 0.0, 10.0, 0.01, 1_000, 2_000, 0.0, 5.0, 10**9, 50, 1)
 
 
-def rows_of(count, *, spread=1.0, seed=1):
+def rows_of(count: Any, *, spread: float = 1.0, seed: int = 1) -> Any:
     rows = np.zeros(count, ROW)
     number = np.arange(count)
     noise = np.random.default_rng(seed).exponential(5e4, (4, count)) * spread
@@ -39,12 +42,12 @@ def rows_of(count, *, spread=1.0, seed=1):
     return rows
 
 
-def drawn(rows, fit, path, **options):
+def drawn(rows: Any, fit: Any, path: Any, **options: Any) -> Any:
     found = ledger(rows, fit, 1e6)
     return draw_timing(found, summarise(found, None), path, **options).read_bytes()
 
 
-def test_the_same_ledger_gives_the_same_bytes(tmp_path):
+def test_the_same_ledger_gives_the_same_bytes(tmp_path: Path) -> None:
     first = drawn(rows_of(5_000), FIT, tmp_path / "a.png", title="a run")
     assert first.startswith(b"\x89PNG")
     assert drawn(rows_of(5_000), FIT, tmp_path / "b.png", title="a run") == first
@@ -54,17 +57,17 @@ def test_the_same_ledger_gives_the_same_bytes(tmp_path):
 @pytest.mark.parametrize("count", [0, 1, 2_001])
 @pytest.mark.parametrize("fit", [FIT, None], ids=["clock", "no-clock"])
 @pytest.mark.parametrize("spread", [0.0, 1.0, -3.0])
-def test_any_ledger_can_be_drawn(tmp_path, count, fit, spread):
+def test_any_ledger_can_be_drawn(tmp_path: Path, count: int, fit: Any, spread: float) -> None:
     """No ticks, one, no time passing (virtual time), times before their causes (clocks that are wrong)."""
     assert drawn(rows_of(count, spread=spread), fit, tmp_path / "x.png").startswith(b"\x89PNG")
 
 
-def test_a_place_that_cannot_be_written_is_said(tmp_path):
+def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot write the picture"):
         drawn(rows_of(10), FIT, tmp_path / "nowhere" / "x.png")
 
 
-def test_axes_have_units_and_every_stage_a_colour(tmp_path, monkeypatch):
+def test_axes_have_units_and_every_stage_a_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figures = []
     save = style.save
     monkeypatch.setattr(style, "save", lambda figure, path: figures.append(figure) or save(figure, path))

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -32,7 +34,7 @@ from tests.conformance.trials import trial_on
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory):
+def path(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A sealed hit with its truth."""
     experiment = config.override(
         presets.load("koul-compliant"),
@@ -47,11 +49,11 @@ def path(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def recording(path):
+def recording(path: Any) -> Any:
     return open_recording(path)
 
 
-def without_truth(recording):
+def without_truth(recording: Any) -> Any:
     names = [name for name in recording.names if not name.endswith("_true")]
     rows = np.zeros(len(recording), [(name, recording.rows.dtype[name]) for name in names])
     for name in names:
@@ -59,39 +61,39 @@ def without_truth(recording):
     return replace(recording, rows=rows)
 
 
-def changed(recording, **columns):
+def changed(recording: Any, **columns: Any) -> Any:
     rows = recording.rows.copy()
     for name, value in columns.items():
         rows[name] = value
     return replace(recording, rows=rows)
 
 
-def line(axes, label):
+def line(axes: Any, label: Any) -> Any:
     """The line of a panel that the legend calls so."""
     (found,) = [candidate for candidate in axes.lines if candidate.get_label() == label]
     return found
 
 
-def panels(figure):
+def panels(figure: Any) -> Any:
     """Panels of position, velocity and effort: those of the impact, those of the whole push."""
     return np.reshape(figure.axes, (3, 2)).T
 
 
-def size_of(png):
+def size_of(png: Any) -> Any:
     """Width and height in pixels; asserts that it is a PNG."""
     assert png.startswith(b"\x89PNG\r\n\x1a\n")
     assert png.endswith(b"IEND\xaeB`\x82")
     return struct.unpack(">II", png[16:24])
 
 
-def drawn(recording, directory):
+def drawn(recording: Any, directory: Any) -> Any:
     return style.save(hit_figure(recording), directory / "picture.png").read_bytes()
 
 
 # ---------------------------------------------------------------------- the picture of a hit
 
 
-def test_a_hit_is_drawn_beside_its_recording_as_a_png(path):
+def test_a_hit_is_drawn_beside_its_recording_as_a_png(path: Any) -> None:
     picture = draw_hit(path)
     assert picture == path.with_suffix(".png")
     png = picture.read_bytes()
@@ -100,12 +102,12 @@ def test_a_hit_is_drawn_beside_its_recording_as_a_png(path):
     assert 20_000 < len(png) < 500_000
 
 
-def test_the_same_recording_gives_the_same_bytes(path, tmp_path):
+def test_the_same_recording_gives_the_same_bytes(path: Any, tmp_path: Path) -> None:
     first, second = (draw_hit(path, tmp_path / f"{n}.png").read_bytes() for n in (1, 2))
     assert first == second
 
 
-def test_the_picture_shows_the_hit_from_shortly_before_contact(recording):
+def test_the_picture_shows_the_hit_from_shortly_before_contact(recording: Any) -> None:
     impact, push = panels(hit_figure(recording))
     measured = line(push[0], "measured")
     time_s = measured.get_xdata()
@@ -128,7 +130,7 @@ def test_the_picture_shows_the_hit_from_shortly_before_contact(recording):
     assert {"measured", "true, handle", "estimated", "sent: wall and push", "wall alone", "wall"} <= labels
 
 
-def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording):
+def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording: Any) -> None:
     effort = panels(hit_figure(recording))[1][2]
     wall, sent = line(effort, "wall alone"), line(effort, "sent: wall and push").get_ydata()
     pushed = wall.get_xdata() >= 0.0
@@ -138,7 +140,7 @@ def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording
     np.testing.assert_allclose(sent[pushed], push + wall.get_ydata()[pushed], atol=0.501 * quantum)
 
 
-def test_the_title_says_rig_verdict_wall_and_rates(recording):
+def test_the_title_says_rig_verdict_wall_and_rates(recording: Any) -> None:
     title = hit_figure(recording)._suptitle.get_text()
     for words in (
         "koul-compliant",
@@ -155,7 +157,7 @@ def test_the_title_says_rig_verdict_wall_and_rates(recording):
     assert "not finished" in hit_figure(replace(recording, trailer=None))._suptitle.get_text()
 
 
-def test_the_wall_is_shaded_on_its_side(recording):
+def test_the_wall_is_shaded_on_its_side(recording: Any) -> None:
     for side in (1, -1):
         experiment = {**recording.experiment, "wall": {**recording.experiment["wall"], "side": side}}
         mirrored = replace(recording, header={**recording.header, "experiment": experiment})
@@ -164,10 +166,10 @@ def test_the_wall_is_shaded_on_its_side(recording):
             assert (wall.get_y() == 0.0) == (side == 1)
 
 
-def test_saturation_and_gaps_are_marked(recording):
+def test_saturation_and_gaps_are_marked(recording: Any) -> None:
     limit = recording.experiment["rig"]["limits"]["effort"]
 
-    def marks(shown):
+    def marks(shown: Any) -> Any:
         return {drawn.get_label() for axes in hit_figure(shown).axes for drawn in axes.lines}
 
     words = {f"at ±{limit:g}", "gap in the samples"}
@@ -177,7 +179,7 @@ def test_saturation_and_gaps_are_marked(recording):
     assert words <= marks(changed(recording, flags=flags))
 
 
-def test_impact_and_whole_push_have_one_scale(recording):
+def test_impact_and_whole_push_have_one_scale(recording: Any) -> None:
     """A handle that is thrown far later on is drawn in one unit all the same: the panels share their axis."""
     thrown = recording.rows["position"].copy()
     thrown[-1500:] = -0.7
@@ -193,7 +195,7 @@ def test_impact_and_whole_push_have_one_scale(recording):
 # ---------------------------------------------------------------------- recordings that are not whole
 
 
-def test_without_contact_the_whole_run_is_drawn(recording, tmp_path):
+def test_without_contact_the_whole_run_is_drawn(recording: Any, tmp_path: Path) -> None:
     missed = changed(recording, penetration=-1.0)
     _, whole = panels(hit_figure(missed))
     assert len(line(whole[0], "measured").get_xdata()) == len(recording)
@@ -201,38 +203,38 @@ def test_without_contact_the_whole_run_is_drawn(recording, tmp_path):
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
-def test_next_to_nothing_is_drawn_too(rows, recording, tmp_path):
+def test_next_to_nothing_is_drawn_too(rows: int, recording: Any, tmp_path: Path) -> None:
     size_of(drawn(replace(recording, rows=recording.rows[:rows], trailer=None, complete=False), tmp_path))
 
 
-def test_a_handle_that_never_moves_is_drawn(recording, tmp_path):
+def test_a_handle_that_never_moves_is_drawn(recording: Any, tmp_path: Path) -> None:
     for position in (0.0, 0.01, -0.3):
         still = changed(recording, position=position, handle_position_true=position, velocity=0.0)
         experiment = {**recording.experiment, "wall": {**recording.experiment["wall"], "position": position}}
         size_of(drawn(replace(still, header={**recording.header, "experiment": experiment}), tmp_path))
 
 
-def test_a_recording_of_a_real_rig_has_no_truth(recording, tmp_path):
+def test_a_recording_of_a_real_rig_has_no_truth(recording: Any, tmp_path: Path) -> None:
     figure = hit_figure(without_truth(recording))
     labels = {curve.get_label() for axes in figure.axes for curve in axes.lines}
     assert not any("true" in label for label in labels)
     size_of(style.save(figure, tmp_path / "x.png").read_bytes())
 
 
-def test_a_law_that_went_wrong_is_drawn(recording, tmp_path):
+def test_a_law_that_went_wrong_is_drawn(recording: Any, tmp_path: Path) -> None:
     wrong = recording.rows["effort_wall"].copy()
     wrong[-20:] = np.nan
     wrong[-5:] = np.inf
     size_of(drawn(changed(recording, effort_wall=wrong, velocity=wrong), tmp_path))
 
 
-def test_samples_without_truth_are_drawn(recording, tmp_path):
+def test_samples_without_truth_are_drawn(recording: Any, tmp_path: Path) -> None:
     gone = recording.rows["handle_position_true"].copy()
     gone[10:] = np.nan
     size_of(drawn(changed(recording, handle_position_true=gone, velocity_true=gone), tmp_path))
 
 
-def test_a_torn_capture_is_drawn(recording, tmp_path):
+def test_a_torn_capture_is_drawn(recording: Any, tmp_path: Path) -> None:
     size_of(
         drawn(
             replace(recording, rows=recording.rows[: len(recording) // 2], trailer=None, complete=False),
@@ -241,12 +243,12 @@ def test_a_torn_capture_is_drawn(recording, tmp_path):
     )
 
 
-def test_a_linear_rig_is_drawn_in_its_units(recording):
+def test_a_linear_rig_is_drawn_in_its_units(recording: Any) -> None:
     linear, _ = panels(hit_figure(replace(recording, header={**recording.header, "motion": "linear"})))
     assert [axes.get_ylabel() for axes in linear] == ["position (mm)", "velocity (m/s)", "effort (N)"]
 
 
-def test_a_picture_that_cannot_be_written_says_so(path, tmp_path):
+def test_a_picture_that_cannot_be_written_says_so(path: Any, tmp_path: Path) -> None:
     with pytest.raises(RigError, match=r"nowhere") as caught:
         draw_hit(path, tmp_path / "nowhere" / "x.png")
     assert caught.value.remedy
@@ -256,7 +258,7 @@ def test_a_picture_that_cannot_be_written_says_so(path, tmp_path):
 # ---------------------------------------------------------------------- the picture of a replay
 
 
-def test_a_replay_is_drawn_against_its_recording(recording, tmp_path):
+def test_a_replay_is_drawn_against_its_recording(recording: Any, tmp_path: Path) -> None:
     result = replay(recording, {"controller.estimator": "fdm"})
     pictures = [draw_replay(recording, result, tmp_path / f"{n}.png").read_bytes() for n in (1, 2)]
     assert pictures[0] == pictures[1]
@@ -268,7 +270,7 @@ def test_a_replay_is_drawn_against_its_recording(recording, tmp_path):
 # ---------------------------------------------------------------------- no display
 
 
-def test_no_display_and_no_window_toolkit_is_needed(path, tmp_path):
+def test_no_display_and_no_window_toolkit_is_needed(path: Any, tmp_path: Path) -> None:
     code = (
         "import sys; from rig.views.plots.hit import draw_hit; "
         f"draw_hit({str(path)!r}, {str(tmp_path / 'x.png')!r}); "

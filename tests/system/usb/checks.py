@@ -43,13 +43,13 @@ URL = "usb://1209:0001"
 
 
 @kernel(types.int64(TRANSFER, types.int64, types.uint8[::1]))
-def give(write, handle, data):  # type: ignore[no-untyped-def]
+def give(write: Any, handle: Any, data: Any) -> Any:  # type: ignore[no-untyped-def]
     """Write once, as the loop does: bytes taken, or negative errno."""
     return write(handle, data.ctypes.data + 0, len(data))
 
 
 @kernel(types.int64(TRANSFER, WAIT, types.int64, types.uint8[::1], types.int64))
-def count_reads(read, wait, handle, into, deadline_ns):  # type: ignore[no-untyped-def]
+def count_reads(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) -> Any:  # type: ignore[no-untyped-def]
     """Read until a deadline; how often something came, or negative errno."""
     count = 0
     while monotonic_now(0) < deadline_ns:
