@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,10 +37,6 @@ class Baseline:
     sent_rms: float
     count_range: int
     touched: bool
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
 
 
 def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:

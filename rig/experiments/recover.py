@@ -29,8 +29,8 @@ SEALING_S = 5.0  # a run that ended as it should seals its recording within this
 Progress = Callable[[int, int, Path], None]  # captures done, all of them, the one that is next
 
 
-class Outcome(StrEnum):
-    """What became of a capture."""
+class CaptureState(StrEnum):
+    """State of a capture after recovery."""
 
     SEALED = "sealed"
     IN_USE = "in use"  # somebody writes or seals it
@@ -65,7 +65,7 @@ class Recovered:
     """
 
     capture: Path
-    outcome: Outcome
+    outcome: CaptureState
     recording: Path | None = None
     rows: int = 0
     rows_lost: int = 0
@@ -120,19 +120,21 @@ def _recover(capture: Path) -> Recovered:
             user = None if alone else "another process writes it"
             user = user or _user_of(capture)
             if user is not None:
-                return Recovered(capture, Outcome.IN_USE, reason=f"{user}; recover it when that has ended")
+                return Recovered(
+                    capture, CaptureState.IN_USE, reason=f"{user}; recover it when that has ended"
+                )
             recording = open_recording(capture)
             fresh = recording.complete and time.time() - capture.stat().st_mtime < SEALING_S
             if fresh:
                 reason = f"it ended just now, its run may be sealing it; try again in {SEALING_S:g} s"
-                return Recovered(capture, Outcome.IN_USE, reason=reason)
+                return Recovered(capture, CaptureState.IN_USE, reason=reason)
             sealed = seal(recording).path or capture
             _remove_drafts(sealed)
             return _with_cost(capture, sealed, recording)
     except OSError as error:
-        return Recovered(capture, Outcome.FAILED, reason=f"cannot read it: {error.strerror}")
+        return Recovered(capture, CaptureState.FAILED, reason=f"cannot read it: {error.strerror}")
     except RigError as error:
-        return Recovered(capture, Outcome.FAILED, reason=str(error))
+        return Recovered(capture, CaptureState.FAILED, reason=str(error))
 
 
 def _remove_drafts(sealed: Path) -> None:
@@ -153,7 +155,7 @@ def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
     done = sealed != capture
     return Recovered(
         capture=capture,
-        outcome=Outcome.SEALED if done else Outcome.FAILED,
+        outcome=CaptureState.SEALED if done else CaptureState.FAILED,
         recording=sealed if done else None,
         rows=len(recording),
         rows_lost=missing,
@@ -201,7 +203,7 @@ def _user_of(capture: Path) -> str | None:
 
 def failed(results: Iterable[Recovered]) -> RecordingError | None:
     """The error that stands for all captures that could not be sealed, if there are any."""
-    broken = [result for result in results if result.outcome == Outcome.FAILED]
+    broken = [result for result in results if result.outcome == CaptureState.FAILED]
     if not broken:
         return None
     names = ", ".join(str(result.capture) for result in broken)

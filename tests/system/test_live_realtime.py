@@ -18,7 +18,7 @@ import rig.experiments.hit  # noqa: F401  (compiles the loop before anybody wait
 from rig.config import experiment_from_mapping
 from rig.core.errors import DeviceFaultError, LinkLostError, RigError, StoppedError
 from rig.experiments.live import change_wall, parameter_set
-from rig.experiments.recover import Outcome, recover
+from rig.experiments.recover import CaptureState, recover
 from rig.realtime.ring import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
@@ -112,12 +112,12 @@ def test_what_a_killed_hit_left_is_recovered_and_nothing_else_stays(tmp_path: Pa
         (capture,) = tmp_path.glob("*.rigcap")
         (result,) = recover([tmp_path])
         if process.poll() is None:
-            assert result.outcome == Outcome.IN_USE  # by its lock, or as a loop's own
+            assert result.outcome == CaptureState.IN_USE  # by its lock, or as a loop's own
         process.kill()
         process.wait()
         assert not any(other.pid == process.pid for other in running(done=True))
     (result,) = recover([tmp_path]) if capture.exists() else (result,)
-    assert result.outcome == Outcome.SEALED
+    assert result.outcome == CaptureState.SEALED
     assert not capture.exists()
     (path,) = tmp_path.glob("*.parquet")
     recording = open_recording(path)

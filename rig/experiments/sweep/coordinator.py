@@ -249,13 +249,13 @@ class Coordinator:
     def _keep(self, batch: Sequence[Job], report: Report) -> None:
         now = self.progress
         done, weight_done, units = now.done, now.weight_done, now.units
-        for outcome in report.outcomes:
-            task = self._tasks[outcome.index]
-            self._store.append(outcome.index, task.key, outcome.text)
-            self._speeds.append(outcome.seconds / task.weight)
-            done, weight_done, units = done + 1, weight_done + task.weight, units + outcome.units
+        for job in report.completed:
+            task = self._tasks[job.index]
+            self._store.append(job.index, task.key, job.text)
+            self._speeds.append(job.seconds / task.weight)
+            done, weight_done, units = done + 1, weight_done + task.weight, units + job.units
         self.progress = replace(now, done=done, weight_done=weight_done, units=units)
-        self._take_back(batch[len(report.outcomes) :])
+        self._take_back(batch[len(report.completed) :])
         if report.failure is not None and self._comes_first(report.failure):
             self.failure = report.failure
 

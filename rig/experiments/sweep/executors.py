@@ -38,8 +38,8 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of a job: the result in JSON, for how many units it stands, how long it took (s)."""
+class Completed:
+    """A job that was run: its result in JSON, for how many units it stands, how long it took (s)."""
 
     index: int
     text: str
@@ -59,9 +59,9 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What came of a batch, in its order: outcomes up to the first failure, or until its time was over."""
+    """The result of a batch, in its order: jobs completed up to the first failure, or until its time was over."""
 
-    outcomes: tuple[Outcome, ...] = ()
+    completed: tuple[Completed, ...] = ()
     failure: Failure | None = None
 
 
@@ -117,20 +117,20 @@ def run_batch(order: Order, batch: Sequence[Job]) -> Report:
         work = find_work(order.work)
     except ConfigError as error:
         return Report(failure=Failure(None, error.message, error.remedy))
-    outcomes: list[Outcome] = []
+    completed: list[Completed] = []
     began = time.perf_counter()
     for job in batch:
         started = time.perf_counter()
-        if outcomes and started - began > LONGEST_S:
+        if completed and started - began > LONGEST_S:
             break
         try:
             result = work(json.loads(job.payload))
             text = as_json(result)
             units = 1 if order.unit is None else _units(result, order.unit)
         except BaseException as error:  # somebody else's code may raise anything, and this may be a thread
-            return Report(tuple(outcomes), _failure(job.index, error))
-        outcomes.append(Outcome(job.index, text, units, time.perf_counter() - started))
-    return Report(tuple(outcomes))
+            return Report(tuple(completed), _failure(job.index, error))
+        completed.append(Completed(job.index, text, units, time.perf_counter() - started))
+    return Report(tuple(completed))
 
 
 def find_work(name: str) -> Callable[[dict[str, Any]], Any]:

@@ -37,7 +37,7 @@ class Stop:
     """Zero effort, now."""
 
 
-Outcome = Answer | Stop
+Decision = Answer | Stop
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ class Conversation:
         """Take a new view."""
         self.view = View(**{**view, "lines": tuple(view.get("lines", ()))})
 
-    def ask(self, question: Mapping[str, Any], now_s: float) -> list[Outcome]:
+    def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
         """Take a new question; what waited for it is answered at once."""
         asked = Question(**{**question, "actions": tuple(question["actions"])})
         self.question, self.due_s = asked, now_s + asked.seconds
@@ -106,7 +106,7 @@ class Conversation:
             self.entry = Entry("item")
         return []
 
-    def pass_time(self, now_s: float) -> list[Outcome]:
+    def pass_time(self, now_s: float) -> list[Decision]:
         """End a rest that is over, unless somebody is typing."""
         if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
             return []
@@ -130,7 +130,7 @@ class Conversation:
         """What may be answered now."""
         return () if self.question is None else self.question.actions
 
-    def press(self, key: str) -> list[Outcome]:
+    def press(self, key: str) -> list[Decision]:
         """What a key does."""
         self.notice = ""
         if key == STOP and (self.moving or self.entry is None):
@@ -146,7 +146,7 @@ class Conversation:
             return self._type(key, self.entry)
         return self._mean(self.keymap.meaning(key), key)
 
-    def _mean(self, meaning: str, key: str) -> list[Outcome]:
+    def _mean(self, meaning: str, key: str) -> list[Decision]:
         if meaning == "help":
             self.help = True
             return []
@@ -164,7 +164,7 @@ class Conversation:
         self.notice = f"{meaning}: not now"
         return []
 
-    def _act(self, action: Action, *, sure: bool = False) -> list[Outcome]:
+    def _act(self, action: Action, *, sure: bool = False) -> list[Decision]:
         if action == "note":
             self.entry = Entry("note")
             return []
@@ -173,12 +173,12 @@ class Conversation:
             return []
         return self._answer(Answer(action))
 
-    def _remember(self, action: Action) -> list[Outcome]:
+    def _remember(self, action: Action) -> list[Decision]:
         self.later = action
         self.notice = f"{action}: when this is over"
         return []
 
-    def _confirm(self, key: str) -> list[Outcome]:
+    def _confirm(self, key: str) -> list[Decision]:
         action, self.twice = self.twice, None
         assert action is not None
         if key.lower() != "y" and self.keymap.meaning(key) != action:
@@ -189,11 +189,11 @@ class Conversation:
         self._remember(action)
         return [Stop()] if self.moving else []
 
-    def _answer(self, answer: Answer) -> list[Outcome]:
+    def _answer(self, answer: Answer) -> list[Decision]:
         self.question, self.entry, self.twice = None, None, None
         return [answer]
 
-    def _type(self, key: str, entry: Entry) -> list[Outcome]:
+    def _type(self, key: str, entry: Entry) -> list[Decision]:
         if key == "enter":
             return self._typed(entry)
         if key == "escape":
@@ -206,7 +206,7 @@ class Conversation:
             entry.text = (entry.text + (" " if key == STOP else key))[:MOST_TEXT]
         return []
 
-    def _typed(self, entry: Entry) -> list[Outcome]:
+    def _typed(self, entry: Entry) -> list[Decision]:
         text = entry.text.strip()
         if entry.purpose == "note":
             if text:

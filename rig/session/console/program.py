@@ -24,7 +24,7 @@ from rich.console import Console
 from rig.devices.hand import SharedHand
 from rig.realtime import running
 from rig.session.console import terminal
-from rig.session.console.conversation import Conversation, Outcome, Stop
+from rig.session.console.conversation import Conversation, Decision, Stop
 from rig.session.console.keyboard import Event, Key, Keyboard, Mode, Mouse
 from rig.session.console.live import Live, Snapshot
 from rig.session.console.messages import Lines, line_of
@@ -237,7 +237,7 @@ class _Console:
         elif self._hand is not None:
             self._hand.mouse(event)
 
-    def _do(self, outcomes: list[Outcome]) -> None:
+    def _do(self, outcomes: list[Decision]) -> None:
         for outcome in outcomes:
             if isinstance(outcome, Stop):
                 running.ask_to_stop(self._session_pid)  # before anything that may take time

@@ -16,7 +16,7 @@ from rig.config import as_mapping
 from rig.config.presets import load
 from rig.core.errors import ConfigError
 from rig.core.sample import ROW
-from rig.experiments.recover import Outcome, Recovered, failed, recover, unsealed
+from rig.experiments.recover import CaptureState, Recovered, failed, recover, unsealed
 from rig.realtime.ring import LOOP_DONE, Ring
 from rig.recording.capture import write_capture
 from rig.recording.data import Recording
@@ -53,7 +53,7 @@ def one(path: Path) -> Recovered:
 def test_a_capture_cut_off_is_sealed_and_at_most_a_second_is_missing(tmp_path: Path) -> None:
     written = write(tmp_path / "trial.rigcap")
     found = one(tmp_path)
-    assert (found.outcome, found.complete, found.rows_lost) == (Outcome.SEALED, False, 0)
+    assert (found.outcome, found.complete, found.rows_lost) == (CaptureState.SEALED, False, 0)
     assert (found.rows, found.duration_s) == (ROWS, pytest.approx(ROWS / RATE))
     assert found.lost_at_most_s == pytest.approx(AT_RISK_S) == 1.0
     assert found.recording == tmp_path / "trial.parquet"
@@ -70,7 +70,7 @@ def test_a_torn_tail_costs_its_block(tmp_path: Path, cut: int) -> None:
     written = write(capture)
     capture.write_bytes(capture.read_bytes()[:-cut])
     found = one(capture)
-    assert (found.outcome, found.rows, found.rows_lost) == (Outcome.SEALED, ROWS - BLOCK, BLOCK)
+    assert (found.outcome, found.rows, found.rows_lost) == (CaptureState.SEALED, ROWS - BLOCK, BLOCK)
     assert found.lost_at_most_s == pytest.approx(1.0 + BLOCK / RATE)
     assert found.recording is not None
     assert open_recording(found.recording).rows.tobytes() == written.rows[: ROWS - BLOCK].tobytes()
@@ -84,14 +84,14 @@ def test_damage_in_the_middle_is_counted(tmp_path: Path) -> None:
     capture.write_bytes(data)
     os.utime(capture, (1e9, 1e9))
     found = one(capture)
-    assert (found.outcome, found.rows, found.rows_lost) == (Outcome.SEALED, ROWS - BLOCK, BLOCK)
+    assert (found.outcome, found.rows, found.rows_lost) == (CaptureState.SEALED, ROWS - BLOCK, BLOCK)
     assert (found.complete, found.lost_at_most_s) == (True, pytest.approx(BLOCK / RATE))
 
 
 def test_a_complete_capture_lost_nothing(tmp_path: Path) -> None:
     write(tmp_path / "trial.rigcap", whole=True)
     found = one(tmp_path)
-    assert (found.outcome, found.complete, found.lost_at_most_s) == (Outcome.SEALED, True, 0.0)
+    assert (found.outcome, found.complete, found.lost_at_most_s) == (CaptureState.SEALED, True, 0.0)
 
 
 def test_what_a_simulation_lost_is_not_told_in_seconds(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_directory_is_searched_to_the_bottom_for_captures_that_nobody_sealed(t
         unsealed([tmp_path / "absent"])
     seen: list[tuple[int, int, Path]] = []
     found = recover([tmp_path], progress=lambda *told: seen.append(told))
-    assert [result.outcome for result in found] == [Outcome.SEALED, Outcome.SEALED]
+    assert [result.outcome for result in found] == [CaptureState.SEALED, CaptureState.SEALED]
     assert seen == [(0, 2, tmp_path / "a.rigcap"), (1, 2, tmp_path / "deep/er/b.rigcap")]
     assert (tmp_path / "sealed.rigcap").exists()
 
@@ -122,7 +122,7 @@ def test_another_recording_of_that_name_is_never_touched(tmp_path: Path) -> None
     write(capture)
     (tmp_path / "trial.parquet").write_text("precious")
     found = one(capture)
-    assert found.outcome == Outcome.FAILED
+    assert found.outcome == CaptureState.FAILED
     assert (tmp_path / "trial.parquet").read_text() == "precious"
     assert capture.exists()
 
@@ -134,7 +134,7 @@ def test_a_crash_of_the_sealing_itself_is_finished(tmp_path: Path) -> None:
     kept = capture.read_bytes()
     one(capture)
     capture.write_bytes(kept)
-    assert one(capture).outcome == Outcome.SEALED
+    assert one(capture).outcome == CaptureState.SEALED
     assert not capture.exists()
 
 
@@ -143,7 +143,7 @@ def test_a_draft_of_a_sealing_that_was_killed_goes_with_the_capture(tmp_path: Pa
     mine, other = tmp_path / ".trial.parquet.4711.draft", tmp_path / ".trial-2.parquet.4711.draft"
     for draft in (mine, other):
         draft.write_text("half")
-    assert one(tmp_path).outcome == Outcome.SEALED
+    assert one(tmp_path).outcome == CaptureState.SEALED
     assert not mine.exists()
     assert other.exists()
 
@@ -155,7 +155,7 @@ def test_what_is_no_capture_any_more_is_named_and_the_others_are_still_sealed(
     (tmp_path / "a.rigcap").write_bytes(damage)
     write(tmp_path / "b.rigcap")
     first, second = recover([tmp_path])
-    assert (first.outcome, second.outcome) == (Outcome.FAILED, Outcome.SEALED)
+    assert (first.outcome, second.outcome) == (CaptureState.FAILED, CaptureState.SEALED)
     assert (tmp_path / "a.rigcap").read_bytes() == damage
     error = failed([first, second])
     assert error is not None
@@ -169,13 +169,13 @@ def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     with Recorder(path, header, Ring.allocate(4)):
         before = path.read_bytes()
         found = one(tmp_path)
-        assert (found.outcome, path.read_bytes()) == (Outcome.IN_USE, before)
+        assert (found.outcome, path.read_bytes()) == (CaptureState.IN_USE, before)
         assert "another process writes it" in found.reason
     found = one(tmp_path)  # whole, but so young that its run may be about to seal it
-    assert (found.outcome, path.exists()) == (Outcome.IN_USE, True)
+    assert (found.outcome, path.exists()) == (CaptureState.IN_USE, True)
     assert "ended just now" in found.reason
     os.utime(path, (1e9, 1e9))
-    assert one(tmp_path).outcome == Outcome.SEALED
+    assert one(tmp_path).outcome == CaptureState.SEALED
 
 
 def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
@@ -188,16 +188,16 @@ def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
     with Ring.allocate(1, info={"recording": "trial.rigcap"}, shared=True) as ring:
         ring.put(LOOP_DONE, 1)
         other, trial = recover(["."])
-        assert (other.outcome, trial.outcome) == (Outcome.SEALED, Outcome.IN_USE)
+        assert (other.outcome, trial.outcome) == (CaptureState.SEALED, CaptureState.IN_USE)
         assert f"process {os.getpid()} writes it" in trial.reason
-    assert one(tmp_path).outcome == Outcome.SEALED
+    assert one(tmp_path).outcome == CaptureState.SEALED
 
 
 def test_two_at_once_seal_each_capture_once(tmp_path: Path) -> None:
     write(tmp_path / "trial.rigcap")
     with open(tmp_path / "trial.rigcap", "rb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        assert one(tmp_path).outcome == Outcome.IN_USE
+        assert one(tmp_path).outcome == CaptureState.IN_USE
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
