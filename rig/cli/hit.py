@@ -62,6 +62,9 @@ def hit(
     time. FILE is an experiment in TOML (`rig preset koul-compliant` prints one). Ctrl-C ends with zero
     effort and a valid recording.
 
+    The verdict goes by the last part of the trial: an oscillation is felt (velocity of the handle), heard (ripple of
+    the effort) or moved (position, peak to peak) when it exceeds the threshold printed beside it.
+
     With --compare, the same hit is simulated without damping, with uniform and with dual-rate sampling, and nothing is
     recorded.
     """
