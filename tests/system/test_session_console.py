@@ -256,7 +256,8 @@ def test_a_session_with_a_redo_an_abort_and_a_resume(
 
     trials = {trial["trial"]: trial for trial in resumed.of_kind("trial")}
     judged = [
-        (trials[one["trial"]]["stiffness"], one["verdict"], one["by"]) for one in resumed.of_kind("judged")
+        (trials[one["trial"]]["stiffness"], one["verdict"], one["judged_by"])
+        for one in resumed.of_kind("judged")
     ]
     assert judged == [(10, "stable", "person"), (20, "buzz", "person")]
     (redone,) = resumed.of_kind("redone")

@@ -51,7 +51,7 @@ def ended(experiment: Any, directory: Any) -> Any:
             {"rig.limits.oscillations": 10},
             RowFlag.VIOLENT,
             "violent",
-            "10 oscillations in a row .* each within 0.02 s",
+            "oscillated 10 times in a row .* each within 0.02 s",
         ),
         (
             {"rig.limits.energy": 0.02},
@@ -104,7 +104,7 @@ def test_a_law_on_the_device_is_ended_by_the_host(tmp_path: Path) -> None:
     error, recording = ended(experiment, tmp_path)
     assert recording.trailer["reason"] == "violent"
     assert recording.rows["flags"][-1] & RowFlag.VIOLENT
-    assert "oscillations in a row" in str(error)
+    assert "times in a row" in str(error)
 
 
 def test_a_motor_that_pushes_is_watched_when_it_is_asked_for(tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_a_baseline_comes_before_the_hit(tmp_path: Path) -> None:
     assert found.effort_rms == pytest.approx(0.002 * PLACED.rig.amplifier.effort_per_ampere, rel=0.1)
     assert (found.sent_rms, found.touched) == (0.0, False)
     assert found.count_range <= 2
-    assert found.as_mapping()["velocity_rms"] == found.velocity_rms < 0.05
+    assert found.velocity_rms < 0.05
     assert baseline(plain.recorded.recording, plain.experiment) is None
 
 

@@ -321,7 +321,7 @@ def test_what_cannot_be_meant_is_said() -> None:
         ("koul-rigid", "uniform:1k,estimator=levant", None, "levant is not linear"),
         ("koul-rigid", "dual:20k/2k,slow_velocity_rate=500,slow_below=0.1", None, "500 Hz below 0.1"),
         (RIGID, None, None, "no scheme"),
-        (RIGID, "dual:20k/3k", None, "no multiple"),
+        (RIGID, "dual:20k/3k", None, "not a multiple"),
     ):
         with pytest.raises(ConfigError, match=message):
             theory.spectral_radius(rig, scheme, 1.0, 0.0, operator=operator)

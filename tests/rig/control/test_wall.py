@@ -103,5 +103,5 @@ def test_a_broken_plug_in_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
             raise AttributeError("LAW")
 
     monkeypatch.setattr(laws, "entry_points", lambda **_: [Broken()])
-    with pytest.raises(ConfigError, match=r"theirs:LAW.*does not load.*mend or remove"):
+    with pytest.raises(ConfigError, match=r"theirs:LAW.*does not load.*fix or remove"):
         laws.get("theirs")

@@ -85,7 +85,7 @@ def test_nothing_else_is_overwritten(tmp_path: Path) -> None:
 def test_where_nobody_can_lead_that_is_said(tmp_path: Path) -> None:
     SharedHand.create(tmp_path / "hand").close()
     url = f"sim://?hand={tmp_path / 'hand'}"
-    with pytest.raises(ConfigError, match="nobody can lead a hand in virtual time"):
+    with pytest.raises(ConfigError, match="a hand cannot be driven in virtual time"):
         open_link(DeviceUrl.parse(url), rotary_rig())
     with pytest.raises(ConfigError, match="the experiment has none"), serve_locally(url, rotary_rig()):
         pass
