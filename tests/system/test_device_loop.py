@@ -122,7 +122,7 @@ def test_an_impedance_by_the_devices_own_excitation_is_the_hosts(tmp_path: Path)
 
     there, here = measured(x), measured(config.override(x, {"controller.loop": "host"}))
     assert plain(there)["loop"] == "device"
-    assert not there.of_device_loop
+    assert there.note is None
     size = np.abs(here.impedance.z)
     assert (np.abs(there.impedance.z - here.impedance.z) < 0.05 * size).all()
     recording = open_recording(there.recordings[0])
