@@ -41,7 +41,9 @@ DEFAULT_PRESET = "chawda-linear"
     help="uniform:1k,estimator=kalman, dual:20k/2k …; repeat it. [the experiment's]",
 )  # fmt: skip
 @click.option(
-    "--channel", type=click.Choice(["external", "motor"]), help="Who excites. [external; with --url motor]"
+    "--channel",
+    type=click.Choice(["external", "motor"]),
+    help="Actuator that excites the rig. [external; with --url motor]",
 )
 @click.option("--kind", type=click.Choice(["schroeder", "random"]), help="Phases of the multisine. [random]")
 @click.option("--band", metavar="LOW:HIGH", help="Lines of the excitation (Hz). [1:250]")
@@ -91,7 +93,7 @@ def impedance(
     """Measure the impedance that a rig renders: excite it about a wall, and judge passivity and fidelity line by line.
 
     Without arguments: the bare rig chawda-linear and its wall, simulated, as in Fig. 4 and Fig. 6 of Chawda et al.
-    With --url the rig's own motor excites, and every run is recorded.
+    With --url the rig's own motor excites it, and every run is recorded.
     """
     preset = preset or options.preset_of(url, file) or (None if file else DEFAULT_PRESET)
     experiment = options.chosen_experiment(file, preset)
@@ -158,10 +160,10 @@ def _band(text: str, option: str) -> tuple[float, float]:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise ConfigError(
-            f"{option} {text}: no band", remedy="write it as LOW:HIGH in Hz, like 1:250"
+            f"{option} {text} is not a frequency band", remedy="write it as LOW:HIGH in Hz, like 1:250"
         ) from None
     if not 0.0 < low <= high:
-        raise ConfigError(f"{option} {text}: no band", remedy="give 0 < LOW ≤ HIGH")
+        raise ConfigError(f"{option} {text} is not a frequency band", remedy="give 0 < LOW ≤ HIGH")
     return low, high
 
 

@@ -136,7 +136,7 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
     except ValueError:
         pass
     raise ConfigError(
-        f"{option} {text!r}: no numbers",
+        f"{option} {text!r} is not a list of numbers",
         remedy=f"write them as 0,0.5,1 or as first:last:count, like 0:3.6:17, with a count of 1 to {MOST}",
     )
 

@@ -175,7 +175,9 @@ def _band(text: str, option: str) -> tuple[float, float]:
     except ValueError:
         low = high = math.nan
     if not 0.0 < low <= high < math.inf:
-        raise ConfigError(f"{option} {text}: no band", remedy="write it as LOW:HIGH in Hz, like 1:250")
+        raise ConfigError(
+            f"{option} {text} is not a frequency band", remedy="write it as LOW:HIGH in Hz, like 1:250"
+        )
     return low, high
 
 

@@ -306,7 +306,7 @@ class Excitation:
     channel: Annotated[
         Literal["external", "motor"],
         Quantity(
-            "", "who excites: a second actuator (in simulation), or the rig's own motor on top of the wall"
+            "", "what excites the rig: a second actuator (in simulation), or its own motor on top of the wall"
         ),
     ] = "external"
     seed: Annotated[int, Ge(0), Le(2**63 - 1), Quantity("", "seed of random phases")] = 0

@@ -84,7 +84,7 @@ def _open(port: str, baud: int) -> serial.Serial:
             ) from None
         if number == errno.ENOENT or not Path(port).exists():
             raise DeviceNotFoundError(
-                f"there is no port {port}", remedy=f"plug the device in. {_ports()}"
+                f"there is no port {port}", remedy=f"plug the device in; {_ports()}"
             ) from None
         raise DeviceNotFoundError(f"{port} does not open: {error}", remedy=_ports()) from None
     except (OSError, ValueError, termios.error) as error:
@@ -93,7 +93,7 @@ def _open(port: str, baud: int) -> serial.Serial:
 
 def _ports() -> str:
     found = [name for name, _ in available_ports()]
-    return f"Ports here: {', '.join(found)}" if found else "No serial ports are here"
+    return f"ports here: {', '.join(found)}" if found else "there are no serial ports here"
 
 
 def available_ports() -> list[tuple[str, str]]:

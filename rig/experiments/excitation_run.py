@@ -256,7 +256,7 @@ class _Excitation:
 
     multisine: Multisine
     external: Floats  # of the second actuator, a value for each inner step
-    law: Law | None  # with a table, when the own motor excites
+    law: Law | None  # with a table, when its own motor excites the rig
 
     @classmethod
     def of(cls, experiment: Experiment, realisation: int, inner_rate_hz: float) -> _Excitation:

@@ -98,7 +98,9 @@ class IdentifyRequest:
                 remedy="use 2 or more; 6 are usual",
             )
         if not 0.1 <= self.period_s <= 10.0:
-            raise ConfigError(f"a period of {self.period_s:g} s", remedy="choose 0.1 to 10 s")
+            raise ConfigError(
+                f"the period of the excitation is {self.period_s:g} s", remedy="choose 0.1 to 10 s"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -77,7 +77,7 @@ class Search:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.lowest < self.highest < math.inf:
-            raise ValueError(f"stiffness from {self.lowest:g} to {self.highest:g} is no range above zero")
+            raise ValueError(f"stiffness from {self.lowest:g} to {self.highest:g} is not a range above zero")
         if not 1.0001 <= self.ratio <= 1e6:
             raise ValueError(f"a ratio of {self.ratio:g} between rungs is not in 1.0001 to 1e6")
 

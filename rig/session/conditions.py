@@ -63,7 +63,9 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
     try:
         return config.load_experiment(folder / file)
     except ConfigError as error:
-        return [Problem("study.experiment", shown(file), f"is none: {error.message}", error.remedy)]
+        return [
+            Problem("study.experiment", shown(file), f"is not an experiment: {error.message}", error.remedy)
+        ]
 
 
 class Walls:

@@ -128,7 +128,7 @@ def _scheme(key: str, text: str) -> Iterator[Problem]:
     try:
         Scheme.parse(text)
     except ConfigError as error:
-        yield Problem(key, shown(text), f"is none: {error.message}", error.remedy)
+        yield Problem(key, shown(text), f"is not a scheme: {error.message}", error.remedy)
 
 
 def searches(protocol: Protocol) -> Iterator[Problem]:

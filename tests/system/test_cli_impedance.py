@@ -99,11 +99,11 @@ def test_plan_lists_a_excited_run(run: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--band", "1-250"), "--band 1-250: no band"),
-        (("--band", "250:1"), "--band 250:1: no band"),
+        (("--band", "1-250"), "--band 1-250 is not a frequency band"),
+        (("--band", "250:1"), "--band 250:1 is not a frequency band"),
         (("--judged", "300:400"), "no line lies between 300 and 400 Hz"),
         (("-K", "1,2,3", "-B", "1,2"), "3 stiffnesses and 2 dampings"),
-        (("-K", "hard"), "'hard': no numbers"),
+        (("-K", "hard"), "'hard' is not a list of numbers"),
         (("--stiffness=-5",), "not negative"),
         (("--amplitude", "500"), "rig.limits.effort, 100 N"),
         (("--amplitude", "40", "--bare"), "peak position"),

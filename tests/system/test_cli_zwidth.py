@@ -127,10 +127,10 @@ def test_kmax_has_a_row_for_each_rate_and_json_its_saturation(run: Any, tmp_path
     ("arguments", "text"),
     [
         (["-K", "10"], r"--stiffness 10: no range; write it as LOW:HIGH"),
-        (["-K", "0:100"], r"from 0 to 100 is no range above zero \(--stiffness"),
+        (["-K", "0:100"], r"from 0 to 100 is not a range above zero \(--stiffness"),
         (["-K", "10:1e9"], r"1e\+09 \(--stiffness\).* above 477.*--effort"),
-        (["-B", "x"], r"--damping 'x': no numbers; write them as"),
-        (["-B", ""], r"--damping '': no numbers"),
+        (["-B", "x"], r"--damping 'x' is not a list of numbers; write them as"),
+        (["-B", ""], r"--damping '' is not a list of numbers"),
         (["-B", "0:1:0"], r"a count of 1 to 10000"),
         (["-B", "0:1:100000000"], r"a count of 1 to 10000"),
         (["-B", "0,0"], r"\(--damping\): 0.0 is given twice"),

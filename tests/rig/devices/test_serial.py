@@ -45,9 +45,9 @@ class Line:
         os.close(slave)
 
     def unplug(self) -> None:
-        if self.device >= 0:
-            os.close(self.device)
-            self.device = -1
+        device, self.device = self.device, -1
+        if device >= 0:
+            os.close(device)
 
 
 @pytest.fixture
@@ -428,11 +428,13 @@ def test_a_pulled_plug_is_a_lost_link_in_both_directions(line: Any, link: Any) -
 def test_a_plug_pulled_while_reading_is_noticed_at_once(line: Any, link: Any) -> None:
     import threading  # noqa: PLC0415
 
-    threading.Timer(0.05, line.unplug).start()
+    pulling = threading.Timer(0.05, line.unplug)
+    pulling.start()
     before = time.monotonic()
     with pytest.raises(LinkLostError):
         link.read(SLACK_S * 2)
     assert time.monotonic() - before < SLACK_S
+    pulling.join()
 
 
 def test_what_came_before_the_plug_was_pulled_is_read_first(line: Any, link: Any) -> None:

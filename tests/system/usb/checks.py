@@ -357,6 +357,7 @@ def nothing_is_left_behind(cable: Cable) -> dict[str, int]:
 
 def waiting_costs_no_time_of_the_processor(cable: Cable) -> float:
     link = cable.open_silent()
+    link.read(0.01)  # what is compiled or loaded for it is not the wait's
     before = time.process_time()
     assert link.read(0.5) == b""
     return (time.process_time() - before) * 1e3
