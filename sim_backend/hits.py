@@ -2,7 +2,7 @@
 
 A map of thousands of walls is made of these calls. They allocate nothing and do not hold the GIL, so a thread for each
 core keeps it busy, and memory does not grow with the number of hits. What comes out is what
-`rig.control.verdict.judge` gives for the recording of the same trial over the byte link.
+`rig.control.judging.judge` gives for the recording of the same trial over the byte link.
 """
 
 from __future__ import annotations
