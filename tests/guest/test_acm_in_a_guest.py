@@ -73,7 +73,7 @@ def test_the_port_is_listed_with_its_maker_and_number(plugged: Any) -> None:
 def test_rig_devices_names_it(plugged: Any) -> None:
     done = CliRunner().invoke(devices, ["--json"])
     assert done.exit_code == 0, done.output
-    assert PORT in {port["port"] for port in json.loads(done.stdout)["ports"]}
+    assert URL in {port["url"] for port in json.loads(done.stdout)["ports"]}
 
 
 def test_pyserial_says_several_things_of_a_pulled_plug(plugged: Any) -> None:
