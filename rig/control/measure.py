@@ -250,7 +250,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
     """Velocity rms (rad/s or m/s) that one count reads when it toggles at a frequency.
 
     A square wave of height Δ at f Hz has odd harmonics whose velocities all have the rms 2√2·f·Δ; those in the band
-    add up in power. With none in the band it is that of the fundamental, as far as the edges of the band let it through.
+    add up in power. With none in the band it is that of the fundamental, as far as the band's edges let it through.
     """
     harmonics = 0
     hz = frequency_hz
