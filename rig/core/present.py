@@ -4,7 +4,7 @@ A result is a frozen dataclass. `plain` makes JSON types of any: its fields unde
 marked `reported`. What the dataclass keeps out of its ``repr`` (traces, raw rows) is kept out of JSON as well.
 
 To people a result offers a list of `Item` in reading order: headings, rows of label, value and unit, tables and checks.
-The terminal (`rig.cli.output.show`) and pages (``items.html.j2`` in `rig.views.report`) are two views of that list.
+The terminal (`rig.cli.output.show`) shows that list; pages (``items.html.j2`` in `rig.views.report`) show its tables.
 """
 
 from __future__ import annotations
