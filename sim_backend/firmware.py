@@ -30,8 +30,17 @@ from rig.realtime.kernel import prepare
 from sim_backend import firmware_library
 from sim_backend.configuration import describe
 from sim_backend.firmware_library import Mechanics, Setup, Status
-from sim_backend.hardware import Hardware
-from sim_backend.lockstep import DUE, INPUTS, WORDS, Lockstep, run_ticks
+from sim_backend.hardware import Hardware, World
+from sim_backend.lockstep import (
+    DUE,
+    INPUTS,
+    RATE_CHANGED,
+    SWITCHED_ON,
+    TIME,
+    WORDS,
+    Lockstep,
+    run_ticks,
+)
 from sim_backend.safety import UNITS_PER_SECOND
 
 OUTPUT_BYTES = 65536
@@ -98,9 +107,15 @@ class Core:
     def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
         """Return what compiled ticks need of it; `words` is the memory that both share."""
         prepare(run_ticks)
-        drive, sample = _address(self.library.lockstep_drive), _address(self.library.lockstep_sample)
+        library = self.library
         return Lockstep(
-            drive=drive, sample=sample, device=self.address, address=words.ctypes.data, words=words
+            drive=_address(library.lockstep_drive),
+            sample=_address(library.lockstep_sample),
+            receive=_address(library.lockstep_receive),
+            take=_address(library.host_take),
+            device=self.address,
+            address=words.ctypes.data,
+            words=words,
         )
 
     def receive(self, data: bytes) -> bytes:
@@ -256,6 +271,23 @@ class FirmwareDevice:
             self._seen = self.core.status
             self.time = int(self._seen.time)
         return said, ticks
+
+    def compiled(self) -> tuple[Lockstep, World]:
+        """Return what compiled ticks take of the device and its rig as they are now."""
+        world = self.hardware.world(self._truth)
+        self._words[INPUTS], self._words[DUE], self._words[TIME] = self.inputs, self._seen.due, self.time
+        return self._lockstep, world
+
+    def passed(self, world: World) -> None:
+        """Take note of what has happened to what `compiled` returned."""
+        self.hardware.passed(self._lockstep, world, self._truth)
+        self.time = self._words.item(TIME)
+        self._seen = self.core.status
+        if self._words[RATE_CHANGED]:
+            self.hardware.set_rate(self._seen.rate)
+        if self._words[SWITCHED_ON]:
+            self.hardware.begin_session()
+        self._words[[RATE_CHANGED, SWITCHED_ON]] = 0
 
     def tick(self) -> bytes:
         """Let one period pass; return what is due then: the same as `run` does, by its parts."""

@@ -119,6 +119,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "host_status": (None, [_P, ctypes.POINTER(Status)]),
     "lockstep_drive": (ctypes.c_int, [_P, _P]),
     "lockstep_sample": (ctypes.c_int, [_P, _P]),
+    "lockstep_receive": (ctypes.c_int, [_P, _P]),
 }
 
 

@@ -27,12 +27,14 @@ from sim_backend.lockstep import (
     run_ticks,
 )
 from sim_backend.operator import Script
-from sim_backend.plant import DiscretePlant, advance
+from sim_backend.plant import DiscretePlant, PlantArguments, advance
 from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 from sim_backend.truth import TruthLog
 
 _NOISE_BLOCK = 4096
 _PEAK = int(CURRENT_QUANTA_LIMIT)
+NO_END = 1 << 62  # ticks
+World = tuple[PlantArguments, Script, Wires, Supplies]
 _NO_INDICES, _NO_STATES = np.zeros(0, np.int64), np.zeros((0, 0))
 
 
@@ -133,11 +135,22 @@ class Hardware:
         It stops early where noise, room for the truth or what a driven hand wants is used up: whoever wants more calls
         again.
         """
+        world = self.world(truth)
+        ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)
+        if ticks:
+            self.passed(software, world, truth)
+        return int(ticks)
+
+    @property
+    def most_ticks(self) -> int:
+        """Ticks until a driven hand has to be asked again."""
+        return len(self._script.rows) - self._row if self._hand_driven else NO_END
+
+    def world(self, truth: TruthLog | None) -> World:
+        """Return what compiled ticks take of the rig as it is now; noise and truth have room for one at least."""
         self._go_on()
-        plant, script, noise, words = self._plant, self._script, self._noise, software.words
+        noise = self._noise
         noise.refill()
-        if self._hand_driven:
-            most = min(most, len(script.rows) - self._row)
         indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)
         places = np.zeros(PLACES, np.int64)
         places[ROW], places[NOISE_LEFT], places[TRUTH_ROWS] = self._row, noise.left, rows
@@ -150,15 +163,15 @@ class Hardware:
             leak=self.leak,
         )
         supplies = Supplies(noise=noise.drawn, places=places, indices=indices, states=states)
-        ticks = run_ticks(
-            software, plant.arguments(self._state), script, wires, supplies, until, most, enough
-        )
-        if ticks:
-            self._row, noise.left = places.item(ROW), places.item(NOISE_LEFT)
-            self.count, self.measured = words.item(COUNT), words.item(MEASURED)
+        return self._plant.arguments(self._state), self._script, wires, supplies
+
+    def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
+        """Take note of ticks that have passed in what `world` returned."""
+        places, words = world[-1].places, software.words
+        self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
+        self.count, self.measured = words.item(COUNT), words.item(MEASURED)
         if truth is not None:
             truth.written(places.item(TRUTH_ROWS))
-        return int(ticks)
 
     @property
     def effort(self) -> float:

@@ -29,6 +29,7 @@ from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from sim_backend.channel import DeviceFault, Direction, Faults, Line
 from sim_backend.device import SimulatedDevice
+from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
 
 
@@ -224,40 +225,76 @@ class MemoryLink:
     ) -> None:
         self.url = url
         self.clock = VirtualClock()
-        self.device = device
+        self._device = device
         self.line = None if faults is None else Line(faults.frames)
-        self.discarded = 0
         self._happenings = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
-        self._ticks = 0
         self._start_ns = device.elapsed_ns
         self._levels = _pulses(sync_s, self._start_ns)
         self._pace = _BILLION + round(clock_ppm * 1000)  # device nanoseconds in a second of the link
-        self._arrived = bytearray()
+        self._progress = np.zeros(PROGRESS, np.int64)
+        self._arrived = np.zeros(BUFFER_BYTES + OUTPUT_BYTES, np.uint8)
         self._failure: BaseException | None = None
         self._closed = False
         self._port: LoopPort | None = None
+        self._compiled = self._compile(device)
+
+    def _compile(self, device: Device) -> CompiledPort | None:
+        """Return what runs the loop's far end without Python, unless frames, the device or its clock go wrong here."""
+        scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
+        if scripted or not isinstance(device, FirmwareDevice):
+            return None
+
+        def failed(failure: BaseException) -> None:
+            self._failure = self._failure or failure
+
+        return CompiledPort(
+            device,
+            self.clock,
+            lambda: device.elapsed_ns - device.time_ns - self._start_ns,
+            progress=self._progress,
+            arrived=self._arrived,
+            capacity=BUFFER_BYTES,
+            failed=failed,
+        )
+
+    @property
+    def device(self) -> Any:
+        """The device, as the ticks so far left it."""
+        self._take_back()
+        return self._device
+
+    def _take_back(self) -> None:
+        if self._compiled is not None:
+            self._compiled.take_back()
+
+    @property
+    def discarded(self) -> int:
+        """Bytes that the host did not read in time."""
+        return self._progress.item(DISCARDED)
 
     # ------------------------------------------------------------------ Link
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has arrived, letting at most `timeout_s` of virtual time pass for the first byte."""
+        self._take_back()
         self._wait(self.clock.now_ns() + round(max(0.0, timeout_s) * 1e9))
-        data = bytes(self._arrived)
-        self._arrived.clear()
-        return data
+        return self._taken(BUFFER_BYTES)
 
     def write(self, data: bytes) -> None:
         """Send all of `data`; it is there at once."""
+        self._take_back()
         self._check_open()
         self._catch_up()
         if self.line is not None:
-            self.line.send(Direction.TO_DEVICE, data, self._ticks)
+            self.line.send(Direction.TO_DEVICE, data, self._progress.item(TICKS))
             self._check_open()
-            data = self.line.receive(Direction.TO_DEVICE, self._ticks)
-        self._to_host(self.device.receive(data, received_at=self._device_time()))
+            data = self.line.receive(Direction.TO_DEVICE, self._progress.item(TICKS))
+        self._to_host(self._device.receive(data, received_at=self._device_time()))
 
     def port(self) -> LoopPort:
-        """Return the plug functions of the loop: callbacks that come back into this object."""
+        """Return the plug functions of the loop: compiled ones, or callbacks that come back into this object."""
+        if self._compiled is not None:
+            return self._compiled.port()
         if self._port is None:
             self._port = self._make_port()
         return self._port
@@ -268,22 +305,25 @@ class MemoryLink:
 
     def truth(self) -> NDArray[np.void]:
         """Return the plant's true state in every tick of a session (`rig.core.sample.TRUTH`)."""
-        return self.device.truth()
+        self._take_back()
+        return self._device.truth()
 
     def close(self) -> None:
         """Go away. The device stays as it is, and its watchdog runs when time does: see `elapse`."""
         self._closed = True
+        self._progress[CLOSED] = 1
 
     # ------------------------------------------------------------------ virtual time
 
     def elapse(self, duration_s: float) -> None:
         """Let time pass without the host: it is busy, hangs, or was killed. Works on a closed link too."""
+        self._take_back()
         self.clock.sleep_until(self.clock.now_ns() + round(duration_s * 1e9))
         self._catch_up()
 
     def _next_tick_ns(self) -> int:
         """When the next sample is due on the link's clock."""
-        return self._link_time(self.device.next_tick_ns)
+        return self._link_time(self._device.next_tick_ns)
 
     def _link_time(self, device_ns: int) -> int:
         """Time on the link's clock that is not before a time of the device's (ns since it was made)."""
@@ -291,7 +331,7 @@ class MemoryLink:
 
     def _device_time(self) -> int:
         """Device time now, between its samples too (1/16 µs)."""
-        device = self.device
+        device = self._device
         elapsed_ns = self._start_ns + self.clock.now_ns() * self._pace // _BILLION
         since_boot_ns = elapsed_ns - (device.elapsed_ns - device.time_ns)
         return max(device.time, since_boot_ns * _UNITS // _UNITS_NS)
@@ -306,7 +346,7 @@ class MemoryLink:
         """Let time pass until something has arrived, or to the deadline; whether something is there."""
         self._check_open()
         self._catch_up()
-        while not self._arrived:
+        while not self._progress[ARRIVED]:
             if self._next_tick_ns() > deadline_ns:
                 self.clock.sleep_until(deadline_ns)
                 return False
@@ -319,15 +359,15 @@ class MemoryLink:
 
         Returns the time of its last tick on the link's clock.
         """
-        device = self.device
+        device = self._device
         most = self._until_something_happens()
         until_ns = self._start_ns + deadline_ns * self._pace // _BILLION
         said, ticks = device.run(min(until_ns, self._until_a_level_changes()), most)
-        self._ticks += ticks
+        self._progress[TICKS] += ticks
         if self.line is None:
             self._keep(said)
         else:
-            late = self.line.receive(Direction.TO_DEVICE, self._ticks)
+            late = self.line.receive(Direction.TO_DEVICE, self._progress.item(TICKS))
             if late:
                 said += device.receive(late)
             self._to_host(said)
@@ -335,21 +375,21 @@ class MemoryLink:
 
     def _until_something_happens(self) -> int:
         """Let happen what is due; return the ticks up to the next of it."""
-        while self._happenings and self._happenings[0].tick <= self._ticks:
+        while self._happenings and self._happenings[0].tick <= self._progress.item(TICKS):
             happening = self._happenings.pop(0)
             if not isinstance(happening, DeviceFault):
-                happening.act(self.device)
+                happening.act(self._device)
             elif happening.fault is Fault.EMERGENCY_STOP:
-                self.device.press_emergency_stop()
+                self._device.press_emergency_stop()
             else:
-                self.device.inject_fault(happening.fault)
+                self._device.inject_fault(happening.fault)
         if self.line is not None:
             return 1  # whose frames may be due at any tick
-        return self._happenings[0].tick - self._ticks if self._happenings else _LONG
+        return self._happenings[0].tick - self._progress.item(TICKS) if self._happenings else _LONG
 
     def _until_a_level_changes(self) -> int:
         """Put on the sync input what the next sample is to see; return until when that is all (ns of the device)."""
-        device = self.device
+        device = self._device
         while self._levels and self._levels[0][0] <= device.next_tick_ns:
             at_ns, high = self._levels.popleft()
             since_boot_ns = at_ns - (device.elapsed_ns - device.time_ns)
@@ -358,14 +398,25 @@ class MemoryLink:
 
     def _to_host(self, data: bytes) -> None:
         if self.line is not None:
-            self.line.send(Direction.TO_HOST, data, self._ticks)
-            data = self.line.receive(Direction.TO_HOST, self._ticks)
+            self.line.send(Direction.TO_HOST, data, self._progress.item(TICKS))
+            data = self.line.receive(Direction.TO_HOST, self._progress.item(TICKS))
         self._keep(data)
 
     def _keep(self, data: bytes) -> None:
-        room = BUFFER_BYTES - len(self._arrived)
-        self.discarded += max(0, len(data) - room)
-        self._arrived += data[:room]
+        waiting = self._progress.item(ARRIVED)
+        kept = data[: BUFFER_BYTES - waiting]
+        self._arrived[waiting : waiting + len(kept)] = np.frombuffer(kept, np.uint8)
+        self._progress[ARRIVED] += len(kept)
+        self._progress[DISCARDED] += len(data) - len(kept)
+
+    def _taken(self, most: int) -> bytes:
+        """Take the first of what has arrived."""
+        waiting = self._progress.item(ARRIVED)
+        size = min(most, waiting)
+        data = self._arrived[:size].tobytes()
+        self._arrived[: waiting - size] = self._arrived[size:waiting].copy()
+        self._progress[ARRIVED] -= size
+        return data
 
     def _check_open(self) -> None:
         if self._closed or (self.line is not None and self.line.unplugged):
@@ -407,10 +458,8 @@ class MemoryLink:
 
     def _plug_read(self, handle: int, address: int, size: int) -> int:
         self._check_open()
-        data = self._arrived[:size]
-        if data:
-            ctypes.memmove(address, bytes(data), len(data))
-            del self._arrived[:size]
+        data = self._taken(size)
+        ctypes.memmove(address, data, len(data))
         return len(data)
 
     def _plug_write(self, handle: int, address: int, size: int) -> int:

@@ -23,8 +23,9 @@ from sim_backend.safety import UNITS_PER_SECOND
 from sim_backend.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 
 # Words of struct lockstep in firmware/host/lockstep.h.
-COUNT, EDGE_AGE, MEASURED, INPUTS, CUTS, DUE, SAMPLE_INDEX, SESSION = range(8)
-WORDS = 8
+COUNT, EDGE_AGE, MEASURED, INPUTS, CUTS, DUE, SAMPLE_INDEX, SESSION, TIME = range(9)
+BYTES, BYTE_COUNT, RECEIVED_AT, RATE_CHANGED, SWITCHED_ON = range(9, 14)
+WORDS = 14
 
 # What changes from tick to tick beside the plant's state: row of the script, unused noise, rows of truth.
 ROW, NOISE_LEFT, TRUTH_ROWS = range(3)
@@ -37,10 +38,12 @@ _call = native_call(2)  # half a tick: (device, words), both by address
 
 @group
 class Lockstep(NamedTuple):
-    """A device: `lockstep_drive` and `lockstep_sample` of its firmware, itself and its words by address, the words."""
+    """A device: functions of its firmware (lockstep.h, host.h), itself and its words by address, the words."""
 
     drive: Int
     sample: Int
+    receive: Int
+    take: Int
     device: Int
     address: Int
     words: Ints
@@ -86,6 +89,13 @@ class Supplies(NamedTuple):
     states: FloatRows
 
 
+@kernel(types.void(PLANT_TYPE), inline=True)
+def cut(plant: PlantArguments) -> None:
+    """Pull the amplifier's enable low: commands that are on their way are gone too."""
+    for i in range(plant.edge_age + 1, len(plant.state)):
+        plant.state[i] = 0.0
+
+
 @kernel(
     types.int64(
         *(type_of(Lockstep), PLANT_TYPE, type_of(Script), type_of(Wires), type_of(Supplies)),
@@ -117,8 +127,7 @@ def run_ticks(
             break
         quanta = _call(software.drive, software.device, software.address)
         if words[CUTS] != 0:
-            for i in range(edge_age + 1, len(state)):
-                state[i] = 0.0
+            cut(plant)
         places[ROW] = want(state, edge_age, script.rows, places[ROW], script.again)
         effort = quanta * wires.effort_quantum
         count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, wires.external_effort)
@@ -133,8 +142,7 @@ def run_ticks(
         waiting = _call(software.sample, software.device, software.address)
         ticks += 1
         if words[CUTS] != 0:
-            for i in range(edge_age + 1, len(state)):
-                state[i] = 0.0
+            cut(plant)
         if kept and words[SESSION] != 0:
             row = places[TRUTH_ROWS]
             indices[row] = words[SAMPLE_INDEX]

@@ -12,8 +12,10 @@ from functools import cache
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import numpy as np
+from llvmlite import ir
 from numba import types
-from numba.extending import typeof_impl
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic, typeof_impl
 from numba.np.numpy_support import as_dtype
 from numpy.typing import NDArray
 
@@ -78,3 +80,37 @@ def _fits(member: Any, due: Any, array: tuple[Any, ...] | None) -> bool:
         return True  # numba looks for the signature when it takes the group apart
     number = (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
     return isinstance(member, number) and type(member) is not bool  # their range is numba's to check
+
+
+def group_bytes(cls: type[tuple[Any, ...]]) -> int:
+    """Bytes of memory that a group takes; see `group_at`."""
+    context = cpu_target.target_context
+    return int(context.get_abi_sizeof(context.get_value_type(type_of(cls))))
+
+
+def group_at(cls: type[tuple[Any, ...]]) -> tuple[Any, Any]:
+    """Make the intrinsics ``put(address, group)`` and ``get(address)`` for a plug point that is handed one number.
+
+    The memory must be `group_bytes` long, and who puts a group there keeps it: its arrays are not counted.
+    """
+    kind = type_of(cls)
+
+    def place(context: Any, builder: Any, address: Any) -> Any:
+        return builder.inttoptr(address, ir.PointerType(context.get_value_type(kind)))
+
+    def store(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.store(args[1], place(context, builder, args[0]), align=8)
+        return context.get_dummy_value()
+
+    def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load(place(context, builder, args[0]), align=8)
+
+    @intrinsic
+    def put(typingctx: Any, address: Any, group: Any) -> Any:
+        return types.none(types.uintp, kind), store
+
+    @intrinsic
+    def get(typingctx: Any, address: Any) -> Any:
+        return kind(types.uintp), load
+
+    return put, get

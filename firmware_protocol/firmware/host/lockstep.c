@@ -22,5 +22,21 @@ int lockstep_sample(struct host *host, struct lockstep *lockstep)
     lockstep->due = (int64_t)host->device.due;
     lockstep->sample_index = host->device.sample_index;
     lockstep->session = host->device.connection.session;
+    lockstep->time = (int64_t)time;
+    return (int)host->output_count;
+}
+
+int lockstep_receive(struct host *host, struct lockstep *lockstep)
+{
+    const uint32_t cuts = host->cuts, rate = host->rate;
+    const bool enabled = host->enabled;
+    host_set_inputs(host, (uint8_t)lockstep->inputs);
+    host_set_clock(host, (uint64_t)lockstep->received_at, 0);
+    host_receive(host, (const uint8_t *)(uintptr_t)lockstep->bytes, (size_t)lockstep->byte_count);
+    lockstep->cuts = host->cuts - cuts;
+    lockstep->rate_changed = host->rate != rate;
+    lockstep->switched_on = host->enabled && !enabled;
+    lockstep->due = (int64_t)host->device.due;
+    lockstep->session = host->device.connection.session;
     return (int)host->output_count;
 }

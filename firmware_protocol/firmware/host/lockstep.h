@@ -1,4 +1,4 @@
-/* A tick in two calls, with all that a compiled simulation and the device tell each other in one block of memory. */
+/* A tick in two calls, and bytes of the host in a third, with all that a compiled simulation and the device tell each other in one block of memory. */
 #ifndef HR_LOCKSTEP_H
 #define HR_LOCKSTEP_H
 
@@ -16,6 +16,11 @@ struct lockstep {
     int64_t due;          /* device time of the next sample */
     int64_t sample_index; /* of the last */
     int64_t session;
+    int64_t time; /* device time of the last */
+
+    /* Bytes of the host, by address, when they came (device time), and what they changed. */
+    int64_t bytes, byte_count, received_at;
+    int64_t rate_changed, switched_on;
 };
 
 /* First half: the current for the coming tick. */
@@ -23,5 +28,8 @@ int lockstep_drive(struct host *host, struct lockstep *lockstep);
 
 /* Second half, when the world has moved: the sample that is due. The bytes that wait for the host. */
 int lockstep_sample(struct host *host, struct lockstep *lockstep);
+
+/* Between two ticks: hand all bytes in. The bytes that wait for the host. */
+int lockstep_receive(struct host *host, struct lockstep *lockstep);
 
 #endif

@@ -1,0 +1,315 @@
+"""The far end of a link in virtual time, compiled: the plug functions of the loop, for a device that is C code.
+
+A tick of the loop then passes no Python: `wait` lets ticks pass until the device has said something, `write` hands it
+the host's bytes, `read` takes what it said. Python is asked (`serve`) where something is used up, where the device
+changed its rate or was armed, and before the first tick after Python itself had the device.
+
+It mirrors `sim_backend.link.MemoryLink`, whose callbacks do the same where frames or the device fail on command.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from rig.devices.port import LoopPort
+from rig.realtime.atomics import load_word, store_word
+from rig.realtime.clock import Clock
+from rig.realtime.groups import Bytes, Int, Ints, group, group_at, group_bytes, type_of
+from rig.realtime.kernel import kernel, prepare
+from rig.realtime.native import native_call
+from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.lockstep import (
+    BYTE_COUNT,
+    BYTES,
+    CUTS,
+    DUE,
+    RATE_CHANGED,
+    RECEIVED_AT,
+    SWITCHED_ON,
+    TIME,
+    Lockstep,
+    Supplies,
+    Wires,
+    cut,
+    run_ticks,
+)
+from sim_backend.operator import Script
+from sim_backend.plant import PlantArguments
+
+# What changes: whether Python had the device last; nothing moves any more; bytes that wait for the host, and those
+# that found no room; ticks that have passed, and how many may before Python is asked.
+STALE, CLOSED, ARRIVED, DISCARDED, TICKS, MOST = range(6)
+PROGRESS = 6
+
+OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
+_BROKEN = -errno.EIO
+_SERVE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t)
+_UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
+_serve = native_call(1)
+_receive = native_call(2)
+_take = native_call(3)
+_move = types.ExternalFunction("memmove", types.uintp(types.uintp, types.uintp, types.uint64))
+
+
+@group
+class FarEnd(NamedTuple):
+    """A device, its rig and its line.
+
+    Attributes
+    ----------
+    software, plant, script, wires, supplies
+        Of `sim_backend.lockstep.run_ticks`.
+    progress
+        By the constants of this file.
+    arrived
+        Bytes that wait for the host, with room for `OUTPUT_BYTES` behind the `capacity` that are kept.
+    capacity
+        Bytes of unread input.
+    clock
+        Address of the virtual time (ns).
+    origin_ns
+        Simulated time at boot, on the clock (ns).
+    serve
+        Address of the callback.
+    """
+
+    software: Annotated[Lockstep, type_of(Lockstep)]
+    plant: Annotated[PlantArguments, type_of(PlantArguments)]
+    script: Annotated[Script, type_of(Script)]
+    wires: Annotated[Wires, type_of(Wires)]
+    supplies: Annotated[Supplies, type_of(Supplies)]
+    progress: Ints
+    arrived: Bytes
+    capacity: Int
+    clock: Int
+    origin_ns: Int
+    serve: Int
+
+
+FAR_END_TYPE = type_of(FarEnd)
+_put, _at = group_at(FarEnd)
+
+
+@kernel(types.void(types.int64, FAR_END_TYPE))
+def put(handle: int, end: FarEnd) -> None:
+    """Let a handle stand for a far end."""
+    _put(handle, end)
+
+
+@kernel(types.int64(types.int64), no_refcount=True)
+def _ready(handle: int) -> int:
+    """See to it that what stands behind the handle is true: 0, or a negative errno."""
+    end = _at(handle)
+    if end.progress[CLOSED] != 0:
+        return _BROKEN
+    return int(_serve(end.serve, 0)) if end.progress[STALE] != 0 else 0
+
+
+@kernel(types.void(FAR_END_TYPE))
+def _hear(end: FarEnd) -> None:
+    """Take what the device has said; what has no room is lost, as in a driver."""
+    progress, arrived = end.progress, end.arrived
+    software = end.software
+    room = OUTPUT_BYTES
+    progress[ARRIVED] += _take(software.take, software.device, arrived.ctypes.data + progress[ARRIVED], room)
+    if progress[ARRIVED] > end.capacity:
+        progress[DISCARDED] += progress[ARRIVED] - end.capacity
+        progress[ARRIVED] = end.capacity
+
+
+@kernel(types.int64(types.int64, types.int64), no_refcount=True)
+def _pass(handle: int, deadline_ns: int) -> int:
+    """Let ticks pass until the device says something, at most to a time on the clock: 0, or a negative errno."""
+    while True:
+        end = _at(handle)
+        words, progress = end.software.words, end.progress
+        until = (_UNITS * (deadline_ns - end.origin_ns) + 1) // _UNITS_NS  # the last unit that is not later
+        before = progress[ARRIVED] + progress[DISCARDED]
+        ticks = run_ticks(
+            end.software, end.plant, end.script, end.wires, end.supplies, until, progress[MOST], 1
+        )
+        progress[TICKS] += ticks
+        progress[MOST] -= ticks
+        _hear(end)
+        if progress[ARRIVED] + progress[DISCARDED] != before or words[DUE] > until:
+            return 0
+        failed = _serve(end.serve, 0)
+        if failed != 0:
+            return int(failed)
+
+
+@kernel(types.int64(FAR_END_TYPE), inline=True)
+def _next_ns(end: FarEnd) -> int:
+    """When the next sample is due on the clock."""
+    return int(end.origin_ns + end.software.words[DUE] * _UNITS_NS // _UNITS)
+
+
+@kernel(types.int64(types.int64), no_refcount=True)
+def _catch_up(handle: int) -> int:
+    """Bring the device to the clock's time, which the host may have moved by sleeping: 0, or a negative errno."""
+    end = _at(handle)
+    now_ns = load_word(end.clock)
+    while _next_ns(end) <= now_ns:
+        failed = _pass(handle, now_ns)
+        if failed != 0:
+            return int(failed)
+        end = _at(handle)
+    return 0
+
+
+@kernel(WAIT_SIGNATURE, no_refcount=True)
+def wait(handle: int, deadline_ns: int) -> int:
+    """Let time pass until something has arrived, or to the deadline; plug point `wait`."""
+    failed = _ready(handle)
+    if failed == 0:
+        failed = _catch_up(handle)
+    while failed == 0:
+        end = _at(handle)
+        if end.progress[ARRIVED] != 0:
+            return 1
+        if _next_ns(end) > deadline_ns:
+            store_word(end.clock, max(load_word(end.clock), deadline_ns))
+            return 0
+        failed = _pass(handle, deadline_ns)
+        end = _at(handle)
+        passed_ns = end.origin_ns + end.software.words[TIME] * _UNITS_NS // _UNITS
+        store_word(end.clock, max(load_word(end.clock), passed_ns))
+    return int(failed)
+
+
+@kernel(TRANSFER_SIGNATURE, no_refcount=True)
+def read(handle: int, address: int, size: int) -> int:
+    """Take what has arrived; plug point `read`."""
+    failed = _ready(handle)
+    if failed != 0:
+        return int(failed)
+    end = _at(handle)
+    progress, start = end.progress, end.arrived.ctypes.data
+    count = min(size, progress[ARRIVED])
+    progress[ARRIVED] -= count
+    _move(address, start, count)
+    _move(start, start + count, progress[ARRIVED])
+    return int(count)
+
+
+@kernel(TRANSFER_SIGNATURE, no_refcount=True)
+def write(handle: int, address: int, size: int) -> int:
+    """Hand the device bytes of the host, now; plug point `write`."""
+    failed = _ready(handle)
+    if failed == 0:
+        failed = _catch_up(handle)
+    if failed != 0:
+        return int(failed)
+    end = _at(handle)
+    software = end.software
+    words = software.words
+    now = (load_word(end.clock) - end.origin_ns) * _UNITS // _UNITS_NS
+    words[RECEIVED_AT] = max(words[TIME], now)
+    words[BYTES], words[BYTE_COUNT] = address, size
+    waiting = _receive(software.receive, software.device, software.address)
+    if words[CUTS] != 0:
+        cut(end.plant)
+    if waiting != 0:
+        _hear(end)
+    if words[RATE_CHANGED] != 0 or words[SWITCHED_ON] != 0:
+        failed = _serve(end.serve, 0)
+    return int(failed) if failed != 0 else size
+
+
+class CompiledPort:
+    """Makes the port of a device in virtual time, and moves its state between Python and compiled code.
+
+    Parameters
+    ----------
+    device
+        The device; Python may have it whenever the loop does not run, and calls `take_back` then.
+    clock
+        The virtual clock.
+    origin_ns
+        Returns simulated time at boot, on that clock (ns).
+    progress, arrived
+        Shared with the link.
+    capacity
+        Bytes of unread input.
+    failed
+        Called with an exception that Python raised inside the loop.
+    """
+
+    def __init__(
+        self,
+        device: FirmwareDevice,
+        clock: Clock,
+        origin_ns: Callable[[], int],
+        *,
+        progress: Any,
+        arrived: Any,
+        capacity: int,
+        failed: Callable[[BaseException], None],
+    ) -> None:
+        prepare(put, wait, read, write)
+        self._device = device
+        self._clock = clock
+        self._origin_ns = origin_ns
+        self._progress, self._arrived, self._capacity = progress, arrived, capacity
+        self._failed = failed
+        self._callback = _SERVE(self._serve)
+        address = ctypes.cast(self._callback, ctypes.c_void_p).value
+        assert address is not None
+        self._address = address
+        self._memory = np.zeros(-(-group_bytes(FarEnd) // 8), np.int64)
+        self._end = self._put()
+        self._progress[STALE] = 1
+
+    def port(self) -> LoopPort:
+        """Return the plug functions of the loop."""
+        self.take_back()
+        handle = int(self._memory.ctypes.data)
+        return LoopPort.on(self._clock, read=read, write=write, wait=wait, handle=handle)
+
+    def take_back(self) -> None:
+        """Let Python see the device as the ticks left it, and the loop ask before its next one."""
+        if self._progress[STALE] == 0:
+            self._note()
+            self._progress[STALE] = 1
+
+    def _note(self) -> None:
+        end = self._end
+        self._device.passed((end.plant, end.script, end.wires, end.supplies))
+
+    def _put(self) -> FarEnd:
+        device = self._device
+        software, (plant, script, wires, supplies) = device.compiled()
+        self._progress[MOST] = device.hardware.most_ticks
+        end = FarEnd(
+            software=software,
+            plant=plant,
+            script=script,
+            wires=wires,
+            supplies=supplies,
+            progress=self._progress,
+            arrived=self._arrived,
+            capacity=self._capacity,
+            clock=self._clock.handle,
+            origin_ns=self._origin_ns(),
+            serve=self._address,
+        )
+        put(int(self._memory.ctypes.data), end)
+        return end
+
+    def _serve(self, _: int) -> int:
+        try:
+            if self._progress[STALE] == 0:
+                self._note()
+            self._end = self._put()
+            self._progress[STALE] = 0
+            return 0
+        except BaseException as failure:
+            self._failed(failure)
+            return _BROKEN
