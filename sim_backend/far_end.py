@@ -48,6 +48,7 @@ from sim_backend.plant import PlantArguments
 STALE, CLOSED, ARRIVED, DISCARDED, TICKS, MOST = range(6)
 PROGRESS = 6
 
+LONGEST_RUN = 2000  # ticks after which a change that Python makes to the device meanwhile is seen
 OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
 _BROKEN = -errno.EIO
 _SERVE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t)
@@ -286,7 +287,7 @@ class CompiledPort:
     def _put(self) -> FarEnd:
         device = self._device
         software, (plant, script, wires, supplies) = device.compiled()
-        self._progress[MOST] = device.hardware.most_ticks
+        self._progress[MOST] = min(device.hardware.most_ticks, LONGEST_RUN)
         end = FarEnd(
             software=software,
             plant=plant,

@@ -370,6 +370,7 @@ class FirmwareDevice:
 
     def _input(self, bit: Input, active: bool) -> None:
         self.inputs = self.inputs | int(bit) if active else self.inputs & ~int(bit)
+        self._words[INPUTS] = self.inputs
         self.core.library.host_set_inputs(self.core.address, self.inputs)
 
     def _show_world(self) -> None:

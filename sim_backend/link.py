@@ -13,6 +13,7 @@ import ctypes
 import errno
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Protocol
@@ -31,6 +32,7 @@ from sim_backend.channel import DeviceFault, Direction, Faults, Line
 from sim_backend.device import SimulatedDevice
 from sim_backend.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 from sim_backend.firmware import FirmwareDevice
+from sim_backend.firmware_library import library
 
 
 def _times(text: str) -> tuple[float, ...]:
@@ -113,9 +115,11 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
     0 ≤ offset < 1) instead of the model's; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by
-    which the device's clock runs fast; `firmware` = 1 for a device that is the firmware itself, compiled for this
-    machine, which can run the law; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after
-    power-up.
+    which the device's clock runs fast; `sync` = 0.5,0.75 for pulses on the sync input that begin so many seconds after
+    power-up; `firmware` = 1 for a device that can run the law, the firmware itself, compiled for this machine.
+
+    Unless `firmware` is given the device runs no law, and is the firmware too where this machine can compile it: it
+    says what the one in Python says (`sim_backend.device`, `firmware` = 0), and its ticks pass no Python.
 
     Raises
     ------
@@ -129,8 +133,19 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> MemoryLink:
         model = _with_offset(url, model, options.pop("offset"))
     clock_ppm = options.pop("clock_ppm", 0.0)
     sync_s = options.pop("sync", ())
-    make = FirmwareDevice if options.pop("firmware", 0) else SimulatedDevice
-    return MemoryLink(make(model, **options), url=url, clock_ppm=clock_ppm, sync_s=sync_s)
+    device = _device(model, options.pop("firmware", None), options)
+    return MemoryLink(device, url=url, clock_ppm=clock_ppm, sync_s=sync_s)
+
+
+def _device(
+    model: RigModel, firmware: int | None, options: Mapping[str, Any]
+) -> SimulatedDevice | FirmwareDevice:
+    if firmware == 1:
+        return FirmwareDevice(model, **options)
+    if firmware is None:
+        with suppress(ConfigError):
+            return FirmwareDevice(model, law_maximum=0, library=library(), **options)
+    return SimulatedDevice(model, **options)
 
 
 def _parse(url: DeviceUrl) -> dict[str, Any]:
