@@ -1,0 +1,189 @@
+"""The compiled far end of a loop: what it says, when, and what the rig does meanwhile are those of the readable one."""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numba import types
+
+from firmware_protocol import messages as m
+from firmware_protocol.faults import Fault
+from firmware_protocol.messages import Mode
+from rig.core.errors import ConfigError
+from rig.devices.device import DeviceUrl
+from rig.realtime.kernel import kernel
+from rig.realtime.plugs import TRANSFER
+from sim_backend import link as links
+from sim_backend.channel import Faults
+from sim_backend.device import SimulatedDevice
+from sim_backend.far_end import LONGEST_RUN
+from sim_backend.firmware import FirmwareDevice
+from sim_backend.link import BUFFER_BYTES, MemoryLink
+from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.conformance.link import COMPILED, check_link, listen
+from tests.conformance.rigs import rotary_rig
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="function types need the compiler")
+
+RATE = 2_000
+TICK_S = 1.0 / RATE
+_BYTES = types.uint8[::1]
+
+
+@kernel(types.int64(TRANSFER, types.int64, _BYTES))
+def tell(write: Any, handle: int, data: Any) -> int:
+    return int(write(handle, np.int64(data.ctypes.data), np.int64(len(data))))
+
+
+class ThroughThePort:
+    """A link as the compiled loop sees it: every byte passes the plug functions."""
+
+    def __init__(self, link: MemoryLink) -> None:
+        self.link, self.clock = link, link.clock
+        self.port = link.port()
+        self.log: list[tuple[int, bytes]] = []
+
+    def write(self, data: bytes) -> None:
+        assert tell(self.port.write, self.port.handle, np.frombuffer(data, np.uint8).copy()) == len(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        into = np.zeros(BUFFER_BYTES, np.uint8)
+        until_ns = self.clock.now_ns() + round(timeout_s * 1e9)
+        size = listen(self.port.read, self.port.wait, self.port.handle, into, until_ns)
+        assert size >= 0, f"errno {-size}, {self.link.failure()}"
+        said = into[:size].tobytes()
+        self.log.append((self.clock.now_ns(), said))
+        return said
+
+
+def fresh(**options: Any) -> MemoryLink:
+    return MemoryLink(FirmwareDevice(rotary_rig(current_noise_a=0.002), law_maximum=0, **options))
+
+
+def three() -> list[ThroughThePort]:
+    """The compiled far end; the firmware behind callbacks; the readable device behind callbacks."""
+    rig = rotary_rig(current_noise_a=0.002)
+    return [
+        ThroughThePort(fresh()),
+        ThroughThePort(MemoryLink(FirmwareDevice(rig, law_maximum=0), Faults())),
+        ThroughThePort(MemoryLink(SimulatedDevice(rig))),
+    ]
+
+
+def walk(wire: ThroughThePort, steps: list[tuple[str, int]]) -> None:
+    host = Host(wire)  # type: ignore[arg-type]
+    host.begin(position_rate=RATE)
+    session = 1
+    for step, number in steps:
+        if step == "command":
+            host.command(number, lifetime_us=abs(number) * 10)
+        elif step == "stop":
+            host.command(mode=Mode.STOP)
+        elif step == "wait":
+            list(host.events(abs(number) * 1e-5))
+        elif step == "sleep":
+            wire.clock.sleep_until(wire.clock.now_ns() + abs(number) * 10_007)
+        elif step == "ask":
+            host.ask(m.GetTime(host.nonce(), 0))
+        elif step == "push":  # Python has the device in between
+            wire.link.device.hardware.external_effort = number * 1e-3
+        elif step == "press":
+            wire.link.device.press_emergency_stop(number > 0)
+        elif step == "again":
+            host.disarm(clear_fault=True)
+            host.configure(**{**RUN_PARAMETERS, "position_rate": RATE + abs(number)})
+            session += 1
+            host.arm(session, host.configure(**RUN_PARAMETERS).crc)
+
+
+STEPS = ("command", "command", "wait", "wait", "sleep", "stop", "ask", "push", "press", "again")
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(STEPS), st.integers(-400, 400)), max_size=30))
+@example(
+    [("command", 300), ("wait", 50), ("stop", 0), ("wait", 100), ("again", 7), ("command", 90), ("wait", 99)]
+)
+@example([("command", 300), ("sleep", 400), ("sleep", 400), ("wait", 1), ("again", -300), ("wait", 300)])
+def test_it_says_the_same_at_the_same_time_and_moves_alike(steps: list[tuple[str, int]]) -> None:
+    wires = three()
+    for wire in wires:
+        walk(wire, steps)
+    compiled, called, readable = wires
+    assert compiled.log == called.log == readable.log
+    truths = [wire.link.truth() for wire in wires]
+    assert truths[0].tobytes() == truths[1].tobytes() == truths[2].tobytes()
+    ends = [
+        (w.clock.now_ns(), w.link.device.time, w.link.device.current, w.link.device.fault, w.link.discarded)
+        for w in wires
+    ]
+    assert ends[0] == ends[1] == ends[2]
+
+
+def test_it_conforms_as_a_link() -> None:
+    check_link(fresh, fresh)
+
+
+def test_what_is_not_read_is_lost_and_counted() -> None:
+    wires = three()
+    for wire in wires:
+        host = Host(wire)  # type: ignore[arg-type]
+        host.begin(position_rate=RATE)
+        wire.clock.sleep_until(wire.clock.now_ns() + 2_000_000_000)
+        wire.read(0.0)
+    assert wires[0].log == wires[1].log == wires[2].log
+    assert wires[0].link.discarded == wires[1].link.discarded == wires[2].link.discarded > 0
+
+
+def test_a_change_that_python_makes_is_seen_by_ticks_that_run() -> None:
+    """A thread with the device in its hand, without asking the link again."""
+    wire = ThroughThePort(fresh())
+    device = wire.link.device
+    host = Host(wire)  # type: ignore[arg-type]
+    host.begin(position_rate=RATE)
+    host.next_state()
+    device.press_emergency_stop()
+    device.hardware.external_effort = 0.1
+    for _ in range(LONGEST_RUN + 1):
+        list(host.events(TICK_S))
+    assert host.states[1].fault == Fault.EMERGENCY_STOP
+    before, after = wire.link.truth()["velocity_true"][[1, -1]]
+    assert abs(after) > abs(before)
+
+
+def test_an_exception_inside_is_eio_and_kept_as_the_links_failure() -> None:
+    wire = ThroughThePort(fresh())
+    Host(wire).begin(position_rate=RATE)  # type: ignore[arg-type]
+    wire.link.device.hardware.external_effort = "no number"
+    into = np.zeros(64, np.uint8)
+    got = listen(wire.port.read, wire.port.wait, wire.port.handle, into, wire.clock.now_ns() + 10**9)
+    assert got == -errno.EIO
+    assert isinstance(wire.link.failure(), TypeError)
+
+
+def test_a_closed_one_is_eio() -> None:
+    wire = ThroughThePort(fresh())
+    wire.link.close()
+    assert tell(wire.port.write, wire.port.handle, np.zeros(1, np.uint8)) == -errno.EIO
+    assert (
+        listen(wire.port.read, wire.port.wait, wire.port.handle, np.zeros(8, np.uint8), 10**9) == -errno.EIO
+    )
+    assert wire.link.failure() is None
+
+
+def test_without_a_compiler_the_readable_device_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> Any:
+        raise ConfigError("there is no C compiler", remedy="install one")
+
+    url = DeviceUrl.parse("sim://test")
+    assert isinstance(links.open_link(url, rotary_rig()).device, FirmwareDevice)
+    assert isinstance(
+        links.open_link(DeviceUrl.parse("sim://test?firmware=0"), rotary_rig()).device, SimulatedDevice
+    )
+    monkeypatch.setattr(links, "library", none)
+    assert isinstance(links.open_link(url, rotary_rig()).device, SimulatedDevice)
