@@ -6,7 +6,10 @@ The names below are loaded on first use, so that ``import rig`` costs nothing.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+
+TYPE_CHECKING = False  # `typing` would be most of what ``import rig`` costs
+if TYPE_CHECKING:
+    from typing import Any
 
 # Name → module that has it.
 _LAZY: dict[str, str] = {

@@ -1,6 +1,29 @@
-"""``python -m rig`` is ``rig``."""
+"""``rig``, and ``python -m rig``: a stop is said before anything else is loaded."""
 
-from rig.cli import main
+from __future__ import annotations
+
+import sys
+
+from rig.realtime import memories
+
+
+def main() -> None:
+    """Entry point of the console command."""
+    asked = asked_to_stop(sys.argv[1:])
+    from rig import cli  # noqa: PLC0415  (it takes many times as long)
+
+    cli.main(asked)
+
+
+def asked_to_stop(arguments: list[str]) -> list[memories.Memory] | None:
+    """Do what ``rig stop`` must do at once, and return what it goes on with; of any other command line, None."""
+    if arguments[:1] != ["stop"]:
+        return None
+    process = [word for word in arguments[1:] if word != "--json"]
+    if process and (len(process) > 1 or not process[0].isdecimal()):
+        return None
+    return memories.ask_to_stop(int(process[0]) if process else None)
+
 
 if __name__ == "__main__":
     main()

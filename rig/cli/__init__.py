@@ -83,24 +83,24 @@ def rig() -> None:
     """
 
 
-def main() -> None:
-    """Entry point of the console command; SIGTERM ends it like Ctrl-C."""
+def main(obj: object = None) -> None:
+    """Run the command line of this process; SIGTERM ends it like Ctrl-C. `obj` is for its command."""
     # Matrices here are small: threads of a linear algebra library cost more than they give, and a loop its quiet.
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _interrupt)
     compiling.listen(CompilingNotice())
-    sys.exit(run(sys.argv[1:]))
+    sys.exit(run(sys.argv[1:], obj))
 
 
 def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def run(arguments: list[str]) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
+def run(arguments: list[str], obj: object = None) -> int:  # noqa: PLR0911  (one exit code for each kind of end)
     """Run a command line and return its exit code; prints errors, raises nothing."""
     try:
-        result = rig.main(args=arguments, prog_name="rig", standalone_mode=False)
+        result = rig.main(args=arguments, prog_name="rig", standalone_mode=False, obj=obj)
         return result if isinstance(result, int) else 0
     except click.ClickException as error:
         error.show()

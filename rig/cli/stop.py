@@ -10,13 +10,15 @@ import click
 from rig.cli import options, output
 from rig.core.errors import RigError
 from rig.realtime import running
+from rig.realtime.memories import Memory
 
 
 @click.command()
 @click.argument("pid", required=False, type=click.IntRange(1))
 @click.option("--list", "only_list", is_flag=True, help="List the loops that run; stop none.")
 @options.json_option
-def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
+@click.pass_obj
+def stop(asked: list[Memory] | None, pid: int | None, only_list: bool, as_json: bool) -> None:
     """Stop the loops that run in real time, all of this user or that of process PID: zero effort within a tick.
 
     Their programs then come to rest, close their recordings and end by themselves.
@@ -25,7 +27,7 @@ def stop(pid: int | None, only_list: bool, as_json: bool) -> None:
         loops = [loop for loop in running.running() if pid is None or loop.pid == pid]
         _show([loop.as_mapping() for loop in loops], "no loop runs in real time", as_json)
         return
-    stopped = running.stop(pid)
+    stopped = running.stop(pid, asked=asked)
     nothing = "no loop runs in real time: nothing to stop"
     _show([one.as_mapping() for one in stopped], nothing, as_json)
     silent = [str(one.loop.pid) for one in stopped if not one.ended]

@@ -40,30 +40,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.errors import RigError
 from rig.core.sample import ROW
+from rig.realtime import memories
 
 if TYPE_CHECKING:
     from rig.realtime.mailbox import Mailbox
 
-LAYOUT_VERSION = 4
-WORDS = 64
+LAYOUT_VERSION = memories.LAYOUT_VERSION
+WORDS = memories.CONTROL_BYTES // 8
 INFO_BYTES = 65536
 MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded to find the rows
-NAME = "haptic-rig"
-LINK = f"/memfd:{NAME} (deleted)"
 
 ABANDONED = (
     2  # STOP of a loop that its owner has given up: link and descriptors may belong to another file by now
 )
 
 # word                 writer       meaning
-VERSION = 0  # creator     layout version, stored last
+VERSION = memories.VERSION  # creator     layout version, stored last
 HEAD = 1  # loop        rows written so far
 TAIL = 2  # recorder    rows drained so far
-STOP = 3  # anybody     non-zero: the loop ends within one tick; ABANDONED: it touches nothing more
+STOP = memories.STOP  # anybody     non-zero: the loop ends within one tick; ABANDONED: no more is touched
 DROPPED = 4  # loop        rows lost because the ring was full
 TICKS = 5  # loop        steps of the law so far
 PHASE = 6  # loop        rig.core.sample.Phase now
-LOOP_DONE = 7  # loop        1 when the loop has returned and will write nothing more
+LOOP_DONE = memories.LOOP_DONE  # loop        1 when the loop has returned and will write nothing more
 HEARTBEAT = 8  # supervisor  time (ns, loop's clock) until which the loop may run; 0 switches the check off
 RECORDER_ERROR = 9  # recorder    0, or the errno that stopped the recorder
 RECORDED = 10  # recorder    rows that are in the file
@@ -88,7 +87,7 @@ OVERRUNS = 27  # grid points of a host-paced loop that passed before it woke
 EXCHANGES = 28  # clock exchanges completed
 PARAMETER_SET = 29  # number of the active parameter set
 CLOCK = 30  # loop        stamps of the last two clock exchanges, 8 words (`Ring.clock_exchange`)
-CREATOR = 63  # creator     its process, as it calls itself
+CREATOR = memories.CREATOR  # creator     its process, as it calls itself
 
 _INFO_AT = WORDS * 8
 _MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES
@@ -167,7 +166,7 @@ class Ring:
         descriptor = os.open(path, (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC)
         try:
             if (
-                os.readlink(path) != LINK
+                os.readlink(path) != memories.LINK
                 or not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK
             ):
                 raise RigError(f"{path} is not the memory of a running loop", remedy="nothing is to be done")
@@ -249,11 +248,6 @@ class Ring:
         place = CLOCK + 4 * ((done - 1) % 2)
         stamps = tuple(self.get(place + i) for i in range(4))
         return done, stamps if done > 0 and self.get(EXCHANGES) == done else None
-
-    def ask_to_stop(self) -> None:
-        """Set the stop word, unless it is set. Without compiled code, as `peek`: nothing else is published by it."""
-        if self.words[STOP] == 0:
-            self.words[STOP] = 1
 
     def writer(self) -> Mailbox:
         """The mailbox to post into."""
@@ -381,11 +375,11 @@ def _memfd() -> int:
     """An anonymous file, not executable: newer kernels require the flag, older ones do not know it."""
     flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
     try:
-        return os.memfd_create(NAME, flags | _MFD_NOEXEC_SEAL)
+        return os.memfd_create(memories.NAME, flags | _MFD_NOEXEC_SEAL)
     except OSError as error:
         if error.errno != errno.EINVAL:
             raise
-        return os.memfd_create(NAME, flags)
+        return os.memfd_create(memories.NAME, flags)
 
 
 def _mapped(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:

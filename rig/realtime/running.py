@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -18,18 +18,9 @@ from typing import Any
 
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase
-from rig.realtime.ring import (
-    CREATED,
-    CREATOR,
-    LAYOUT_VERSION,
-    LINK,
-    LOOP_DONE,
-    PHASE,
-    STOP,
-    TICKS,
-    VERSION,
-    Ring,
-)
+from rig.realtime import memories
+from rig.realtime.memories import LAYOUT_VERSION, LOOP_DONE, STOP, VERSION
+from rig.realtime.ring import CREATED, PHASE, TICKS, Ring
 
 PATIENCE_S = 3.0  # how long a stopped loop may take to say so: it needs a tick
 POLL_S = 0.002
@@ -99,19 +90,23 @@ class StoppedLoop:
 def running(*, done: bool = False) -> list[RunningLoop]:
     """Loops of this user (of all users for root), the oldest first; with `done` also those about to seal."""
     found = []
-    for pid, path in _memories():
-        with suppress(OSError, RigError), Ring.attach(path) as ring:
-            found.append(_look(pid, path, ring))
+    for memory in memories.memories():
+        with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:
+            found.append(_look(memory, ring))
     return sorted((loop for loop in found if done or not loop.done), key=lambda loop: loop.since)
 
 
-def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[StoppedLoop]:
+def stop(
+    pid: int | None = None, *, asked: list[memories.Memory] | None = None, patience_s: float = PATIENCE_S
+) -> list[StoppedLoop]:
     """Stop the loop of a process, or all loops of this user: zero effort within one tick of each.
 
     Parameters
     ----------
     pid
         Process; all when left out.
+    asked
+        What `rig.realtime.memories.ask_to_stop` returned, where it was called already; closed here.
     patience_s
         How long to wait for each to say that it has ended.
 
@@ -125,24 +120,23 @@ def stop(pid: int | None = None, *, patience_s: float = PATIENCE_S) -> list[Stop
     ConfigError
         The named process runs no loop, or belongs to another user.
     """
-    asked: list[tuple[RunningLoop, Ring]] = []
-    try:
-        for owner, path in _memories(pid):
-            with suppress(OSError, RigError):
-                ring = Ring.attach(path)
-                ran = not ring.peek(LOOP_DONE)  # it may end before anybody looks again
-                ring.ask_to_stop()  # before anything that takes time
-                if ran:
-                    asked.append((_look(owner, path, ring), ring))
-                else:
-                    ring.close()
-        if pid is not None and not asked:
+    with ExitStack() as stack:
+        found: list[tuple[RunningLoop, Ring]] = []
+        for memory in (
+            memories.ask_to_stop(pid) if asked is None else asked
+        ):  # before anything that takes time
+            stack.enter_context(memory)
+            if memory.ran:  # it may have ended before anybody looked again
+                with suppress(OSError, RigError):
+                    ring = stack.enter_context(Ring.attach(memory.held))
+                    found.append((_look(memory, ring), ring))
+        if pid is not None and not found:
             raise _not_here(pid)
-        _wait([ring for _, ring in asked], patience_s)
-        return [StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or _gone(loop)) for loop, ring in asked]
-    finally:
-        for _, ring in asked:
-            ring.close()
+        _wait([ring for _, ring in found], patience_s)
+        return [
+            StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or not memories.is_memory(loop.path))
+            for loop, ring in found
+        ]
 
 
 def memory_of(pid: int) -> Ring | None:
@@ -151,9 +145,9 @@ def memory_of(pid: int) -> Ring | None:
     For those who may see the progress of a run but not its experiment: its info is not read.
     """
     newest: Ring | None = None
-    for _, path in _memories(pid):
-        with suppress(OSError, RigError):
-            ring = Ring.attach(path, writable=False)
+    for memory in memories.memories(pid):
+        with memory, suppress(OSError, RigError):
+            ring = Ring.attach(memory.held, writable=False)
             if ring.peek(VERSION) != LAYOUT_VERSION or ring.peek(LOOP_DONE):
                 ring.close()
             elif newest is None or newest.peek(CREATED) < ring.peek(CREATED):
@@ -168,10 +162,9 @@ def memory_of(pid: int) -> Ring | None:
 def ask_to_stop(pid: int) -> int:
     """Set the stop word of a process's loops and return at once: how many were asked. Nothing of theirs is read."""
     asked = 0
-    for _, path in _memories(pid):
-        with suppress(OSError, RigError), Ring.attach(path) as ring:
-            ring.ask_to_stop()
-            asked += not ring.peek(LOOP_DONE)
+    for memory in memories.ask_to_stop(pid):
+        with memory:
+            asked += memory.ran
     return asked
 
 
@@ -235,53 +228,12 @@ def opened(loop: RunningLoop) -> Iterator[Ring]:
         yield ring
 
 
-def _memories(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Process and path of each ring, once, under the process that made it; what vanishes meanwhile is left out."""
-    known: set[tuple[int, int]] = set()
-    for directory in _PROC.iterdir() if pid is None else (_PROC / str(pid),):
-        if not directory.name.isdecimal():
-            continue
-        with suppress(OSError):  # the process ended, or is somebody else's
-            for link in os.scandir(directory / "fd"):
-                path = _memory_path(link.path)
-                if path is None:
-                    continue
-                place = os.stat(path)
-                if (place.st_dev, place.st_ino) not in known and _made_by(int(directory.name), path):
-                    known.add((place.st_dev, place.st_ino))
-                    yield int(directory.name), path
-
-
-def _memory_path(path: str) -> str | None:
-    try:
-        return path if os.readlink(path) == LINK else None
-    except OSError:
-        return None
-
-
-def _made_by(pid: int, path: str) -> bool:
-    """Whether a process made the ring that it has open: others look at it too, and forks inherit it without its loop.
-
-    In a container the creator calls itself by another number; the kernel knows both.
-    """
-    with suppress(OSError, RigError), Ring.attach(path) as ring:
-        if ring.peek(VERSION) != LAYOUT_VERSION:
-            return True
-        creator = ring.peek(CREATOR)
-        if creator == pid:
-            return True
-        for line in (_PROC / str(pid) / "status").read_text().splitlines():
-            if line.startswith("NSpid:"):
-                return creator in [int(number) for number in line.split()[1:]]
-    return False
-
-
-def _look(pid: int, path: str, ring: Ring) -> RunningLoop:
+def _look(memory: memories.Memory, ring: Ring) -> RunningLoop:
     version = ring.peek(VERSION)
     ours = version == LAYOUT_VERSION
     phase = ring.peek(PHASE) if ours else -1
     return RunningLoop(
-        pid=pid,
+        pid=memory.pid,
         since=ring.peek(CREATED) * 1e-9 if ours else 0.0,
         ticks=ring.peek(TICKS) if ours else 0,
         phase=Phase(phase).name.lower() if phase in set(Phase) else "unknown",
@@ -289,7 +241,7 @@ def _look(pid: int, path: str, ring: Ring) -> RunningLoop:
         done=ring.peek(LOOP_DONE) != 0,
         version=version,
         info=ring.info,
-        path=path,
+        path=memory.path,
     )
 
 
@@ -298,11 +250,6 @@ def _wait(rings: list[Ring], patience_s: float) -> None:
     deadline = time.monotonic() + patience_s
     while not all(ring.peek(LOOP_DONE) for ring in rings) and time.monotonic() < deadline:
         time.sleep(POLL_S)
-
-
-def _gone(loop: RunningLoop) -> bool:
-    """Whether the memory's process has died without releasing it."""
-    return _memory_path(loop.path) is None
 
 
 def _not_here(pid: int) -> ConfigError:

@@ -14,9 +14,11 @@ import numba
 import pytest
 
 import rig.cli
+from rig import __main__ as start
 from rig.core.errors import ConfigError, RigError
 from rig.realtime import ring as words
 from rig.realtime import running
+from rig.realtime.memories import Memory
 from rig.realtime.ring import Ring
 from tests.conformance.running_loop import loop_process
 
@@ -87,8 +89,7 @@ def test_a_loop_of_this_process_is_found_once_though_it_is_mapped_too() -> None:
     with Ring.allocate(1, info=INFO, shared=True) as ring:
         (loop,) = mine(os.getpid())
         assert loop.info == INFO
-        with running.opened(loop) as other:
-            other.ask_to_stop()
+        assert running.ask_to_stop(os.getpid()) == 1
         assert ring.get(words.STOP) == 1
         ring.put(words.LOOP_DONE, 1)
         assert mine(os.getpid()) == []
@@ -208,7 +209,7 @@ def test_the_command_stops_a_loop_and_says_which() -> None:
 def test_the_command_is_content_when_nothing_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(running, "stop", lambda pid: [])
+    monkeypatch.setattr(running, "stop", lambda pid, asked: [])
     monkeypatch.setattr(running, "hidden", list)
     assert rig.cli.run(["stop"]) == 0
     assert capsys.readouterr().out == "no loop runs in real time: nothing to stop\n"
@@ -222,7 +223,7 @@ def test_the_command_says_when_a_loop_does_not_listen(
     monkeypatch.setattr(running, "PATIENCE_S", 0.05)
     with loop_process(INFO, "deaf") as process:
         monkeypatch.setattr(
-            running, "stop", lambda pid, stop=running.stop: stop(process.pid, patience_s=0.05)
+            running, "stop", lambda pid, stop=running.stop, **_: stop(process.pid, patience_s=0.05)
         )
         assert rig.cli.run(["stop", "--json"]) == 1
         out, err = capsys.readouterr()
@@ -231,15 +232,56 @@ def test_the_command_says_when_a_loop_does_not_listen(
         assert f"kill -9 {process.pid}" in err
 
 
+def test_a_stop_is_said_before_click_or_numpy_are_loaded() -> None:
+    """A command that stops a person's rig waits for nothing: of the loads, only the interpreter's own come first."""
+    program = """
+import sys
+from rig.realtime import memories
+said = memories.ask_to_stop
+def ask(pid):
+    found = said(pid)
+    print(len(found), *sorted({"click", "numpy", "numba", "rig.cli"} & set(sys.modules)))
+    return found
+memories.ask_to_stop = ask
+from rig.__main__ import main
+sys.argv[1:] = ["stop", sys.argv[1], "--json"]
+main()
+"""
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        ring.put(words.STOP, 7)
+        ring.put(words.TICKS, 3)
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(os.getpid())],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        before, _, answer = done.stdout.partition("\n")
+        assert before == "1", "loops asked, and what was loaded by then"
+        (loop,) = json.loads(answer)["loops"]
+        assert (loop["pid"], loop["ticks"], loop["ended"], done.returncode) == (os.getpid(), 3, False, 1)
+        assert ring.get(words.STOP) == 7, "who stopped it first is who stopped it"
+
+
+@pytest.mark.parametrize(
+    "words_of_it", [["stop", "--help"], ["stop", "--list"], ["stop", "x"], ["hit", "stop"], []]
+)
+def test_nothing_else_stops_a_loop(words_of_it: list[str]) -> None:
+    with Ring.allocate(1, info=INFO, shared=True) as ring:
+        assert start.asked_to_stop(words_of_it) is None
+        assert ring.get(words.STOP) == 0
+
+
 def test_a_loop_that_ends_while_it_is_being_stopped_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may do so before anybody looks again: that is no reason to say that none ran."""
     with Ring.allocate(1, info=INFO, shared=True) as ring:
-        asked = Ring.ask_to_stop
+        asked = Memory.ask_to_stop
 
-        def at_once(other: Ring) -> None:
+        def at_once(other: Memory) -> None:
             asked(other)
             ring.put(words.LOOP_DONE, 1)
 
-        monkeypatch.setattr(Ring, "ask_to_stop", at_once)
+        monkeypatch.setattr(Memory, "ask_to_stop", at_once)
         (stopped,) = running.stop(os.getpid(), patience_s=1)
         assert stopped.ended
