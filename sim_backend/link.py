@@ -308,7 +308,7 @@ class MemoryLink:
 
     def port(self) -> LoopPort:
         """Return the plug functions of the loop: compiled ones, or callbacks that come back into this object."""
-        if self._compiled is not None:
+        if self._compiled is not None and self.line is None:
             return self._compiled.port()
         if self._port is None:
             self._port = self._make_port()

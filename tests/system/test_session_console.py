@@ -101,10 +101,11 @@ trial._conclude = witness
 clock, what, path, *more = sys.argv[1:]
 if clock == "real":
     sys.exit(rig(["session", what, path, *more, "--hand", "keyboard"]))
+runner = DeviceRunner(url="sim://?firmware=0")  # whose hits last long enough for somebody to act in them
 if what == "run":
-    result = run_session(Path(path), more[0], at_console(), runner=DeviceRunner(), study=Path(more[2]))
+    result = run_session(Path(path), more[0], at_console(), runner=runner, study=Path(more[2]))
 else:
-    result = resume_session(Path(path), at_console(), runner=DeviceRunner())
+    result = resume_session(Path(path), at_console(), runner=runner)
 print(f"session of {result.code}: {result.ended or result.stopped}")
 """
 AT_REST = "current afterwards: 0"

@@ -21,7 +21,9 @@ if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
 
 import rig.devices
+import sim_backend.configuration
 import sim_backend.device
+import sim_backend.firmware
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
@@ -644,12 +646,11 @@ def test_a_consumer_that_stops_early_closes_the_device(
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated devices that claim to be real ones."""
-    original = sim_backend.device.describe
-    monkeypatch.setattr(
-        sim_backend.device,
-        "describe",
-        lambda *arguments: dataclasses.replace(original(*arguments), simulated=False),
-    )
+    original = sim_backend.configuration.describe
+    for module in (sim_backend.device, sim_backend.firmware):
+        monkeypatch.setattr(
+            module, "describe", lambda *arguments: dataclasses.replace(original(*arguments), simulated=False)
+        )
 
 
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
