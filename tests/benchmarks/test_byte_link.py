@@ -1,0 +1,40 @@
+"""What a tick of a hit in virtual time costs over the byte link: compiled, and through the device in Python.
+
+pytest tests/benchmarks/test_byte_link.py -o addopts="" -s
+"""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from rig.config import presets
+from rig.experiments.hit import HitRequest, hit
+from rig.loop.run import LoopThread
+from rig.realtime import ring as words
+
+GOAL_US = 3.0
+
+
+def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> float:
+    """CPU time of the loop's thread for one tick (µs), recorder and sealing apart: the least of five hits."""
+    found = []
+    run = LoopThread._run
+
+    def timed(self: LoopThread) -> None:
+        started = time.thread_time()
+        run(self)
+        found.append(1e6 * (time.thread_time() - started) / self.ring.get(words.TICKS))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LoopThread, "_run", timed)
+        for _ in range(5):
+            list(hit(HitRequest(experiment=presets.load("koul-compliant"), url=url, output=tmp_path)))
+    return min(found)
+
+
+def test_a_tick_over_the_byte_link_passes_no_python(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    compiled = loops_tick_us(monkeypatch, tmp_path, "sim://")
+    readable = loops_tick_us(monkeypatch, tmp_path, "sim://?firmware=0")
+    print(f"\nbyte link: {compiled:.2f} µs a tick (goal {GOAL_US:g}); through Python {readable:.1f} µs")
+    assert compiled < 0.2 * readable
