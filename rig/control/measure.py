@@ -27,8 +27,8 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from rig.control.butterworth import band_pass, high_pass
 from rig.control.median import median
-from rig.core.deferred import signal
 from rig.core.sample import RowFlag
 from rig.realtime.groups import group, type_of
 from rig.realtime.kernel import kernel
@@ -151,11 +151,11 @@ def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
     The upper corner is dropped where it would reach Nyquist.
     """
     rate_hz = 1.0 / tick_s
-    highpass = signal.butter(2, highpass_hz, "highpass", fs=rate_hz, output="sos")
-    nothing = np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
-    band = np.vstack([highpass, nothing])
+    highpass = high_pass(2, highpass_hz, rate_hz)
+    nothing = [[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
+    band = [*highpass, *nothing]
     if lowpass_hz < _NYQUIST_SHARE * rate_hz:
-        band = signal.butter(2, [highpass_hz, lowpass_hz], "bandpass", fs=rate_hz, output="sos")
+        band = band_pass(highpass_hz, lowpass_hz, rate_hz)
     sections = np.ascontiguousarray(np.vstack([highpass, band])[:, [0, 1, 2, 4, 5]])
     sections.flags.writeable = False
     slowest = max(abs(pole) for _, _, _, a1, a2 in sections for pole in np.roots([1.0, a1, a2]))

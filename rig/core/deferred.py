@@ -1,6 +1,6 @@
 """Heavy libraries, each imported when one of its names is first used.
 
-`from rig.core.deferred import signal` at the top of a file costs nothing; `signal.butter(…)` loads scipy.signal, which
+`from rig.core.deferred import signal` at the top of a file costs nothing; `signal.csd(…)` loads scipy.signal, which
 takes most of a second. A command pays for what it uses, and every import stands at the top of its file.
 """
 

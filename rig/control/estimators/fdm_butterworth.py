@@ -1,7 +1,7 @@
 """Finite difference through a Butterworth low pass: of second order, what both papers compare everything with.
 
-The filter is the bilinear, prewarped design of scipy (``butter(order, cutoff_hz, fs=1/T2, output="sos")``), run as
-second-order sections in transposed direct form II. Its delay at zero frequency is √2·T/(2·tan(π·f_c·T)): 1.088 ms for
+The filter is the bilinear, prewarped design (`rig.control.butterworth`), run as second-order sections in transposed
+direct form II. Its delay at zero frequency is √2·T/(2·tan(π·f_c·T)): 1.088 ms for
 200 Hz at 2 kHz, to which the difference adds T/2 and the hold between velocity samples another T/2. For order n, √2
 becomes 1/sin(π/2n): 1 for order 1, 2 for order 3, 2.61 for order 4. Source: Koul et al., section III (f_c = 200 Hz at
 T2 = 2 kHz); Chawda et al., section II.A.
@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from rig.control import butterworth
 from rig.control.estimators import fdm
 from rig.control.estimators.estimator import COMMON, Estimator, Floats, Ints, Setting
-from rig.core.deferred import signal
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE
@@ -51,7 +51,7 @@ def update(
 
 
 def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[list[float]]:
-    """Second-order sections b0, b1, b2, 1, a1, a2 of scipy's design.
+    """Second-order sections b0, b1, b2, 1, a1, a2 of the filter.
 
     Raises `ConfigError`, in the name of the estimator `name`, for a cut-off at or above Nyquist, and for one so far
     below the rate that rounding changes the gain at rest.
@@ -62,7 +62,7 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
             f"estimator {name}: cutoff_hz = {cutoff_hz:g} Hz is not below Nyquist {nyquist_hz:g} Hz",
             remedy=f"choose a lower one, usually {0.2 * nyquist_hz:g} Hz, or raise velocity_rate",
         )
-    sections: list[list[float]] = signal.butter(order, cutoff_hz, fs=1.0 / period_s, output="sos").tolist()
+    sections = butterworth.low_pass(order, cutoff_hz, 1.0 / period_s)
     dc_gain = 1.0
     for section in sections:
         dc_gain *= sum(section[:3]) / sum(section[3:])

@@ -1,0 +1,74 @@
+"""Butterworth filters as second-order sections: the bilinear, prewarped design.
+
+`scipy.signal.butter` has it, and takes a second to load, which every hit would spend on these few lines. They go its
+steps, so that sections and coefficients are the same (a test compares).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+_TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
+
+
+def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
+    """Sections b0, b1, b2, 1, a1, a2, the fastest poles first; the gain is in the first."""
+    corner = _prewarped(cutoff_hz, rate_hz)
+    return _sections(corner * _prototype(order), -np.ones(order), corner**order)
+
+
+def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
+    """As `low_pass`; of an even order."""
+    prototype = _prototype(order)
+    return _sections(
+        _prewarped(cutoff_hz, rate_hz) / prototype, np.ones(order), float(np.real(1.0 / np.prod(-prototype)))
+    )
+
+
+def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
+    """As `low_pass`, with two poles for each edge."""
+    low, high = _prewarped(low_hz, rate_hz), _prewarped(high_hz, rate_hz)
+    width, middle = high - low, math.sqrt(low * high)
+    half = (_prototype(2) * width / 2).astype(complex)
+    apart = np.sqrt(half**2 - middle**2)
+    return _sections(np.concatenate((half + apart, half - apart)), np.array([1.0, 1.0, -1.0, -1.0]), width**2)
+
+
+def _prewarped(corner_hz: float, rate_hz: float) -> float:
+    return float(_TWICE_RATE * np.tan(np.pi * (2.0 * corner_hz / rate_hz) / 2.0))
+
+
+def _prototype(order: int) -> Any:
+    """Poles of the analogue low pass at 1 rad/s."""
+    return -np.exp(1j * np.pi * np.arange(1 - order, order, 2) / (2 * order))
+
+
+def _sections(analogue: Any, zeros: Any, gain: float) -> list[list[float]]:
+    """Sections of analogue poles, with zeros of the sampled filter, ±1, each given to the poles next to it.
+
+    The zeros at +1 are those that the analogue filter has at rest.
+    """
+    poles = (_TWICE_RATE + analogue) / (_TWICE_RATE - analogue)
+    at_rest = np.zeros(int(np.sum(zeros > 0.0)))
+    gain *= float(np.real(np.prod(_TWICE_RATE - at_rest) / np.prod(_TWICE_RATE - analogue)))
+    odd = len(analogue) % 2
+    left = zeros.tolist() + [0.0] * odd  # with a pole at zero it makes the real pole's section one of two
+    rows = []
+    for pole in sorted(poles[poles.imag > 0.0], key=lambda pole: abs(1.0 - abs(pole))):
+        first, second = sorted(left, key=lambda zero: abs(pole - zero))[:2]
+        left.remove(first)
+        left.remove(second)
+        rows.append([*_numerator(first, second), 1.0, -2.0 * pole.real, (pole * pole.conjugate()).real])
+    if odd:
+        real = poles[len(poles) // 2].real
+        rows.append([*_numerator(*left), 1.0, -real, 0.0])
+    rows.reverse()
+    rows[0][:3] = [gain * value for value in rows[0][:3]]
+    return [[float(value) for value in row] for row in rows]
+
+
+def _numerator(first: float, second: float) -> list[float]:
+    return [1.0, -(first + second), first * second]

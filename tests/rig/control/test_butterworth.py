@@ -1,0 +1,50 @@
+"""Butterworth sections: those of scipy, in its order."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy import signal
+
+from rig.control.butterworth import band_pass, high_pass, low_pass
+
+RATES = st.sampled_from([500.0, 1000.0, 2000.0, 3333.0, 20_000.0, 50_000.0])
+SHARES = st.floats(1e-3, 0.495)  # of the rate
+
+
+def check(sections: Any, expected: Any) -> None:
+    """A dozen operations on numbers of order one: rounding is some 1e-15 of a coefficient, of the gain relative."""
+    np.testing.assert_allclose(np.array(sections)[1:], expected[1:], rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(sections[0][:3], expected[0, :3], rtol=1e-12)
+    np.testing.assert_allclose(sections[0][3:], expected[0, 3:], rtol=0.0, atol=1e-13)
+
+
+@given(st.integers(1, 8), SHARES, RATES)
+def test_a_low_pass(order: int, share: float, rate_hz: float) -> None:
+    expected = signal.butter(order, share * rate_hz, fs=rate_hz, output="sos")
+    check(low_pass(order, share * rate_hz, rate_hz), expected)
+
+
+@given(st.sampled_from([2, 4]), SHARES, RATES)
+def test_a_high_pass(order: int, share: float, rate_hz: float) -> None:
+    expected = signal.butter(order, share * rate_hz, "highpass", fs=rate_hz, output="sos")
+    check(high_pass(order, share * rate_hz, rate_hz), expected)
+
+
+@given(SHARES, SHARES, RATES)
+def test_a_band_pass(one: float, other: float, rate_hz: float) -> None:
+    low, high = sorted((one, other))
+    assume(high > 1.2 * low)
+    edges = [low * rate_hz, high * rate_hz]
+    expected = signal.butter(2, edges, "bandpass", fs=rate_hz, output="sos")
+    check(band_pass(*edges, rate_hz), expected)
+
+
+@pytest.mark.parametrize("order", range(1, 9))
+def test_its_gain_at_rest_is_one_and_at_the_corner_half_the_power(order: int) -> None:
+    sections = low_pass(order, 200.0, 2000.0)
+    _, response = signal.sosfreqz(sections, worN=[0.0, 200.0], fs=2000.0)
+    assert abs(response[0]) == pytest.approx(1.0, abs=1e-9)
+    assert abs(response[1]) ** 2 == pytest.approx(0.5, abs=1e-9)
