@@ -81,6 +81,13 @@ class Cluster:
         ]
         self.workers.append(self._start("dask_worker", self.address, *options))
 
+    def wait_for_workers(self) -> None:
+        """Return when the scheduler knows them all."""
+        from distributed import Client  # noqa: PLC0415
+
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(len(self.workers), timeout=START_S)
+
     def _start(self, command: Any, *arguments: Any) -> Any:
         log = (self._directory / f"log-{len(self._processes)}").open("wb")
         with log:
@@ -161,6 +168,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
 ) -> None:
     cluster.add_worker()
     cluster.add_worker()
+    cluster.wait_for_workers()
     tasks = sines(60, wait_s=0.05)
 
     def watch(progress: Any) -> None:
