@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from rig.devices.device import DeviceUrl
 from rig.realtime.clock import VirtualClock
-from sim_backend.link import MemoryLink
+from sim_backend.far_end import ARRIVED, PROGRESS
+from sim_backend.link import BUFFER_BYTES, MemoryLink
 from tests.firmware.rp2040.usb_line import UsbLine
 
 URL = DeviceUrl("usb", "1209:0001", {}, "usb://1209:0001")
@@ -17,10 +20,11 @@ class EmulatedUsb(MemoryLink):
         self.url = URL
         self.clock = VirtualClock()
         self.line = None  # of a link that fails on command
-        self.discarded = 0
         self._usb = line
         self._began_ns = line.now_ns
-        self._arrived = bytearray()
+        self._progress = np.zeros(PROGRESS, np.int64)
+        self._arrived = np.zeros(BUFFER_BYTES, np.uint8)
+        self._compiled = None
         self._failure: BaseException | None = None
         self._closed = False
         self._port = None
@@ -39,10 +43,10 @@ class EmulatedUsb(MemoryLink):
     def _wait(self, deadline_ns: int) -> bool:
         self._check_open()
         self._catch_up()
-        if not self._arrived:
+        if not self._progress[ARRIVED]:
             self._run(deadline_ns, first=True)
             self.clock.sleep_until(max(self.clock.now_ns(), min(deadline_ns, self._now_ns)))
-        return bool(self._arrived)
+        return bool(self._progress[ARRIVED])
 
     @property
     def _now_ns(self) -> int:
