@@ -32,6 +32,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(optionalhook=True)  # the guest's tests run without the plug-in
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """None for a single file, or tests of one: to start workers takes longer than most files do."""
     files = {argument.partition("::")[0] for argument in config.args}
