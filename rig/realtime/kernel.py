@@ -10,23 +10,26 @@ a month are removed. An edit of a command or an experiment does not recompile.
 from __future__ import annotations
 
 import contextlib
+import gc
 import hashlib
 import os
 import platform
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy
-from numba.core import event, typeinfer
+from numba.core import event, sigutils, typeinfer
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import make_concrete_template
 
 from rig.realtime import compiling
+from rig.realtime.parts import Compiler
 from rig.realtime.source_files import compiled_files
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -108,16 +111,35 @@ class _Compilations(event.Listener):  # type: ignore[misc]
 event.register("numba:compile", _Compilations())
 
 
+@contextlib.contextmanager
+def _without_collections() -> Iterator[None]:
+    """A compiler makes millions of objects that live as long as the program: looking through them takes time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
 class Kernel(CPUDispatcher):  # type: ignore[misc]
     """A function that is compiled, or loaded from the disk cache, when it is first needed, and then never again.
 
-    Declaring one costs nothing, so a module may hold kernels that a run does not reach. What needs it (a call from
-    Python, a kernel that calls it, a plug point that takes it) compiles the declared signatures and no others: an
-    argument of another type is converted or refused, as if they had been compiled at once. Before a loop starts,
-    `prepare` has done that: inside a loop nothing compiles.
+    Declaring one costs nothing, so a module may hold kernels that a run does not reach. What enters it from outside (a
+    call from Python, a plug point that takes it) compiles the declared signatures and no others: an argument of another
+    type is converted or refused, as if they had been compiled at once. Before a loop starts, `prepare` has done that:
+    inside a loop nothing compiles. A kernel that calls it makes it a part of itself (`rig.realtime.parts`).
     """
 
     declared: tuple[Any, ...] = ()
+    _compiler: Any
+
+    def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
+        super().__init__(py_func, locals or {}, targetoptions or {})
+        pipeline = self._compiler.pipeline_class
+        self._compiler = Compiler(py_func, self.targetdescr, self.targetoptions, self.locals, pipeline)
+        self._parts: dict[Any, tuple[Any, Any]] = {}
 
     @property
     def prepared(self) -> bool:
@@ -126,7 +148,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def prepare(self) -> None:
         """Compile or load the declared signatures; the second time nothing happens."""
-        with global_compiler_lock, typeinfer.register_dispatcher(self):
+        with global_compiler_lock, _without_collections(), typeinfer.register_dispatcher(self):
             if self._can_compile:
                 for signature in self.declared:
                     self.compile(signature)
@@ -139,10 +161,23 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self  # numba calls it again, and finds machine code
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Types of a call in another kernel."""
-        if not (self.prepared or self.is_compiling):
-            self.prepare()
-        return super().get_call_template(args, kws)
+        """Types of a call in another kernel, of which this one then is a part."""
+        if self.prepared or self.is_compiling:
+            return super().get_call_template(args, kws)
+        if not self._parts:
+            with self._compiling_counter:
+                parts = [self._compiler.part(signature) for signature in self.declared]
+            self._parts = {tuple(signature.args): (signature, key) for signature, key in parts}
+        python_signature, args = self._compiler.fold_argument_types(args, kws)
+        signatures = [signature for signature, _ in self._parts.values()]
+        name = self.py_func.__name__
+        template = make_concrete_template(f"CallTemplate({name})", key=name, signatures=signatures)
+        return template, python_signature, args, {}
+
+    def get_overload(self, sig: Any) -> Any:
+        """Key of the code for a call in another kernel."""
+        args = tuple(sigutils.normalize_signature(sig)[0])
+        return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
         """Machine code for a plug point."""

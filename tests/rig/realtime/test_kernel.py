@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from rig.realtime import compiling
+from rig.realtime import compiling, parts
 from rig.realtime import kernel as module
 from rig.realtime import source_files as sources
 from rig.realtime.kernel import cache_key, kernel
@@ -99,7 +99,7 @@ def project(tmp_path: Path) -> Project:
     (root / "rig" / "realtime").mkdir(parents=True)
     for package in ("rig", "rig/realtime"):
         (root / package / "__init__.py").touch()
-    for copied in (module, sources, compiling):
+    for copied in (module, sources, compiling, parts):
         shutil.copy(copied.__file__, root / "rig" / "realtime")
     (root / "rig" / "helper.py").write_text(HELPER)
     (root / "rig" / "law.py").write_text(LAW)
@@ -325,7 +325,9 @@ def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it() -> 
 
     assert [half.prepared, quarter.prepared, applied.prepared] == [False, False, False]
     assert quarter(8) == 2.0  # an integer is converted, as if it had been compiled at once
-    assert (half.prepared, quarter.prepared, half.signatures) == (True, True, [(types.float64,)])
+    assert (half.prepared, quarter.prepared) == (False, True)  # half is a part of quarter
+    assert half(8) == 4.0
+    assert (half.prepared, half.signatures) == (True, [(types.float64,)])
 
     @kernel("f8(f8)", cache=False)
     def third(x: Any) -> Any:
@@ -333,6 +335,64 @@ def test_declaring_a_kernel_compiles_nothing_and_what_needs_it_compiles_it() -> 
 
     assert applied(third, 6.0) == 2.0
     assert third.prepared
+
+
+@compiled
+def test_what_is_a_part_in_many_places_is_the_same_everywhere() -> None:
+    """A part of parts, a part by two ways, of two signatures, and one that had machine code of its own before."""
+
+    @kernel("f8(f8)", cache=False)
+    def half(x: Any) -> Any:
+        return 0.5 * x
+
+    @kernel(["f8(f8)", "i8(i8)"], cache=False, inline=True)
+    def next_one(x: Any) -> Any:
+        return x + 1
+
+    @kernel("f8(f8)", cache=False)
+    def one_way(x: Any) -> Any:
+        return half(x) + next_one(x)
+
+    @kernel("f8(f8)", cache=False, no_refcount=True)
+    def other_way(x: Any) -> Any:
+        return one_way(half(x)) + float(next_one(int(x))) + min(x, 3.0)
+
+    @kernel("f8(f8)", cache=False)
+    def both(x: Any) -> Any:
+        return one_way(x) - other_way(x)
+
+    def expected(x: float) -> float:
+        return (0.5 * x + x + 1.0) - (0.25 * x + 0.5 * x + 1.0 + int(x) + 1.0 + min(x, 3.0))
+
+    assert [both(x) for x in (0.0, 5.0, -2.5)] == [expected(x) for x in (0.0, 5.0, -2.5)]
+    assert not one_way.prepared
+    assert one_way(4.0) == 7.0
+
+    @kernel("f8(f8)", cache=False)
+    def later(x: Any) -> Any:
+        return one_way(x) + other_way(x)
+
+    assert later(4.0) == 7.0 + 4.0 + 5.0 + 3.0
+
+
+@compiled
+def test_an_exception_of_a_part_reaches_the_caller() -> None:
+    """None of ours raises one; a law from elsewhere may."""
+
+    @kernel("f8(f8)", cache=False)
+    def root(x: Any) -> Any:
+        if x < 0.0:
+            raise ValueError("no root of a negative number", x)
+        return np.sqrt(x)
+
+    @kernel("f8(f8)", cache=False)
+    def sum_of_roots(x: Any) -> Any:
+        return root(x) + root(x - 1.0)
+
+    assert sum_of_roots(4.0) == 2.0 + np.sqrt(3.0)
+    with pytest.raises(ValueError, match="no root of a negative number") as raised:
+        sum_of_roots(0.5)
+    assert raised.value.args == ("no root of a negative number", -0.5)
 
 
 @compiled

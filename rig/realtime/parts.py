@@ -1,0 +1,131 @@
+"""Kernels as parts of others: typed and lowered, but neither optimised nor turned into machine code by themselves.
+
+numba makes machine code of every function that another one calls, with all that it calls in turn once more, and the
+caller is then optimised together with copies of the same. What is only a part of something larger is optimised there,
+once: of a hundred kernels that a hit reaches, some twenty are entered from outside.
+
+This file extends numba's own code libraries; `rig.realtime.kernel` decides what is a part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from llvmlite import binding
+from numba.core import codegen, compiler, dispatcher, sigutils
+from numba.core.compiler_lock import require_global_compiler_lock
+from numba.core.registry import cpu_target
+
+
+class _Linked:
+    """A library that is linked with all that its parts need, each once, callers first."""
+
+    _linking_libraries: list[Any]
+
+    def parts(self) -> Iterator[Any]:
+        """All libraries that it needs, directly or not: what calls a function comes before that function."""
+        seen: set[int] = set()
+        waiting = list(reversed(self._linking_libraries))
+        while waiting:
+            library = waiting.pop()
+            if id(library) in seen:
+                continue
+            seen.add(id(library))
+            yield library
+            if isinstance(library, Part):
+                waiting += reversed(library._linking_libraries)
+
+
+class Part(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
+    """Code that waits to be linked into a `Whole`."""
+
+    environment: Any = None  # numba knows it by its name alone
+    _shared_module: Any
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def finalize(self) -> None:
+        """Take no more code."""
+        self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        if self._shared_module is None:
+            for function in self._final_module.functions:
+                if not function.is_declaration and function.linkage == binding.Linkage.external:
+                    function.linkage = "linkonce_odr"
+            self._shared_module = self._final_module
+        return self._shared_module
+
+
+class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
+    """Machine code, with all its parts in it."""
+
+    def finalize(self) -> None:
+        """Link, optimise, and make machine code."""
+        require_global_compiler_lock()
+        self._linking_libraries = list(self.parts())
+        super().finalize()
+
+
+class _Common(compiler.Flags):  # type: ignore[misc]
+    """Flags of what numba itself brings along (`min`, `int`, …): the same object for all kernels, equal only to itself.
+
+    numba compiles it once for each set of flags of a caller, and looks it up by them for each operator.
+    """
+
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+
+class _Flags(compiler.Flags):  # type: ignore[misc]
+    """Flags of a kernel; those that hold for what it calls are common to all."""
+
+    def copy(self) -> _Common:
+        """Return what numba calls the callees' configuration."""
+        return _common(self.nrt)
+
+
+@cache
+def _common(nrt: bool) -> _Common:
+    flags = _Common()
+    cpu_target.options.parse_as_flags(flags, {"nopython": True, "nogil": True, "error_model": "numpy"})
+    flags.nrt = nrt
+    return flags
+
+
+class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
+    """Compiles a function as a `Whole`, which is numba's own way but for the linking, or as a `Part`."""
+
+    def part(self, signature: Any) -> tuple[Any, Any]:
+        """Return the signature with its types, and the key by which a caller's code finds the part."""
+        args, return_type = sigutils.normalize_signature(signature)
+        result = self._compiled(args, return_type, Part)
+        result.library.environment = result.environment
+        key = (result.fndesc.unique_name, result.signature)
+        self.targetdescr.target_context.insert_user_function(key, result.fndesc, [result.library])
+        return result.signature, key
+
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        result = self._compiled(args, return_type, Whole)
+        for environment in result._find_referenced_environments():  # of parts too: their exceptions need it
+            result.library.codegen.set_env(environment.env_name, environment)
+        return result
+
+    def _compiled(self, args: Any, return_type: Any, kind: type[Part | Whole]) -> Any:
+        target = self.targetdescr
+        flags = _Flags()
+        target.options.parse_as_flags(flags, self.targetoptions)
+        if kind is Part:
+            flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        library = kind(target.target_context.codegen(), self.py_func.__qualname__)
+        library.enable_object_caching()
+        return compiler.compile_extra(
+            target.typing_context, target.target_context, self.py_func,
+            args=args, return_type=return_type, flags=flags, locals=self.locals, library=library,
+            pipeline_class=self.pipeline_class,
+        )  # fmt: skip
