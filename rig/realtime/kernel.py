@@ -29,7 +29,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
 from rig.realtime import compiling
-from rig.realtime.parts import Compiler
+from rig.realtime.parts import Compiler, load_implementations
 from rig.realtime.source_files import compiled_files
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -150,6 +150,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         """Compile or load the declared signatures; the second time nothing happens."""
         with global_compiler_lock, _without_collections(), typeinfer.register_dispatcher(self):
             if self._can_compile:
+                load_implementations()
                 for signature in self.declared:
                     self.compile(signature)
                 self.disable_compile()

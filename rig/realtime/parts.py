@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 from llvmlite import binding
@@ -96,6 +97,22 @@ def _common(nrt: bool) -> _Common:
     cpu_target.options.parse_as_flags(flags, {"nopython": True, "nogil": True, "error_model": "numpy"})
     flags.nrt = nrt
     return flags
+
+
+@cache
+def load_implementations() -> None:
+    """Let numba load what its compiler and its cache need, without scipy.linalg.
+
+    numba asks there for a BLAS, for the sake of ``numpy.cov``, which takes longer than all the rest. A kernel that uses
+    one, a law from elsewhere, asks again.
+    """
+    linalg = import_module("numba.np.linalg")
+    ask = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None  # type: ignore[attr-defined]
+    try:
+        cpu_target.target_context.refresh()
+    finally:
+        linalg.ensure_blas = ask  # type: ignore[attr-defined]
 
 
 class Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]

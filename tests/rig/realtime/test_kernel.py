@@ -395,6 +395,32 @@ def test_an_exception_of_a_part_reaches_the_caller() -> None:
     assert raised.value.args == ("no root of a negative number", -0.5)
 
 
+WITHOUT_BLAS = """
+import sys
+import numpy as np
+from rig.realtime.kernel import kernel
+
+@kernel("f8(f8)", cache=False)
+def half(x):
+    return 0.5 * x
+
+assert half(3.0) == 1.5
+assert "scipy.linalg" not in sys.modules
+
+@kernel("f8(f8[:,::1])", cache=False)
+def algebra(a):
+    return np.dot(a, a)[0, 0] + np.cov(a)[0, 0]
+
+a = np.array([[1.0, 2.0], [3.0, 5.0]])
+assert algebra(a) == 7.0 + 0.5
+"""
+
+
+@compiled
+def test_scipy_s_linear_algebra_is_loaded_for_a_kernel_that_uses_it_alone() -> None:
+    subprocess.run([sys.executable, "-W", "error", "-c", WITHOUT_BLAS], check=True, timeout=60)
+
+
 @compiled
 def test_the_first_call_refuses_what_later_calls_refuse() -> None:
     @kernel("f8(f8[::1])", cache=False)
