@@ -33,7 +33,7 @@ from sim_backend.inner import (
 from sim_backend.sensors import cell
 
 INTENTIONS = 3  # intended position, intended velocity, press
-RIGID_COUPLED_ORDER = 8  # states of a rigid rig in a hand, intentions included; with two masses there are ten
+HAND_ORDER = 2 + INTENTIONS  # states that a hand adds: its position, its velocity, and these
 
 _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
@@ -70,10 +70,11 @@ def _carried(phi: Matrix, row: int, v: float, w: float, effort: float, g: float)
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 
-@kernel(ADVANCE, inline=True, no_refcount=True)
-def _advance_rigid(
+@kernel(ADVANCE, no_refcount=True)
+def advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
+    """Move a held plant whose capstan is rigid by one tick under an active effort; see `sim_backend.plant.advance`."""
     x, v, effort, h, g = state[0], state[1], state[2], state[3], state[4]  # link, motor effort, hand
     goal, goal_velocity, press, age = state[5], state[6], state[7], state[8]
     step_s, coulomb = parameters[STEP_S], parameters[COULOMB]
@@ -105,10 +106,11 @@ def _advance_rigid(
     return count
 
 
-@kernel(ADVANCE, inline=True, no_refcount=True)
-def _advance_two_mass(
+@kernel(ADVANCE, no_refcount=True)
+def advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
+    """Move a held plant of two masses by one tick under an active effort; see `sim_backend.plant.advance`."""
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, goal_velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]
@@ -148,13 +150,3 @@ def _advance_two_mass(
     state[0], state[1], state[2], state[3], state[4] = x, v, y, w, effort
     state[5], state[6], state[10] = h, g, age
     return count
-
-
-@kernel(ADVANCE, no_refcount=True)
-def advance_coupled(
-    state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
-) -> int:
-    """Move a held plant by one tick under an active effort; see `sim_backend.plant.advance`."""
-    if phi.shape[0] == RIGID_COUPLED_ORDER:
-        return _advance_rigid(state, phi, gamma, parameters, command, external)
-    return _advance_two_mass(state, phi, gamma, parameters, command, external)

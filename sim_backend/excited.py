@@ -93,7 +93,7 @@ def excite(
             push = excitation[phase]
             if j < ramp_steps:
                 push *= ramp(j, ramp_steps)
-            count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, push)
+            count = advance(plant, effort, push)
             j += 1
             phase += 1
             if phase == excitation.shape[0]:

@@ -73,6 +73,7 @@ class Hardware:
         self._model = model
         self._plant = DiscretePlant.build(model, 1.0 / rate)
         self._state = self._plant.at_rest(initial_position)
+        self._moving = self._plant.arguments(self._state)
         self._effort_quantum = model.amplifier.effort_quantum
         self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
         self._quantum_a = model.amplifier.current_quantum_a
@@ -89,6 +90,7 @@ class Hardware:
     def set_rate(self, rate: int) -> None:
         """Tick at another rate (Hz) from here on; the motion continues. Raises `ConfigError` and changes nothing."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
+        self._moving = self._plant.arguments(self._state)
         self._script = Script.silent()  # of other ticks; the person at the handle stays
         self._hand_driven = False
 
@@ -117,14 +119,14 @@ class Hardware:
     def advance(self, current: int) -> None:
         """Let one tick pass under a current (quanta), then sample."""
         self._go_on()
-        plant, state, script = self._plant, self._state, self._script
+        state, script = self._state, self._script
         if len(script.rows):
-            state[plant.intentions] = script.rows[self._row]
+            state[self._plant.intentions] = script.rows[self._row]
             self._row = self._row + 1 if self._row + 1 < len(script.rows) else script.again
         effort = current * self._effort_quantum
-        count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, self.external_effort)
+        count = advance(self._moving, effort, self.external_effort)
         self.count = count + self.slip
-        measured_a = state.item(plant.effort) * self._ampere_per_effort + self._noise.next()
+        measured_a = state.item(self._plant.effort) * self._ampere_per_effort + self._noise.next()
         self.measured = current_quanta(measured_a, self._quantum_a)
         if self.leak:
             self.measured = max(-_PEAK, min(_PEAK, self.measured + self.leak))
@@ -163,7 +165,7 @@ class Hardware:
             leak=self.leak,
         )
         supplies = Supplies(noise=noise.drawn, places=places, indices=indices, states=states)
-        return self._plant.arguments(self._state), self._script, wires, supplies
+        return self._moving, self._script, wires, supplies
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
         """Take note of ticks that have passed in what `world` returned."""

@@ -130,7 +130,7 @@ def run_ticks(
             cut(plant)
         places[ROW] = want(state, edge_age, script.rows, places[ROW], script.again)
         effort = quanta * wires.effort_quantum
-        count = advance(state, plant.phi, plant.gamma, plant.parameters, effort, wires.external_effort)
+        count = advance(plant, effort, wires.external_effort)
         words[COUNT] = count + wires.slip
         measured_a = state[plant.effort] * wires.ampere_per_effort
         if noisy:

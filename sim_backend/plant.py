@@ -23,18 +23,22 @@ the delay for the ticks that a control computer spends between encoder and ampli
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from rig.core.deferred import linalg
 from rig.core.errors import ConfigError
 from rig.core.model import Matrix, RigModel, StateSpace, state_space
 from rig.realtime.groups import FloatRows, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
-from sim_backend.coupled_hand import INTENTIONS, advance_coupled
+from rig.realtime.plugs import NativeFunction
+from sim_backend import coupled_hand
+from sim_backend.coupled_hand import HAND_ORDER, INTENTIONS
 from sim_backend.inner import (
     ADVANCE,
     COULOMB,
@@ -60,12 +64,16 @@ RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 
 @group
 class PlantArguments(NamedTuple):
-    """A plant in motion: its state, the arrays of `advance`, and the places of `DiscretePlant` in the state."""
+    """A plant in motion: its state, the arrays and the places of `DiscretePlant`.
+
+    `held` moves the plant where a hand holds it, a plug point: who simulates no hand compiles none.
+    """
 
     state: Floats
     phi: FloatRows
     gamma: FloatRows
     parameters: Floats
+    held: Annotated[Any, types.FunctionType(ADVANCE)]
     sensed_position: Int
     handle_position: Int
     effort: Int
@@ -136,7 +144,7 @@ class DiscretePlant:
 
     @property
     def arrays(self) -> tuple[Matrix, Matrix, Vector]:
-        """The plant's part of the arguments of `advance`."""
+        """What the steps of this plant are computed with."""
         return self.phi, self.gamma, self.parameters
 
     def arguments(self, state: Vector) -> PlantArguments:
@@ -146,6 +154,7 @@ class DiscretePlant:
             phi=self.phi,
             gamma=self.gamma,
             parameters=self.parameters,
+            held=_HELD[len(self.phi)],
             sensed_position=self.sensed_position,
             handle_position=self.handle_position,
             effort=self.effort,
@@ -308,23 +317,26 @@ def _advance_two_mass(
     return count
 
 
-@kernel(ADVANCE, inline=True, no_refcount=True)
-def advance(
-    state: Vector,
-    phi: Matrix,
-    gamma: Matrix,
-    parameters: Vector,
-    command_effort: float,
-    external_effort: float,
-) -> int:
+_callback = ctypes.CFUNCTYPE(None)(lambda: None)
+_address = ctypes.cast(_callback, ctypes.c_void_p).value
+assert _address is not None
+_NOBODY = NativeFunction(_address, ADVANCE, keep=_callback)  # a plug point takes no null
+_HELD = {  # by the states of a plant
+    RIGID_ORDER: _NOBODY,  # never called
+    TWO_MASS_ORDER: _NOBODY,
+    RIGID_ORDER + HAND_ORDER: coupled_hand.advance_rigid,
+    TWO_MASS_ORDER + HAND_ORDER: coupled_hand.advance_two_mass,
+}
+
+
+@kernel(types.int64(PLANT_TYPE, types.float64, types.float64), inline=True)
+def advance(plant: PlantArguments, command_effort: float, external_effort: float) -> int:
     """Move a plant by one tick.
 
     Parameters
     ----------
-    state
-        From `DiscretePlant.at_rest`; changed in place.
-    phi, gamma, parameters
-        `DiscretePlant.arrays`.
+    plant
+        From `DiscretePlant.arguments`; its state is changed in place.
     command_effort
         Effort asked of the amplifier from this tick on (N·m or N, finite). It acts `delay_ticks` ticks later,
         clipped to the effort limit, through the electrical lag.
@@ -340,6 +352,7 @@ def advance(
     -----
     Inlined into compiled callers: counting references to its arrays would cost more than a step.
     """
+    state, phi, gamma, parameters = plant.state, plant.phi, plant.gamma, plant.parameters
     order = phi.shape[0]
     active = command_effort
     last = state.shape[0] - 1
@@ -355,5 +368,5 @@ def advance(
     elif order == TWO_MASS_ORDER:
         count = _advance_two_mass(state, phi, gamma, parameters, active, external)
     else:
-        count = advance_coupled(state, phi, gamma, parameters, active, external)
+        count = plant.held(state, phi, gamma, parameters, active, external)
     return int(parameters[SIGN]) * count

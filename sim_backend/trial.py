@@ -72,7 +72,7 @@ def run_ticks(
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
     row = want(state, edge_age, script.rows, 0, script.again)
-    count = advance(state, plant.phi, plant.gamma, plant.parameters, 0.0, external_effort)
+    count = advance(plant, 0.0, external_effort)
     for k in range(len(trace.counts)):
         units = min(
             state[edge_age] * UNITS_PER_SECOND, float(start_units + k * tick_units), float(OLDEST_EDGE)
@@ -89,7 +89,7 @@ def run_ticks(
         if ends:
             return k + 1
         row = want(state, edge_age, script.rows, row, script.again)
-        count = advance(state, plant.phi, plant.gamma, plant.parameters, m["effort_sent"], external_effort)
+        count = advance(plant, m["effort_sent"], external_effort)
     return len(trace.counts)
 
 

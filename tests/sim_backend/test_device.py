@@ -324,11 +324,11 @@ def test_it_moves_as_the_plant_without_bytes_bit_for_bit() -> None:
     plant = DiscretePlant.build(model, TICK_S)
     state = plant.at_rest(0.003)
     for _ in range(device_of(host).sample_index):
-        advance(state, *plant.arrays, 0.0, 0.0)
+        advance(plant.arguments(state), 0.0, 0.0)
     currents = [round(400 * math.sin(0.1 * k)) for k in range(200)]
     counts = [exchange(host, current).count for current in currents]
     alone = [
-        advance(state, *plant.arrays, current * model.amplifier.effort_quantum, 0.0) for current in currents
+        advance(plant.arguments(state), current * model.amplifier.effort_quantum, 0.0) for current in currents
     ]
     assert counts == alone
     assert device_of(host).truth()["position_true"][-1] == state[plant.sensed_position]

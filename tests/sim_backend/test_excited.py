@@ -79,7 +79,7 @@ def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int) -> N
         memory = other.memory[0]
         assert run.withheld[k] == memory["effort_sent"] - memory["effort_wanted"]
         for _ in range(ratio):
-            count = advance(state, *plant.arrays, memory["effort_sent"], push[j % 400])
+            count = advance(plant.arguments(state), memory["effort_sent"], push[j % 400])
             j += 1
     assert np.abs(run.position).max() > 3 * x.rig.encoder.resolution
 

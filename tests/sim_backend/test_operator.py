@@ -152,7 +152,7 @@ def test_a_hand_that_does_not_touch_leaves_the_rig_as_it_is(mechanics: Mechanics
         push = 0.01 * math.sin(0.004 * k) ** 3
         before = states[0][:order].copy()
         counts = [
-            advance(state, *plant.arrays, push, 0.003 * math.cos(0.01 * k))
+            advance(plant.arguments(state), push, 0.003 * math.cos(0.01 * k))
             for plant, state in zip(plants, states, strict=True)
         ]
         assert counts[0] == counts[1]
@@ -173,7 +173,7 @@ def test_where_nobody_wants_anything_nothing_moves_to_the_last_bit(
     state = plant.at_rest(0.1234)
     start = state.copy()
     for _ in range(500):
-        advance(state, *plant.arrays, 0.0, 0.0)
+        advance(plant.arguments(state), 0.0, 0.0)
     assert state.tobytes() == start.tobytes()
 
 
@@ -186,7 +186,7 @@ def test_moving_everything_elsewhere_changes_only_positions(mechanics: Mechanics
         state = plant.at_rest(where)
         state[plant.intentions] = where + 0.02, 0.1, 0.3
         for _ in range(200):
-            advance(state, *plant.arrays, 0.05, 0.0)
+            advance(plant.arguments(state), 0.05, 0.0)
         ends.append(state[: plant.edge_age])
     moved = ends[1] - ends[0]
     assert plant.hand_position is not None
@@ -202,7 +202,7 @@ def test_a_delayed_command_and_what_the_hand_wants_keep_out_of_each_others_way()
     state = plant.at_rest(0.0)
     state[plant.intentions] = 0.01, 0.2, 0.3
     for k in range(5):
-        advance(state, *plant.arrays, 0.1 * k, 0.0)
+        advance(plant.arguments(state), 0.1 * k, 0.0)
     assert state[plant.commands].tolist() == pytest.approx([0.2, 0.3, 0.4])
     assert state[plant.intentions].tolist() == [0.01, 0.2, 0.3]
 
@@ -219,7 +219,7 @@ def test_a_hand_on_a_rotary_rig_is_the_same_hand_on_a_linear_one() -> None:
         state = plant.at_rest(0.0)
         state[plant.intentions] = 0.002 / radius, 0.01 / radius, 4.0 * radius
         for _ in range(400):
-            advance(state, *plant.arrays, 0.0, 0.0)
+            advance(plant.arguments(state), 0.0, 0.0)
         assert plant.hand_position is not None
         ends.append(radius * state[[0, 1, plant.hand_position, plant.hand_position + 1]])
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)

@@ -57,7 +57,7 @@ def changed(rig: RigModel, inner_step_s: float = 5e-5, **mechanics: Any) -> RigM
 def run(plant: DiscretePlant, state: Rows, ticks: int, command: float = 0.0, external: float = 0.0) -> Rows:
     rows = np.empty((ticks, state.size))
     for row in rows:
-        advance(state, *plant.arrays, command, external)
+        advance(plant.arguments(state), command, external)
         row[:] = state
     return rows
 
@@ -92,7 +92,7 @@ def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
     first = left = energy(state, rig)
     for _ in range(400):
         before = state.copy()
-        advance(state, *plant.arrays, 0.0, 0.0)
+        advance(plant.arguments(state), 0.0, 0.0)
         allowed = sum(
             level * abs(state[x] - before[x])
             for x, level in rubbing.items()
@@ -305,7 +305,7 @@ def test_a_hand_that_presses_with_20_newton_rests_20_millimetres_inside_a_wall_o
     side = math.copysign(1.0, press)
     for _ in range(4000):
         penetration = side * state[plant.sensed_position]
-        advance(state, *plant.arrays, -1000.0 * side * max(0.0, penetration), 0.0)
+        advance(plant.arguments(state), -1000.0 * side * max(0.0, penetration), 0.0)
     assert state[plant.sensed_position] == pytest.approx(side * 0.020, rel=1e-6)
     give = state[plant.hand_position] - state[plant.handle_position]
     assert give == pytest.approx(press / NORMAL.pads_stiffness, rel=1e-6)

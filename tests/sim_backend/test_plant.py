@@ -76,7 +76,7 @@ def run(
     """States at the end of each tick, under constant inputs; `state` is the start and is changed."""
     rows = np.empty((ticks, state.size))
     for row in rows:
-        advance(state, *plant.arrays, command, external)
+        advance(plant.arguments(state), command, external)
         row[:] = state
     return rows
 
@@ -233,7 +233,7 @@ def test_a_20_newton_push_rests_20_millimetres_inside_a_wall_of_1_kilonewton_a_m
     for _ in range(3000):
         penetration = plant.count(state) * resolution
         wall = -1000.0 * penetration if penetration > 0.0 else 0.0
-        advance(state, *plant.arrays, wall, 20.0)
+        advance(plant.arguments(state), wall, 20.0)
     assert state[0] == pytest.approx(0.020, abs=2 * resolution)
 
 
@@ -384,7 +384,7 @@ def test_the_passive_plant_creates_no_energy(start: tuple[float, ...], size: flo
     first = energy(state, rig)
     for _ in range(300):
         before, energy_before = state.copy(), energy(state, rig)
-        advance(state, *plant.arrays, 0.0, 0.0)
+        advance(plant.arguments(state), 0.0, 0.0)
         allowed = 0.0
         for position, level in ((MOTOR, 0.005), (LINK, 0.0017)):
             if before[position + 1] * state[position + 1] <= 0.0:
@@ -483,7 +483,7 @@ def test_at_constant_velocity_the_last_edge_is_dated_exactly(
     state = plant.at_rest(0.2e-6)
     state[1] = direction * velocity
     for k in range(1, 200):
-        advance(state, *plant.arrays, 0.0, 0.0)
+        advance(plant.arguments(state), 0.0, 0.0)
         position = 0.2 + offset + direction * velocity * k * TICK_S / 1e-6  # in counts from an edge
         if abs(position - round(position)) < 1e-6:
             continue  # on an edge: rounding decides whether it has passed
@@ -500,7 +500,7 @@ def test_under_acceleration_the_edge_is_dated_to_the_curvature_of_one_step() -> 
     state = plant.at_rest(0.0)
     acceleration = 2.0
     for k in range(1, 100):
-        advance(state, *plant.arrays, 0.52 * acceleration, 0.0)
+        advance(plant.arguments(state), 0.52 * acceleration, 0.0)
         t = k * 1e-3
         edge = (math.floor(acceleration * t**2 / 2 / 1e-6 + 0.5) - 0.5) * 1e-6
         exact = t - math.sqrt(2 * edge / acceleration)
@@ -515,7 +515,7 @@ def test_the_count_of_a_tick_is_the_count_of_the_state_it_leaves(sign: Literal[1
     plant = DiscretePlant.build(rig, TICK_S)
     state, counts = plant.at_rest(0.0), []
     for _ in range(500):
-        counts.append(advance(state, *plant.arrays, 0.1, 0.0))
+        counts.append(advance(plant.arguments(state), 0.1, 0.0))
         assert counts[-1] == plant.count(state)
     assert sign * counts[-1] > 50
     assert counts == sorted(counts, reverse=sign < 0)
@@ -550,7 +550,7 @@ def fingerprint() -> str:
         state = plant.at_rest(0.01)
         limit = rig.amplifier.effort_limit
         counts = [
-            advance(state, *plant.arrays, 1.2 * limit * math.sin(0.3 * k) ** 3, 0.01 * math.cos(0.2 * k))
+            advance(plant.arguments(state), 1.2 * limit * math.sin(0.3 * k) ** 3, 0.01 * math.cos(0.2 * k))
             for k in range(300)
         ]
         bits.append(state.tobytes().hex() + f"/{sum(counts)}")

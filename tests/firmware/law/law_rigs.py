@@ -90,13 +90,13 @@ def in_lock_step(
     plant, quantum = plant_of(experiment), experiment.rig.amplifier.current_quantum_a
     quantum_effort = controller.effort_quantum(experiment, quantum)
     body = plant.at_rest(START)
-    arrays = plant.arrays
-    count = advance(body, *arrays, 0.0, 0.0)
+    moving = plant.arguments(body)
+    count = advance(moving, 0.0, 0.0)
     rows = np.zeros((4, most_ticks), np.int64)
     for k in range(most_ticks):
         out = law.tick(state, parameters, count)
         rows[:, k] = count, out.current, out.flags, out.phase
         if out.phase == Phase.DONE:
             return Run(*rows[:, : k + 1])
-        count = advance(body, *arrays, out.current * quantum_effort, 0.0)
+        count = advance(moving, out.current * quantum_effort, 0.0)
     return Run(*rows)

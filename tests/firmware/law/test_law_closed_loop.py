@@ -36,17 +36,17 @@ def test_a_hit_of_a_second_is_the_hosts_fixed_wall_exactly(law: Any, scheme: Any
     e, divider = host.estimator, c["velocity_divider"]
     wall = fixed_wall_of(c, host.law.parameters, velocity_format(e))
     plant, quantum_effort = plant_of(experiment), quantum * experiment.rig.amplifier.effort_per_ampere
-    state, arrays, update = plant.at_rest(START), plant.arrays, e.estimator.update
+    moving, update = plant.arguments(plant.at_rest(START)), e.estimator.update
     counts, currents, velocity = [], [], 0
     lsb = e.parameters[-1] * e.parameters[0]  # SI velocity of the last bit
-    count = advance(state, *arrays, 0.0, 0.0)
+    count = advance(moving, 0.0, 0.0)
     for k in range(ONE_SECOND):
         if k % divider == 0:
             velocity = round(update(count, 0.0, 1, e.state_f, e.state_i, e.parameters) / lsb)
         current = current_quanta(count, velocity, wall)
         counts.append(count)
         currents.append(current)
-        count = advance(state, *arrays, current * quantum_effort, 0.0)
+        count = advance(moving, current * quantum_effort, 0.0)
 
     p = parameters_of(controller_of(experiment), FIXED)
     memory = law.reset(p)

@@ -86,7 +86,7 @@ def test_the_plant_at_the_pins_is_the_simulation_s_own_to_the_bit() -> None:
     state = plant.at_rest(0.01)
     wanted = []
     for effort in efforts:
-        advance(state, *plant.arrays, effort, 0.0)
+        advance(plant.arguments(state), effort, 0.0)
         wanted.append(state[:3].copy())
     states = emulator.plant_states(model, 0.01, efforts.tolist())
     assert np.array_equal(np.array(wanted), np.array(states))

@@ -337,7 +337,7 @@ def test_on_the_simulated_rig_it_is_several_times_closer_to_the_truth_than_the_d
     state = plant.at_rest(0.0)
     rows = []
     for k in range(4000):
-        count = advance(state, *plant.arrays, 0.08 * math.cos(k / 300), 0.0)
+        count = advance(plant.arguments(state), 0.08 * math.cos(k / 300), 0.0)
         rows.append((count, state[plant.edge_age], state[plant.sensed_position + 1]))
     counts, ages, true = (np.array(column) for column in zip(*rows, strict=True))
     ages = on_the_wire(np.minimum(ages, 134.0))

@@ -109,7 +109,7 @@ def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, 
         states.append(state[:2].copy())
         efforts.append(float(control.memory["effort_sent"][0]))
         pushes.append(push)
-        count = advance(state, *plant.arrays, efforts[-1], push)
+        count = advance(plant.arguments(state), efforts[-1], push)
     return np.array(states), np.array(efforts), np.array(pushes)
 
 
