@@ -238,14 +238,16 @@ class SimulatedDevice:
         """Let one period pass; return the STATE frame that is due then, or nothing."""
         board, words, hardware = self.board, self.board.words, self.hardware
         current = drive(board)
-        self._heed()
+        if words[FOUND] or words[CUTS]:
+            self._heed()
         hardware.advance(current)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         sample(board)
-        self._heed()
+        if words[FOUND]:
+            self._heed()
         if self._truth is not None and words[SESSION]:
-            hardware.log(self._truth, self.sample_index)
+            hardware.log(self._truth, words[SAMPLE_INDEX])
         return self.connection.send(m.State(*board.state)) if report(board) else b""
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:

@@ -267,19 +267,14 @@ class Safety:
         """Take the limits out of a parameter block and begin to watch at `count`. Thresholds become whole counts."""
         rules, rate = self.rules, int(values["position_rate"])
         configure_heat(self.heat, values["continuous_current"], values["thermal_time_constant"], rate)
-        rules[AT.limit], rules[AT.continuous] = (
-            int(values["current_limit"]),
-            int(values["continuous_current"]),
-        )
+        rules[AT.limit] = int(values["current_limit"])
+        rules[AT.continuous] = int(values["continuous_current"])
         slew = int(values["slew_limit"])
         rules[AT.slew] = _NEVER if slew == NO_SLEW_LIMIT else slew
         ticks = rules[AT.ticks] = max(1, round(rate * SPEED_WINDOW_S))
         travel = values["speed_limit"] * ticks / rate
-        # The ends of the window may each lie anywhere in their cells.
-        rules[AT.fastest], rules[AT.near_fastest] = (
-            math.floor(travel + 1.0),
-            math.floor(NEAR_SPEED * travel + 1.0),
-        )
+        rules[AT.fastest] = math.floor(travel + 1.0)  # the ends of the window may lie anywhere in their cells
+        rules[AT.near_fastest] = math.floor(NEAR_SPEED * travel + 1.0)
         first, last = int(values["window_minimum"]), int(values["window_maximum"])
         margin = NEAR_EDGE * (last - first)
         rules[AT.first], rules[AT.last] = first, last
@@ -308,13 +303,8 @@ def remember(
     """Put a tick (the values of a `FaultEntry`) into the ring, unless it is frozen."""
     if rules[AT.fault] == 0:
         at = rules[AT.remembered] % RING_TICKS * _ENTRY
-        ring[at], ring[at + 1], ring[at + 2], ring[at + 3], ring[at + 4] = (
-            index,
-            count,
-            current,
-            measured,
-            flags,
-        )
+        ring[at], ring[at + 1], ring[at + 2] = index, count, current
+        ring[at + 3], ring[at + 4] = measured, flags
         rules[AT.remembered] += 1
 
 
