@@ -36,7 +36,9 @@ from sim_backend.hardware import World
 from sim_backend.lockstep import (
     BYTE_COUNT,
     BYTES,
+    COUNT,
     CUTS,
+    MEASURED,
     RATE_CHANGED,
     RECEIVED_AT,
     SESSION,
@@ -218,8 +220,10 @@ class CompiledDevice(SimulatedDevice):
         """Return what compiled ticks take of the device and its rig as they are now."""
         if self._failure is not None:
             raise self._failure
+        words, hardware = self.board.words, self.hardware
+        words[COUNT], words[MEASURED] = hardware.count, hardware.measured  # also before the first tick
         self._lend()
-        self._world = self.hardware.world(self._truth)
+        self._world = hardware.world(self._truth)
         return self._lockstep, self._world
 
     def passed(self, world: World) -> None:
