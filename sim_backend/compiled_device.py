@@ -194,7 +194,7 @@ class CompiledDevice(SimulatedDevice):
         self._callback = _ASK(self._asked)
         self._failure: BaseException | None = None
         self._world: World | None = None  # while compiled ticks have it
-        ends = Ends(
+        self._ends = Ends(  # kept, because only its address is elsewhere
             board=Board(**{name: np.asarray(view) for name, view in self.board._asdict().items()}),
             counters=self._counters,
             said=self._said,
@@ -205,21 +205,19 @@ class CompiledDevice(SimulatedDevice):
             python=ctypes.cast(self._callback, ctypes.c_void_p).value or 0,
         )
         self._memory = np.zeros(-(-group_bytes(Ends) // 8), np.int64)
-        put(self._memory.ctypes.data, ends)
+        put(self._memory.ctypes.data, self._ends)
         self._lockstep = Lockstep(
             drive=address_of(lockstep_drive, _HALF),
             sample=address_of(lockstep_sample, _HALF),
             receive=address_of(lockstep_receive, _HALF),
             take=address_of(lockstep_take, _TAKE),
             device=self._memory.ctypes.data,
-            address=ends.board.words.ctypes.data,
-            words=ends.board.words,
+            address=self._ends.board.words.ctypes.data,
+            words=self._ends.board.words,
         )
 
     def compiled(self) -> tuple[Lockstep, World]:
         """Return what compiled ticks take of the device and its rig as they are now."""
-        if self._failure is not None:
-            raise self._failure
         words, hardware = self.board.words, self.hardware
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured  # also before the first tick
         self._lend()
@@ -247,6 +245,8 @@ class CompiledDevice(SimulatedDevice):
         return said, ticks
 
     def _lend(self) -> None:
+        if self._failure is not None:
+            raise self._failure
         self._counters[[NEXT_STATE, NEWEST_COMMAND, WHOLE]] = self.connection.lend_streams()
 
     def _take_back(self) -> None:
@@ -255,7 +255,7 @@ class CompiledDevice(SimulatedDevice):
         self._counters[FRAMES] = 0
 
     def _asked(self, what: int) -> int:
-        """Do for compiled ticks what they leave to Python; what it raises `compiled` raises."""
+        """Do for compiled ticks what they leave to Python; what it raises they raise when they begin anew: soon."""
         try:
             if what == _LATCH:
                 self._heed()
@@ -263,6 +263,7 @@ class CompiledDevice(SimulatedDevice):
                 self._hear()
         except BaseException as failure:
             self._failure = self._failure or failure
+            self._counters[WHOLE] = 0  # the next COMMAND comes here too, and then they begin anew
         return 0
 
     def _hear(self) -> None:

@@ -77,13 +77,14 @@ def without_c(**options: Any) -> MemoryLink:
 KINDS = pytest.mark.parametrize("made", [fresh, without_c], ids=["firmware", "without-c"])
 
 
-def four() -> list[ThroughThePort]:
-    """The compiled far end of firmware and device; the firmware and the readable device behind callbacks."""
+def five() -> list[ThroughThePort]:
+    """The compiled far end of firmware and device; both, and the readable device, behind callbacks."""
     rig = rotary_rig(current_noise_a=0.002)
     return [
         ThroughThePort(fresh()),
         ThroughThePort(without_c()),
         ThroughThePort(MemoryLink(FirmwareDevice(rig, law_maximum=0), Faults())),
+        ThroughThePort(MemoryLink(CompiledDevice(rig), Faults())),
         ThroughThePort(MemoryLink(SimulatedDevice(rig))),
     ]
 
@@ -127,7 +128,7 @@ STEPS = ("command", "command", "wait", "wait", "sleep", "stop", "ask", "push", "
 )
 @example([("command", 300), ("sleep", 400), ("sleep", 400), ("wait", 1), ("again", -300), ("wait", 300)])
 def test_it_says_the_same_at_the_same_time_and_moves_alike(steps: list[tuple[str, int]]) -> None:
-    wires = four()
+    wires = five()
     for wire in wires:
         walk(wire, steps)
     *others, readable = [
@@ -137,10 +138,11 @@ def test_it_says_the_same_at_the_same_time_and_moves_alike(steps: list[tuple[str
         )
         for wire in wires
     ]
-    assert others == [readable] * 3
-    compiled, device = wires[1].link.device, wires[3].link.device
-    assert remembered(compiled) == remembered(device)
-    assert compiled.connection.statistics == device.connection.statistics
+    assert others == [readable] * 4
+    device = wires[-1].link.device
+    for wire in (wires[1], wires[3]):
+        assert remembered(wire.link.device) == remembered(device)
+        assert wire.link.device.connection.statistics == device.connection.statistics
 
 
 def remembered(device: SimulatedDevice) -> list[list[float]]:
@@ -155,14 +157,14 @@ def test_it_conforms_as_a_link(made: Callable[..., MemoryLink]) -> None:
 
 
 def test_what_is_not_read_is_lost_and_counted() -> None:
-    wires = four()
+    wires = five()
     for wire in wires:
         host = Host(wire)  # type: ignore[arg-type]
         host.begin(position_rate=RATE)
         wire.clock.sleep_until(wire.clock.now_ns() + 2_000_000_000)
         wire.read(0.0)
-    assert [wire.log for wire in wires] == [wires[0].log] * 4
-    assert [wire.link.discarded for wire in wires] == [wires[0].link.discarded] * 4
+    assert [wire.log for wire in wires] == [wires[0].log] * 5
+    assert [wire.link.discarded for wire in wires] == [wires[0].link.discarded] * 5
     assert wires[0].link.discarded > 0
 
 
@@ -194,10 +196,16 @@ def test_an_exception_inside_is_eio_and_kept_as_the_links_failure(made: Callable
     assert isinstance(wire.link.failure(), TypeError)
 
 
-def test_what_python_raises_in_a_conversation_is_eio_too(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("part", ["receive", "_latch"])
+def test_what_python_raises_for_compiled_ticks_ends_the_link_at_the_next_bytes(
+    part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     wire = ThroughThePort(without_c())
     Host(wire).begin(position_rate=RATE)  # type: ignore[arg-type]
-    monkeypatch.setattr(wire.link.device, "receive", lambda *_, **__: 1 / 0)
+    device = wire.link.device
+    monkeypatch.setattr(device, part, lambda *_, **__: 1 / 0)
+    device.press_emergency_stop()
+    wire.read(TICK_S)
     data = np.zeros(1, np.uint8)
     assert tell(wire.port.write, wire.port.handle, data) == -errno.EIO
     assert isinstance(wire.link.failure(), ZeroDivisionError)
