@@ -46,7 +46,7 @@ from sim_backend.lockstep import (
     Lockstep,
     run_ticks,
 )
-from sim_backend.ticks import FOUND, PROTOCOL_STATE, Board, drive, obey, report, sample
+from sim_backend.ticks import OWN, Board, drive, obey, report, sample
 
 OUTPUT_BYTES = 1 << 16  # that wait for the host; a STATE without room is lost
 
@@ -107,7 +107,7 @@ def lockstep_drive(device: int, words: int) -> int:
     """First half: the current for the coming tick."""
     ends = _at(device)
     current = drive(ends.board)
-    if ends.board.words[FOUND] != 0:
+    if ends.board.words[OWN.found] != 0:
         _ask(ends.python, _LATCH)
     return np.int32(current)  # type: ignore[return-value]
 
@@ -118,7 +118,7 @@ def lockstep_sample(device: int, words: int) -> int:
     ends = _at(device)
     board, counters = ends.board, ends.counters
     sample(board)
-    if board.words[FOUND] != 0:
+    if board.words[OWN.found] != 0:
         _ask(ends.python, _LATCH)
     if report(board):
         sequence = counters[NEXT_STATE]
@@ -136,7 +136,7 @@ def _obeyed(ends: Ends) -> bool:
     board, counters, frame = ends.board, ends.counters, ends.frame
     words, command = board.words, ends.command
     size = words[BYTE_COUNT]
-    if words[PROTOCOL_STATE] != _RUNNING or counters[WHOLE] == 0 or size > len(frame):
+    if words[OWN.protocol_state] != _RUNNING or counters[WHOLE] == 0 or size > len(frame):
         return False
     _move(frame.ctypes.data, words[BYTES], size)
     if find_delimiter(frame, 0, size) != size - 1:
@@ -273,6 +273,6 @@ class CompiledDevice(SimulatedDevice):
         self.passed(self._world)
         data = ctypes.string_at(words[BYTES], words[BYTE_COUNT])
         answers = self.receive(data, received_at=words[RECEIVED_AT])
-        end = counters[SAID] + len(answers)
-        self._said[counters[SAID] : end] = np.frombuffer(answers, np.uint8)
+        end = min(counters[SAID] + len(answers), OUTPUT_BYTES)  # what has no room is lost, as at a port
+        self._said[counters[SAID] : end] = np.frombuffer(answers, np.uint8)[: end - counters[SAID]]
         counters[SAID] = end

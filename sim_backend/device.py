@@ -51,32 +51,7 @@ from sim_backend.safety import (
     in_window,
     overheated,
 )
-from sim_backend.ticks import (
-    ACTED,
-    BOARD_WORDS,
-    COMMAND_INDEX,
-    COMMAND_LIFETIME,
-    COMMAND_SEQUENCE,
-    COMMAND_SYNC,
-    FOUND,
-    GRID_INDEX,
-    GRID_TIME,
-    MISSED_TICKS,
-    NEEDS_HOLD,
-    PROTOCOL_STATE,
-    RAMP,
-    RATE,
-    SUPERVISE_LIFETIME,
-    SYNC,
-    SYNC_TIME,
-    WORST_EXECUTION_TIME,
-    Board,
-    drive,
-    obey,
-    report,
-    sample,
-    time_of,
-)
+from sim_backend.ticks import BOARD_WORDS, OWN, Board, drive, obey, report, sample, time_of
 
 _U32 = 0xFFFFFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
@@ -142,8 +117,8 @@ class SimulatedDevice:
         The default rate is above the maximum, or the model cannot be stepped at it.
     """
 
-    sample_index, time, inputs, sync = Word(SAMPLE_INDEX), Word(TIME), Word(INPUTS), Word(SYNC)
-    worst_execution_time, missed_ticks = Word(WORST_EXECUTION_TIME), Word(MISSED_TICKS)
+    sample_index, time, inputs, sync = Word(SAMPLE_INDEX), Word(TIME), Word(INPUTS), Word(OWN.sync)
+    worst_execution_time, missed_ticks = Word(OWN.worst_execution_time), Word(OWN.missed_ticks)
 
     def __init__(
         self,
@@ -183,7 +158,7 @@ class SimulatedDevice:
     def _start(self) -> None:
         """Set what a microcontroller has in its memory, as its reset leaves it."""
         self.sample_index = self.time = self._received_at = 0
-        self.board.words[SYNC_TIME] = 0
+        self.board.words[OWN.sync_time] = 0
         self._faults.forget()
         self.hardware.reset()
         self._configuration = Configuration(self._dictionary, self._apply)
@@ -196,14 +171,14 @@ class SimulatedDevice:
         idle(rules, self.time)
         self._safety.forget()
         rules[AT.current] = rules[AT.flags] = 0
-        words[ACTED] = words[COMMAND_SEQUENCE] = words[COMMAND_SYNC] = 0
-        words[COMMAND_INDEX] = -1
+        words[OWN.acted] = words[OWN.command_sequence] = words[OWN.command_sync] = 0
+        words[OWN.command_index] = -1
         self.sync = self.worst_execution_time = self.missed_ticks = 0
 
     def _note_protocol(self) -> None:
         """Let ticks know where the protocol is."""
         words = self.board.words
-        words[PROTOCOL_STATE], words[SESSION] = self.connection.state, self.connection.session
+        words[OWN.protocol_state], words[SESSION] = self.connection.state, self.connection.session
 
     # ------------------------------------------------------------------ time
 
@@ -225,7 +200,7 @@ class SimulatedDevice:
     @property
     def rate(self) -> int:
         """Ticks a second (Hz)."""
-        return int(self.board.words[RATE])
+        return int(self.board.words[OWN.rate])
 
     @property
     def current(self) -> int:
@@ -238,13 +213,13 @@ class SimulatedDevice:
         """Let one period pass; return the STATE frame that is due then, or nothing."""
         board, words, hardware = self.board, self.board.words, self.hardware
         current = drive(board)
-        if words[FOUND] or words[CUTS]:
+        if words[OWN.found] or words[CUTS]:
             self._heed()
         hardware.advance(current)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         sample(board)
-        if words[FOUND]:
+        if words[OWN.found]:
             self._heed()
         if self._truth is not None and words[SESSION]:
             hardware.log(self._truth, words[SAMPLE_INDEX])
@@ -270,8 +245,8 @@ class SimulatedDevice:
 
     def _heed(self) -> None:
         """Do what a part of a tick, or a command, asks for: enter FAULT, or pull the amplifier's enable low."""
-        if self.board.words[FOUND]:
-            self._latch(self.board.words[FOUND])
+        if self.board.words[OWN.found]:
+            self._latch(self.board.words[OWN.found])
         elif self.board.words[CUTS]:
             self.hardware.cut()
 
@@ -408,12 +383,13 @@ class SimulatedDevice:
             number = BY_NAME["position_rate"].id
             raise ParameterError(Status.INCONSISTENT, error.message, detail=number) from error
         words = self.board.words
-        words[RATE], words[GRID_INDEX], words[GRID_TIME] = rate, self.sample_index, self.time
+        words[OWN.rate], words[OWN.grid_index], words[OWN.grid_time] = rate, self.sample_index, self.time
         words[DUE] = time_of(words, self.sample_index + 1)
         self._safety.configure(values, self.hardware.count)
-        words[NEEDS_HOLD], words[RAMP] = int(values["hold_to_run"]), int(values["ramp_us"]) * UNITS_PER_US
-        words[COMMAND_LIFETIME] = int(values["command_lifetime_us"]) * UNITS_PER_US
-        words[SUPERVISE_LIFETIME] = int(values["supervise_lifetime_us"]) * UNITS_PER_US
+        words[OWN.needs_hold] = int(values["hold_to_run"])
+        words[OWN.ramp] = int(values["ramp_us"]) * UNITS_PER_US
+        words[OWN.command_lifetime] = int(values["command_lifetime_us"]) * UNITS_PER_US
+        words[OWN.supervise_lifetime] = int(values["supervise_lifetime_us"]) * UNITS_PER_US
 
     # ------------------------------------------------------------------ the world
 
@@ -437,7 +413,7 @@ class SimulatedDevice:
         last sample's time.
         """
         if high and not self.inputs & _SYNC:
-            self.board.words[SYNC_TIME] = self.time if at is None else at
+            self.board.words[OWN.sync_time] = self.time if at is None else at
         self.inputs = self.inputs | _SYNC if high else self.inputs & ~_SYNC
 
     def inject_fault(self, fault: Fault) -> None:

@@ -3,12 +3,13 @@
 The order is that of `device`: `drive`, then the plant moves, then `sample`, and `report` if a STATE is due; between two
 ticks `obey` takes a COMMAND. Python runs these functions in the readable device (`device`), on memory views; a kernel
 runs the same ones in the compiled device (`compiled_device`). What is rare is left to Python: they only leave the
-faults that they find in `FOUND`.
+faults that they find in a word.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
+from typing import Any, NamedTuple
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
@@ -44,15 +45,19 @@ from sim_backend.safety import (
 
 UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: enough to home by hand
 
-# Words behind those of `lockstep`: what the tick found (faults as bits 1 << code) and drove, limits that acted since
-# the last STATE, level of the sync outputs; the active command; what Python counts, and where the protocol is; the grid
-# of time; settings.
-FOUND, DRIVEN, ACTED, SYNC = range(WORDS, WORDS + 4)
-COMMAND_SEQUENCE, COMMAND_INDEX, COMMAND_SYNC = range(WORDS + 4, WORDS + 7)
-WORST_EXECUTION_TIME, MISSED_TICKS, SYNC_TIME, PROTOCOL_STATE = range(WORDS + 7, WORDS + 11)
-RATE, GRID_INDEX, GRID_TIME = range(WORDS + 11, WORDS + 14)
-NEEDS_HOLD, COMMAND_LIFETIME, SUPERVISE_LIFETIME, RAMP = range(WORDS + 14, WORDS + 18)
-BOARD_WORDS = WORDS + 18
+_Own = namedtuple(
+    "_Own",
+    # what the tick found (faults as bits 1 << code) and drove, limits that acted since the last STATE, sync outputs
+    "found driven acted sync "
+    # of the active command
+    "command_sequence command_index command_sync "
+    # what Python counts, and where the protocol is
+    "worst_execution_time missed_ticks sync_time protocol_state "
+    # the grid of time, and settings
+    "rate grid_index grid_time needs_hold command_lifetime supervise_lifetime ramp",
+)
+BOARD_WORDS = WORDS + len(_Own._fields)
+OWN: Any = _Own(*range(WORDS, BOARD_WORDS))  # the device's own words, behind those of `lockstep`
 
 _U32 = 0xFFFFFFFF
 _U16 = 0xFFFF
@@ -76,7 +81,7 @@ class Board(NamedTuple):
     Attributes
     ----------
     words
-        Those of `lockstep`, and behind them those of this file.
+        Those of `lockstep`, and behind them `OWN`.
     rules, heat, counts
         Of `sim_backend.safety.Safety`.
     ring
@@ -97,51 +102,51 @@ class Board(NamedTuple):
 def drive(board: Board) -> int:
     """Begin a tick: the current that flows in it (quanta)."""
     words, rules = board.words, board.rules
-    words[FOUND] = words[CUTS] = words[SYNC] = words[DRIVEN] = 0
-    if words[PROTOCOL_STATE] != _ARMED and words[PROTOCOL_STATE] != _RUNNING:
+    words[OWN.found] = words[CUTS] = words[OWN.sync] = words[OWN.driven] = 0
+    if words[OWN.protocol_state] != _ARMED and words[OWN.protocol_state] != _RUNNING:
         return 0
     if words[INPUTS] & _EMERGENCY:
-        words[FOUND] = _PRESSED
+        words[OWN.found] = _PRESSED
         return 0
     current = wanted(rules, words[DUE])
     if rules[AT.ramping]:
         rules[AT.flags] |= _RAMPING
         if rules[AT.lost]:
-            words[FOUND] = _LINK_LOST
+            words[OWN.found] = _LINK_LOST
             return 0
     else:
-        words[SYNC] = words[COMMAND_SYNC]
-    if words[NEEDS_HOLD] and not words[INPUTS] & _HELD:
+        words[OWN.sync] = words[OWN.command_sync]
+    if words[OWN.needs_hold] and not words[INPUTS] & _HELD:
         rules[AT.flags] |= _RELEASED
         rules[AT.current] = 0  # regardless of the slew limit
         words[CUTS] = 1
         return 0
-    words[DRIVEN] = limited(rules, board.heat, current)
-    return int(words[DRIVEN])
+    words[OWN.driven] = limited(rules, board.heat, current)
+    return int(words[OWN.driven])
 
 
 @rule
 def sample(board: Board) -> None:
     """End a tick: its sample is in the words; the monitors look at it."""
     words, rules = board.words, board.rules
-    count, current, measured = words[COUNT], words[DRIVEN], words[MEASURED]
+    count, current, measured = words[COUNT], words[OWN.driven], words[MEASURED]
     words[CUTS] = 0
     words[SAMPLE_INDEX] += 1
     words[TIME] = words[DUE]
     words[DUE] = time_of(words, words[SAMPLE_INDEX] + 1)
     warm(board.heat, measured)
     faults = check(rules, board.heat, board.counts, count, current, measured)
-    words[FOUND] = faults if words[SESSION] else 0
+    words[OWN.found] = faults if words[SESSION] else 0
     flags = rules[AT.flags]
     rules[AT.flags] = 0
-    words[ACTED] |= flags
+    words[OWN.acted] |= flags
     remember(rules, board.ring, words[SAMPLE_INDEX] & _U32, count, current, measured, flags)
 
 
 @rule
 def time_of(words: Ints, index: int) -> int:
     """Device time of a sample, from its number: a period that is no whole number of units does not drift."""
-    return int(words[GRID_TIME] + (index - words[GRID_INDEX]) * UNITS_PER_SECOND // words[RATE])
+    return int(words[OWN.grid_time] + (index - words[OWN.grid_index]) * UNITS_PER_SECOND // words[OWN.rate])
 
 
 @rule
@@ -150,24 +155,27 @@ def report(board: Board) -> bool:
     words, state = board.words, board.state
     index, time = words[SAMPLE_INDEX], words[TIME]
     if not words[SESSION]:
-        every = max(1, words[RATE] // UNARMED_STATES_HZ)
-        if words[PROTOCOL_STATE] == _BOOT or index % every != 0:
+        every = max(1, words[OWN.rate] // UNARMED_STATES_HZ)
+        if words[OWN.protocol_state] == _BOOT or index % every != 0:
             return False
     age = _NO_COMMAND_YET
-    if words[COMMAND_INDEX] >= 0:
-        age = min(index - words[COMMAND_INDEX], _U16)
-    state[STATE.command_sequence], state[STATE.command_age] = words[COMMAND_SEQUENCE], age
+    if words[OWN.command_index] >= 0:
+        age = min(index - words[OWN.command_index], _U16)
+    state[STATE.command_sequence], state[STATE.command_age] = words[OWN.command_sequence], age
     state[STATE.sample_index], state[STATE.device_time] = index & _U32, time & _U32
     state[STATE.count] = words[COUNT]
     state[STATE.edge_time] = (time - min(words[EDGE_AGE], _OLDEST_EDGE)) & _U32
-    state[STATE.current_measured], state[STATE.current_commanded] = words[MEASURED], words[DRIVEN]
-    state[STATE.limits], state[STATE.fault] = words[ACTED], board.rules[AT.fault]
-    state[STATE.execution_time] = min(words[WORST_EXECUTION_TIME], _U16)
-    state[STATE.missed_ticks] = min(words[MISSED_TICKS], _U16)
-    state[STATE.state], state[STATE.inputs] = words[PROTOCOL_STATE], words[INPUTS] | _SHOWN[words[SYNC]]
+    state[STATE.current_measured], state[STATE.current_commanded] = words[MEASURED], words[OWN.driven]
+    state[STATE.limits], state[STATE.fault] = words[OWN.acted], board.rules[AT.fault]
+    state[STATE.execution_time] = min(words[OWN.worst_execution_time], _U16)
+    state[STATE.missed_ticks] = min(words[OWN.missed_ticks], _U16)
+    state[STATE.state], state[STATE.inputs] = (
+        words[OWN.protocol_state],
+        words[INPUTS] | _SHOWN[words[OWN.sync]],
+    )
     state[STATE.phase] = 0  # no law of its own
-    state[STATE.sync_time] = words[SYNC_TIME] & _U32
-    words[ACTED] = 0  # since the last STATE
+    state[STATE.sync_time] = words[OWN.sync_time] & _U32
+    words[OWN.acted] = 0  # since the last STATE
     return True
 
 
@@ -175,8 +183,8 @@ def report(board: Board) -> bool:
 def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
     """Take a COMMAND."""
     words = board.words
-    words[COMMAND_SEQUENCE], words[COMMAND_INDEX] = sequence, words[SAMPLE_INDEX]
-    words[COMMAND_SYNC] = words[CUTS] = 0
+    words[OWN.command_sequence], words[OWN.command_index] = sequence, words[SAMPLE_INDEX]
+    words[OWN.command_sync] = words[CUTS] = 0
     if mode == _STOP:
         idle(board.rules, words[TIME])
         board.rules[AT.current] = 0
@@ -184,7 +192,7 @@ def obey(board: Board, sequence: int, mode: int, flags: int, current: int, lifet
         return
     lifetime = lifetime_us * UNITS_PER_US
     if mode == _SUPERVISE:
-        feed(board.rules, words[TIME], 0, min(lifetime, words[SUPERVISE_LIFETIME]), words[RAMP])
+        feed(board.rules, words[TIME], 0, min(lifetime, words[OWN.supervise_lifetime]), words[OWN.ramp])
     else:
-        words[COMMAND_SYNC] = flags & _SYNC_OF_COMMANDS
-        feed(board.rules, words[TIME], current, min(lifetime, words[COMMAND_LIFETIME]), words[RAMP])
+        words[OWN.command_sync] = flags & _SYNC_OF_COMMANDS
+        feed(board.rules, words[TIME], current, min(lifetime, words[OWN.command_lifetime]), words[OWN.ramp])
